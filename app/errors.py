@@ -1,0 +1,54 @@
+"""What can go wrong, by exit code.
+
+Every error that a user can cause or meet is one of these; the command line prints its message once,
+on rank 0, and leaves with its ``exit_code``. Anything else is an internal error (70).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class MantleError(Exception):
+    """An error with a message for the user and an exit code."""
+
+    exit_code = 70
+
+
+class InputError(MantleError):
+    """The input is wrong; holds one message per defect."""
+
+    exit_code = 2
+
+    def __init__(self, messages: str | Sequence[str]) -> None:
+        """Keep the list of defects.
+
+        Args:
+            messages: One line per defect, ``file:line:column: key: what is wrong; what is allowed``.
+        """
+        self.messages = [messages] if isinstance(messages, str) else list(messages)
+        super().__init__("\n".join(self.messages))
+
+
+class GeometryError(MantleError):
+    """The geometry cannot be built or the mesh is not good enough."""
+
+    exit_code = 3
+
+
+class ConvergenceError(MantleError):
+    """The equations could not be solved: where, why, what to try."""
+
+    exit_code = 4
+
+
+class StoppedError(MantleError):
+    """Stopped by a signal, a limit or a full disk, with the state saved."""
+
+    exit_code = 5
+
+
+class EnvironmentProblem(MantleError):
+    """A package, a compiler or MPI is missing or unusable."""
+
+    exit_code = 69
