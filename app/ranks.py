@@ -1,0 +1,242 @@
+"""Starting several MPI ranks of the application: ``-n N`` on the command line.
+
+Only the standard library is used, so that it starts at once. Inside an existing ``mpirun`` or Slurm
+step nothing is started: the ranks are there already.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from typing import IO
+
+from app.errors import EnvironmentProblem, InputError
+
+# Where the number of ranks is found, by the process manager that started this process.
+_WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
+_WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
+_SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
+_RULE = b"-" * 74
+_PR_SET_PDEATHSIG = 1
+
+
+def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
+    """Take ``-n N`` out of the arguments.
+
+    Args:
+        arguments: Command line; what follows a bare ``--`` are PETSc's options and stays.
+
+    Returns:
+        The number of ranks asked for, ``None`` if none was, and the other arguments in order.
+
+    Raises:
+        InputError: N is missing or not a positive whole number.
+    """
+    ranks: int | None = None
+    rest: list[str] = []
+    queue = list(arguments)
+    while queue:
+        argument = queue.pop(0)
+        if argument == "--":
+            return ranks, [*rest, argument, *queue]
+        if argument != "-n":
+            rest.append(argument)
+            continue
+        value = queue.pop(0) if queue else ""
+        if not re.fullmatch(r"[0-9]{1,6}", value) or int(value) == 0:
+            raise InputError(f"-n: '{value}' is not a number of ranks; allowed: 1, 2, 3, ...")
+        ranks = int(value)
+    return ranks, rest
+
+
+def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
+    """Tell how many ranks the surrounding ``mpirun`` or Slurm step has.
+
+    Args:
+        environ: The environment variables.
+
+    Returns:
+        The number, 0 where it is not told, ``None`` outside of any.
+    """
+    if not any(mark in environ for mark in _WORLD_MARKS):
+        return None
+    for name in _WORLD_SIZES:
+        if environ.get(name, "").isdigit():
+            return int(environ[name])
+    return 0
+
+
+def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """Give the environment of the ranks: one thread each, and no noise from Open MPI.
+
+    Args:
+        environ: The environment variables; what is set in them stays.
+    """
+    defaults = {"OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    if not any(name in environ for name in _SCHEDULERS):
+        # On one node only shared memory is needed; looking for a network fails audibly.
+        defaults["OMPI_MCA_btl"] = "self,sm"
+        defaults["PRTE_MCA_rmaps_default_mapping_policy"] = ":oversubscribe"
+    if os.geteuid() == 0:
+        defaults |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    return {**defaults, **environ}
+
+
+def launch(ranks: int, command: Sequence[str]) -> int:
+    """Run a command on several ranks and wait for it.
+
+    The ranks get SIGUSR1, the one signal that mpirun passes on without ending them, for the first
+    SIGINT (Ctrl-C), SIGTERM, SIGHUP or SIGUSR1 received here: they have the time they need to save
+    their state and leave. A second one ends them at once.
+
+    Args:
+        ranks: How many, at least 1.
+        command: The program and its arguments.
+
+    Returns:
+        The exit code of the first rank that failed, 0 if none did, 130 where the ranks were ended
+        before they could leave by themselves, 70 where one of them crashed.
+
+    Raises:
+        EnvironmentProblem: There is no mpirun.
+    """
+    mpirun = shutil.which("mpirun")
+    if mpirun is None:
+        raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
+    received: list[int] = []
+    child: subprocess.Popen[bytes] | None = None
+
+    def stop(number: int, _frame: object) -> None:
+        received.append(number)
+        if child is None:
+            return
+        if len(received) == 1:
+            child.send_signal(signal.SIGUSR1)
+            _tell("stopping; the state is saved first (once more: stop at once)")
+        else:
+            child.send_signal(signal.SIGTERM if len(received) < 4 else signal.SIGKILL)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+        signal.signal(number, stop)
+    libc = ctypes.CDLL(None)
+    child = subprocess.Popen(
+        [mpirun, "-n", str(ranks), *command],
+        env=environment(),
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        # The terminal sends Ctrl-C to the whole process group; mpirun would end the ranks at once.
+        start_new_session=True,
+        # Should this process be killed, mpirun and the ranks go too.
+        preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
+    )
+    if received:
+        child.send_signal(signal.SIGUSR1)
+    assert child.stderr is not None
+    relay = threading.Thread(
+        target=filter_messages, args=(child.stderr, sys.stderr.buffer, received), daemon=True
+    )
+    relay.start()
+    code = child.wait()
+    relay.join(timeout=2.0)
+    if received and (code < 0 or code == 1 or code > 128):
+        return 130
+    # 128 + a signal: a rank crashed or was killed, which mpirun has told.
+    return 70 if code < 0 or code > 128 else code
+
+
+def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:
+    """Copy what the ranks and mpirun say, less the banners that repeat the application's own words.
+
+    mpirun explains over ten lines that a rank left with a code; the application has said why in one.
+    What it says about crashes stays.
+
+    Args:
+        source: Standard error of mpirun, read to its end.
+        target: Where it goes.
+        received: Signals received so far; after one the end of a rank by a signal is no news.
+    """
+    block: list[bytes] = []
+    skip_empty = False
+    while line := source.readline():
+        is_rule = line.rstrip() == _RULE
+        if not block:
+            if is_rule:
+                block = [line]
+            elif not (skip_empty and not line.strip()) and not _is_noise(line):
+                _write(target, line)
+            skip_empty = skip_empty and not line.strip()
+            continue
+        block.append(line)
+        if len(block) == 2 and not line.startswith((b"prterun ", b"mpirun ", b"MPI_ABORT ")):
+            _write(target, b"".join(block))  # a table of the application's
+            block = []
+        elif is_rule:
+            skip_empty = _repeats(b"".join(block), bool(received))
+            if not skip_empty:
+                _write(target, b"".join(block))
+            block = []
+    _write(target, b"".join(block))
+
+
+def _is_noise(line: bytes) -> bool:
+    """Tell the messages of a job manager that is interrupted while it closes down."""
+    return b"PMIX ERROR: PMIX_ERR_UNREACH" in line or line.startswith(b"Abort is in progress")
+
+
+def _repeats(banner: bytes, stopped: bool) -> bool:
+    if b"exited with non-zero status" in banner or b"MPI_ABORT was invoked" in banner:
+        return True
+    if b'calling\n"abort"' in banner:
+        return True
+    return stopped and (b"exited on\nsignal" in banner or b"exited on signal" in banner)
+
+
+def _write(target: IO[bytes], text: bytes) -> None:
+    with contextlib.suppress(BrokenPipeError):
+        target.write(text)
+        target.flush()
+
+
+def _tell(message: str) -> None:
+    _write(sys.stderr.buffer, f"mantle: {message}\n".encode())
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the application on the ranks that ``-n`` asks for.
+
+    Args:
+        arguments: Command line of the application, with or without ``-n N``.
+
+    Returns:
+        The exit code; does not return where this process becomes the application itself.
+    """
+    try:
+        ranks, rest = split(arguments)
+    except InputError as error:
+        _tell(str(error))
+        return error.exit_code
+    command = [sys.executable, "-m", "app", *rest]
+    size = world_size()
+    if size is not None:
+        first = os.environ.get("OMPI_COMM_WORLD_RANK", os.environ.get("SLURM_PROCID", "0")) == "0"
+        if ranks not in (None, size) and first:
+            _tell(f"-n {ranks} is ignored: this is already a job of {size or 'some'} ranks")
+    elif ranks is not None and ranks > 1:
+        try:
+            return launch(ranks, command)
+        except EnvironmentProblem as error:
+            _tell(str(error))
+            return error.exit_code
+    os.execv(sys.executable, command)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
