@@ -1,0 +1,317 @@
+"""A YAML file as plain data that remembers where each key stood.
+
+YAML 1.2 by ruamel.yaml's parser; the tree is built here, so that every duplicate key is found at once, anchors
+cannot blow up, and each value keeps its line and column.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.reader import ReaderError
+
+from app.errors import InputError
+
+Path = tuple[str | int, ...]
+MOST_NODES = 100_000
+DEEPEST = 50
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One defect of the input.
+
+    Attributes:
+        path: Keys from the top to the value it concerns.
+        text: What is wrong; what is allowed.
+    """
+
+    path: Path
+    text: str
+
+
+@dataclass
+class CaseFile:
+    """The content of a case file with the overrides applied.
+
+    Attributes:
+        name: The file as the user named it.
+        data: Mappings, lists and scalars.
+        places: Where each path stands: (line, column), counted from 1, or the override's key.
+        problems: Duplicate keys and other defects found while reading.
+    """
+
+    name: str
+    data: dict[str, Any] = field(default_factory=dict)
+    places: dict[Path, tuple[int, int] | str] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    duplicates: list[tuple[tuple[int, int], str]] = field(default_factory=list)
+
+    def line(self, problem: Problem) -> str:
+        """A problem as ``file:line:column: key.path: text``."""
+        return self._locate(problem)[1]
+
+    def raise_all(self, problems: Sequence[Problem]) -> None:
+        """Raise one error for all problems, in the order of the file.
+
+        Raises:
+            InputError: There is at least one problem, here or found while reading.
+        """
+        lines = [self._locate(p) for p in [*self.problems, *problems]]
+        lines += [
+            (place, f"{self.name}:{place[0]}:{place[1]}: {text}") for place, text in self.duplicates
+        ]
+        if lines:
+            raise InputError(list(dict.fromkeys(text for _, text in sorted(lines))))
+
+    def _locate(self, problem: Problem) -> tuple[tuple[int, int], str]:
+        """Sorting key and line of a problem: the place of its key, or of the nearest one above it."""
+        for n in range(len(problem.path), -1, -1):
+            if (place := self.places.get(problem.path[:n])) is not None:
+                break
+        else:
+            place = (1, 1)
+        key = path_text(problem.path)
+        if isinstance(place, str):
+            inner = "" if key == place else f"{key}: "
+            return (1 << 30, 0), f"--set {place}: {inner}{problem.text}"
+        start = f"{self.name}:{place[0]}:{place[1]}: "
+        return place, start + (f"{key}: {problem.text}" if key else problem.text)
+
+
+def path_text(path: Path) -> str:
+    """``("stages", 0, "name")`` as ``stages[0].name``."""
+    text = ""
+    for item in path:
+        text += f"[{item}]" if isinstance(item, int) else f".{item}" if text else str(item)
+    return text
+
+
+def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
+    """Read a case file and apply overrides.
+
+    Args:
+        path: The file.
+        overrides: ``a.b.c=value`` each, the value in YAML.
+
+    Raises:
+        InputError: The file cannot be read or is not YAML, or an override is malformed.
+    """
+    case = CaseFile(str(path))
+    text = _text(path)
+    try:
+        node = _compose(text)
+        if node is None:
+            raise _BadYaml("the file is empty; expected a mapping with geometry, mesh, regions")
+        if not isinstance(node, MappingNode):
+            raise _BadYaml("expected a mapping with geometry, mesh, regions", _mark(node))
+        case.data = _Builder(case).value(node, ())
+    except _BadYaml as error:
+        line, column = error.place
+        raise InputError([f"{path}:{line}:{column}: {error.text}"]) from error
+    errors = []
+    for override in overrides:
+        try:
+            _override(case, override)
+        except _BadYaml as error:
+            errors.append(f"--set {override.partition('=')[0]}: {error.text}")
+    if errors:
+        raise InputError(errors)
+    return case
+
+
+class _BadYaml(Exception):
+    """A syntax error and its place."""
+
+    def __init__(self, text: str, place: tuple[int, int] = (1, 1)) -> None:
+        self.text, self.place = text, place
+        super().__init__(text)
+
+
+def _text(path: FilePath) -> str:
+    """The text of a file.
+
+    Raises:
+        InputError: Missing, a folder, unreadable or not UTF-8.
+    """
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; expected a YAML file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
+        raise InputError(
+            f"{path}:{line}:{column}: not UTF-8 text (byte 0x{raw[error.start]:02x})"
+        ) from error
+
+
+def _compose(text: str) -> Node | None:
+    """The node tree of a YAML text.
+
+    Raises:
+        _BadYaml: A syntax error.
+    """
+    try:
+        # Without `pure` ruamel would use libyaml, which knows YAML 1.1 only.
+        return YAML(typ="safe", pure=True).compose(io.StringIO(text))
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        problem = " ".join(str(error.problem or error.context).split())
+        line = text.splitlines()[place[0] - 1 : place[0]] if mark else []
+        hint = ""
+        if line and re.search(r":\s*\[[^\]]*\]\s*[A-Za-z]", line[0]):
+            hint = '; a list with one unit needs quotes: "[0, 0, -1800] N"'
+        elif "\\t" in problem:
+            hint = "; indent with spaces"
+        raise _BadYaml(f"not valid YAML: {problem}{hint}", place) from error
+    except ReaderError as error:
+        before = text[: error.position]
+        line_number, column = before.count("\n") + 1, error.position - before.rfind("\n")
+        raise _BadYaml(
+            "not valid YAML: a control character is not allowed", (line_number, column)
+        ) from error
+    except (YAMLError, RecursionError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
+        raise _BadYaml(f"not valid YAML: {reason}") from error
+
+
+def _mark(node: Node) -> tuple[int, int]:
+    """Line and column of a node, from 1."""
+    return node.start_mark.line + 1, node.start_mark.column + 1
+
+
+class _Builder:
+    """Turns nodes into data, noting places, duplicate keys and values that YAML allows but a case does not."""
+
+    def __init__(self, case: CaseFile, override: str = "") -> None:
+        self.case, self.override, self.count = case, override, 0
+        self.scalars = YAML(typ="safe", pure=True)
+
+    def place(self, node: Node) -> tuple[int, int] | str:
+        """Where a node stands."""
+        return self.override or _mark(node)
+
+    def value(self, node: Node, path: Path) -> Any:
+        """The data of a node.
+
+        Raises:
+            _BadYaml: Too large, too deep or of a type without meaning here.
+        """
+        here = _mark(node)
+        self._count(len(path), here)
+        self.case.places.setdefault(path, self.place(node))
+        match node:
+            case ScalarNode():
+                return self._scalar(node, here)
+            case SequenceNode():
+                result = []
+                for i, item in enumerate(node.value):
+                    self.case.places.setdefault((*path, i), self.place(item))
+                    result.append(self.value(item, (*path, i)))
+                return result
+            case MappingNode():
+                return self._mapping(node, path)
+        raise _BadYaml("unexpected content", here)
+
+    def _count(self, depth: int, here: tuple[int, int]) -> None:
+        self.count += 1
+        if self.count > MOST_NODES or depth > DEEPEST:
+            raise _BadYaml("too many or too deeply nested values (an alias inside itself?)", here)
+
+    def _mapping(self, node: MappingNode, path: Path, merging: int = 0) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        merged: list[Node] = []
+        self._count(merging, _mark(node))
+        for key_node, value_node in node.value:
+            place = self.place(key_node)
+            if not isinstance(key_node, ScalarNode):
+                raise _BadYaml("a key must be a plain word", _mark(key_node))
+            key = key_node.value
+            if key_node.tag.endswith(":merge") or (key == "<<" and key_node.style is None):
+                merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
+                continue
+            if key in result:
+                text = f"{path_text((*path, key))}: this key stands here twice; keep one"
+                if isinstance(place, str):
+                    raise _BadYaml(text)
+                self.case.duplicates.append((place, text))
+                continue
+            self.case.places.setdefault((*path, key), place)
+            result[key] = self.value(value_node, (*path, key))
+        for other in merged:
+            if not isinstance(other, MappingNode):
+                raise _BadYaml("<< needs a mapping", _mark(other))
+            for key, value in self._mapping(other, path, merging + 1).items():
+                result.setdefault(key, value)
+        return result
+
+    def _scalar(self, node: ScalarNode, here: tuple[int, int]) -> Any:
+        kind = str(node.tag).rpartition(":")[2]
+        if kind in ("str", "timestamp", "value"):
+            return node.value
+        if kind not in ("null", "bool", "int", "float"):
+            raise _BadYaml(f"the tag {node.tag} has no meaning here", here)
+        try:
+            return self.scalars.constructor.construct_object(node)
+        except (ValueError, YAMLError) as error:
+            raise _BadYaml(f"'{node.value}' is not a number", here) from error
+
+
+def _override(case: CaseFile, override: str) -> None:
+    """Apply ``a.b[0].c=value``.
+
+    Raises:
+        _BadYaml: Malformed, or it goes through something that is not a mapping or list.
+    """
+    key, equals, text = override.partition("=")
+    key = key.strip()
+    items = re.sub(r"\[(\d+)\]", r".\1", key).split(".")
+    if not equals or not all(items):
+        raise _BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
+    target: Any = case.data
+    path: Path = ()
+    for n, item in enumerate(items):
+        last = n == len(items) - 1
+        step: str | int = item
+        if isinstance(target, list):
+            if not item.isdigit() or int(item) >= len(target):
+                raise _BadYaml(
+                    f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'"
+                )
+            step = int(item)
+        elif not isinstance(target, dict):
+            raise _BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
+        path = (*path, step)
+        if not last:
+            if isinstance(target, dict) and target.get(item) is None:
+                target[item] = {}
+                case.places[path] = key
+            target = target[step]
+    for old in [p for p in case.places if p[: len(path)] == path]:
+        del case.places[old]
+    case.places[path] = key
+    try:
+        node = _compose(text)
+    except _BadYaml:
+        # "[0, 0, -1] N" is not YAML without quotes, which the shell has already taken away.
+        if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
+            raise
+        target[step] = text
+    else:
+        target[step] = None if node is None else _Builder(case, key).value(node, path)

@@ -1,0 +1,325 @@
+"""The configuration of a case: schema, reading, writing.
+
+This is the one front for the rest of the program::
+
+    case = config.load(Path("case.yaml"), ["mesh.size=2 mm"])
+
+Everything downstream takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K, rad.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError
+
+from app import case_file, checks
+from app.case_file import CaseFile, Problem
+from app.conditions import (
+    BodyForce,
+    Bonded,
+    Contact,
+    Displacement,
+    Fixed,
+    Force,
+    Foundation,
+    Interface,
+    Load,
+    Penalty,
+    Pressure,
+    Roller,
+    Support,
+)
+from app.expressions import evaluate
+from app.fields import ITEMS, MAPPING, TAG, Model, Name, Text, Truth, Word, did_you_mean, fail, show
+from app.geometries import (
+    Block,
+    Blocks,
+    Cylinders,
+    Femur,
+    Geometry,
+    MeshFile,
+    MeshOptions,
+)
+from app.materials import Eigenstrain, Isotropic, Region, Rigid, TransverselyIsotropic
+from app.units import NonNegativeInteger, PositiveInteger, PositiveNumber
+
+__all__ = [
+    "Block",
+    "Blocks",
+    "BodyForce",
+    "Bonded",
+    "Case",
+    "Contact",
+    "Cylinders",
+    "Displacement",
+    "Eigenstrain",
+    "Femur",
+    "Fixed",
+    "Force",
+    "Foundation",
+    "Geometry",
+    "Interface",
+    "Isotropic",
+    "Load",
+    "MeshFile",
+    "MeshOptions",
+    "OutputOptions",
+    "Penalty",
+    "Pressure",
+    "Region",
+    "Rigid",
+    "Roller",
+    "SolverOptions",
+    "Stage",
+    "Support",
+    "TransverselyIsotropic",
+    "dump",
+    "evaluate",
+    "load",
+    "schema",
+]
+
+
+class Stage(Model):
+    """A part of the loading history, from multiplier to multiplier."""
+
+    name: Name
+    """Name in the results."""
+    increments: PositiveInteger = 1
+    """Load steps to start with."""
+    adaptive: Truth = True
+    """Whether the step may be cut when it diverges and grow when it is easy."""
+    max_cut_backs: NonNegativeInteger = 6
+    """How often in a row a step may be halved."""
+
+
+def _petsc(value: object) -> object:
+    """Raw options: names without the leading dash, single values."""
+    if not isinstance(value, dict):
+        fail(f"{show(value)} is not a mapping of PETSc options to values")
+    for name, entry in value.items():
+        if name.startswith("-"):
+            fail(f"write the option without the dash: {name.lstrip('-')}", at=(name,))
+        if not isinstance(entry, str | int | float | bool):
+            fail(f"{show(entry)} is not a single value", at=(name,))
+    return value
+
+
+class SolverOptions(Model):
+    """How the equations are solved."""
+
+    tolerance: PositiveNumber = 1e-10
+    """Residual relative to the scale of the forces at which a step has converged."""
+    max_iterations: PositiveInteger = 40
+    """Newton iterations per step."""
+    linear: Annotated[Literal["auto", "direct", "multigrid"], Word()] = "auto"
+    """Linear solver; `auto` is direct for small models."""
+    petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc)] = Field(
+        default_factory=dict
+    )
+    """Raw PETSc options, without the leading dash."""
+    augmentation_factor: PositiveNumber = 0.2
+    """r = factor * (modulus of the softer side) / h where an interface does not give its own."""
+
+
+class OutputOptions(Model):
+    """What is written."""
+
+    fields: Truth = True
+    """Whether field files are written."""
+    every: PositiveInteger = 1
+    """Steps between two field outputs; the last step is always written."""
+
+
+class Case(Model):
+    """Everything that a run needs to know."""
+
+    title: Text = ""
+    """A line for people."""
+    geometry: Geometry
+    """Bodies, interfaces and boundaries."""
+    mesh: MeshOptions
+    """Mesh size and order."""
+    regions: Annotated[dict[Name, Region], MAPPING]
+    """Material of every region of the geometry."""
+    interfaces: Annotated[dict[Name, Interface], MAPPING] = Field(default_factory=dict)
+    """Law of each interface; those not listed are bonded (and are listed so after `load`)."""
+    supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
+    """What holds the model."""
+    loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
+    """What acts on it."""
+    stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
+    """The loading history."""
+    solver: SolverOptions = SolverOptions()
+    """How the equations are solved."""
+    output: OutputOptions = OutputOptions()
+    """What is written."""
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> Case:
+    """Read, check and resolve a case.
+
+    Args:
+        path: The YAML file.
+        overrides: ``a.b.c=value`` each, applied in order before anything is checked.
+
+    Returns:
+        The case, with every interface of the geometry listed.
+
+    Raises:
+        InputError: Anything wrong with the file; every defect at once, one line each.
+    """
+    path = Path(path)
+    return resolve(case_file.read(path, overrides), path.parent)
+
+
+def resolve(file: CaseFile, folder: Path) -> Case:
+    """Check the content of a case file.
+
+    Args:
+        file: The content.
+        folder: What relative paths in it are relative to.
+
+    Raises:
+        InputError: As `load`.
+    """
+    context: dict[str, Any] = {"folder": folder, "points": {}}
+    parts = _parts(file.data, context)
+    try:
+        case = Case.model_validate(file.data, context=context)
+    except ValidationError as error:
+        file.raise_all([*_problems(error, file.data), *checks.cross_check(parts)])
+        raise  # only if an error could not be told in words
+    file.raise_all(checks.cross_check(parts))
+    bonded = {name: Bonded() for name in case.geometry.interface_sides}
+    interfaces = {name: case.interfaces.get(name, law) for name, law in bonded.items()}
+    return case.model_copy(update={"interfaces": interfaces})
+
+
+def dump(case: Case) -> str:
+    """A case as YAML in internal units; `load` reads it back to an equal case."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.comments import CommentedSeq
+
+    def arrange(value: Any) -> Any:
+        """Short lists on one line."""
+        if isinstance(value, dict):
+            return {k: arrange(v) for k, v in value.items()}
+        if isinstance(value, list):
+            sequence = CommentedSeq(arrange(v) for v in value)
+            if not any(isinstance(v, dict) for v in value):
+                sequence.fa.set_flow_style()
+            return sequence
+        return value
+
+    yaml = YAML(pure=True)
+    yaml.default_flow_style = False
+    yaml.width = 1 << 20
+    stream = io.StringIO()
+    yaml.dump(arrange(case.model_dump(mode="json", exclude_none=True)), stream)
+    return stream.getvalue()
+
+
+def schema() -> dict[str, Any]:
+    """JSON schema of a case file, for editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Case.model_json_schema()}
+
+
+def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
+    """Every part of the data that is valid by itself, so that the rest can still be checked against it.
+
+    The points that the geometry names are added to the context on the way.
+    """
+
+    def part(kind: Any, value: object) -> Any:
+        try:
+            return TypeAdapter(kind).validate_python(value, context=context)
+        except ValidationError:
+            return None
+
+    def table(key: str, kind: Any) -> dict[str, Any]:
+        values = data.get(key, {})
+        if not isinstance(values, dict):
+            return {}
+        adapter = TypeAdapter(kind)
+        result = {}
+        for name, value in values.items():
+            try:
+                result[name] = adapter.validate_python(value, context=context)
+            except ValidationError:
+                result[name] = None
+        return result
+
+    geometry = part(Geometry, data["geometry"]) if "geometry" in data else None
+    if (centre := getattr(geometry, "head_centre", None)) is not None:
+        context["points"]["head_centre"] = centre
+    default: tuple[Stage, ...] = Case.model_fields["stages"].default
+    return checks.Parts(
+        geometry=geometry,
+        regions=table("regions", Region) if "regions" in data else None,
+        interfaces=table("interfaces", Interface),
+        supports=table("supports", Support),
+        loads=table("loads", Load),
+        stages=part(Case.model_fields["stages"].annotation, data["stages"])
+        if "stages" in data
+        else default,
+    )
+
+
+def _problems(error: ValidationError, data: dict[str, Any]) -> list[Problem]:
+    """Pydantic's errors in the words of the file."""
+    problems = []
+    for entry in error.errors(include_url=False):
+        location = entry["loc"]
+        path = tuple(i for i in location if not (isinstance(i, str) and i.startswith(TAG)))
+        key = str(path[-1]) if path else ""
+        match entry["type"]:
+            case "mantle":
+                path += tuple(entry["ctx"]["at"])
+                text = entry["ctx"]["text"]
+            case "missing":
+                path, text = path[:-1], f"'{key}' is missing; {_expected(location)}"
+            case "extra_forbidden":
+                model = _model_at(location)
+                allowed = tuple(model.model_fields)
+                text = f"unknown key; allowed: {', '.join(allowed)}{did_you_mean(key, allowed)}"
+            case "model_type" | "model_attributes_type":
+                text = f"{show(entry['input'])} is not a mapping; expected keys {', '.join(_model_at((*location, '')).model_fields)}"
+            case "literal_error":
+                text = f"{show(entry['input'])} is not {entry['ctx']['expected']}"
+            case _:
+                text = f"{show(entry['input'])}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+        problems.append(Problem(path, text))
+    return problems
+
+
+def _expected(location: tuple[str | int, ...]) -> str:
+    """What a missing key stands for: its documentation."""
+    info = _model_at(location).model_fields.get(str(location[-1]))
+    text = (info.description or "") if info else ""
+    return f"expected: {text[:1].lower()}{text[1:].rstrip('.')}" if text else "expected"
+
+
+def _model_at(location: tuple[str | int, ...]) -> type[BaseModel]:
+    """The model whose key the last entry of a pydantic location is."""
+    current: Any = Case
+    for item in location[:-1]:
+        if isinstance(item, str) and item.startswith(TAG):
+            current = next(m for m in _models(current) if TAG + m.__name__ == item)
+        elif isinstance(current, type) and issubclass(current, BaseModel):
+            current = current.model_fields[str(item)].annotation
+        elif get_origin(current) in (dict, tuple):
+            current = get_args(current)[1 if get_origin(current) is dict else 0]
+    return next(_models(current), Case)
+
+
+def _models(annotation: Any) -> Any:
+    """The models within an annotation, in order."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models(argument)

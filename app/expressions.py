@@ -1,0 +1,161 @@
+"""The small language of gaps that vary in space: arithmetic in x, y, z.
+
+An expression such as ``-0.02 * (1 - z / 50)`` is parsed with Python's grammar and evaluated node by
+node: nothing but the operators, names and functions listed here can be reached.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from typing import TYPE_CHECKING, Any
+
+from app.errors import InputError
+from app.fields import did_you_mean
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+COORDINATES = ("x", "y", "z")
+OPERATORS = {
+    ast.Add: "add",
+    ast.Sub: "subtract",
+    ast.Mult: "multiply",
+    ast.Div: "divide",
+    ast.Pow: "power",
+    ast.USub: "negative",
+    ast.UAdd: "positive",
+}
+# name in the language -> numpy function and allowed numbers of arguments
+FUNCTIONS: dict[str, tuple[str, int, int]] = {
+    "sqrt": ("sqrt", 1, 1),
+    "sin": ("sin", 1, 1),
+    "cos": ("cos", 1, 1),
+    "tan": ("tan", 1, 1),
+    "exp": ("exp", 1, 1),
+    "log": ("log", 1, 1),
+    "abs": ("abs", 1, 1),
+    "min": ("minimum", 2, 9),
+    "max": ("maximum", 2, 9),
+    "atan2": ("arctan2", 2, 2),
+    "hypot": ("hypot", 2, 2),
+}
+LONGEST = 1000
+
+
+def parse(expression: str) -> ast.expr:
+    """The checked syntax tree of an expression.
+
+    Raises:
+        ValueError: It is not in the language; the argument says what is wrong and what is allowed.
+    """
+    if len(expression) > LONGEST:
+        raise ValueError(
+            f"expression of {len(expression)} characters; at most {LONGEST} are allowed"
+        )
+    try:
+        tree = ast.parse(expression.strip(), mode="eval").body
+        _check(tree)
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        reason = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
+        raise ValueError(f"{expression!r} is not an expression in x, y, z: {reason}") from error
+    return tree
+
+
+def _check(node: ast.expr) -> None:
+    """Refuse every node that the language does not have."""
+    match node:
+        case ast.Constant(value=bool()):
+            raise ValueError("true and false are not numbers")
+        case ast.Constant(value=int() | float() as value):
+            try:
+                finite = math.isfinite(float(value))
+            except OverflowError:
+                finite = False
+            if not finite:
+                raise ValueError("a number in the expression is too large")
+        case ast.Name(id=name):
+            allowed = (*COORDINATES, "pi")
+            if name not in allowed:
+                known = ", ".join(allowed)
+                raise ValueError(
+                    f"'{name}' is not one of {known}{did_you_mean(name, (*allowed, *FUNCTIONS))}"
+                )
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
+            _check(operand)
+        case ast.BinOp(op=op, left=left, right=right) if type(op) in OPERATORS:
+            _check(left)
+            _check(right)
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+            if name not in FUNCTIONS:
+                known = ", ".join(FUNCTIONS)
+                raise ValueError(
+                    f"'{name}' is not one of {known}{did_you_mean(name, tuple(FUNCTIONS))}"
+                )
+            _, least, most = FUNCTIONS[name]
+            if not least <= len(arguments) <= most:
+                raise ValueError(f"{name} takes {least} argument(s), got {len(arguments)}")
+            for argument in arguments:
+                _check(argument)
+        case _:
+            text = ast.unparse(node)
+            raise ValueError(
+                f"'{text[:40]}' is not allowed in an expression; allowed are numbers, x, y, z, pi, "
+                f"+ - * / **, parentheses and {', '.join(FUNCTIONS)}"
+            )
+
+
+def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The values of an expression at points.
+
+    Args:
+        expression: Text in the language of this module; coordinates and result in mm.
+        x: Points, shape (n, 3), in mm.
+
+    Returns:
+        Values, shape (n,).
+
+    Raises:
+        InputError: The expression is malformed or not finite at one of the points.
+    """
+    import numpy as np
+
+    try:
+        tree = parse(expression)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    points = np.asarray(x, dtype=np.float64).reshape(-1, 3)
+    names = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "pi": np.pi}
+    with np.errstate(all="ignore"):
+        result = np.broadcast_to(_value(tree, names), points.shape[0]).astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(result))
+    if bad.size:
+        place = ", ".join(f"{c:g}" for c in points[bad[0]])
+        raise InputError(f"expression {expression!r} is not finite at ({place}) mm")
+    return result
+
+
+def _value(node: ast.expr, names: dict[str, Any]) -> Any:
+    """The value of a checked node: an array of shape (n,) or a float."""
+    import numpy as np
+
+    match node:
+        case ast.Constant(value=value):
+            return np.float64(value)  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return names[name]
+        case ast.UnaryOp(op=op, operand=operand):
+            return getattr(np, OPERATORS[type(op)])(_value(operand, names))  # type: ignore[index]
+        case ast.BinOp(op=op, left=left, right=right):
+            function = getattr(np, OPERATORS[type(op)])  # type: ignore[index]
+            return function(_value(left, names), _value(right, names))
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            function = getattr(np, FUNCTIONS[name][0])
+            result = _value(arguments[0], names)
+            if len(arguments) == 1:
+                return function(result)
+            for argument in arguments[1:]:
+                result = function(result, _value(argument, names))
+            return result
+    raise AssertionError("the tree was not checked")

@@ -1,0 +1,179 @@
+"""What the parts of the configuration schema share: the base model, names, tagged choices, messages."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass
+from typing import Annotated, Any, NoReturn, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import PydanticCustomError, core_schema
+
+# Marks, in the location of a pydantic error, the entries that name a class and not a key of the file.
+TAG = "="
+
+
+class Model(BaseModel):
+    """Base of every part of a case: immutable, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
+    """Report a defect of the value under validation.
+
+    Args:
+        text: What is wrong; what is allowed.
+        at: Path of the defect below the value, when the value is a mapping or a list.
+
+    Raises:
+        PydanticCustomError: Always.
+    """
+    raise PydanticCustomError("mantle", "{text}", {"text": text, "at": at})
+
+
+def show(value: object) -> str:
+    """A value as a message quotes it, shortened."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, dict):
+        return "a mapping"
+    elif isinstance(value, list | tuple):
+        return "a list"
+    elif value is None:
+        return "nothing"
+    else:
+        text = repr(value)
+    return text if len(text) <= 60 else text[:56] + "...'"
+
+
+def did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
+    """The end of a message that proposes the nearest known word, or nothing."""
+    folded = {k.lower(): k for k in known}
+    close = difflib.get_close_matches(word, known, 1) or [
+        folded[w] for w in difflib.get_close_matches(word.lower(), list(folded), 1)
+    ]
+    return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def _name(value: object) -> object:
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", value):
+        fail(
+            f"{show(value)} is not a name; expected letters, digits, _ and -, starting with a letter"
+        )
+    return value
+
+
+def _text(value: object) -> object:
+    if not isinstance(value, str):
+        fail(f"{show(value)} is not text; put it in quotes")
+    return value
+
+
+def _truth(value: object) -> object:
+    if not isinstance(value, bool):
+        fail(f"{show(value)} is not true or false")
+    return value
+
+
+def _items(value: object) -> object:
+    if not isinstance(value, list | tuple):
+        fail(f"{show(value)} is not a list")
+    return value
+
+
+def _mapping(value: object) -> object:
+    if not isinstance(value, dict):
+        fail(f"{show(value)} is not a mapping of names to values")
+    return value
+
+
+Name = Annotated[str, BeforeValidator(_name)]
+Text = Annotated[str, BeforeValidator(_text)]
+Truth = Annotated[bool, BeforeValidator(_truth)]
+ITEMS = BeforeValidator(_items)
+MAPPING = BeforeValidator(_mapping)
+
+
+def one_of(value: object, allowed: tuple[str, ...]) -> None:
+    """Refuse a value that is not among the allowed words.
+
+    Raises:
+        PydanticCustomError: It is not.
+    """
+    if value not in allowed:
+        hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
+        fail(f"{show(value)} is not one of {', '.join(allowed)}{hint}")
+
+
+@dataclass(frozen=True)
+class Word:
+    """Restricts a `Literal` field to its words, with a message that proposes the nearest one."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Check the word before pydantic does."""
+        words = get_args(source)
+
+        def check(value: object) -> object:
+            one_of(value, words)
+            return value
+
+        return core_schema.no_info_before_validator_function(check, handler(source))
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """Marks a union of models told apart by their `kind`, or by a key that only one of them has.
+
+    Attributes:
+        default: The kind of a mapping that does not say; "" if it has to.
+    """
+
+    default: str = ""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """A tagged union whose tags cannot be mistaken for keys of the file."""
+        classes: tuple[type[BaseModel], ...] = get_args(source)
+        by_kind = {
+            get_args(c.model_fields["kind"].annotation)[0]: c
+            for c in classes
+            if "kind" in c.model_fields
+        }
+        by_key = {next(iter(c.model_fields)): c for c in classes if "kind" not in c.model_fields}
+        allowed = tuple(by_kind)
+
+        def check(value: object) -> object:
+            if isinstance(value, classes):
+                return value
+            if not isinstance(value, dict):
+                fail(
+                    f"{show(value)} is not a mapping; expected one with kind: {' | '.join(allowed)}"
+                )
+            if by_key.keys() & value.keys():
+                return value
+            if "kind" in value:
+                kind = value["kind"]
+                if not isinstance(kind, str) or kind not in allowed:
+                    hint = did_you_mean(kind, allowed) if isinstance(kind, str) else ""
+                    fail(f"{show(kind)} is not one of {', '.join(allowed)}{hint}", at=("kind",))
+            elif not self.default:
+                fail(f"is missing; expected one of {', '.join(allowed)}", at=("kind",))
+            return value
+
+        def tag(value: Any) -> str:
+            if isinstance(value, BaseModel):
+                return TAG + type(value).__name__
+            for key, model in by_key.items():
+                if key in value:
+                    return TAG + model.__name__
+            return TAG + by_kind[value.get("kind", self.default)].__name__
+
+        union = core_schema.tagged_union_schema(
+            {TAG + c.__name__: handler.generate_schema(c) for c in classes}, tag
+        )
+        return core_schema.no_info_before_validator_function(check, union)

@@ -1,0 +1,403 @@
+"""The geometries a case can have: their parameters, and the names of what they consist of.
+
+No mesh is made here: each class knows its regions, boundaries and interfaces by name, so that the rest
+of a case can be checked against them without a mesher.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from app.fields import ITEMS, MAPPING, Kinds, Model, Name, Truth, Word, fail, one_of
+from app.gmsh_file import counts, physical_names
+from app.units import (
+    Angle,
+    Dimension,
+    Length,
+    NonNegativeLength,
+    Plain,
+    PositiveLength,
+    SizeVector,
+)
+
+Sides = tuple[tuple[str, ...], tuple[str, ...]]
+Point3 = tuple[float, float, float]
+
+
+class MeshOptions(Model):
+    """How fine the mesh is and what the displacement is approximated by."""
+
+    size: PositiveLength
+    """Edge length at the interfaces."""
+    far_size: PositiveLength | None = None
+    """Edge length far from them; four times `size` by default."""
+    order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 1
+    """Polynomial degree of the displacement."""
+    curved: Truth = False
+    """Whether the cells are curved (second order) to follow the geometry."""
+
+    @property
+    def far(self) -> float:
+        """Edge length far from the interfaces (mm)."""
+        return 4.0 * self.size if self.far_size is None else self.far_size
+
+    @model_validator(mode="after")
+    def _ordered(self) -> MeshOptions:
+        if self.far < self.size:
+            fail(f"{self.far:g} mm is finer than size, {self.size:g} mm", at=("far_size",))
+        return self
+
+
+def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
+    """Estimated number of tetrahedra of a mesh that is fine at its interfaces.
+
+    Args:
+        area: Area of all interfaces (mm2).
+        volume: Volume of all regions (mm3).
+        mesh: The sizes.
+
+    Returns:
+        ``a A / h^2 + b V / H^3`` with the two constants fitted to measured meshes of the femur; at most the
+        number of cells of a uniform mesh.
+    """
+    uniform = 8.5 * volume / mesh.size**3
+    return max(6, round(min(uniform, 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3)))
+
+
+class Block(Model):
+    """One block of a stack."""
+
+    name: Name
+    """Name of its region."""
+    size: SizeVector
+    """Edge lengths along x, y, z."""
+
+
+class Blocks(Model):
+    """Rectangular blocks stacked along z, corner at the origin; the scene of patch tests."""
+
+    kind: Literal["blocks"] = "blocks"
+    blocks: Annotated[tuple[Block, ...], ITEMS]
+    """The blocks from bottom to top, all with the same x and y edges."""
+    tilt: Angle = 0.0
+    """Angle (rad) by which every interface is tilted about y, through the axis of the stack."""
+
+    @model_validator(mode="after")
+    def _stackable(self) -> Blocks:
+        if not self.blocks:
+            fail("is empty; expected at least one block", at=("blocks",))
+        for i, block in enumerate(self.blocks):
+            if block.name in self.region_names[:i]:
+                fail(
+                    f"'{block.name}' is the name of an earlier block too", at=("blocks", i, "name")
+                )
+            if block.size[:2] != self.blocks[0].size[:2]:
+                fail("has other x and y edges than the first block", at=("blocks", i, "size"))
+        names = [*self.region_names, *self.interface_sides]
+        if len(set(names)) < len(names):
+            fail("some blocks' names joined by '_' name two interfaces the same", at=("blocks",))
+        rise = 0.5 * self.blocks[0].size[0] * math.tan(abs(self.tilt))
+        if abs(self.tilt) >= math.pi / 4 or rise >= 0.5 * min(b.size[2] for b in self.blocks):
+            fail("tilts an interface through its neighbour; expected a smaller angle", at=("tilt",))
+        return self
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Names of the blocks."""
+        return tuple(b.name for b in self.blocks)
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """The six sides of the stack, and the four of each block."""
+        sides = ("x_min", "x_max", "y_min", "y_max")
+        each = tuple(f"{name}_{side}" for name in self.region_names for side in sides)
+        return (*sides, "bottom", "top", *each)
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """``<lower>_<upper>`` for each pair of neighbours."""
+        names = self.region_names
+        return {f"{a}_{b}": ((a,), (b,)) for a, b in zip(names, names[1:], strict=False)}
+
+    @property
+    def interface_area(self) -> float:
+        """Area of all interfaces (mm2)."""
+        lx, ly, _ = self.blocks[0].size
+        return (len(self.blocks) - 1) * lx * ly / math.cos(self.tilt)
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        lx, ly, _ = self.blocks[0].size
+        volume = lx * ly * sum(b.size[2] for b in self.blocks)
+        return graded_cells(self.interface_area, volume, mesh)
+
+
+class Cylinders(Model):
+    """A stem in a cement mantle in a bone, concentric about z; distal end at z = 0.
+
+    With a taper the two interfaces are cones that narrow towards z = 0 and have their given radii at mid
+    length. ``sector: half`` keeps y >= 0, ``quarter`` keeps x >= 0 and y >= 0.
+    """
+
+    kind: Literal["cylinders"] = "cylinders"
+    stem_radius: PositiveLength
+    """Radius of the stem at mid length."""
+    cement_thickness: PositiveLength
+    """Radial thickness of the mantle."""
+    bone_thickness: PositiveLength
+    """Radial thickness of the bone at mid length."""
+    length: PositiveLength
+    """Length along z."""
+    taper: Angle = 0.0
+    """Half-angle of the cones (rad)."""
+    sector: Annotated[Literal["full", "half", "quarter"], Word()] = "full"
+    """How much of the full circle is modelled."""
+
+    @model_validator(mode="after")
+    def _solid(self) -> Cylinders:
+        if abs(self.taper) >= math.pi / 4:
+            fail("is not a half-angle below 45 deg", at=("taper",))
+        rise = 0.5 * self.length * math.tan(abs(self.taper))
+        if rise >= self.stem_radius:
+            fail("makes the stem vanish at an end; expected a smaller angle", at=("taper",))
+        if rise >= self.bone_thickness:
+            fail("makes the bone vanish at an end; expected a smaller angle", at=("taper",))
+        return self
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """From inside to outside."""
+        return ("stem", "cement", "bone")
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """Ends by region and together, the outer surface, and the planes of symmetry."""
+        ends = tuple(f"{r}_{end}" for r in self.region_names for end in ("top", "bottom"))
+        planes = {"full": (), "half": ("symmetry_y",), "quarter": ("symmetry_x", "symmetry_y")}
+        return (*ends, "top", "bottom", "bone_surface", *planes[self.sector])
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """``stem_cement`` and ``cement_bone``."""
+        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), ("bone",))}
+
+    @property
+    def fraction(self) -> float:
+        """Modelled part of the full circle."""
+        return {"full": 1.0, "half": 0.5, "quarter": 0.25}[self.sector]
+
+    @property
+    def interface_area(self) -> float:
+        """Area of both interfaces (mm2)."""
+        radii = 2.0 * self.stem_radius + self.cement_thickness
+        return self.fraction * 2.0 * math.pi * radii * self.length / math.cos(self.taper)
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        outer = self.stem_radius + self.cement_thickness + self.bone_thickness
+        volume = self.fraction * math.pi * outer**2 * self.length
+        return graded_cells(self.interface_area, volume, mesh)
+
+
+class Femur(Model):
+    """A proximal femur with a straight tapered collarless stem in a cement mantle.
+
+    Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior. The table of
+    bone sections belongs to the mesher; the parameters here are those of the operation and the implant.
+    Defaults: an Exeter-class 150 mm stem in an average femur.
+    """
+
+    kind: Literal["femur"] = "femur"
+    cement_thickness: Annotated[
+        float, Dimension("mm", "length", "4 mm", at_least=1.0, at_most=8.0)
+    ] = 4.0
+    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    canal_widening: NonNegativeLength = 0.0
+    """Reaming: distance by which the endosteal surface is moved outwards."""
+    stem_length: PositiveLength = 147.0
+    """From the shoulder to the tip."""
+    stem_tip_z: Length = -118.0
+    """Level of the tip."""
+    stem_tip_half_width: PositiveLength = 3.0
+    """Half the medio-lateral width at the tip."""
+    stem_tip_half_depth: PositiveLength = 3.0
+    """Half the antero-posterior depth at the tip."""
+    stem_tip_corner_radius: PositiveLength = 2.1
+    """Radius of the section's corners at the tip."""
+    stem_section_z: Length = 15.0
+    """Level of the proximal section that the next three describe."""
+    stem_half_width: PositiveLength = 8.5
+    """Half the medio-lateral width there."""
+    stem_half_depth: PositiveLength = 5.0
+    """Half the antero-posterior depth there."""
+    stem_corner_radius: PositiveLength = 3.0
+    """Radius of the section's corners there."""
+    neck_diameter: PositiveLength = 9.8
+    """Diameter of the neck where it leaves the body."""
+    trunnion_diameter: PositiveLength = 12.0
+    """Diameter of the neck's end, which carries the head."""
+    head_offset: PositiveLength = 43.0
+    """Medial distance of the head's centre from the shaft axis."""
+    head_height: PositiveLength = 54.0
+    """Height of the head's centre above mid lesser trochanter."""
+    neck_angle: Angle = math.radians(130.0)
+    """Angle between neck and shaft (rad)."""
+    resection_height: Length = 5.0
+    """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
+    resection_angle: Angle = math.radians(38.0)
+    """Angle of the cut to the transverse plane (rad)."""
+    plug_length: PositiveLength = 10.0
+    """Length of cement below the tip."""
+    distal_cut_z: Length = -200.0
+    """Level at which the shaft is cut and held."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Femur:
+        if self.distal_cut_z >= self.stem_tip_z - self.plug_length:
+            fail("is not below the cement plug", at=("distal_cut_z",))
+        for end in ("stem", "stem_tip"):
+            radius = getattr(self, f"{end}_corner_radius")
+            half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
+            if radius >= half:
+                fail(
+                    f"is not below the half-width and half-depth, {half:g} mm",
+                    at=(f"{end}_corner_radius",),
+                )
+        if not self.stem_tip_z < self.stem_section_z < self.stem_tip_z + self.stem_length:
+            fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
+        if not math.pi / 2 < self.neck_angle < math.pi:
+            fail("is not between 90 and 180 deg", at=("neck_angle",))
+        if not 0.0 <= self.resection_angle < math.pi / 2:
+            fail("is not between 0 and 90 deg", at=("resection_angle",))
+        return self
+
+    @property
+    def head_centre(self) -> Point3:
+        """Centre of the femoral head in the model's axes (mm)."""
+        return (self.head_offset, 0.0, self.head_height)
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Implant, mantle and the two kinds of bone."""
+        return ("stem", "cement", "cortical_bone", "cancellous_bone")
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """The distal cut, the bone's surface with its muscle patches, the trunnion and the resection."""
+        muscles = (
+            "gluteus_medius",
+            "gluteus_minimus",
+            "gluteus_maximus",
+            "psoas",
+            "vastus_lateralis",
+        )
+        return ("distal_cut", "bone_surface", "stem_trunnion", *muscles, "resection")
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """``stem_cement`` and ``cement_bone``."""
+        bone = ("cortical_bone", "cancellous_bone")
+        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), bone)}
+
+    @property
+    def interface_area(self) -> float:
+        """Area of both interfaces (mm2), about: the stem's flanks, and the same offset by the mantle."""
+        width = self.stem_half_width + self.stem_tip_half_width
+        depth = self.stem_half_depth + self.stem_tip_half_depth
+        flanks = 2.0 * (width + depth) * self.stem_length
+        return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        return graded_cells(self.interface_area, 1300.0 * (65.0 - self.distal_cut_z), mesh)
+
+
+class MeshFile(Model):
+    """A gmsh ``.msh`` file; regions and boundaries are its physical volumes and surfaces, by name."""
+
+    kind: Literal["file"] = "file"
+    path: Path
+    """The file; relative to the case file."""
+    unit: Annotated[Literal["mm", "cm", "m", "um", "inch"], Word()] = "mm"
+    """Unit of the file's coordinates."""
+    interfaces: Annotated[dict[Name, tuple[tuple[str, ...], tuple[str, ...]]], MAPPING] = Field(
+        default_factory=dict
+    )
+    """For each interface, the regions on its two sides (a name or a list of names each)."""
+
+    @field_validator("path", mode="before")
+    @classmethod
+    def _find(cls, value: object, info: ValidationInfo) -> Path:
+        if not isinstance(value, str | Path):
+            fail("is not a path; expected text")
+        path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
+        if not path.is_file():
+            fail(f"no such file: {path}")
+        try:
+            regions = physical_names(path, 3)
+        except ValueError as error:
+            fail(f"{path}: {error}")
+        if not regions:
+            fail(f"{path} names no region: it has no physical volume with a name")
+        return path.resolve()
+
+    @field_validator("interfaces", mode="before")
+    @classmethod
+    def _listed(cls, value: object) -> object:
+        if not isinstance(value, dict):
+            return value
+        return {k: _sides(v, k) for k, v in value.items()}
+
+    @model_validator(mode="after")
+    def _known(self) -> MeshFile:
+        for name, sides in self.interfaces.items():
+            for i, side in enumerate(sides):
+                for region in side:
+                    try:
+                        one_of(region, self.region_names)
+                    except ValueError as error:
+                        fail(str(error), at=("interfaces", name, i))
+            if set(sides[0]) & set(sides[1]):
+                fail("has the same region on both sides", at=("interfaces", name))
+        return self
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Names of the physical volumes."""
+        return physical_names(self.path, 3)
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """Names of the physical surfaces."""
+        return physical_names(self.path, 2)
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """The declared interfaces."""
+        return dict(self.interfaces)
+
+    @property
+    def interface_area(self) -> float:
+        """Unknown without reading the whole file: 0."""
+        return 0.0
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Number of elements of any dimension in the file: an upper bound."""
+        return counts(self.path)
+
+
+def _sides(value: object, name: object) -> object:
+    """``[stem, [a, b]]`` as ``(("stem",), ("a", "b"))``."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        fail(
+            "expected two sides, e.g. [stem, cement] or [cement, [cortical, cancellous]]",
+            at=(str(name),),
+        )
+    return tuple((side,) if isinstance(side, str) else side for side in value)
+
+
+Geometry = Annotated[Blocks | Cylinders | Femur | MeshFile, Kinds()]

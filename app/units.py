@@ -1,0 +1,303 @@
+"""Numbers and dimensional quantities as pydantic field types.
+
+A dimensional value is text with a unit (``110 GPa``); after validation it is a float in the internal
+system mm, N, MPa, s, K, tonne, rad. The conversion is done in rational arithmetic and rounded once,
+so that ``0.11 TPa``, ``110 GPa`` and ``110000 MPa`` give the same float.
+
+A field is declared by one of the aliases below, for example ``thickness: PositiveLength``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import core_schema
+
+from app.fields import did_you_mean, fail, show
+
+NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
+NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
+UNIT = re.compile(r"[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
+# Powers of powers and long exponents would cost more than they can mean.
+TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
+
+DIMENSION_NAMES = {
+    "[length]": "length",
+    "[mass] * [length] / [time] ** 2": "force",
+    "[mass] / [length] / [time] ** 2": "pressure or stress",
+    "[mass] / [length] ** 2 / [time] ** 2": "stiffness per area",
+    "[mass] * [length] ** 2 / [time] ** 2": "moment or energy",
+    "[length] ** 2": "area",
+    "[length] ** 3": "volume",
+    "[mass]": "mass",
+    "[time]": "time",
+    "[temperature]": "temperature",
+    "dimensionless": "plain number",
+}
+SUGGESTIONS = (
+    "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm kg tonne"
+).split()
+
+
+@lru_cache(maxsize=1)
+def registry() -> Any:
+    """The unit registry: pint's own units, in rational arithmetic."""
+    import pint  # 0.4 s, and only needed once a value is read
+
+    return pint.UnitRegistry(non_int_type=Fraction, autoconvert_offset_to_baseunit=True)
+
+
+@lru_cache(maxsize=256)
+def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
+    """Slope and offset of the map from a unit to the internal unit of the same dimension.
+
+    Raises:
+        LookupError: The unit is unknown.
+        ValueError: It measures something else; the argument names what.
+    """
+    text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
+    if not UNIT.fullmatch(text) or TOWER.search(text):
+        raise LookupError(unit)
+    ureg = registry()
+    try:
+        source = ureg.parse_units(text)
+    except Exception as error:  # pint raises a different class for each way of being malformed
+        raise LookupError(unit) from error
+    target = ureg.parse_units(internal)
+    # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
+    angle = "radian" in str(target) and not re.search("radian|degree|arc|turn|grade", str(source))
+    if source.dimensionality != target.dimensionality or angle:
+        dimension = str(source.dimensionality)
+        raise ValueError(DIMENSION_NAMES.get(dimension, f"quantity of dimension {dimension}"))
+    offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
+    return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
+
+
+def outside(
+    value: float, above: float | None, at_least: float | None, at_most: float | None
+) -> str:
+    """What bound a value violates, in words, or nothing."""
+    if above is not None and not value > above:
+        return "must be positive" if above == 0 else f"must be above {above:g}"
+    if at_least is not None and value < at_least:
+        return "must not be negative" if at_least == 0 else f"must be at least {at_least:g}"
+    if at_most is not None and value > at_most:
+        return f"must be at most {at_most:g}"
+    return ""
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """Marks a float field as dimensional: read from text with a unit, kept in the internal unit.
+
+    Attributes:
+        unit: Internal unit.
+        what: The dimension in words.
+        example: A value as a user would write it.
+        above: Exclusive lower bound in the internal unit.
+        at_least: Inclusive lower bound in the internal unit.
+        at_most: Inclusive upper bound in the internal unit.
+    """
+
+    unit: str
+    what: str
+    example: str
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+
+    def read(self, value: object) -> float:
+        """The value in the internal unit.
+
+        Raises:
+            PydanticCustomError: Not a number with a unit of this dimension, not finite or out of bounds.
+        """
+        if not isinstance(value, str):
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                if not math.isfinite(value):
+                    fail(f"{value} is not finite; expected a {self.what} such as '{self.example}'")
+                fail(f"{value} needs a unit, e.g. '{value} {self.example.split(maxsplit=1)[1]}'")
+            fail(
+                f"{show(value)} is not a {self.what}; expected a number with a unit such as '{self.example}'"
+            )
+        match = NUMBER.fullmatch(value)
+        if match is None:
+            wrong = "is not finite" if NOT_FINITE.match(value) else f"is not a {self.what}"
+            fail(f"{show(value)} {wrong}; expected a number with a unit such as '{self.example}'")
+        number, unit = match.groups()
+        if not unit:
+            fail(f"{show(value)} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
+        try:
+            slope, offset = conversion(unit, self.unit)
+        except LookupError:
+            fail(
+                f"{show(value)}: '{unit}' is not a unit; expected a {self.what} such as '{self.example}'"
+                + did_you_mean(unit, SUGGESTIONS)
+            )
+        except ValueError as error:
+            fail(f"{show(value)} is a {error}; expected a {self.what} such as '{self.example}'")
+        if not math.isfinite(float(number)):
+            fail(f"{show(value)} is not finite; expected a {self.what} such as '{self.example}'")
+        # A number too small for a float is zero; as a fraction it could take gigabytes.
+        exact = Fraction(number) if float(number) != 0.0 else Fraction(0)
+        try:
+            result = float(exact * slope + offset)
+        except OverflowError:
+            fail(f"{show(value)} is not finite in {self.unit}")
+        if bound := outside(result, self.above, self.at_least, self.at_most):
+            fail(
+                f"{show(value)} {bound}"
+                + ("" if bound.endswith(("positive", "negative")) else f" {self.unit}")
+            )
+        return result
+
+    def write(self, value: float) -> str:
+        """The value as text that reads back to the same float."""
+        return f"{value!r} {self.unit}"
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Replace pydantic's float by `read` and `write`."""
+        return core_schema.no_info_plain_validator_function(
+            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.write)
+        )
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Text that starts with a number and ends with a unit."""
+        return {
+            "type": "string",
+            "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°].*$",
+            "description": f"{self.what} with a unit (kept in {self.unit})",
+            "examples": [self.example],
+        }
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool.
+
+    Attributes:
+        integer: Whether only whole numbers are allowed.
+        above: Exclusive lower bound.
+        at_least: Inclusive lower bound.
+        at_most: Inclusive upper bound.
+    """
+
+    integer: bool = False
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+
+    def read(self, value: object) -> float | int:
+        """The value unchanged (as a float unless `integer`).
+
+        Raises:
+            PydanticCustomError: Not a plain finite number, or out of bounds.
+        """
+        kind = "whole number" if self.integer else "number"
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            unit = isinstance(value, str) and (m := NUMBER.fullmatch(value)) and m.group(2)
+            extra = " (this value is dimensionless: no unit)" if unit else " without quotes or unit"
+            fail(f"{show(value)} is not a {kind}; expected a plain {kind}{extra}")
+        if not math.isfinite(value):
+            fail(f"{value} is not finite; expected a {kind}")
+        if self.integer and value != int(value):
+            fail(f"{value} is not a {kind}")
+        if bound := outside(value, self.above, self.at_least, self.at_most):
+            fail(f"{value} {bound}")
+        if self.integer:
+            return int(value)
+        try:
+            return float(value)
+        except OverflowError:
+            fail("is not finite as a floating-point number")
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Replace pydantic's number by `read`."""
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """A number with its bounds."""
+        bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
+        kind = {"type": "integer" if self.integer else "number"}
+        return kind | {k: v for k, v in bounds.items() if v is not None}
+
+
+VECTOR = re.compile(r"\s*\[([^\[\]]*)\]\s*(\S.*?)\s*", re.DOTALL)
+
+
+def spread_unit(value: object) -> object:
+    """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
+    if isinstance(value, str) and (match := VECTOR.fullmatch(value)):
+        return [f"{entry.strip()} {match.group(2)}" for entry in match.group(1).split(",")]
+    return value
+
+
+@dataclass(frozen=True)
+class Length3:
+    """Checks, before its entries are read, that a value is a list of exactly three."""
+
+    example: str
+
+    def __call__(self, value: object) -> object:
+        """The list itself.
+
+        Raises:
+            PydanticCustomError: Not a list, or not of three entries.
+        """
+        value = spread_unit(value)
+        if not isinstance(value, list | tuple):
+            fail(f"{show(value)} is not a list of three values; expected e.g. {self.example}")
+        if len(value) != 3:
+            fail(f"has {len(value)} values; expected three, e.g. {self.example}")
+        return value
+
+
+def triple(example: str) -> BeforeValidator:
+    """The validator of a vector field; `example` is a value as a user would write it."""
+    return BeforeValidator(Length3(example))
+
+
+_length = ("mm", "length", "4 mm")
+_stress = ("MPa", "stress", "110 GPa")
+
+Length = Annotated[float, Dimension(*_length)]
+PositiveLength = Annotated[float, Dimension(*_length, above=0.0)]
+NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0)]
+Angle = Annotated[float, Dimension("rad", "angle", "1.5 deg")]
+Stress = Annotated[float, Dimension("MPa", "pressure", "2 MPa")]
+Modulus = Annotated[float, Dimension(*_stress)]
+Stiffness = Annotated[float, Dimension("MPa/mm", "stiffness per area", "100 MPa/mm", at_least=0.0)]
+PositiveStiffness = Annotated[
+    float, Dimension("MPa/mm", "stiffness per area", "100 MPa/mm", above=0.0)
+]
+Newton = Annotated[float, Dimension("N", "force", "1800 N")]
+ForceDensity = Annotated[float, Dimension("N/mm^3", "force per volume", "1e-5 N/mm^3")]
+
+Number = Annotated[float, Plain()]
+PositiveNumber = Annotated[float, Plain(above=0.0)]
+NonNegativeNumber = Annotated[float, Plain(at_least=0.0)]
+PositiveInteger = Annotated[int, Plain(integer=True, at_least=1)]
+NonNegativeInteger = Annotated[int, Plain(integer=True, at_least=0)]
+
+ForceVector = Annotated[tuple[Newton, Newton, Newton], triple("[0 N, 0 N, -1800 N]")]
+ForceDensityVector = Annotated[
+    tuple[ForceDensity, ForceDensity, ForceDensity], triple("[0 N/mm^3, 0 N/mm^3, -1e-5 N/mm^3]")
+]
+SizeVector = Annotated[
+    tuple[PositiveLength, PositiveLength, PositiveLength], triple("[10 mm, 10 mm, 5 mm]")
+]
+Direction = Annotated[tuple[Number, Number, Number], triple("[0, 0, 1]")]
