@@ -1,0 +1,254 @@
+r"""The jump block: unknown jumps at contact points, coupled to the bonded displacement.
+
+With U_b = u + B_b q the displacement of body b, q the jumps (three per contact point) and K_b the
+stiffness of body b, the equilibrium of a linear scene reads
+
+.. math:: K u + C q = f, \qquad C^T u + D q - f_q + W F = 0,
+          \qquad C = \sum_b K_b B_b, \quad D = \sum_b B_b^T K_b B_b, \quad f_q = \sum_b B_b^T f_b,
+
+W the areas of the contact points and F their forces. W is diagonal, so the second line gives F and
+the law F = P(F + r D(q)) becomes one equation per point, with e = C^T u + D q - f_q:
+
+.. math:: e + W P(-e/W + r D(q)) = 0.
+
+Its Jacobian rows are (1 - P') [C^T, D] + r W P'. Open points (P' = 0) are plain equilibrium, points
+that stick (P' = 1) say that the jump does not change: all points sticking is the bonded problem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app.bodies import Bodies, contact_facets, held_vertices
+from app.mechanics import Mechanics
+from app.points import PointForces, PointLaw, gap_vectors
+from app.terms import Scene, amplitude
+from meshes.distribute import TaggedMesh
+from meshes.interfaces import ContactPoints, Entries, InterfaceFacets, contact_points
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass
+class History:
+    """Converged state of the contact points of this rank: committed, never half-updated.
+
+    Attributes:
+        jump: Jump (n, 3) [mm].
+        force: Interface force per area, conjugate to the jump (n, 3) [MPa].
+        friction: Its part that friction carries (n, 3) [MPa].
+        accumulated: Sum of slip increments of each face (n, 3) [mm].
+        dissipation: Frictional work so far (n,) [N mm].
+        work: Work of the whole interface force in the jump so far (n,) [N mm].
+    """
+
+    jump: Floats
+    force: Floats
+    friction: Floats
+    accumulated: Floats
+    dissipation: Floats
+    work: Floats
+
+
+class Jumps:
+    """Jumps of all contact interfaces on this rank.
+
+    Attributes:
+        points: All contact points, replicated.
+        facets: All interface facets, replicated.
+        mine: Rows of ``points`` that this rank owns (n,).
+        stiffness: Augmentation or penalty of each own point (n,) [MPa/mm].
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        bodies: Bodies,
+        mechanics: Mechanics,
+        augmentation_factor: float,
+    ) -> None:
+        """Find the contact points and assemble the coupling; collective.
+
+        Raises:
+            InputError: An interface has no facets on this mesh.
+        """
+        self._contacts = scene.contacts
+        self._supports = scene.supports
+        self._loads = scene.loads
+        self.comm = tagged.mesh.comm
+        space = mechanics.space
+        self.facets: InterfaceFacets = contact_facets(tagged, bodies, space, scene.contacts)
+        holds = held_vertices(
+            tagged, bodies, space, scene.supports, np.unique(self.facets.vertices)
+        )
+        self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
+        self.mine, place = self._distribute(space)
+        n = len(self.mine)
+        self.weight = self.points.weight[self.mine]
+        self.normals = self.points.normals[self.mine]
+        self.faces = self.points.faces[self.mine]
+        self.areas = self.points.areas[self.mine]
+        self.held = self.points.held[self.mine]
+        self.interface = self.points.interface[self.mine]
+        self._augmented = np.array([c.augmented for c in scene.contacts])[self.interface]
+        self._friction = np.array([c.friction for c in scene.contacts])[self.interface]
+        frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
+        self._law = PointLaw(self.comm, self.normals, self.faces, self._friction, frictional)
+        self.default_stiffness = self._default_stiffness(augmentation_factor)
+        self.stiffness = self.default_stiffness.copy()
+        full = np.zeros(n)
+        for i, c in enumerate(scene.contacts):
+            full[self.interface == i] = c.gap(self.points.x[self.mine][self.interface == i])
+        self._full_gap = full
+        zero = np.zeros((n, 3))
+        self.history = History(zero, zero, zero, zero, np.zeros(n), np.zeros(n))
+        self._couple(bodies, mechanics, entries, place)
+        self._work = self.Ct.createVecLeft()
+        self.set_time(0.0)
+
+    # Construction
+
+    def _distribute(self, space: object) -> tuple[Ints, Ints]:
+        """Give each point to the rank that owns its vertex dof, and number the jumps."""
+        index_map = space.dofmap.index_map  # type: ignore[attr-defined]
+        ends = np.array(self.comm.allgather(index_map.local_range[1]))
+        owner = np.searchsorted(ends, self.points.dof, side="right")
+        order = np.argsort(owner, kind="stable")
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        return order[owner[order] == self.comm.rank], place
+
+    def _default_stiffness(self, factor: float) -> Floats:
+        """Stiffness of each own point: given, else factor E_soft / h with h the mean edge."""
+        f = self.facets
+        edges = np.linalg.norm(f.x - np.roll(f.x, 1, axis=1), axis=2)
+        values = [
+            c.stiffness or factor * c.modulus / edges[f.interface == i].mean()
+            for i, c in enumerate(self._contacts)
+        ]
+        return np.array(values)[self.interface]
+
+    def _couple(
+        self, bodies: Bodies, mechanics: Mechanics, entries: Entries, place: Ints
+    ) -> None:
+        """Assemble C, its transpose and D, and the loads on moved bodies."""
+        index_map = mechanics.space.dofmap.index_map
+        start, end = (3 * k for k in index_map.local_range)
+        n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
+        self.moves: dict[int, PETSc.Mat] = {}
+        C = D = None
+        self.load_parts = np.zeros((len(self._loads), n_q))
+        ghosts = index_map.ghosts
+        for body in np.unique(entries.body).tolist():
+            here = entries.body == body
+            row, column, value = entries.row[here], entries.column[here], entries.value[here]
+            column = 3 * place[column // 3] + column % 3
+            own = (row >= start) & (row < end)
+            B = _matrix(self.comm, n_u, n_q, row[own], column[own], value[own])
+            self.moves[body] = B
+            marked = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
+            nodes = np.unique(row // 3)
+            marked[: index_map.size_local] = np.isin(
+                np.arange(start // 3, end // 3, dtype=np.int64), nodes
+            )
+            marked[index_map.size_local :] = np.isin(ghosts, nodes)
+            KB = mechanics.strip_stiffness(body, marked).matMult(B)
+            D_b = B.transposeMatMult(KB)
+            C = KB if C is None else C + KB
+            D = D_b if D is None else D + D_b
+        self.C, self.D = C, D
+        self.Ct = C.copy().transpose()
+
+    # State in time
+
+    def set_time(self, time: float) -> None:
+        """Set gaps and given jumps to a time."""
+        gap = np.array([amplitude(c.history, time) for c in self._contacts])
+        self.gap = gap_vectors(self.normals, self.faces, self._full_gap * gap[self.interface])
+        given = self.points.given[self.mine]
+        values = np.zeros((len(self._supports) + 1, 3))
+        for k, s in enumerate(self._supports):
+            values[k] = np.array(s.values) * amplitude(s.history, time)
+        component = np.arange(3)[None, :]
+        jump = values[given[:, :, 1], component] - values[given[:, :, 0], component]
+        self.given = np.where(self.held, jump, 0.0)
+
+    # Residual and Jacobian
+
+    def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
+        """e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
+        self.Ct.mult(u, self._work)
+        self.D.multAdd(q, self._work, self._work)
+        return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
+
+    def forces(self, e: Floats) -> Floats:
+        """Interface force per area from equilibrium (n, 3) [MPa]; zero where supports hold."""
+        return np.where(self.held, 0.0, -e / self.weight[:, None])
+
+    def law(self, e: Floats, q: Floats) -> PointForces:
+        """The law at own points for a trial state."""
+        free = ~self.held
+        F = np.where(self._augmented[:, None], self.forces(e), self.history.friction)
+        return self._law.evaluate(
+            F * free, q * free, self.gap, self.history.jump * free, self.stiffness
+        )
+
+    def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
+        """e + W P at own points (n, 3) [N]; the given jumps where supports hold."""
+        r = e + self.weight[:, None] * law.force
+        return np.where(self.held, self._scale[:, None] * (q - self.given), r)
+
+    @property
+    def _scale(self) -> Floats:
+        return self.stiffness * self.weight
+
+    def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
+        """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
+        P = law.jacobian.copy()
+        P[self.held[:, :, None] | self.held[:, None, :]] = 0
+        eye = np.eye(3)[None]
+        times = np.where(self._augmented[:, None, None], eye - P, np.broadcast_to(eye, P.shape))
+        added = self._scale[:, None, None] * P
+        held = self.held[:, :, None] & np.eye(3, dtype=bool)[None]
+        times = np.where(self.held[:, :, None], 0.0, times)
+        return times, np.where(held, self._scale[:, None, None], added)
+
+    # Commit
+
+    def commit(self, e: Floats, q: Floats, law: PointForces) -> None:
+        """Make a converged state the history; work by the trapezoidal rule."""
+        old = self.history
+        step = q - old.jump
+        F = self.forces(e)
+        friction = F + np.einsum("pk,pki->pi", law.pressures, self.normals)
+        along = np.einsum("pi,pki->pk", step, self.normals)
+        slip = np.linalg.norm(step[:, None, :] - along[:, :, None] * self.normals, axis=2)
+        rubbed = np.einsum("pi,pi->p", (friction + old.friction) / 2, step)
+        self.history = History(
+            jump=q.copy(),
+            force=F,
+            friction=friction,
+            accumulated=old.accumulated + np.where(law.pressures > 0, slip, 0.0),
+            dissipation=old.dissipation + self.weight * rubbed,
+            work=old.work + self.weight * np.einsum("pi,pi->p", (F + old.force) / 2, step),
+        )
+
+
+def _matrix(
+    comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats
+) -> PETSc.Mat:
+    """Parallel sparse matrix from triplets of own rows (global numbers)."""
+    A = PETSc.Mat().create(comm)
+    A.setSizes(((rows, None), (columns, None)))
+    A.setType("aij")
+    A.setPreallocationCOO(i.astype(PETSc.IntType), j.astype(PETSc.IntType))
+    A.setValuesCOO(v, addv=PETSc.InsertMode.INSERT_VALUES)
+    A.assemble()
+    return A

@@ -1,0 +1,242 @@
+"""The forms of a scene on its mesh: energies of bodies, work of loads, assembled pieces.
+
+Everything here is linear in the displacement: the stiffness of all bodies with a continuous
+displacement u, the stiffness of the cells that touch the jumps of one body (the strip), one vector
+per load. `app.problem` combines them with the contact law.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx.cpp.fem import IntegralType, compute_integration_domains
+from dolfinx.fem.petsc import assemble_matrix, create_vector
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app.bodies import Bodies, boundary_facets, cell_tags
+from app.errors import InputError
+from app.terms import BodyForce, Elastic, Force, Load, Pressure, Scene
+from forms import elasticity, loads
+from meshes.distribute import TaggedMesh
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A boundary patch: area [mm2], centroid [mm] and second moments about it [mm4]."""
+
+    area: float
+    centroid: Floats
+    moments: Floats
+
+
+class Mechanics:
+    """Energies and loads of a scene in UFL, and their assembled vectors and matrices.
+
+    Attributes:
+        space: Displacement space.
+        u: The continuous displacement.
+        moved: For each body that jumps move, its own displacement.
+        volume: Name of each region -> its cells' measure.
+    """
+
+    def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies) -> None:
+        """Set up the forms; nothing is compiled yet.
+
+        Raises:
+            InputError: A load acts on nothing, or nothing can carry its moment.
+        """
+        self._scene, self._tagged, self._bodies = scene, tagged, bodies
+        self.mesh = tagged.mesh
+        self.comm: MPI.Comm = self.mesh.comm
+        self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
+        self.u = fem.Function(self.space, name="displacement")
+        self._tags = cell_tags(tagged)
+        self._patches: dict[tuple[str, int], int] = {}
+        self._surface = self._surface_measure()
+        self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
+        self._springs = [self._constant(f.stiffness) for f in scene.foundations]
+        self._amplitude = {
+            (e.region, k): self._constant(0.0)
+            for e in scene.elastic
+            for k in range(len(e.eigenstrains))
+        }
+        self.patches = {
+            load.boundary: self._measure_patch(load.boundary)
+            for load in scene.loads
+            if isinstance(load, Force)
+        }
+
+    # Measures
+
+    def _surface_measure(self) -> ufl.Measure:
+        """Measure with one subdomain per boundary name in use and body."""
+        scene = self._scene
+        used = {t.boundary for t in scene.foundations}
+        used |= {t.boundary for t in scene.loads if isinstance(t, Force | Pressure)}
+        domains = []
+        for name in sorted(used):
+            f = boundary_facets(self._tagged, name)
+            body = self._bodies.of_tag[self._tags[f.cells]]
+            present = self.comm.allgather(set(body.tolist()))
+            for b in sorted(set().union(*present)):
+                self._patches[name, b] = len(domains) + 1
+                entities = compute_integration_domains(
+                    IntegralType.exterior_facet,
+                    self.mesh.topology,
+                    f.facets[body == b].astype(np.int32),
+                    2,
+                )
+                domains.append((len(domains) + 1, entities))
+        return ufl.Measure("ds", domain=self.mesh, subdomain_data=domains)
+
+    def cells(self, pick: NDArray[np.bool_] | None = None) -> ufl.Measure:
+        """Volume measure by region tag, over all owned cells or those picked."""
+        owned = self.mesh.topology.index_map(3).size_local
+        mask = np.ones(owned, dtype=bool) if pick is None else pick[:owned]
+        domains = [
+            (tag, np.flatnonzero(mask & (self._tags[:owned] == tag)).astype(np.int32))
+            for tag in sorted(self._tagged.regions.values())
+        ]
+        return ufl.Measure("dx", domain=self.mesh, subdomain_data=domains)
+
+    def ds(self, boundary: str, body: int) -> ufl.Measure | None:
+        """Measure of the part of a boundary that belongs to a body, if any."""
+        patch = self._patches.get((boundary, body))
+        return None if patch is None else self._surface(patch)
+
+    def tag(self, region: str) -> int:
+        """Cell tag of a region."""
+        return self._tagged.regions[region]
+
+    def _constant(self, value: Any) -> fem.Constant:
+        return fem.Constant(self.mesh, np.asarray(value, dtype=default_scalar_type))
+
+    def _region_constants(self, e: Elastic) -> tuple[list[fem.Constant], Any]:
+        return [self._constant(c) for c in e.coefficients], self._constant(e.fibre or (0, 0, 1))
+
+    # Energies
+
+    def energy_density(self, e: Elastic, ε: Any) -> Any:
+        """Strain energy density of a region for an elastic strain [MPa]."""
+        coefficients, fibre = self._constants[e.region]
+        return e.energy(ε, coefficients, fibre)
+
+    def elastic_strain(self, e: Elastic, v: Any) -> Any:
+        """Strain of a displacement minus the region's eigenstrains."""
+        ε = elasticity.strain(v)
+        for k, s in enumerate(e.eigenstrains):
+            ε = ε - self._amplitude[e.region, k] * elasticity.eigenstrain(s.components)
+        return ε
+
+    def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
+        """Energy of a body (strain and foundations) in its displacement v [N mm]."""
+        total = 0
+        for e in self._scene.elastic:
+            if self._bodies.of_region[e.region] == body:
+                total += self.energy_density(e, self.elastic_strain(e, v)) * dx(self.tag(e.region))
+        for f, k in zip(self._scene.foundations, self._springs, strict=True):
+            ds = self.ds(f.boundary, body)
+            if ds is not None:
+                total += f.energy(v, k) * ds
+        return total
+
+    def displacements(self, moved: dict[int, fem.Function]) -> list[fem.Function]:
+        """Displacement of each body: its own where jumps move it, else u."""
+        return [moved.get(b, self.u) for b in range(len(self._bodies.names))]
+
+    def set_amplitudes(self, value: dict[tuple[str, int], float]) -> None:
+        """Set the amplitudes of the eigenstrains by (region, number); the others are zero."""
+        for key, constant in self._amplitude.items():
+            constant.value = value.get(key, 0.0)
+
+    # Loads
+
+    def _measure_patch(self, boundary: str) -> Patch:
+        """Area, centroid and second moments of a boundary, as meshed."""
+        x = ufl.SpatialCoordinate(self.mesh)
+        parts = [
+            ds for b in range(len(self._bodies.names)) if (ds := self.ds(boundary, b)) is not None
+        ]
+
+        def integral(f: Any) -> float:
+            local = sum(fem.assemble_scalar(fem.form(f * ds)) for ds in parts)
+            return float(self.comm.allreduce(local, MPI.SUM))
+
+        area = integral(fem.Constant(self.mesh, default_scalar_type(1)))
+        if area <= 0:
+            raise InputError(f"boundary '{boundary}' has no facets on this mesh")
+        centroid = np.array([integral(x[i]) for i in range(3)]) / area
+        second = np.array([[integral(x[i] * x[j]) for j in range(3)] for i in range(3)])
+        second -= area * np.outer(centroid, centroid)
+        return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
+
+    def load_work(self, load: Load, body: int, v: Any, dx: ufl.Measure) -> Any:
+        """Work of a load at full amplitude on one body in a displacement v [N mm]; 0 if none."""
+        match load:
+            case Force():
+                ds = self.ds(load.boundary, body)
+                if ds is None:
+                    return 0
+                patch = self.patches[load.boundary]
+                t = self._constant(np.array(load.force) / patch.area)
+                if not load.at:
+                    return loads.traction_work(t, v) * ds
+                moment = np.cross(np.array(load.at) - patch.centroid, load.force)
+                ω = self._constant(np.linalg.solve(patch.moments, moment))
+                x = ufl.SpatialCoordinate(self.mesh)
+                return (
+                    loads.linear_traction_work(t, ω, x, self._constant(patch.centroid), v) * ds
+                )
+            case Pressure():
+                ds = self.ds(load.boundary, body)
+                if ds is None:
+                    return 0
+                n = ufl.FacetNormal(self.mesh)
+                return loads.pressure_work(self._constant(load.pressure), n, v) * ds
+            case BodyForce():
+                b = self._constant(load.density)
+                return sum(
+                    loads.body_force_work(b, v) * dx(self.tag(r))
+                    for r in load.regions
+                    if self._bodies.of_region[r] == body
+                )
+
+    # Assembly
+
+    def stiffness(self, bcs: list[fem.DirichletBC]) -> PETSc.Mat:
+        """Stiffness of all bodies moving with u, supported rows and columns set to identity."""
+        u, v, w = self.u, *self._arguments()
+        dx = self.cells()
+        energy = sum(self.body_energy(b, u, dx) for b in range(len(self._bodies.names)))
+        form = fem.form(ufl.derivative(ufl.derivative(energy, u, v), u, w))
+        matrix = assemble_matrix(form, bcs=bcs)
+        matrix.assemble()
+        return matrix
+
+    def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> PETSc.Mat:
+        """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
+        near = dofs[self.space.dofmap.list].any(axis=1)
+        u, v, w = self.u, *self._arguments()
+        energy = self.body_energy(body, u, self.cells(near))
+        matrix = assemble_matrix(fem.form(ufl.derivative(ufl.derivative(energy, u, v), u, w)))
+        matrix.assemble()
+        return matrix
+
+    def _arguments(self) -> tuple[Any, Any]:
+        return ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
+
+    def assemble(self, form: Any) -> PETSc.Vec:
+        """Assemble a linear form into an owned vector."""
+        compiled = fem.form(form)
+        vector = create_vector(compiled)
+        fem.petsc.assemble_vector(vector, compiled)
+        vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        return vector

@@ -1,0 +1,325 @@
+"""The bridge to PETSc SNES: one nonlinear solve of a problem at its current time.
+
+Blocks: the bonded stiffness, assembled and set up once, and the jump block, rebuilt at each
+iteration. Newton is semismooth, with the generalized Jacobian of `app.jumps`; the Krylov method is
+preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, displacement first).
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app.jumps import Jumps
+from app.problem import Problem, Timing, Trial
+from forms.contact import OPEN, SLIP, STICK
+
+Options = Mapping[str, str | int | float | bool]
+
+PREFIX = "mantle_"
+# Unknowns above which the displacement block is solved by algebraic multigrid.
+DIRECT_LIMIT = 150_000
+
+NEWTON: Options = {
+    "snes_type": "newtonls",
+    "snes_linesearch_type": "bt",
+    "snes_linesearch_order": 1,
+    "snes_max_linear_solve_fail": 10,
+    "snes_stol": 0.0,
+    "snes_rtol": 0.0,
+    "snes_ksp_ew": True,
+    "snes_ksp_ew_version": 2,
+    "snes_ksp_ew_rtol0": 1e-2,
+    "snes_ksp_ew_rtolmax": 1e-2,
+    "ksp_type": "fgmres",
+    "ksp_max_it": 400,
+    "ksp_gmres_restart": 120,
+}
+SPLIT: Options = {
+    "pc_type": "fieldsplit",
+    "pc_fieldsplit_type": "multiplicative",
+    "fieldsplit_u_ksp_type": "preonly",
+    "fieldsplit_jump_ksp_type": "preonly",
+    "fieldsplit_jump_pc_type": "lu",
+    "fieldsplit_jump_pc_factor_mat_solver_type": "mumps",
+}
+DIRECT: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+MULTIGRID: Options = {
+    "pc_type": "gamg",
+    "pc_gamg_agg_nsmooths": 1,
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_aggressive_coarsening": 1,
+    "pc_gamg_coarse_eq_limit": 1000,
+    "mg_coarse_pc_type": "cholesky",
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_ksp_max_it": 1,
+    "mg_levels_pc_type": "sor",
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a nonlinear solve ended with.
+
+    Attributes:
+        converged: Whether the residual met its tolerance.
+        reason: SNES's converged reason.
+        iterations: Newton iterations.
+        linear_iterations: Krylov iterations.
+        residuals: Residual norm at each iteration, relative to the force scale.
+        flips: Contact points whose state changed, at each iteration.
+    """
+
+    converged: bool
+    reason: int
+    iterations: int
+    linear_iterations: int
+    residuals: tuple[float, ...]
+    flips: tuple[int, ...]
+
+
+class Solver:
+    """SNES on a problem: vectors, matrices and options, set up once."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        tolerance: float,
+        max_iterations: int,
+        linear: str,
+        options: Options,
+        timing: Timing,
+    ) -> None:
+        """Create the solver; collective.
+
+        Args:
+            problem: What is solved.
+            tolerance: Residual over force scale at which a solve has converged.
+            max_iterations: Newton iterations allowed.
+            linear: direct, multigrid or auto (by size).
+            options: Raw PETSc options, without dash, that override the defaults.
+            timing: Where the seconds go.
+        """
+        self.problem = problem
+        self.timing = timing
+        self._tolerance = tolerance
+        size = problem.K.getSize()[0]
+        direct = linear == "direct" or (linear == "auto" and size <= DIRECT_LIMIT)
+        block = DIRECT if direct else MULTIGRID
+        defaults = dict(NEWTON) | {"snes_max_it": max_iterations}
+        if problem.jumps:
+            defaults |= dict(SPLIT) | {f"fieldsplit_u_{k}": v for k, v in block.items()}
+        else:
+            defaults |= block
+        self._block = _Bonded(problem) if not problem.jumps else _Contact(problem)
+        self.x = self._block.vector()
+        self._residuals: list[float] = []
+        self._flips: list[int] = []
+        self._status: NDArray[np.int64] | None = None
+        self._scale = 0.0
+        self.snes = PETSc.SNES().create(problem.comm)
+        self.snes.setOptionsPrefix(PREFIX)
+        self.snes.setFunction(self._residual, self._block.vector())
+        self.snes.setJacobian(self._jacobian, self._block.matrix())
+        self.snes.setMonitor(self._monitor)
+        self.options = defaults | dict(options)
+        self._configure()
+
+    def _configure(self) -> None:
+        """Hand the options to PETSc under the prefix, and take them out of its database again."""
+        database = PETSc.Options(PREFIX)
+        for key, value in self.options.items():
+            database[key] = value
+        self.snes.setFromOptions()
+        self._block.configure(self.snes.getKSP())
+        for key in self.options:
+            database.delValue(key)
+
+    # Callbacks
+
+    def _residual(self, snes: PETSc.SNES, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        self._block.residual(x, f)
+
+    def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
+        self._block.jacobian(x)
+
+    def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        self._residuals.append(norm / self._scale if self._scale else norm)
+        self._flips.append(self._block.flips())
+
+    # Solve
+
+    def solve(self) -> Outcome:
+        """Solve at the problem's current time, from the current iterate in ``x``."""
+        begin = clock.perf_counter()
+        self._block.impose(self.x)
+        f = self._block.vector()
+        self._block.residual(self.x, f)
+        self._scale = max(self._scale, self.problem.force_scale(), f.norm())
+        self._residuals, self._flips = [], []
+        self._block.forget()
+        self.snes.setTolerances(atol=self._tolerance * self._scale)
+        self.snes.solve(None, self.x)
+        self.timing.add("solve", begin)
+        reason = self.snes.getConvergedReason()
+        return Outcome(
+            converged=reason > 0,
+            reason=reason,
+            iterations=self.snes.getIterationNumber(),
+            linear_iterations=self.snes.getLinearSolveIterations(),
+            residuals=tuple(self._residuals),
+            flips=tuple(self._flips),
+        )
+
+    def parts(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
+        """Displacement and jumps of a state, the current one by default."""
+        return self._block.parts(self.x if x is None else x)
+
+    @property
+    def block_sizes(self) -> dict[str, int]:
+        """Unknowns by block."""
+        return self._block.sizes()
+
+
+class _Bonded:
+    """One block: no interface can move."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+
+    def vector(self) -> PETSc.Vec:
+        return self._problem.K.createVecLeft()
+
+    def matrix(self) -> PETSc.Mat:
+        return self._problem.K
+
+    def parts(self, x: PETSc.Vec) -> tuple[PETSc.Vec, None]:
+        return x, None
+
+    def sizes(self) -> dict[str, int]:
+        return {"displacement": self._problem.K.getSize()[0]}
+
+    def impose(self, x: PETSc.Vec) -> None:
+        self._problem.impose(x)
+
+    def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        self._problem.residual_u(x, None, f)
+
+    def jacobian(self, x: PETSc.Vec) -> None:
+        """The stiffness is constant."""
+
+    def configure(self, ksp: PETSc.KSP) -> None:
+        """Nothing beyond the options."""
+
+    def flips(self) -> int:
+        return 0
+
+    def forget(self) -> None:
+        """No state."""
+
+
+class _Contact:
+    """Two blocks: displacement and jumps."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        (self._jumps,) = problem.jumps
+        j: Jumps = self._jumps
+        C = j.C.copy()
+        C.zeroRows(problem.supported_rows(), diag=0.0)
+        self._rows = _block_diagonal(j)
+        self._A_qu = self._rows.matMult(j.Ct)
+        self._A_qq = self._rows.matMult(j.D)
+        self._D_rows = self._rows.matMult(j.D)
+        self._added = _block_diagonal(j)
+        self._A = PETSc.Mat().createNest([[problem.K, C], [self._A_qu, self._A_qq]])
+        self._A.assemble()
+        self._trial: Trial | None = None
+        self._last: NDArray[np.int64] | None = None
+        self._changed = 0
+
+    def vector(self) -> PETSc.Vec:
+        return PETSc.Vec().createNest(
+            [self._problem.K.createVecLeft(), self._jumps.D.createVecLeft()],
+            comm=self._problem.comm,
+        )
+
+    def matrix(self) -> PETSc.Mat:
+        return self._A
+
+    def parts(self, x: PETSc.Vec) -> tuple[PETSc.Vec, PETSc.Vec]:
+        u, q = x.getNestSubVecs()
+        return u, q
+
+    def sizes(self) -> dict[str, int]:
+        return {
+            "displacement": self._problem.K.getSize()[0],
+            "jump": self._jumps.D.getSize()[0],
+        }
+
+    def impose(self, x: PETSc.Vec) -> None:
+        u, q = self.parts(x)
+        self._problem.impose(u)
+        held = self._jumps.held.ravel()
+        q.array[held] = self._jumps.given.ravel()[held]
+
+    def residual(self, x: PETSc.Vec, f: PETSc.Vec) -> None:
+        u, q = self.parts(x)
+        f_u, f_q = self.parts(f)
+        self._problem.residual_u(u, q, f_u)
+        trial = self._problem.trial(u, q)
+        self._trial = trial
+        f_q.array[:] = self._jumps.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+
+    def jacobian(self, x: PETSc.Vec) -> None:
+        trial = self._problem.trial(*self.parts(x))
+        times, added = self._jumps.row_factors(trial.law)
+        _fill(self._rows, times)
+        _fill(self._added, added)
+        self._rows.matMult(self._jumps.Ct, result=self._A_qu)
+        self._rows.matMult(self._jumps.D, result=self._A_qq)
+        self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        self._A.assemble()
+        status = trial.law.status
+        self._changed = -1 if self._last is None else int((status != self._last).sum())
+        self._last = status.copy()
+
+    def configure(self, ksp: PETSc.KSP) -> None:
+        u, jump = self._A.getNestISs()[0]
+        ksp.getPC().setFieldSplitIS(("u", u), ("jump", jump))
+
+    def flips(self) -> int:
+        return self._problem.comm.allreduce(max(self._changed, 0), MPI.SUM)
+
+    def forget(self) -> None:
+        self._last, self._changed = None, 0
+
+
+def _block_diagonal(j: Jumps) -> PETSc.Mat:
+    """Matrix with a dense 3 x 3 block per contact point, filled with ones."""
+    n = len(j.mine)
+    A = PETSc.Mat().create(j.comm)
+    A.setSizes(((3 * n, None), (3 * n, None)))
+    A.setType("aij")
+    start = j.comm.exscan(3 * n) or 0
+    i = np.repeat(np.arange(3 * n), 3) + start
+    k = np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n) + start
+    A.setPreallocationCOO(i.astype(PETSc.IntType), k.astype(PETSc.IntType))
+    _fill(A, np.ones((n, 3, 3)))
+    return A
+
+
+def _fill(A: PETSc.Mat, blocks: NDArray[np.float64]) -> None:
+    A.setValuesCOO(np.ascontiguousarray(blocks).ravel(), addv=PETSc.InsertMode.INSERT_VALUES)
+    A.assemble()
+
+
+def states(status: NDArray[np.int64], weight: NDArray[np.float64]) -> Sequence[float]:
+    """Area in each state: open, stick, slip [mm2]."""
+    return [float(weight[status == s].sum()) for s in (OPEN, STICK, SLIP)]

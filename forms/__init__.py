@@ -1,0 +1,1 @@
+"""Weak forms and laws in UFL, one function per term, in the letters of the paper."""

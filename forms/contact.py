@@ -1,0 +1,213 @@
+r"""Unilateral contact with Coulomb friction at a point of an interface (paper eq. 57, 63-65).
+
+A contact point carries the gap vector D (slave minus master) [mm] and the interface force per area
+F [MPa], the multiplier of the potential's term F . D. The normal n points from the master to the
+slave: D_n = D . n >= 0 is the opening and F_n = F . n <= 0 the contact force. With S = F + r D and
+r the augmentation [MPa/mm], the augmented Lagrangian of one point is, per area,
+
+.. math:: Π = F·D + \tfrac r2 |D|^2 - \tfrac1{2r} dist^2(S_n, R_-)
+              - \tfrac1{2r} dist^2(S_T, C(P_{R_-} S_n^*)),
+
+C(f) the disc of radius -μ f, the star an argument that is not differentiated (eq. 65, which prints
+R_+ under the first distance; eq. 68 has it right). The normal part of D is the jump with the
+initial gap, the tangential part its change since the last converged state.
+
+Completing the square, while the point touches,
+
+.. math:: 2 r Π = S_n^2 + |S_T|^2 - dist^2(S_T, C(S_n^*)) - |F|^2,
+
+and 2 r Π = -|F|^2 while it is open. This is the form below. ∂Π/∂D is the projected force P(S);
+the law is F = P(S), and the derivative of P, star included, its generalized Jacobian.
+
+A point on an edge of an interface has up to three faces, each with its normal, but one jump and one
+force. "Normal" is then the span of the normals of the faces that touch, and their friction acts in
+what that span leaves: along the edge where two touch, nowhere where three do. Which faces touch
+follows from their pressures (not negative) and from the gaps of the others (not negative).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+from ufl import And, Coefficient, as_vector, conditional, diff, dot, ge, inner, le, replace, sqrt
+from ufl import variable
+from ufl.algorithms import expand_derivatives
+from ufl.core.expr import Expr
+
+# A face counts as open when the gap it keeps exceeds minus this fraction of |S|/r, so that the sign
+# of a rounding error does not decide.
+ROUNDING = 1e-9
+
+OPEN, STICK, SLIP = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class ContactLaw:
+    """The law of a contact point, derived from its augmented Lagrangian.
+
+    Attributes:
+        energy: Augmented Lagrangian per area [N/mm], with the starred force still frozen.
+        force: Projected force P(S) (3,) [MPa].
+        jacobian: Generalized derivative of P by S (3, 3) [-].
+        pressures: Pressure of each face, positive in compression [MPa].
+        status: OPEN, STICK or SLIP, as a number.
+    """
+
+    energy: Expr
+    force: Expr
+    jacobian: Expr
+    pressures: Expr
+    status: Expr
+
+
+@dataclass(frozen=True)
+class _Touching:
+    """What a point does while a given set of its faces touches."""
+
+    faces: tuple[int, ...]
+    pressures: list[Expr]
+    tangential: Expr
+    radius: Any
+    sticks: Expr | None
+    condition: Expr
+
+
+def contact_law(
+    F: Expr,
+    jump: Expr,
+    gap: Expr,
+    jump_old: Expr,
+    S_star: Coefficient,
+    normals: Sequence[Expr],
+    μ: Any | None,
+    r: Any,
+) -> ContactLaw:
+    r"""Law of a contact point with one to three faces (eq. 65; eq. 57 with F = 0).
+
+    Args:
+        F: Multiplier (3,) [MPa]. The penalty method is the same law with F fixed at the friction
+            force of the last converged state, zero at first.
+        jump: Displacement of the slave minus that of the master (3,) [mm].
+        gap: Vector g with g . n the initial gap of each face (3,) [mm]; negative interferes.
+        jump_old: Jump of the last converged state (3,) [mm].
+        S_star: Stand-in for the frozen trial force (3,) [MPa].
+        normals: Unit normals of the faces, from master to slave, each (3,).
+        μ: Friction coefficient [-]; None leaves every tangential term out.
+        r: Augmentation, or penalty [MPa/mm].
+    """
+    f = variable(F)
+    d = variable(jump)
+    S = f + r * (d + gap)
+    dS = f + r * (d - jump_old)
+    live = [_touching(A, S, dS, normals, μ) for A in _sets(len(normals))]
+    frozen = [_touching(A, S_star, dS, normals, μ) for A in _sets(len(normals))]
+
+    square: Any = 0 * inner(S, S)
+    for t, star in zip(reversed(live), reversed(frozen), strict=True):
+        normal = _combine(t.pressures, [normals[k] for k in t.faces])
+        touching = inner(normal, normal) + _square_in_disc(t, star.radius)
+        square = conditional(t.condition, touching, square)
+    energy = (square - inner(f, f)) / (2 * r)
+
+    force = replace(expand_derivatives(diff(energy, d)), {S_star: S})
+    jacobian = diff(force, f)
+    return ContactLaw(
+        energy, force, jacobian, _pressures(live, len(normals)), _status(live, len(normals))
+    )
+
+
+def _sets(faces: int) -> list[tuple[int, ...]]:
+    """The sets of faces that may touch, single faces first: friction then belongs to one face."""
+    return [A for size in range(1, faces + 1) for A in combinations(range(faces), size)]
+
+
+def _touching(
+    A: tuple[int, ...], S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None
+) -> _Touching:
+    """Pressures, tangential force and validity of the set A of touching faces."""
+    n = [normals[k] for k in A]
+    p = [-a for a in _components(S, n)]
+    S_T = dS - _combine(_components(dS, n), n)
+    radius = None if μ is None else μ * sum(p[1:], p[0])
+    sticks = None if μ is None else le(inner(S_T, S_T), radius**2)
+    condition = ge(p[0], 0)
+    for value in p[1:]:
+        condition = And(condition, ge(value, 0))
+    others = [m for k, m in enumerate(normals) if k not in A]
+    if others:
+        # r times the gap vector these faces leave: what was open before, plus the slip.
+        before = S - dS
+        kept = before - _combine(_components(before, n), n)
+        if μ is None:
+            kept = kept + S_T
+        else:
+            size = sqrt(conditional(sticks, 1, inner(S_T, S_T)))
+            kept = kept + conditional(sticks, 0, 1 - radius / size) * S_T
+        for m in others:
+            condition = And(condition, ge(dot(kept, m), -ROUNDING * sqrt(inner(S, S))))
+    return _Touching(A, p, S_T, radius, sticks, condition)
+
+
+def _square_in_disc(t: _Touching, radius: Any) -> Any:
+    r""":math:`|S_T|^2 - dist^2(S_T, C)`; without friction the disc is a point and this is zero."""
+    if t.sticks is None:
+        return 0
+    square = inner(t.tangential, t.tangential)
+    size = sqrt(conditional(t.sticks, 1, square))
+    return conditional(t.sticks, square, 2 * radius * size - radius**2)
+
+
+def _pressures(live: Sequence[_Touching], faces: int) -> Expr:
+    """Pressure of each face, zero where it is open."""
+    values: list[Any] = []
+    for k in range(faces):
+        p: Any = 0 * live[0].pressures[0]
+        for t in reversed(live):
+            here = t.pressures[t.faces.index(k)] if k in t.faces else 0
+            p = conditional(t.condition, here, p)
+        values.append(p)
+    return as_vector(values)
+
+
+def _status(live: Sequence[_Touching], faces: int) -> Expr:
+    """OPEN, STICK or SLIP; three touching faces always stick, no friction always slips."""
+    status: Any = OPEN
+    for t in reversed(live):
+        here: Any = SLIP if t.sticks is None else conditional(t.sticks, STICK, SLIP)
+        status = conditional(t.condition, STICK if len(t.faces) == 3 else here, status)
+    return status
+
+
+def _components(S: Expr, normals: Sequence[Expr]) -> list[Any]:
+    """Coefficients a of the projection of S on the span of the normals (Cramer's rule)."""
+    b = [dot(S, n) for n in normals]
+    if len(b) == 1:
+        return b
+    g = [[dot(n, m) for m in normals] for n in normals]
+    det = _determinant(g)
+    return [
+        _determinant([[b[i] if k == j else g[i][k] for k in range(len(b))] for i in range(len(b))])
+        / det
+        for j in range(len(b))
+    ]
+
+
+def _determinant(m: list[list[Any]]) -> Any:
+    """Determinant of a 2 x 2 or 3 x 3 array of scalars."""
+    if len(m) == 2:
+        return m[0][0] * m[1][1] - m[0][1] * m[1][0]
+    a, b, c = m
+    return (
+        a[0] * (b[1] * c[2] - b[2] * c[1])
+        + a[1] * (b[2] * c[0] - b[0] * c[2])
+        + a[2] * (b[0] * c[1] - b[1] * c[0])
+    )
+
+
+def _combine(a: Sequence[Any], normals: Sequence[Expr]) -> Expr:
+    """The vector a_k n_k, summed over the faces."""
+    terms = [c * n for c, n in zip(a, normals, strict=True)]
+    return sum(terms[1:], terms[0])

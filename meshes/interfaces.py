@@ -1,0 +1,510 @@
+"""Contact points: where the two sides of an interface can part, on a conforming mesh.
+
+A contact point is a mesh vertex seen from one interface. It carries the jump of that interface (the
+displacement of the slave side minus that of the master side), the normals of its faces (facets that
+meet at less than 30 degrees are one face; a vertex on an edge has two faces, on a corner three) and
+their areas, a third of each facet around it.
+
+Rules where things meet, for each displacement component of a vertex:
+
+* The displacement of one body, the base, is the continuous field u itself; every other body there
+  adds jumps to it. The base is a body that a support holds in this component, otherwise the master.
+* A vertex with k bodies has k - 1 jumps: interfaces are taken in the order of the case file, and one
+  that would close a cycle is not enforced at that vertex.
+* Where supports hold both sides of a jump, the jump is given by them and the interface carries no
+  reported force in that component; the normals drop it.
+
+All facets of the contact interfaces are gathered on every rank and sorted by the vertex numbers of
+the mesh file, so that the result does not depend on the partition. They are few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+FACE_ANGLE = np.deg2rad(30.0)
+MAX_FACES = 3
+# Faces are independent while the Gram determinant of their normals stays above this.
+INDEPENDENT = 0.05
+
+
+@dataclass(frozen=True)
+class InterfaceFacets:
+    """Facets of the contact interfaces, replicated on all ranks in canonical order.
+
+    Attributes:
+        interface: Index of the interface (f,).
+        vertices: Vertex numbers of the mesh file (f, 3).
+        master: Body on the master side (f,).
+        slave: Body on the slave side (f,).
+        vertex_dofs: Global blocked dof at each vertex (f, 3).
+        edge_dofs: Global blocked dof at each edge (f, 3), edge k opposite vertex k; (f, 0) for P1.
+        x: Vertex coordinates (f, 3, 3) [mm].
+        normal: Unit normal from master to slave (f, 3).
+        area: Area (f,) [mm2].
+    """
+
+    interface: Ints
+    vertices: Ints
+    master: Ints
+    slave: Ints
+    vertex_dofs: Ints
+    edge_dofs: Ints
+    x: Floats
+    normal: Floats
+    area: Floats
+
+
+@dataclass(frozen=True)
+class Holds:
+    """Which components of which vertices supports hold, body by body, replicated.
+
+    Attributes:
+        vertex: Vertex numbers of the mesh file (h,).
+        body: Body (h,).
+        support: Index of the support that holds each component, -1 where none does (h, 3).
+    """
+
+    vertex: Ints
+    body: Ints
+    support: Ints
+
+
+@dataclass(frozen=True)
+class ContactPoints:
+    """Contact points, replicated on all ranks in canonical order (n of them).
+
+    Attributes:
+        interface: Index of the interface (n,).
+        vertex: Vertex number of the mesh file (n,).
+        dof: Global blocked dof at the vertex (n,).
+        x: Position (n, 3) [mm].
+        bodies: Bodies (master, slave) (n, 2).
+        faces: Number of faces, 1 to 3, or 0 where supports hold every component (n,).
+        normals: Unit normals of the faces, zero beyond ``faces`` (n, 3, 3).
+        areas: Area of each face (n, 3) [mm2].
+        weight: Area of the point (n,) [mm2].
+        given: Supports (master, slave) that fix each component of the jump, -1 where it is free
+            (n, 3, 2).
+        triangles: For each interface, its facets as rows of contact points (f_i, 3).
+        unenforced: Number of (vertex, interface) pairs left out because they close a cycle.
+    """
+
+    interface: Ints
+    vertex: Ints
+    dof: Ints
+    x: Floats
+    bodies: Ints
+    faces: Ints
+    normals: Floats
+    areas: Floats
+    weight: Floats
+    given: Ints
+    triangles: tuple[Ints, ...]
+    unenforced: int
+
+    @property
+    def held(self) -> Bools:
+        """Components of the jump that supports give (n, 3)."""
+        return self.given[:, :, 0] >= 0
+
+
+@dataclass(frozen=True)
+class Entries:
+    """What jumps add to the displacement of bodies, as triplets.
+
+    Body b moves by u + B_b q with q the jumps, three per contact point.
+
+    Attributes:
+        body: Body (m,).
+        row: Global unrolled dof (m,).
+        column: 3 point + component (m,).
+        value: +1 or -1, halved at the edge nodes of second-order elements (m,).
+    """
+
+    body: Ints
+    row: Ints
+    column: Ints
+    value: Floats
+
+
+def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
+    """Concatenate each array over the ranks, on every rank."""
+    pieces = comm.allgather(arrays)
+    return [np.concatenate([p[k] for p in pieces]) for k in range(len(arrays))]
+
+
+def sorted_facets(
+    comm: MPI.Comm,
+    interface: Ints,
+    vertices: Ints,
+    master: Ints,
+    slave: Ints,
+    vertex_dofs: Ints,
+    edge_dofs: Ints,
+    x: Floats,
+    inside_slave: Floats,
+) -> InterfaceFacets:
+    """Gather the facets of every rank and put them in canonical order.
+
+    Args:
+        comm: Communicator.
+        interface: Index of the interface (f,).
+        vertices: Vertex numbers of the mesh file (f, 3).
+        master: Body on the master side (f,).
+        slave: Body on the slave side (f,).
+        vertex_dofs: Global blocked dofs at the vertices (f, 3).
+        edge_dofs: Global blocked dofs at the edges opposite them (f, 3) or (f, 0).
+        x: Vertex coordinates (f, 3, 3) [mm].
+        inside_slave: A point inside the slave cell (f, 3) [mm].
+    """
+    interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave = gather(
+        comm, interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave
+    )
+    # The three vertices of a facet in rising order, then the facets by interface and vertices.
+    order = np.argsort(vertices, axis=1)
+    vertices = np.take_along_axis(vertices, order, axis=1)
+    vertex_dofs = np.take_along_axis(vertex_dofs, order, axis=1)
+    if edge_dofs.shape[1]:
+        edge_dofs = np.take_along_axis(edge_dofs, order, axis=1)
+    x = np.take_along_axis(x, order[:, :, None], axis=1)
+    rows = np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], interface))
+    vertices, x, inside_slave = vertices[rows], x[rows], inside_slave[rows]
+    cross = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    towards = np.sign(np.einsum("fi,fi->f", cross, inside_slave - x[:, 0]))
+    return InterfaceFacets(
+        interface=interface[rows],
+        vertices=vertices,
+        master=master[rows],
+        slave=slave[rows],
+        vertex_dofs=vertex_dofs[rows],
+        edge_dofs=edge_dofs[rows],
+        x=x,
+        normal=cross * (towards / size)[:, None],
+        area=size / 2,
+    )
+
+
+def contact_points(
+    facets: InterfaceFacets, holds: Holds, interfaces: int
+) -> tuple[ContactPoints, Entries]:
+    """Contact points of all interfaces and what their jumps do to each body.
+
+    Args:
+        facets: The facets of all contact interfaces.
+        holds: What supports hold at the vertices of these facets.
+        interfaces: Number of contact interfaces.
+    """
+    bodies = int(max(facets.master.max(), facets.slave.max())) + 1
+    facet = np.repeat(np.arange(len(facets.area)), 3)
+    key = np.stack(
+        [
+            facets.interface[facet],
+            facets.vertices.ravel(),
+            facets.master[facet] * bodies + facets.slave[facet],
+        ],
+        axis=1,
+    )
+    every, first, of = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    kept = _without_cycles(every[:, 1], every[:, 2] // bodies, every[:, 2] % bodies)
+    number = np.where(kept, np.cumsum(kept) - 1, -1)
+    corner_point = number[of.reshape(-1)]
+    normals, areas, faces = _faces(facets, corner_point, int(kept.sum()))
+    triangles = corner_point.reshape(-1, 3)
+    vertex = every[kept, 1]
+    sides = np.stack([every[kept, 2] // bodies, every[kept, 2] % bodies], axis=1)
+    given, at_vertex = _jumps_at_vertices(vertex, sides, holds)
+    _drop_held(normals, areas, faces, given[:, :, 0] >= 0)
+    dof = facets.vertex_dofs.ravel()[first][kept]
+    points = ContactPoints(
+        interface=every[kept, 0],
+        vertex=vertex,
+        dof=dof,
+        x=facets.x.reshape(-1, 3)[first][kept],
+        bodies=sides,
+        faces=faces,
+        normals=normals,
+        areas=areas,
+        weight=areas.sum(axis=1),
+        given=given,
+        triangles=tuple(
+            triangles[(facets.interface == i) & (triangles >= 0).all(axis=1)]
+            for i in range(interfaces)
+        ),
+        unenforced=int((~kept).sum()),
+    )
+    body, where, column, value = at_vertex
+    vertices = Entries(body, 3 * dof[where] + column % 3, column, value)
+    if facets.edge_dofs.shape[1] == 0:
+        return points, vertices
+    return points, _join(vertices, _at_edges(facets, vertex, at_vertex))
+
+
+def _without_cycles(vertex: Ints, master: Ints, slave: Ints) -> Bools:
+    """Mask of the points kept: at each vertex a forest of bodies, earlier interfaces first."""
+    kept = np.ones(len(vertex), dtype=bool)
+    for rows in _shared(vertex):
+        group = {int(b): int(b) for p in rows for b in (master[p], slave[p])}
+        for p in rows:
+            a, b = group[int(master[p])], group[int(slave[p])]
+            kept[p] = a != b
+            group = {body: a if g == b else g for body, g in group.items()}
+    return kept
+
+
+def _shared(vertex: Ints) -> list[Ints]:
+    """Rows of each vertex that stands in more than one row."""
+    order = np.argsort(vertex, kind="stable")
+    cuts = np.flatnonzero(np.diff(vertex[order])) + 1
+    return [rows for rows in np.split(order, cuts) if len(rows) > 1]
+
+
+def _jumps_at_vertices(
+    vertex: Ints, sides: Ints, holds: Holds
+) -> tuple[Ints, tuple[Ints, Ints, Ints, Floats]]:
+    """Which jumps supports give, and how each body moves with the others.
+
+    Returns:
+        ``given`` of ContactPoints, and the triplets body, point whose vertex moves, column, sign.
+    """
+    n = len(vertex)
+    # The support that holds each side of each point, component by component.
+    table = {
+        (int(v), int(b)): s
+        for v, b, s in zip(holds.vertex, holds.body, holds.support, strict=True)
+    }
+    free = np.full(3, -1)
+    side = np.array(
+        [[table.get((int(v), int(b)), free) for b in pair] for v, pair in zip(vertex, sides)]
+        if table
+        else np.full((n, 2, 3), -1),
+        dtype=np.int64,
+    ).reshape(n, 2, 3)
+    held = side >= 0
+    given = np.where(held.all(axis=1)[:, None], side, -1)
+    # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
+    # base: it alone is held, or both are and it comes first.
+    slave_is_base = held[:, 1] & (~held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
+    moving = np.where(slave_is_base, sides[:, :1], sides[:, 1:])
+    sign = np.where(slave_is_base, -1.0, 1.0)
+    point = np.repeat(np.arange(n), 3)
+    column = np.arange(3 * n)
+    alone = np.ones(n, dtype=bool)
+    extra: list[tuple[int, int, int, float]] = []
+    for rows in _shared(vertex):
+        alone[rows] = False
+        for c in range(3):
+            extra += _tree(rows, sides, side[:, :, c], given[:, :, c], c)
+    pick = alone[point]
+    more = np.array(extra, dtype=np.float64).reshape(-1, 4)
+    return given.transpose(0, 2, 1), (
+        np.concatenate([moving.ravel()[pick], more[:, 0].astype(np.int64)]),
+        np.concatenate([point[pick], more[:, 1].astype(np.int64)]),
+        np.concatenate([column[pick], more[:, 2].astype(np.int64)]),
+        np.concatenate([sign.ravel()[pick], more[:, 3]]),
+    )
+
+
+def _tree(
+    rows: Ints, sides: Ints, support: Ints, given: Ints, c: int
+) -> list[tuple[int, int, int, float]]:
+    """Triplets (body, point, column, sign) at a vertex with several interfaces, one component.
+
+    Walks the forest of bodies from a held body (the lowest), else from the first master. Between
+    two held bodies every jump on the way is given, a body that nothing holds going with the one it
+    was reached from; ``given`` is filled in place.
+    """
+    holder = {
+        int(sides[p, k]): int(support[p, k]) for p in rows for k in (0, 1) if support[p, k] >= 0
+    }
+    bodies = sorted(holder) + [int(b) for p in rows for b in sides[p]]
+    path: dict[int, list[tuple[int, float]]] = {}
+    out = []
+    for root in bodies:
+        if root in path:
+            continue
+        path[root] = []
+        queue = [root]
+        while queue:
+            here = queue.pop(0)
+            for p in rows:
+                m, s = int(sides[p, 0]), int(sides[p, 1])
+                if here not in (m, s):
+                    continue
+                there, sign = (s, 1.0) if here == m else (m, -1.0)
+                if there in path:
+                    continue
+                path[there] = [*path[here], (int(p), sign)]
+                queue.append(there)
+        for body in sorted(holder):
+            if body != root and body in path:
+                for p, _ in path[body]:
+                    ends = [holder.get(int(b), holder[root]) for b in sides[p]]
+                    given[p] = ends
+    for body, steps in path.items():
+        out += [(body, p, 3 * p + c, sign) for p, sign in steps]
+    # Each triplet moves the body's own vertex; any point of this vertex names its dof.
+    return out
+
+
+def _at_edges(
+    facets: InterfaceFacets, vertex: Ints, at_vertex: tuple[Ints, Ints, Ints, Floats]
+) -> Entries:
+    """The jump is linear along an edge: its middle node takes half of either end."""
+    body, where, column, value = at_vertex
+    # Every (edge, body) of the interfaces once, with both ends.
+    ends = np.stack([facets.vertices[:, [1, 2]], facets.vertices[:, [0, 2]], facets.vertices[:, [0, 1]]], 1)
+    rows = np.concatenate(
+        [
+            np.column_stack([facets.edge_dofs.ravel(), np.repeat(side, 3), ends.reshape(-1, 2)])
+            for side in (facets.master, facets.slave)
+        ]
+    )
+    rows = np.unique(rows, axis=0)
+    stride = int(max(facets.vertices.max(), vertex.max())) + 1
+    key = body * stride + vertex[where]
+    order = np.argsort(key, kind="stable")
+    key = key[order]
+    pieces = []
+    for end in (2, 3):
+        wanted = rows[:, 1] * stride + rows[:, end]
+        lo, hi = np.searchsorted(key, wanted, "left"), np.searchsorted(key, wanted, "right")
+        count = hi - lo
+        edge = np.repeat(np.arange(len(rows)), count)
+        inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        entry = order[np.repeat(lo, count) + inside]
+        pieces.append(
+            Entries(
+                rows[edge, 1],
+                3 * rows[edge, 0] + column[entry] % 3,
+                column[entry],
+                value[entry] / 2,
+            )
+        )
+    return _join(*pieces)
+
+
+def _join(*parts: Entries) -> Entries:
+    """Concatenate entries."""
+    return Entries(
+        np.concatenate([p.body for p in parts]),
+        np.concatenate([p.row for p in parts]),
+        np.concatenate([p.column for p in parts]),
+        np.concatenate([p.value for p in parts]),
+    )
+
+
+def _faces(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Floats, Ints]:
+    """Group the facets around each point into faces.
+
+    Args:
+        facets: All facets.
+        point: Contact point of each facet corner, -1 where not enforced (3 f,).
+        n: Number of points.
+
+    Returns:
+        Normals (n, 3, 3), areas (n, 3) and number of faces (n,).
+    """
+    f = len(facets.area)
+    label = _smooth_groups(facets)
+    used = point >= 0
+    groups, group = np.unique(
+        np.stack([point[used], label[used]], axis=1), axis=0, return_inverse=True
+    )
+    group = group.reshape(-1)
+    facet = np.repeat(np.arange(f), 3)[used]
+    area = np.bincount(group, facets.area[facet] / 3, len(groups))
+    sums = np.stack(
+        [
+            np.bincount(group, facets.area[facet] * facets.normal[facet, i], len(groups))
+            for i in range(3)
+        ],
+        axis=1,
+    )
+    normal = sums / np.linalg.norm(sums, axis=1, keepdims=True)
+    normals, areas = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    owner = groups[:, 0]
+    single = np.bincount(owner, minlength=n)[owner] == 1
+    normals[owner[single], 0], areas[owner[single], 0] = normal[single], area[single]
+    faces = np.ones(n, dtype=np.int64)
+    for rows in _shared(owner):
+        p = owner[rows[0]]
+        ns, areas_p = _distinct(normal[rows], area[rows])
+        faces[p] = len(ns)
+        normals[p, : len(ns)], areas[p, : len(ns)] = ns, areas_p
+    return normals, areas, faces
+
+
+def _smooth_groups(facets: InterfaceFacets) -> Ints:
+    """Label facet corners (3 f,): equal where facets around a vertex join by smooth edges."""
+    f = len(facets.area)
+    local = np.array([[1, 2], [0, 2], [0, 1]])
+    edges = facets.vertices[:, local].reshape(-1, 2)
+    side = np.repeat(
+        np.stack([facets.interface, facets.master, facets.slave], axis=1), 3, axis=0
+    )
+    key, edge, count = np.unique(
+        np.column_stack([side, edges]), axis=0, return_inverse=True, return_counts=True
+    )
+    edge = edge.reshape(-1)
+    order = np.argsort(edge, kind="stable")
+    start = np.concatenate([[0], np.cumsum(count)])[:-1][count == 2]
+    a, b = order[start], order[start + 1]
+    cosine = np.einsum("ei,ei->e", facets.normal[a // 3], facets.normal[b // 3])
+    a, b = a[cosine > np.cos(FACE_ANGLE)], b[cosine > np.cos(FACE_ANGLE)]
+    # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
+    one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
+    graph = coo_array((np.ones(2 * len(a)), (one.ravel(), two.ravel())), shape=(3 * f, 3 * f))
+    _, label = connected_components(graph, directed=False)
+    return label.astype(np.int64)
+
+
+def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:
+    """At most three independent faces: the largest kept, the others merged into the nearest."""
+    order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], -np.round(areas, 9)))
+    ns: list[Floats] = []
+    sums: list[Floats] = []
+    sizes: list[float] = []
+    for n, area in zip(normals[order], areas[order], strict=True):
+        candidate = np.array([*ns, n])
+        if not ns or (
+            len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT
+        ):
+            ns.append(n)
+            sums.append(area * n)
+            sizes.append(area)
+            continue
+        k = int(np.argmax(np.array(ns) @ n))
+        sizes[k] += area
+        if ns[k] @ n > 0:
+            sums[k] = sums[k] + area * n
+            ns[k] = sums[k] / np.linalg.norm(sums[k])
+    return np.array(ns), np.array(sizes)
+
+
+def _drop_held(normals: Floats, areas: Floats, faces: Ints, held: Bools) -> None:
+    """Take the components that supports hold out of the normals; a face with none left goes."""
+    for p in np.flatnonzero(held.any(axis=1)):
+        ns = np.where(held[p], 0.0, normals[p, : faces[p]])
+        size = np.linalg.norm(ns, axis=1)
+        left = size > INDEPENDENT
+        total = areas[p].sum()
+        normals[p], areas[p], faces[p] = 0, 0, 0
+        areas[p, 0] = total
+        if left.any():
+            kept, kept_areas = _distinct(ns[left] / size[left, None], np.ones(left.sum()))
+            faces[p] = len(kept)
+            normals[p, : len(kept)] = kept
+            areas[p, : len(kept)] = total * kept_areas / kept_areas.sum()
