@@ -1,7 +1,7 @@
 """A YAML file as plain data that remembers where each key stood.
 
-YAML 1.2 by ruamel.yaml's parser; the tree is built here, so that every duplicate key is found at once, anchors
-cannot blow up, and each value keeps its line and column.
+YAML 1.2 by ruamel.yaml's parser; the tree is built here, so that every duplicate key is found at
+once, anchors cannot blow up, and each value keeps its line and column.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class CaseFile:
             raise InputError(list(dict.fromkeys(text for _, text in sorted(lines))))
 
     def _locate(self, problem: Problem) -> tuple[tuple[int, int], str]:
-        """Sorting key and line of a problem: the place of its key, or of the nearest one above it."""
+        """Sorting key and line of a problem: the place of its key, or of the nearest above."""
         for n in range(len(problem.path), -1, -1):
             if (place := self.places.get(problem.path[:n])) is not None:
                 break
@@ -197,7 +197,7 @@ def _mark(node: Node) -> tuple[int, int]:
 
 
 class _Builder:
-    """Turns nodes into data, noting places, duplicate keys and values that YAML allows but a case does not."""
+    """Turns nodes into data, noting places and duplicate keys, and refusing what no case needs."""
 
     def __init__(self, case: CaseFile, override: str = "") -> None:
         self.case, self.override, self.count = case, override, 0
@@ -243,7 +243,7 @@ class _Builder:
             if not isinstance(key_node, ScalarNode):
                 raise _BadYaml("a key must be a plain word", _mark(key_node))
             key = key_node.value
-            if key_node.tag.endswith(":merge") or (key == "<<" and key_node.style is None):
+            if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
                 merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
                 continue
             if key in result:

@@ -1,7 +1,7 @@
 """Checks of one part of a case against another: names, lengths of histories, what holds the model.
 
-They work on the parts that are valid by themselves, so that an error in one section does not hide those of
-the others.
+They work on the parts that are valid by themselves, so that an error in one section does not hide
+those of the others.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str)
 
 
 def _names(parts: Parts) -> Iterable[Problem]:
-    """Regions, interfaces and boundaries that the geometry does not have, and regions without material."""
+    """Names that the geometry does not have, and regions without material."""
     geometry = parts.geometry
     if geometry is None:
         return
@@ -84,8 +84,8 @@ def _histories(parts: Parts) -> Iterable[Problem]:
     def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Problem]:
         if history is not None and len(history) != number:
             names = ", ".join(s.name for s in parts.stages)
-            text = f"has {len(history)} values; expected {number}, one for the end of each stage ({names})"
-            yield Problem(path, text)
+            wanted = f"{number}, one for the end of each stage ({names})"
+            yield Problem(path, f"has {len(history)} values; expected {wanted}")
 
     for section in ("interfaces", "supports", "loads"):
         for name, entry in getattr(parts, section).items():

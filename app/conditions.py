@@ -86,7 +86,7 @@ class Contact(Model):
     gap_history: History = None
     """Multiplier of the gap at the end of each stage, from 0; all ones by default."""
     augmentation: PositiveStiffness | None = None
-    """Augmentation parameter r; chosen from stiffness and mesh size by default. Results do not depend on it."""
+    """Augmentation parameter r, chosen by default; results do not depend on it."""
 
 
 class Penalty(Model):
@@ -224,7 +224,7 @@ Point = Annotated[
 
 
 class Force(Model):
-    """A resultant force, as a traction over the boundary; with `at`, with that point's moment too."""
+    """A resultant force, as a traction over the boundary; with `at`, with its moment too."""
 
     kind: Literal["force"] = "force"
     boundary: Name

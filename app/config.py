@@ -4,7 +4,8 @@ This is the one front for the rest of the program::
 
     case = config.load(Path("case.yaml"), ["mesh.size=2 mm"])
 
-Everything downstream takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K, rad.
+Everything downstream takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K,
+rad.
 """
 
 from __future__ import annotations
@@ -230,7 +231,7 @@ def schema() -> dict[str, Any]:
 
 
 def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
-    """Every part of the data that is valid by itself, so that the rest can still be checked against it.
+    """Every part that is valid by itself, so that the rest can still be checked against it.
 
     The points that the geometry names are added to the context on the way.
     """
@@ -288,7 +289,8 @@ def _problems(error: ValidationError, data: dict[str, Any]) -> list[Problem]:
                 allowed = tuple(model.model_fields)
                 text = f"unknown key; allowed: {', '.join(allowed)}{did_you_mean(key, allowed)}"
             case "model_type" | "model_attributes_type":
-                text = f"{show(entry['input'])} is not a mapping; expected keys {', '.join(_model_at((*location, '')).model_fields)}"
+                keys = ", ".join(_model_at((*location, "")).model_fields)
+                text = f"{show(entry['input'])} is not a mapping; expected keys {keys}"
             case "literal_error":
                 text = f"{show(entry['input'])} is not {entry['ctx']['expected']}"
             case _:

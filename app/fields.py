@@ -1,4 +1,4 @@
-"""What the parts of the configuration schema share: the base model, names, tagged choices, messages."""
+"""What the parts of the schema share: the base model, names, tagged choices, messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any, NoReturn, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
 from pydantic_core import PydanticCustomError, core_schema
 
-# Marks, in the location of a pydantic error, the entries that name a class and not a key of the file.
+# Marks, in the location of a pydantic error, an entry that names a class and not a key.
 TAG = "="
 
 
@@ -43,6 +43,8 @@ def show(value: object) -> str:
         return "a list"
     elif value is None:
         return "nothing"
+    elif isinstance(value, int) and value.bit_length() > 200:
+        return "a huge number"
     else:
         text = repr(value)
     return text if len(text) <= 60 else text[:56] + "...'"
@@ -59,9 +61,7 @@ def did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
 
 def _name(value: object) -> object:
     if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", value):
-        fail(
-            f"{show(value)} is not a name; expected letters, digits, _ and -, starting with a letter"
-        )
+        fail(f"{show(value)} is not a name; expected letters, digits, _ and -, first a letter")
     return value
 
 

@@ -1,11 +1,12 @@
 """The geometries a case can have: their parameters, and the names of what they consist of.
 
-No mesh is made here: each class knows its regions, boundaries and interfaces by name, so that the rest
-of a case can be checked against them without a mesher.
+No mesh is made here: each class knows its regions, boundaries and interfaces by name, so that the
+rest of a case can be checked against them without a mesher.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Annotated, Literal
@@ -61,8 +62,8 @@ def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
         mesh: The sizes.
 
     Returns:
-        ``a A / h^2 + b V / H^3`` with the two constants fitted to measured meshes of the femur; at most the
-        number of cells of a uniform mesh.
+        ``a A / h^2 + b V / H^3`` with the constants fitted to measured meshes of the femur; at
+        most the number of cells of a uniform mesh.
     """
     uniform = 8.5 * volume / mesh.size**3
     return max(6, round(min(uniform, 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3)))
@@ -121,7 +122,7 @@ class Blocks(Model):
     def interface_sides(self) -> dict[str, Sides]:
         """``<lower>_<upper>`` for each pair of neighbours."""
         names = self.region_names
-        return {f"{a}_{b}": ((a,), (b,)) for a, b in zip(names, names[1:], strict=False)}
+        return {f"{a}_{b}": ((a,), (b,)) for a, b in itertools.pairwise(names)}
 
     @property
     def interface_area(self) -> float:
@@ -139,7 +140,7 @@ class Blocks(Model):
 class Cylinders(Model):
     """A stem in a cement mantle in a bone, concentric about z; distal end at z = 0.
 
-    With a taper the two interfaces are cones that narrow towards z = 0 and have their given radii at mid
+    With a taper the interfaces are cones that narrow towards z = 0 and have the given radii at mid
     length. ``sector: half`` keeps y >= 0, ``quarter`` keeps x >= 0 and y >= 0.
     """
 
@@ -206,9 +207,9 @@ class Cylinders(Model):
 class Femur(Model):
     """A proximal femur with a straight tapered collarless stem in a cement mantle.
 
-    Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior. The table of
-    bone sections belongs to the mesher; the parameters here are those of the operation and the implant.
-    Defaults: an Exeter-class 150 mm stem in an average femur.
+    Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
+    The table of bone sections belongs to the mesher; the parameters here are those of the operation
+    and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
     """
 
     kind: Literal["femur"] = "femur"
@@ -287,7 +288,7 @@ class Femur(Model):
 
     @property
     def boundary_names(self) -> tuple[str, ...]:
-        """The distal cut, the bone's surface with its muscle patches, the trunnion and the resection."""
+        """The distal cut, the bone with its muscle patches, the trunnion and the resection."""
         muscles = (
             "gluteus_medius",
             "gluteus_minimus",
@@ -305,7 +306,7 @@ class Femur(Model):
 
     @property
     def interface_area(self) -> float:
-        """Area of both interfaces (mm2), about: the stem's flanks, and the same offset by the mantle."""
+        """Area of both interfaces (mm2), about: the stem's flanks and their offset."""
         width = self.stem_half_width + self.stem_tip_half_width
         depth = self.stem_half_depth + self.stem_tip_half_depth
         flanks = 2.0 * (width + depth) * self.stem_length
@@ -317,7 +318,7 @@ class Femur(Model):
 
 
 class MeshFile(Model):
-    """A gmsh ``.msh`` file; regions and boundaries are its physical volumes and surfaces, by name."""
+    """A gmsh ``.msh`` file; its named physical volumes are regions, its surfaces boundaries."""
 
     kind: Literal["file"] = "file"
     path: Path

@@ -1,4 +1,8 @@
-"""What a region is made of. Poisson's ratios and the limits of admissibility: reference physics, 2.1 and E6."""
+"""What a region is made of.
+
+A stiffness that is not positive definite is refused. For transverse isotropy that means
+E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +25,12 @@ def _six(value: object) -> object:
             fail(f"has {len(value)} values; expected a number or six: [xx, yy, zz, yz, xz, xy]")
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
-        fail(
-            f"{show(value)} is not a strain; expected a plain number or six: [xx, yy, zz, yz, xz, xy]"
-        )
+        fail(f"{show(value)} is not a strain; expected a number or six: [xx, yy, zz, yz, xz, xy]")
     return (value, value, value, 0.0, 0.0, 0.0)
 
 
 class Eigenstrain(Model):
-    """A strain that the region would take on if nothing held it: swelling, shrinkage, a press fit."""
+    """A strain that the region would take on if nothing held it: swelling, shrinkage, press fit."""
 
     strain: Annotated[Strain6, BeforeValidator(_six)]
     """Tensor components [xx, yy, zz, yz, xz, xy]; a single number is the same in all directions."""
@@ -70,7 +72,7 @@ class TransverselyIsotropic(Model):
     transverse_youngs_modulus: Modulus
     """E_t, across it."""
     axial_poisson_ratio: Number
-    """nu_l = -(transverse strain)/(axial strain) under axial stress: the larger ratio when E_l > E_t."""
+    """nu_l = -(transverse strain)/(axial strain) under axial stress."""
     transverse_poisson_ratio: Number
     """nu_t, in the transverse plane."""
     axial_shear_modulus: Modulus
@@ -118,8 +120,8 @@ class TransverselyIsotropic(Model):
             (
                 margin > 0.0,
                 "axial_poisson_ratio",
-                "1 - transverse_poisson_ratio - 2 axial_poisson_ratio^2 transverse_youngs_modulus / "
-                f"axial_youngs_modulus > 0 (it is {margin:.3g})",
+                "1 - transverse_poisson_ratio - 2 axial_poisson_ratio^2 "
+                f"transverse_youngs_modulus / axial_youngs_modulus > 0 (it is {margin:.3g})",
             )
         )
         return self

@@ -1,8 +1,8 @@
 """Numbers and dimensional quantities as pydantic field types.
 
-A dimensional value is text with a unit (``110 GPa``); after validation it is a float in the internal
-system mm, N, MPa, s, K, tonne, rad. The conversion is done in rational arithmetic and rounded once,
-so that ``0.11 TPa``, ``110 GPa`` and ``110000 MPa`` give the same float.
+A dimensional value is text with a unit (``110 GPa``); after validation it is a float in the
+internal system mm, N, MPa, s, K, tonne, rad. The conversion is done in rational arithmetic and
+rounded once, so that ``0.11 TPa``, ``110 GPa`` and ``110000 MPa`` give the same float.
 
 A field is declared by one of the aliases below, for example ``thickness: PositiveLength``.
 """
@@ -25,6 +25,7 @@ NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*"
 NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
 UNIT = re.compile(r"[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
 # Powers of powers and long exponents would cost more than they can mean.
+LONGEST = 60
 TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
 
 DIMENSION_NAMES = {
@@ -41,7 +42,8 @@ DIMENSION_NAMES = {
     "dimensionless": "plain number",
 }
 SUGGESTIONS = (
-    "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm kg tonne"
+    "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
+    "kg tonne"
 ).split()
 
 
@@ -77,6 +79,14 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
         raise ValueError(DIMENSION_NAMES.get(dimension, f"quantity of dimension {dimension}"))
     offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
     return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
+
+
+def finite(value: int | float) -> bool:
+    """Whether a number is finite as a float, which a large whole number is not."""
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
 
 
 def outside(
@@ -116,20 +126,20 @@ class Dimension:
         """The value in the internal unit.
 
         Raises:
-            PydanticCustomError: Not a number with a unit of this dimension, not finite or out of bounds.
+            PydanticCustomError: Not a number with a unit of this dimension, not finite, out of
+                bounds.
         """
+        expected = f"expected a {self.what} such as '{self.example}'"
         if not isinstance(value, str):
             if isinstance(value, int | float) and not isinstance(value, bool):
-                if not math.isfinite(value):
-                    fail(f"{value} is not finite; expected a {self.what} such as '{self.example}'")
+                if not finite(value):
+                    fail(f"{show(value)} is not finite; {expected}")
                 fail(f"{value} needs a unit, e.g. '{value} {self.example.split(maxsplit=1)[1]}'")
-            fail(
-                f"{show(value)} is not a {self.what}; expected a number with a unit such as '{self.example}'"
-            )
+            fail(f"{show(value)} is not a {self.what}; {expected}")
         match = NUMBER.fullmatch(value)
         if match is None:
             wrong = "is not finite" if NOT_FINITE.match(value) else f"is not a {self.what}"
-            fail(f"{show(value)} {wrong}; expected a number with a unit such as '{self.example}'")
+            fail(f"{show(value)} {wrong}; {expected}")
         number, unit = match.groups()
         if not unit:
             fail(f"{show(value)} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
@@ -137,13 +147,13 @@ class Dimension:
             slope, offset = conversion(unit, self.unit)
         except LookupError:
             fail(
-                f"{show(value)}: '{unit}' is not a unit; expected a {self.what} such as '{self.example}'"
+                f"{show(value)}: '{unit}' is not a unit; {expected}"
                 + did_you_mean(unit, SUGGESTIONS)
             )
         except ValueError as error:
-            fail(f"{show(value)} is a {error}; expected a {self.what} such as '{self.example}'")
-        if not math.isfinite(float(number)):
-            fail(f"{show(value)} is not finite; expected a {self.what} such as '{self.example}'")
+            fail(f"{show(value)} is a {error}; {expected}")
+        if len(number) > LONGEST or not math.isfinite(float(number)):
+            fail(f"{show(value)} is not finite; {expected}")
         # A number too small for a float is zero; as a fraction it could take gigabytes.
         exact = Fraction(number) if float(number) != 0.0 else Fraction(0)
         try:
@@ -208,18 +218,13 @@ class Plain:
             unit = isinstance(value, str) and (m := NUMBER.fullmatch(value)) and m.group(2)
             extra = " (this value is dimensionless: no unit)" if unit else " without quotes or unit"
             fail(f"{show(value)} is not a {kind}; expected a plain {kind}{extra}")
-        if not math.isfinite(value):
-            fail(f"{value} is not finite; expected a {kind}")
+        if not finite(value):
+            fail(f"{show(value)} is not finite; expected a {kind}")
         if self.integer and value != int(value):
             fail(f"{value} is not a {kind}")
         if bound := outside(value, self.above, self.at_least, self.at_most):
             fail(f"{value} {bound}")
-        if self.integer:
-            return int(value)
-        try:
-            return float(value)
-        except OverflowError:
-            fail("is not finite as a floating-point number")
+        return int(value) if self.integer else float(value)
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler

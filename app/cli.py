@@ -1,0 +1,314 @@
+"""The command line: ``mantle run | check | mesh | schema | doctor``.
+
+The one module that prints to standard output. It imports what a command needs when it needs it, so
+that ``check`` works without MPI and starts at once.
+
+Exit codes: 0 ok, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped, 69 environment,
+70 internal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from app import __version__, ranks
+from app.errors import EnvironmentProblem, InputError, MantleError
+
+INTERNAL_ERROR = 70
+STOPPED = 5
+# The rank of this process, by whatever started it; MPI itself is not up yet when input is checked.
+RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
+
+
+def rank() -> int:
+    """The MPI rank of this process as far as the environment tells, else 0."""
+    for name in RANK_VARIABLES:
+        if (value := os.environ.get(name, "")).isdigit():
+            return int(value)
+    return 0
+
+
+class Parser(argparse.ArgumentParser):
+    """Argparse that raises instead of leaving, and speaks on one rank only."""
+
+    def error(self, message: str) -> NoReturn:
+        """Report a wrong command line.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if rank() == 0:
+            super()._print_message(message, file)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The commands and their options."""
+    top = Parser(
+        prog="mantle",
+        description="Thermomechanics of cemented joint replacements.",
+        epilog="exit codes: 0 ok, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped with the "
+        "state saved, 69 environment, 70 internal error",
+        allow_abbrev=False,
+    )
+    top.add_argument("--version", action="version", version=f"mantle {__version__}")
+    commands = top.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", parser_class=Parser
+    )
+
+    def add(name: str, summary: str, **more: Any) -> argparse.ArgumentParser:
+        return commands.add_parser(
+            name, help=summary, description=summary.capitalize() + ".", allow_abbrev=False, **more
+        )
+
+    def add_case(command: argparse.ArgumentParser) -> None:
+        command.add_argument("case", type=Path, metavar="CASE", help="the case, a YAML file")
+        command.add_argument(
+            "--set",
+            dest="overrides",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="override a key, e.g. mesh.size=2mm or regions.stem.rigid=true (repeatable)",
+        )
+
+    run = add(
+        "run",
+        "solve a case",
+        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force] [-- PETSC OPTIONS]",
+        epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
+    )
+    add_case(run)
+    run.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>")
+    run.add_argument("-n", metavar="N", help="number of MPI ranks (default 1)")
+    run.add_argument("--force", action="store_true", help="replace results in the output folder")
+    run.add_argument(
+        "--log-level",
+        choices=("debug", "info", "warning", "error"),
+        default="info",
+        help="how much to tell (default info)",
+    )
+    check = add("check", "check a case and estimate its size, without solving")
+    add_case(check)
+    check.add_argument("--mesh", action="store_true", help="make the mesh and give exact sizes")
+    mesh = add("mesh", "make the mesh of a case, a .msh file and a picture of sections through it")
+    add_case(mesh)
+    mesh.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="PATH",
+        help="a folder, or a file name ending in .msh (default: out/<name of CASE>.msh)",
+    )
+    add("schema", "print the JSON schema of case files, for editors")
+    add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Args:
+        arguments: The command line without the program's name; that of the process by default.
+
+    Returns:
+        The exit code.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    try:
+        return _dispatch(list(sys.argv[1:] if arguments is None else arguments))
+    except MantleError as error:
+        if rank() == 0:
+            print(error, file=sys.stderr, flush=True)
+        return error.exit_code
+    except KeyboardInterrupt:
+        if rank() == 0:
+            print("stopped", file=sys.stderr, flush=True)
+        _abort(STOPPED)
+        return STOPPED
+    except BrokenPipeError:
+        # The reader of standard output (head, less) has left: there is nobody to say anything to.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception:
+        print(
+            f"mantle: internal error on rank {rank()}; please report it with what follows\n"
+            + traceback.format_exc(),
+            file=sys.stderr,
+            flush=True,
+        )
+        _abort(INTERNAL_ERROR)
+        return INTERNAL_ERROR
+
+
+def _abort(code: int) -> None:
+    """End all ranks, if there are others: they may be waiting for this one."""
+    mpi = sys.modules.get("mpi4py.MPI")
+    if mpi is None or not mpi.Is_initialized() or mpi.Is_finalized():
+        return
+    if mpi.COMM_WORLD.size > 1:
+        sys.stdout.flush()
+        mpi.COMM_WORLD.Abort(code)
+
+
+def _dispatch(arguments: list[str]) -> int:
+    """Parse the command line and call the command."""
+    count, rest = ranks.split(arguments)
+    cut = rest.index("--") if "--" in rest else len(rest)
+    petsc_options = rest[cut + 1 :]
+    options = parser().parse_args(rest[:cut])
+    if petsc_options and options.command != "run":
+        raise InputError(f"mantle {options.command}: there is nothing to solve that -- could tune")
+    match options.command:
+        case "run":
+            return _run(options, petsc_options, count, rest)
+        case "check":
+            return _check(options)
+        case "mesh":
+            return _mesh(options)
+        case "schema":
+            return _schema()
+        case _:
+            return _doctor()
+
+
+def _run(
+    options: argparse.Namespace, petsc_options: list[str], count: int | None, rest: list[str]
+) -> int:
+    """Solve a case, on several ranks if asked for."""
+    size = ranks.world_size()
+    # The input is checked before ranks are started: its errors come at once, and once.
+    from app import config
+
+    case = config.load(options.case, options.overrides)
+    output = options.output or Path("out") / options.case.stem
+    from app import folders
+
+    folders.prepare_run(output, options.force)
+    if size is None and count is not None and count > 1:
+        return ranks.launch(count, [sys.executable, "-m", "app", *rest])
+    if size is not None and count not in (None, size) and rank() == 0:
+        print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
+    _configure_log(options.log_level)
+    with _stack():
+        from app.run import run
+
+    return run(case, options.case, output, petsc_options, options.overrides, options.force)
+
+
+def _check(options: argparse.Namespace) -> int:
+    """Tell how a case was understood."""
+    from app import case_file, config, preview
+
+    file = case_file.read(options.case, options.overrides)
+    case = config.resolve(file, options.case.parent)
+    print(preview.describe(case, file.data))
+    if options.mesh:
+        print(preview.exact_size(case, _build(case)))
+    else:
+        print(preview.estimated_size(case))
+    for message in preview.warnings(case):
+        print(f"note: {message}", file=sys.stderr)
+    return 0
+
+
+def _mesh(options: argparse.Namespace) -> int:
+    """Write the mesh and a picture of it."""
+    from app import config
+
+    case = config.load(options.case, options.overrides)
+    path = _mesh_path(options.output, options.case.stem)
+    data = _build(case)
+    import meshes
+    from app import preview
+
+    try:
+        meshes.write_msh(data, path)
+        print(path)
+        meshes.picture(data, path.with_suffix(".png"))
+        print(path.with_suffix(".png"))
+    except OSError as error:
+        raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
+    print(preview.exact_size(case, data))
+    return 0
+
+
+def _mesh_path(output: Path | None, stem: str) -> Path:
+    """The file to write the mesh to; its folder is made.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    path = output or Path("out") / f"{stem}.msh"
+    if path.is_dir() or path.suffix != ".msh":
+        path = path / f"{stem}.msh"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o {path.parent}: cannot be made: {error.strerror}") from error
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(f"-o {path}: is not writable")
+    return path
+
+
+def _build(case: Any) -> Any:
+    """The mesh of a case, cached."""
+    with _stack():
+        import gmsh  # noqa: F401  (only to tell early that it is missing)
+    import meshes
+    from app import folders
+
+    return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+
+
+def _schema() -> int:
+    """Print the schema."""
+    import json
+
+    from app import config
+
+    print(json.dumps(config.schema(), indent=2, ensure_ascii=False))
+    return 0
+
+
+def _doctor() -> int:
+    """Print what is found on this machine."""
+    from app import doctor
+
+    result = doctor.report()
+    return result if isinstance(result, int) else 0
+
+
+def _configure_log(level: str) -> None:
+    """Send the log to standard error: from rank 0 all that is asked for, from the others errors."""
+    import logging
+
+    logging.basicConfig(
+        stream=sys.stderr,
+        format="%(message)s",
+        level=level.upper() if rank() == 0 else logging.ERROR,
+    )
+
+
+class _stack:
+    """Turns a missing package of the solver stack into an environment problem."""
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("app"):
+            raise EnvironmentProblem(
+                f"the package {error.name} is missing; ./mantle doctor tells what is there"
+            ) from error

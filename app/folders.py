@@ -1,0 +1,56 @@
+"""Where things go: the cache and the run folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from app.errors import InputError
+
+
+def cache(name: str) -> Path | None:
+    """The folder for cached data of a kind, made if necessary.
+
+    Args:
+        name: The kind, for example ``meshes``.
+
+    Returns:
+        ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``), or None if it cannot be written.
+    """
+    base = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+    folder = Path(base) / "mantle" / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def prepare_run(folder: Path, force: bool) -> None:
+    """Make the folder of a run, and refuse one that holds something already.
+
+    Nothing is written into it: under MPI every rank comes here before the first collective call,
+    and all have to see the same.
+
+    Args:
+        folder: The folder.
+        force: Whether it may hold something.
+
+    Raises:
+        InputError: It is a file, not empty or not writable.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        holds_something = any(folder.iterdir())
+    except FileExistsError:
+        raise InputError(f"-o {folder}: is a file; expected a folder") from None
+    except NotADirectoryError:
+        raise InputError(f"-o {folder}: a folder above it is a file") from None
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be made or read: {error.strerror}") from error
+    if holds_something and not force:
+        raise InputError(
+            f"-o {folder}: is not empty; choose another folder, or --force to replace the results"
+        )
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(f"-o {folder}: is not writable")
