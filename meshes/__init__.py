@@ -1,0 +1,127 @@
+"""Geometry to mesh: blocks, cylinders, a femur with stem and cement, or a gmsh file.
+
+``build`` runs on one rank and returns plain arrays; ``meshes.distribute.distribute`` makes
+the dolfinx mesh of them, ``meshes.picture.picture`` draws them. gmsh and dolfinx are imported when
+used, so that checking a configuration needs neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from app.errors import GeometryError
+
+from . import cache as _cache
+from . import quality as _quality
+from .data import (
+    MeshData,
+    boundary_areas,
+    canonical,
+    components,
+    face_neighbours,
+    facet_areas,
+    interface_facets,
+    region_volumes,
+)
+
+__all__ = ["MeshData", "build", "write_msh"]
+
+
+def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
+    """Mesh a geometry, or take the mesh from the cache.
+
+    Args:
+        geometry: One of the configuration's geometries, told apart by ``kind``.
+        mesh: The mesh options: ``size``, ``far_size`` [mm], ``curved``.
+        cache: Folder of cached meshes; None: neither read nor written.
+
+    Returns:
+        The mesh, with canonical numbering; the same input gives the same mesh.
+
+    Raises:
+        GeometryError: The geometry cannot be built, a boundary, interface or region is empty or
+            in pieces, or the worst elements (named) are not good enough.
+    """
+    path = None if cache is None else Path(cache) / f"mesh-{_cache.key(geometry, mesh)}.npz"
+    if path is not None and (stored := _cache.load(path)) is not None:
+        return stored
+    data = canonical(_generate(geometry, mesh))
+    _quality.gate(data)
+    _check_parts(data, connected=geometry.kind != "file")
+    notes = {
+        **data.notes,
+        "quality": _quality.describe(data),
+        "volumes_mm3": region_volumes(data),
+        "boundary_areas_mm2": boundary_areas(data),
+        "interface_areas_mm2": {
+            name: float(facet_areas(data.points, interface_facets(data, name)[0]).sum())
+            for name in data.interfaces
+        },
+    }
+    data = replace(data, notes=notes)
+    if path is not None:
+        _cache.store(data, path)
+    return data
+
+
+def write_msh(data: MeshData, path: Path) -> None:
+    """Write a gmsh 4.1 file with physical names; see ``meshes.imported.write``."""
+    from .imported import write
+
+    write(data, path)
+
+
+def _generate(geometry: Any, mesh: Any) -> MeshData:
+    # Imported here: each needs gmsh, and a block needs no femur.
+    match geometry.kind:
+        case "blocks":
+            from . import blocks
+
+            return blocks.build(geometry, mesh)
+        case "cylinders":
+            from . import cylinders
+
+            return cylinders.build(geometry, mesh)
+        case "femur":
+            from . import femur
+
+            return femur.build(geometry, mesh)
+        case "file":
+            from . import imported
+
+            return imported.build(geometry, mesh)
+        case kind:
+            raise GeometryError(f"geometry.kind: {kind!r} has no mesher")
+
+
+def _check_parts(data: MeshData, connected: bool) -> None:
+    """Every region, boundary and interface is there, and regions are in one piece.
+
+    Raises:
+        GeometryError: With all that is missing.
+    """
+    missing = [
+        f"region {n}" for n, tag in data.regions.items() if not (data.cell_tags == tag).any()
+    ]
+    missing += [f"boundary {name}" for name, area in boundary_areas(data).items() if area <= 0]
+    missing += [
+        f"interface {name} (no facet between {' and '.join('/'.join(s) for s in sides)})"
+        for name, sides in data.interfaces.items()
+        if not len(interface_facets(data, name)[0])
+    ]
+    if missing:
+        raise GeometryError("the mesh has no " + ", no ".join(missing))
+    if not connected:
+        return
+    count, component = components(face_neighbours(data.cells), data.cell_tags)
+    if count > len(data.regions):
+        pieces = {
+            name: len(set(component[data.cell_tags == tag].tolist()))
+            for name, tag in data.regions.items()
+        }
+        raise GeometryError(
+            "regions in several pieces: "
+            + ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
+        )

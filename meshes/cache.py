@@ -1,0 +1,97 @@
+"""Meshes kept by the content of what they were made from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from .data import MeshData
+
+MESHER_VERSION = 1  # raise it whenever the same input gives another mesh
+
+
+def plain(value: Any) -> Any:
+    """A configuration object as JSON-able data; private attributes are left out."""
+    if hasattr(value, "model_dump"):
+        return plain(value.model_dump())
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [plain(v) for v in value]
+    if isinstance(value, str | int | float | bool) or value is None:
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "__dict__"):
+        return plain({k: v for k, v in vars(value).items() if not k.startswith("_")})
+    return str(value)
+
+
+def key(geometry: Any, mesh: Any) -> str:
+    """Hash of everything the mesh depends on, the content of a mesh file included."""
+    content: dict[str, Any] = {"geometry": plain(geometry), "mesh": plain(mesh)}
+    # The order of the displacement does not change the mesh.
+    content["mesh"].pop("order", None)
+    content["version"] = MESHER_VERSION
+    if geometry.kind == "file":
+        content["geometry"].pop("path", None)
+        content["file"] = hashlib.sha256(Path(geometry.path).read_bytes()).hexdigest()
+    else:
+        import gmsh
+
+        content["gmsh"] = gmsh.__version__
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def load(path: Path) -> MeshData | None:
+    """Read a cached mesh; None when there is none or it cannot be read (it is then rebuilt)."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            names = json.loads(str(stored["names"]))
+            arrays = {
+                k: stored[k] for k in ("points", "cells", "cell_tags", "facets", "facet_tags")
+            }
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None
+    return MeshData(
+        **arrays,
+        regions=names["regions"],
+        boundaries={k: tuple(v) for k, v in names["boundaries"].items()},
+        interfaces={k: (tuple(a), tuple(b)) for k, (a, b) in names["interfaces"].items()},
+        notes=names["notes"],
+    )
+
+
+def store(data: MeshData, path: Path) -> None:
+    """Write the mesh under another name and rename it: readers see all of it or nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    names = {
+        "regions": dict(data.regions),
+        "boundaries": dict(data.boundaries),
+        "interfaces": dict(data.interfaces),
+        "notes": dict(data.notes),
+    }
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(
+                file,
+                points=data.points,
+                cells=data.cells,
+                cell_tags=data.cell_tags,
+                facets=data.facets,
+                facet_tags=data.facet_tags,
+                names=np.array(json.dumps(names)),
+            )
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

@@ -1,0 +1,127 @@
+"""Concentric stem, cement and bone, straight or tapered: the fast verification scene."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from app.errors import GeometryError
+
+from .data import Floats, MeshData, exterior_facets
+from .session import extract, generate, grade, session
+from .tags import assemble, number
+
+REGIONS = ("stem", "cement", "bone")
+ANGLES = {"full": 2 * math.pi, "half": math.pi, "quarter": math.pi / 2}
+
+
+def build(geometry: Any, mesh: Any) -> MeshData:
+    """Mesh concentric cylinders about the z axis, from z = 0 (distal) to ``length``.
+
+    Args:
+        geometry: ``stem_radius``, ``cement_thickness``, ``bone_thickness``, ``length`` [mm];
+            ``taper`` [rad], the half-angle of the two cones, narrower distally, whose radii hold
+            at mid height; ``sector`` full, half (y >= 0) or quarter (x, y >= 0).
+        mesh: ``size``, ``far_size`` [mm], ``curved``.
+
+    Returns:
+        Regions stem, cement, bone; interfaces stem_cement and cement_bone.
+
+    Raises:
+        GeometryError: A cone closes or leaves the bone, or gmsh fails.
+    """
+    inner = geometry.stem_radius
+    middle = inner + geometry.cement_thickness
+    outer = middle + geometry.bone_thickness
+    rise = math.tan(geometry.taper) * geometry.length / 2
+    if abs(rise) >= inner:
+        raise GeometryError(
+            f"geometry.taper: a half-angle of {math.degrees(geometry.taper):g} deg closes the stem"
+            f" (radius {inner:g} mm, length {geometry.length:g} mm); taper less or shorten it"
+        )
+    if abs(rise) >= geometry.bone_thickness:
+        raise GeometryError(
+            f"geometry.taper: the cement ({rise:.3g} mm wider at the end) leaves the bone"
+            f" ({geometry.bone_thickness:g} mm thick); taper less or thicken the bone"
+        )
+    slope = math.tan(geometry.taper)
+    with session("cylinders") as gmsh:
+        _solids(gmsh, (inner, middle, outer), rise, geometry.length, ANGLES[geometry.sector])
+        distances = [
+            f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))"
+            for radius in (inner, middle)
+        ]
+        grade(gmsh, distances, mesh.size, mesh.far_size or 4 * mesh.size)
+        generate(gmsh, mesh.curved)
+        points, cells, entity = extract(gmsh)
+    cell_tags = _by_radius(points, cells, entity, (inner, middle), slope, geometry.length)
+    exterior = exterior_facets(cells)
+    boundaries = _boundaries(points, exterior[0], cell_tags[exterior[1]], geometry)
+    interfaces = {
+        "stem_cement": (("stem",), ("cement",)),
+        "cement_bone": (("cement",), ("bone",)),
+    }
+    return assemble(points, cells, cell_tags, number(REGIONS), interfaces, boundaries, exterior)
+
+
+def _solids(
+    gmsh: Any, radii: tuple[float, float, float], rise: float, length: float, angle: float
+) -> None:
+    """Three nested solids cut into one conforming set."""
+    occ = gmsh.model.occ
+
+    def solid(radius: float, rise: float) -> tuple[int, int]:
+        if rise == 0:
+            return 3, occ.addCylinder(0, 0, 0, 0, 0, length, radius, angle=angle)
+        return 3, occ.addCone(0, 0, 0, 0, 0, length, radius - rise, radius + rise, angle=angle)
+
+    stem, cement, bone = (
+        solid(radii[0], rise),
+        solid(radii[1], rise),
+        solid(radii[2], 0.0),
+    )
+    occ.fragment([bone], [cement, stem])
+    occ.synchronize()
+
+
+def _by_radius(
+    points: Floats,
+    cells: Any,
+    entity: Any,
+    radii: tuple[float, float],
+    slope: float,
+    length: float,
+) -> Any:
+    """Region tag of each cell: volumes recognised by the mean place of their cells."""
+    tags = np.zeros(len(cells), dtype=np.int32)
+    x, y, z = points[cells[:, :4]].mean(axis=1).T
+    shell = np.searchsorted(radii, np.hypot(x, y) - slope * (z - length / 2)) + 1
+    for volume in np.unique(entity):
+        own = entity == volume
+        tags[own] = np.bincount(shell[own]).argmax()
+    return tags
+
+
+def _boundaries(points: Floats, facets: Any, region: Any, geometry: Any) -> dict[str, Any]:
+    """Masks over the exterior facets, by name."""
+    corners = points[facets[:, :3]]
+    near = 1e-6 * geometry.length
+
+    def plane(axis: int, at: float) -> Any:
+        return np.all(np.abs(corners[:, :, axis] - at) < near, axis=1)
+
+    bottom, top = plane(2, 0.0), plane(2, geometry.length)
+    masks: dict[str, Any] = {}
+    for name, tag in number(REGIONS).items():
+        masks |= {f"{name}_bottom": bottom & (region == tag), f"{name}_top": top & (region == tag)}
+    masks |= {"bottom": bottom, "top": top}
+    symmetry = {"full": (), "half": ("symmetry_y",), "quarter": ("symmetry_x", "symmetry_y")}
+    planes = {"symmetry_x": plane(0, 0.0), "symmetry_y": plane(1, 0.0)}
+    masks |= {name: planes[name] & ~bottom & ~top for name in symmetry[geometry.sector]}
+    outer = geometry.stem_radius + geometry.cement_thickness + geometry.bone_thickness
+    masks["bone_surface"] = np.all(
+        np.abs(np.hypot(corners[..., 0], corners[..., 1]) - outer) < 1e-6 * outer, axis=1
+    )
+    return masks

@@ -1,0 +1,246 @@
+"""The mesh as plain arrays: what a mesher returns and what the solver's mesh is made from.
+
+Local numbering is gmsh's: a tetrahedron has its vertices 0..3, then (quadratic) the middles of the
+edges ``EDGES``; a facet has its vertices 0..2, then the middles of 01, 12, 20.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
+FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])  # outward for positive volume
+# The six nodes of each face of a quadratic tetrahedron, in the order of a quadratic facet.
+FACES_QUADRATIC = np.array(
+    [(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 9, 7), (0, 3, 2, 7, 8, 6), (1, 2, 3, 5, 8, 9)]
+)
+
+
+@dataclass(frozen=True)
+class MeshData:
+    """A tetrahedral mesh with named regions and boundaries.
+
+    Attributes:
+        points: Nodes [mm], shape (n, 3).
+        cells: Nodes of each tetrahedron in gmsh's order, shape (m, 4) straight or (m, 10) curved.
+        cell_tags: Region tag of each cell, shape (m,).
+        facets: Nodes of the tagged exterior facets, shape (k, 3) or (k, 6).
+        facet_tags: Patch tag of each of ``facets``, shape (k,); a facet is listed once.
+        regions: Region name to cell tag.
+        boundaries: Boundary name to its patch tags; patches are disjoint, names may share
+            them.
+        interfaces: Interface name to the region names on either side.
+        notes: What the mesher has to say (quality, achieved thickness); JSON-able.
+    """
+
+    points: Floats
+    cells: Ints
+    cell_tags: npt.NDArray[np.int32]
+    facets: Ints
+    facet_tags: npt.NDArray[np.int32]
+    regions: Mapping[str, int]
+    boundaries: Mapping[str, tuple[int, ...]]
+    interfaces: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def curved(self) -> bool:
+        """Whether cells are quadratic (ten nodes)."""
+        return self.cells.shape[1] == 10
+
+
+def cell_faces(cells: Ints) -> Ints:
+    """The faces of every cell, outward, shape (4 m, 3 or 6); face f of cell c is row 4 c + f."""
+    local = FACES if cells.shape[1] == 4 else FACES_QUADRATIC
+    return cells[:, local].reshape(-1, local.shape[1])
+
+
+def match_faces(cells: Ints) -> Ints:
+    """The row of ``cell_faces`` that is the same face seen from the other cell, or -1.
+
+    Returns:
+        Shape (4 m,).
+
+    Raises:
+        ValueError: A face belongs to more than two cells.
+    """
+    corners = np.sort(cell_faces(cells)[:, :3], axis=1)
+    order = np.lexsort(corners.T[::-1])
+    ordered = corners[order]
+    same = np.all(ordered[1:] == ordered[:-1], axis=1)
+    if np.any(same[1:] & same[:-1]):
+        raise ValueError("a face belongs to more than two cells")
+    partner = np.full(len(corners), -1, dtype=np.int64)
+    first = np.flatnonzero(same)
+    partner[order[first]] = order[first + 1]
+    partner[order[first + 1]] = order[first]
+    return partner
+
+
+def exterior_facets(cells: Ints) -> tuple[Ints, Ints]:
+    """The facets that belong to one cell only.
+
+    Returns:
+        Their nodes, outward, shape (k, 3 or 6), and their cells, shape (k,).
+    """
+    rows = np.flatnonzero(match_faces(cells) < 0)
+    return cell_faces(cells)[rows], rows // 4
+
+
+def face_neighbours(cells: Ints) -> Ints:
+    """The cell behind each face of each cell, -1 outside; shape (m, 4)."""
+    partner = match_faces(cells)
+    return np.where(partner >= 0, partner // 4, -1).reshape(-1, 4)
+
+
+def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> tuple[int, Ints]:
+    """Connected components of cells joined by faces between cells of equal label.
+
+    Args:
+        neighbours: From ``face_neighbours``.
+        labels: One per cell.
+
+    Returns:
+        Their number and the component of each cell.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    cell = np.repeat(np.arange(len(neighbours)), 4)
+    other = neighbours.ravel()
+    joined = (other >= 0) & (labels[cell] == labels[other])
+    shape = (len(neighbours), len(neighbours))
+    graph = coo_array((np.ones(joined.sum(), bool), (cell[joined], other[joined])), shape=shape)
+    count, component = connected_components(graph, directed=False)
+    return int(count), component.astype(np.int64)
+
+
+# Quadrature exact for the volume of a quadratic tetrahedron (cubic Jacobian, four points of
+# degree 2 would not do) and good to 1e-6 for the area of a quadratic facet.
+_TET_POINTS = np.array(
+    [[1 / 4] * 4] + [[1 / 2 if i == j else 1 / 6 for j in range(4)] for i in range(4)]
+)
+_TET_WEIGHTS = np.array([-4 / 5] + [9 / 20] * 4)
+_A, _B = (6 - np.sqrt(15)) / 21, (6 + np.sqrt(15)) / 21
+_TRI_POINTS = np.array(
+    [[1 / 3] * 3]
+    + [[1 - 2 * a if i == j else a for j in range(3)] for a in (_A, _B) for i in range(3)]
+)
+_TRI_WEIGHTS = np.array(
+    [9 / 40] + [(155 - np.sqrt(15)) / 1200] * 3 + [(155 + np.sqrt(15)) / 1200] * 3
+)
+
+
+def gradients(barycentric: Floats, edges: npt.NDArray[np.int64]) -> Floats:
+    """Derivatives of the quadratic shape functions by the barycentric coordinates.
+
+    Args:
+        barycentric: Points, shape (q, v).
+        edges: Pairs of vertices with a node in the middle, shape (e, 2).
+
+    Returns:
+        Shape (q, v + e, v).
+    """
+    points, vertices = barycentric.shape
+    result = np.zeros((points, vertices + len(edges), vertices))
+    for i in range(vertices):
+        result[:, i, i] = 4 * barycentric[:, i] - 1
+    for k, (i, j) in enumerate(edges.tolist()):
+        result[:, vertices + k, i] = 4 * barycentric[:, j]
+        result[:, vertices + k, j] = 4 * barycentric[:, i]
+    return result
+
+
+def jacobians(points: Floats, cells: Ints, barycentric: Floats) -> Floats:
+    """Edge vectors (dx/dL1 - dx/dL0, ...) of each cell at each given point, shape (m, q, 3, 3)."""
+    if cells.shape[1] == 4:
+        x = points[cells]
+        edges = (x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+        return np.broadcast_to(edges[:, None], (len(cells), len(barycentric), 3, 3))
+    d = gradients(barycentric, EDGES)
+    d = d[:, :, 1:] - d[:, :, :1]
+    return np.einsum("qak,maj->mqjk", d, points[cells])
+
+
+def cell_volumes(points: Floats, cells: Ints) -> Floats:
+    """Volumes of the cells [mm^3], negative when inverted; shape (m,)."""
+    return np.linalg.det(jacobians(points, cells, _TET_POINTS)) @ _TET_WEIGHTS / 6
+
+
+def facet_areas(points: Floats, facets: Ints) -> Floats:
+    """Areas of facets [mm^2]; shape (k,)."""
+    x = points[facets]
+    if facets.shape[1] == 3:
+        return np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
+    d = gradients(_TRI_POINTS, np.array([(0, 1), (1, 2), (2, 0)]))
+    d = d[:, :, 1:] - d[:, :, :1]
+    t = np.einsum("qak,maj->mqkj", d, x)
+    return np.linalg.norm(np.cross(t[:, :, 0], t[:, :, 1]), axis=2) @ _TRI_WEIGHTS / 2
+
+
+def region_volumes(data: MeshData) -> dict[str, float]:
+    """Volume of each region [mm^3]."""
+    volumes = cell_volumes(data.points, data.cells)
+    return {name: float(volumes[data.cell_tags == tag].sum()) for name, tag in data.regions.items()}
+
+
+def boundary_areas(data: MeshData) -> dict[str, float]:
+    """Area of each named boundary [mm^2]."""
+    areas = facet_areas(data.points, data.facets)
+    return {
+        name: float(areas[np.isin(data.facet_tags, tags)].sum())
+        for name, tags in data.boundaries.items()
+    }
+
+
+def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
+    """The facets between the two sides of an interface.
+
+    Returns:
+        Their nodes as seen from the first side (outward from it), the cell on the first side and
+        the cell on the second.
+    """
+    first, second = ([data.regions[r] for r in side] for side in data.interfaces[name])
+    neighbours = face_neighbours(data.cells).ravel()
+    cell = np.repeat(np.arange(len(data.cells)), 4)
+    rows = np.flatnonzero(
+        (neighbours >= 0)
+        & np.isin(data.cell_tags[cell], first)
+        & np.isin(data.cell_tags[neighbours], second)
+    )
+    return cell_faces(data.cells)[rows], cell[rows], neighbours[rows]
+
+
+def canonical(data: MeshData) -> MeshData:
+    """The same mesh without unused nodes and in an order that depends on the geometry alone.
+
+    Nodes are sorted by z, y, x; cells by region and nodes; facets by tag and nodes.
+    """
+    used = np.unique(data.cells)
+    points = data.points[used]
+    rounded = np.round(points, 9)
+    order = np.lexsort(rounded.T)
+    number = np.full(len(data.points), -1, dtype=np.int64)
+    number[used[order]] = np.arange(len(used))
+    cells, facets = number[data.cells], number[data.facets]
+    by_cell = np.lexsort((*np.sort(cells[:, :4], axis=1).T[::-1], data.cell_tags))
+    by_facet = np.lexsort((*np.sort(facets[:, :3], axis=1).T[::-1], data.facet_tags))
+    return MeshData(
+        points=np.ascontiguousarray(points[order]),
+        cells=cells[by_cell],
+        cell_tags=data.cell_tags[by_cell].astype(np.int32),
+        facets=facets[by_facet],
+        facet_tags=data.facet_tags[by_facet].astype(np.int32),
+        regions=data.regions,
+        boundaries=data.boundaries,
+        interfaces=data.interfaces,
+        notes=data.notes,
+    )

@@ -1,0 +1,191 @@
+"""Meshes from and to gmsh files, by physical names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.errors import GeometryError
+
+from .data import Ints, MeshData, cell_volumes, exterior_facets
+from .session import session
+from .tags import assemble, number
+
+MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+# Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
+_MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
+_TETRAHEDRA, _TRIANGLES = {4: 4, 11: 10}, {2: 3, 9: 6}
+
+
+def build(geometry: Any, mesh: Any) -> MeshData:
+    """Read a ``.msh`` file (2.2 or 4.1) of straight or quadratic tetrahedra.
+
+    Args:
+        geometry: ``path``, ``unit`` and ``interfaces`` (name to the regions on either side).
+        mesh: Not used: the file decides.
+
+    Returns:
+        Regions are the named physical volumes, boundaries the named physical surfaces on the
+        exterior. ``notes`` names surfaces that lie inside (they are no boundaries) and counts the
+        cells without a region, which are left out.
+
+    Raises:
+        GeometryError: No such file, no tetrahedra, other elements, missing or overlapping
+            physical groups (with the names found).
+    """
+    path = Path(geometry.path)
+    if not path.is_file():
+        raise GeometryError(f"{path}: no such mesh file")
+    with session(path.name) as gmsh:
+        gmsh.merge(str(path))
+        names = {
+            dim: [
+                gmsh.model.getPhysicalName(d, tag) for d, tag in gmsh.model.getPhysicalGroups(dim)
+            ]
+            for dim in (2, 3)
+        }
+        found = (
+            f"{path}: physical volumes: {_listed(names[3])}; physical surfaces: {_listed(names[2])}"
+        )
+        regions = number(sorted({name for name in names[3] if name}))
+        if not regions:
+            raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
+        needed = {r for sides in geometry.interfaces.values() for side in sides for r in side}
+        if needed - set(regions):
+            raise GeometryError(
+                f"{found}; interfaces need the volumes {_listed(sorted(needed - set(regions)))}"
+            )
+        node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
+        cells = {name: _elements(gmsh, 3, name, _TETRAHEDRA, path) for name in regions}
+        surfaces = {name: _elements(gmsh, 2, name, _TRIANGLES, path) for name in names[2] if name}
+        everything = _count(gmsh)
+    return _named(
+        geometry, regions, node_tags, coordinates.reshape(-1, 3), cells, surfaces, everything
+    )
+
+
+def _named(
+    geometry: Any,
+    regions: dict[str, int],
+    node_tags: Any,
+    points: Any,
+    cells_by_name: dict[str, Ints],
+    surfaces: dict[str, Ints],
+    everything: int,
+) -> MeshData:
+    """Put the pieces of the file together."""
+    row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
+    row[node_tags.astype(np.int64)] = np.arange(len(node_tags))
+    widths = {block.shape[1] for block in cells_by_name.values() if len(block)}
+    if len(widths) != 1:
+        what = (
+            "mixes straight and quadratic cells" if widths else "has no tetrahedra in its regions"
+        )
+        raise GeometryError(f"{geometry.path}: the mesh {what}")
+    width = widths.pop()
+    cells = row[np.concatenate([block.reshape(-1, width) for block in cells_by_name.values()])]
+    cell_tags = np.concatenate(
+        [np.full(len(block), regions[n], dtype=np.int32) for n, block in cells_by_name.items()]
+    )
+    if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
+        raise GeometryError(f"{geometry.path}: some cells belong to two physical volumes")
+    points = points * MILLIMETRES[geometry.unit]
+    negative = cell_volumes(points, cells) < 0
+    cells[negative] = cells[negative][:, _MIRROR[width]]
+    try:
+        exterior = exterior_facets(cells)
+    except ValueError as error:
+        raise GeometryError(f"{geometry.path}: {error}; the mesh is not conforming") from error
+    masks = {name: _among(exterior[0], row[block[:, :3]]) for name, block in surfaces.items()}
+    inside = sorted(name for name, mask in masks.items() if not mask.any())
+    data = assemble(
+        points,
+        cells,
+        cell_tags,
+        regions,
+        geometry.interfaces,
+        {name: mask for name, mask in masks.items() if mask.any()},
+        exterior,
+    )
+    notes = {
+        "file": str(geometry.path),
+        "interior_surfaces": inside,
+        "cells_without_region": everything - len(cells),
+    }
+    return MeshData(**{**vars(data), "notes": notes})
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(name or "(unnamed)" for name in names) or "none"
+
+
+def _count(gmsh: Any) -> int:
+    """Number of all cells of dimension 3."""
+    _, tags, _ = gmsh.model.mesh.getElements(3)
+    return sum(len(block) for block in tags)
+
+
+def _elements(gmsh: Any, dim: int, name: str, kinds: dict[int, int], path: Path) -> Ints:
+    """Node tags of all elements of the physical groups of this name."""
+    blocks = []
+    for d, tag in gmsh.model.getPhysicalGroups(dim):
+        if gmsh.model.getPhysicalName(d, tag) != name:
+            continue
+        for entity in gmsh.model.getEntitiesForPhysicalGroup(d, tag):
+            types, _, nodes = gmsh.model.mesh.getElements(d, entity)
+            for kind, connectivity in zip(types, nodes, strict=True):
+                if kind not in kinds:
+                    label = gmsh.model.mesh.getElementProperties(kind)[0]
+                    raise GeometryError(
+                        f"{path}: {name!r} has elements of type {label!r}; only straight or"
+                        " quadratic tetrahedra (and their triangles) can be used"
+                    )
+                blocks.append(connectivity.astype(np.int64).reshape(-1, kinds[kind]))
+    if len({block.shape[1] for block in blocks}) > 1:
+        raise GeometryError(f"{path}: {name!r} mixes straight and quadratic elements")
+    return np.concatenate(blocks) if blocks else np.zeros((0, 4 if dim == 3 else 3), dtype=np.int64)
+
+
+def _among(facets: Ints, wanted: Ints) -> Any:
+    """Which of the facets have the three corners of one of the wanted; shape (k,)."""
+    both = np.sort(np.concatenate([facets[:, :3], wanted]), axis=1)
+    _, label = np.unique(both, axis=0, return_inverse=True)
+    label = label.ravel()
+    return np.isin(label[: len(facets)], label[len(facets) :])
+
+
+def write(data: MeshData, path: Path) -> None:
+    """Write a gmsh 4.1 file whose physical names are the regions and boundaries.
+
+    Args:
+        data: The mesh; a patch that belongs to several boundaries is in several groups.
+        path: The file to write, ``.msh``; coordinates are in mm.
+
+    Raises:
+        GeometryError: gmsh could not write it.
+    """
+    nodes = np.arange(1, len(data.points) + 1)
+    tet, triangle = (11, 9) if data.curved else (4, 2)
+    with session(Path(path).stem) as gmsh:
+        model = gmsh.model
+        holder = min(data.regions.values())
+        for tag in data.regions.values():
+            model.addDiscreteEntity(3, tag)
+        model.mesh.addNodes(3, holder, nodes, data.points.ravel())
+        for tag in data.regions.values():
+            model.mesh.addElementsByType(
+                tag, tet, [], data.cells[data.cell_tags == tag].ravel() + 1
+            )
+        for tag in sorted(set(data.facet_tags.tolist())):
+            model.addDiscreteEntity(2, tag)
+            own = data.facets[data.facet_tags == tag]
+            model.mesh.addElementsByType(tag, triangle, [], own.ravel() + 1)
+        for name, tag in data.regions.items():
+            model.addPhysicalGroup(3, [tag], name=name)
+        for name, tags in data.boundaries.items():
+            model.addPhysicalGroup(2, list(tags), name=name)
+        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
+        gmsh.option.setNumber("Mesh.SaveAll", 0)
+        gmsh.write(str(path))

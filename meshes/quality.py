@@ -1,0 +1,96 @@
+"""Is the mesh good enough: one measure, vectorised, for generated and imported meshes alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from app.errors import GeometryError
+
+from .data import Floats, Ints, MeshData, jacobians
+
+BAD = 0.01  # below: refused
+POOR = 0.1  # below: counted in the notes
+WORST_SHOWN = 5
+
+# Columns: the edges of a regular tetrahedron of edge 1 from its first vertex.
+_REGULAR = np.array(
+    [
+        [1.0, 0.5, 0.5],
+        [0.0, np.sqrt(3) / 2, np.sqrt(3) / 6],
+        [0.0, 0.0, np.sqrt(2 / 3)],
+    ]
+)
+_SAMPLES = np.vstack(
+    [
+        np.eye(4),
+        [
+            [0.5 * (k in pair) for k in range(4)]
+            for pair in ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
+        ],
+        np.full((1, 4), 0.25),
+    ]
+)
+
+
+def sicn(points: Floats, cells: Ints) -> Floats:
+    """Signed inverse condition number of every cell: 1 regular, 0 flat, negative inverted.
+
+    With A the map from the regular tetrahedron, it is 3 sign(det A) / (|A| |A^-1|) in Frobenius
+    norms, gmsh's ``minSICN``; for curved cells the least value at the ten nodes and the centre.
+
+    Returns:
+        Shape (m,).
+    """
+    samples = _SAMPLES if cells.shape[1] == 10 else _SAMPLES[-1:]
+    a = jacobians(points, cells, samples) @ np.linalg.inv(_REGULAR)
+    det = np.linalg.det(a)
+    # |A^-1| = |cofactor(A)| / |det A|, finite for flat cells
+    c0, c1, c2 = (np.cross(a[..., i], a[..., j]) for i, j in ((1, 2), (2, 0), (0, 1)))
+    cofactor = np.sqrt(sum(np.sum(c * c, axis=-1) for c in (c0, c1, c2)))
+    norm = np.sqrt(np.sum(a * a, axis=(-2, -1)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        value = np.where(norm * cofactor > 0, 3 * det / (norm * cofactor), 0.0)
+    return value.min(axis=1)
+
+
+def describe(data: MeshData) -> dict[str, Any]:
+    """The quality notes: counts, least and median SICN, and the worst element of each region."""
+    quality = sicn(data.points, data.cells)
+    return {
+        "cells": len(data.cells),
+        "nodes": len(data.points),
+        "sicn_min": float(quality.min()),
+        "sicn_median": float(np.median(quality)),
+        "sicn_below_0.1": int((quality < POOR).sum()),
+        "sicn_min_by_region": {
+            name: float(quality[data.cell_tags == tag].min())
+            for name, tag in data.regions.items()
+            if np.any(data.cell_tags == tag)
+        },
+    }
+
+
+def gate(data: MeshData) -> None:
+    """Refuse a mesh with inverted or nearly flat elements.
+
+    Raises:
+        GeometryError: Names the worst elements: region, centroid [mm] and SICN.
+    """
+    quality = sicn(data.points, data.cells)
+    bad = int((quality < BAD).sum())
+    if not bad:
+        return
+    names = {tag: name for name, tag in data.regions.items()}
+    lines = []
+    for cell in np.argsort(quality, kind="stable")[: min(bad, WORST_SHOWN)]:
+        x, y, z = data.points[data.cells[cell, :4]].mean(axis=0)
+        region = names.get(int(data.cell_tags[cell]), "?")
+        lines.append(f"  {region} at ({x:.2f}, {y:.2f}, {z:.2f}) mm: {quality[cell]:.4f}")
+    raise GeometryError(
+        f"{bad} of {len(quality)} elements are inverted or nearly flat"
+        f" (signed inverse condition number below {BAD}); the worst:\n"
+        + "\n".join(lines)
+        + "\nTry another mesh.size, or repair the mesh file."
+    )

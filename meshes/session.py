@@ -1,0 +1,120 @@
+"""gmsh, opened for one case and closed after it.
+
+One session per case: after a failed mesh every later case of the same session comes out empty,
+even after ``gmsh.clear()``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.errors import GeometryError, MantleError
+
+from .data import Floats, Ints
+
+LOG_LINES = 6  # of gmsh's log, quoted when it fails
+GROWTH = 0.4  # mm of element size per mm of distance from an interface
+
+
+@contextmanager
+def session(name: str) -> Iterator[Any]:
+    """Open gmsh silently, without its signal handler or configuration files.
+
+    Args:
+        name: Of the model, for messages.
+
+    Yields:
+        The gmsh module.
+
+    Raises:
+        GeometryError: gmsh failed; carries the last lines of its log.
+    """
+    import gmsh
+
+    if gmsh.isInitialized():
+        gmsh.finalize()
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)  # more threads: another mesh every time
+        gmsh.option.setNumber("Mesh.RandomSeed", 1)
+        gmsh.option.setNumber("Mesh.Algorithm", 6)
+        gmsh.option.setNumber("Mesh.Algorithm3D", 10)
+        gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
+        gmsh.option.setNumber("Mesh.MeshSizeFromPoints", 0)
+        gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 0)
+        gmsh.logger.start()
+        gmsh.model.add(name)
+        yield gmsh
+    except MantleError:
+        raise
+    except Exception as error:  # gmsh raises bare Exception with its last error line
+        log = "\n".join(f"  gmsh: {line}" for line in gmsh.logger.get()[-LOG_LINES:])
+        raise GeometryError(f"{name}: the mesh generator failed: {error}\n{log}") from error
+    finally:
+        gmsh.logger.stop()  # it would survive finalize() with the lines of this case
+        gmsh.finalize()
+
+
+def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> None:
+    """Elements of ``size`` where a distance vanishes, growing to ``far_size``.
+
+    Args:
+        gmsh: The open session.
+        distances: Expressions in x, y, z [mm], each the distance to an interface; none: uniform.
+        size: At the interfaces [mm].
+        far_size: Far from them [mm].
+    """
+    fields = []
+    for distance in distances or ["0"]:
+        tag = gmsh.model.mesh.field.add("MathEval")
+        slope = f"{size}+{GROWTH}*Fabs({distance})"
+        # MathEval has no minimum: min(a, b) = (a + b - |a - b|)/2
+        text = f"0.5*({slope}+{far_size}-Fabs({slope}-{far_size}))"
+        gmsh.model.mesh.field.setString(tag, "F", text)
+        fields.append(tag)
+    smallest = gmsh.model.mesh.field.add("Min")
+    gmsh.model.mesh.field.setNumbers(smallest, "FieldsList", fields)
+    gmsh.model.mesh.field.setAsBackgroundMesh(smallest)
+
+
+def generate(gmsh: Any, curved: bool = False) -> None:
+    """Mesh the model, improve the elements, and curve them when asked."""
+    gmsh.model.mesh.generate(3)
+    # Debian's gmsh has no Netgen optimiser.
+    gmsh.option.setNumber("Mesh.OptimizeThreshold", 0.4)
+    gmsh.model.mesh.optimize("")
+    gmsh.model.mesh.optimize("Relocate3D")
+    if curved:
+        gmsh.model.mesh.setOrder(2)
+        # setOrder alone leaves a few inverted elements next to strongly curved faces.
+        gmsh.model.mesh.optimize("HighOrderFastCurving")
+        gmsh.model.mesh.optimize("HighOrder")
+
+
+def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
+    """Read the tetrahedra of the model.
+
+    Returns:
+        Nodes (n, 3), cells (m, 4 or 10) and the volume entity of each cell (m,).
+    """
+    node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    number = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
+    number[node_tags.astype(np.int64)] = np.arange(len(node_tags))
+    cells, entities = [], []
+    for _, volume in gmsh.model.getEntities(3):
+        types, _, nodes = gmsh.model.mesh.getElements(3, volume)
+        for kind, connectivity in zip(types, nodes, strict=True):
+            if kind not in (4, 11):
+                raise GeometryError(f"element type {kind}: only tetrahedra can be used")
+            block = number[connectivity.astype(np.int64)].reshape(-1, 4 if kind == 4 else 10)
+            cells.append(block)
+            entities.append(np.full(len(block), volume, dtype=np.int64))
+    if not cells:
+        raise GeometryError("the mesh has no tetrahedra")
+    return coordinates.reshape(-1, 3), np.concatenate(cells), np.concatenate(entities)
