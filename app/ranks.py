@@ -147,6 +147,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     code = child.wait()
     relay.join(timeout=2.0)
     if received and (code < 0 or code == 1 or code > 128):
+        _tell("stopped before the state was saved")
         return 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has told.
     return 70 if code < 0 or code > 128 else code
