@@ -23,6 +23,8 @@ from app.errors import InputError
 Path = tuple[str | int, ...]
 MOST_NODES = 100_000
 DEEPEST = 50
+# Sorting key of what has no place in the file.
+LAST = (1 << 30, 0)
 
 
 @dataclass(frozen=True)
@@ -46,18 +48,13 @@ class CaseFile:
         name: The file as the user named it.
         data: Mappings, lists and scalars.
         places: Where each path stands: (line, column), counted from 1, or the override's key.
-        problems: Duplicate keys and other defects found while reading.
+        complaints: Defects found while reading, each with its sorting key, as lines.
     """
 
     name: str
     data: dict[str, Any] = field(default_factory=dict)
     places: dict[Path, tuple[int, int] | str] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-    duplicates: list[tuple[tuple[int, int], str]] = field(default_factory=list)
-
-    def line(self, problem: Problem) -> str:
-        """A problem as ``file:line:column: key.path: text``."""
-        return self._locate(problem)[1]
+    complaints: list[tuple[tuple[int, int], str]] = field(default_factory=list)
 
     def raise_all(self, problems: Sequence[Problem]) -> None:
         """Raise one error for all problems, in the order of the file.
@@ -65,10 +62,7 @@ class CaseFile:
         Raises:
             InputError: There is at least one problem, here or found while reading.
         """
-        lines = [self._locate(p) for p in [*self.problems, *problems]]
-        lines += [
-            (place, f"{self.name}:{place[0]}:{place[1]}: {text}") for place, text in self.duplicates
-        ]
+        lines = [*self.complaints, *(self._locate(p) for p in problems)]
         if lines:
             raise InputError(list(dict.fromkeys(text for _, text in sorted(lines))))
 
@@ -82,7 +76,7 @@ class CaseFile:
         key = path_text(problem.path)
         if isinstance(place, str):
             inner = "" if key == place else f"{key}: "
-            return (1 << 30, 0), f"--set {place}: {inner}{problem.text}"
+            return LAST, f"--set {place}: {inner}{problem.text}"
         start = f"{self.name}:{place[0]}:{place[1]}: "
         return place, start + (f"{key}: {problem.text}" if key else problem.text)
 
@@ -103,7 +97,7 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
         overrides: ``a.b.c=value`` each, the value in YAML.
 
     Raises:
-        InputError: The file cannot be read or is not YAML, or an override is malformed.
+        InputError: The file cannot be read or is not YAML.
     """
     case = CaseFile(str(path))
     text = _text(path)
@@ -117,14 +111,12 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
     except _BadYaml as error:
         line, column = error.place
         raise InputError([f"{path}:{line}:{column}: {error.text}"]) from error
-    errors = []
     for override in overrides:
         try:
             _override(case, override)
         except _BadYaml as error:
-            errors.append(f"--set {override.partition('=')[0]}: {error.text}")
-    if errors:
-        raise InputError(errors)
+            place = f"--set {override.partition('=')[0]}"
+            case.complaints.append((LAST, f"{place}: {error.text}"))
     return case
 
 
@@ -250,7 +242,8 @@ class _Builder:
                 text = f"{path_text((*path, key))}: this key stands here twice; keep one"
                 if isinstance(place, str):
                     raise _BadYaml(text)
-                self.case.duplicates.append((place, text))
+                line = f"{self.case.name}:{place[0]}:{place[1]}: {text}"
+                self.case.complaints.append((place, line))
                 continue
             self.case.places.setdefault((*path, key), place)
             result[key] = self.value(value_node, (*path, key))

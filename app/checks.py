@@ -18,12 +18,12 @@ from app.materials import Rigid
 
 @dataclass(frozen=True)
 class Parts:
-    """The sections of a case; None for an entry that is missing or invalid by itself."""
+    """The sections of a case; None for one that is missing or invalid by itself."""
 
     geometry: Any
     regions: Mapping[str, Any] | None
     interfaces: Mapping[str, Any]
-    supports: Mapping[str, Any]
+    supports: Mapping[str, Any] | None
     loads: Mapping[str, Any]
     stages: Any
 
@@ -65,7 +65,7 @@ def _names(parts: Parts) -> Iterable[Problem]:
     for name in parts.interfaces:
         if name not in geometry.interface_sides:
             yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
-    for section, entries in (("supports", parts.supports), ("loads", parts.loads)):
+    for section, entries in (("supports", parts.supports or {}), ("loads", parts.loads)):
         for name, entry in entries.items():
             boundary = getattr(entry, "boundary", None)
             if boundary is not None and boundary not in boundaries:
@@ -88,7 +88,7 @@ def _histories(parts: Parts) -> Iterable[Problem]:
             yield Problem(path, f"has {len(history)} values; expected {wanted}")
 
     for section in ("interfaces", "supports", "loads"):
-        for name, entry in getattr(parts, section).items():
+        for name, entry in (getattr(parts, section) or {}).items():
             for key in ("history", "gap_history"):
                 yield from check((section, name, key), getattr(entry, key, None))
     for name, region in (parts.regions or {}).items():
@@ -131,7 +131,7 @@ def _rigid(parts: Parts) -> Iterable[Problem]:
 
 def _held(parts: Parts) -> Iterable[Problem]:
     """Directions in which nothing keeps the whole model from moving."""
-    if any(support is None for support in parts.supports.values()):
+    if parts.supports is None or any(support is None for support in parts.supports.values()):
         return
     held = {axis for support in parts.supports.values() for axis in support.held_axes}
     if free := [axis for axis in "xyz" if axis not in held]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, ValidationInfo, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, ValidationInfo, model_validator
 
 from app import expressions
 from app.fields import ITEMS, Kinds, Model, Name, Word, fail, show
@@ -15,11 +15,11 @@ from app.units import (
     ForceDensityVector,
     ForceVector,
     Length,
-    Length3,
     NonNegativeNumber,
     PositiveStiffness,
     Stiffness,
     Stress,
+    Triple,
     spread_unit,
 )
 
@@ -161,12 +161,6 @@ class Displacement(Model):
         return "".join(axis for axis in "xyz" if getattr(self, axis) is not None)
 
 
-def _stiffness(value: object) -> object:
-    """A single stiffness is the same along all axes."""
-    value = spread_unit(value)
-    return value if isinstance(value, list | tuple) else (value, value, value)
-
-
 class Foundation(Model):
     """Springs to the ground spread over a boundary."""
 
@@ -175,8 +169,7 @@ class Foundation(Model):
     """Boundary of the geometry."""
     stiffness: Annotated[
         tuple[Stiffness, Stiffness, Stiffness],
-        BeforeValidator(Length3("[100 MPa/mm, 100 MPa/mm, 0 MPa/mm]")),
-        BeforeValidator(_stiffness),
+        Triple("[100 MPa/mm, 100 MPa/mm, 0 MPa/mm]", scalar=True),
     ]
     """Traction per displacement along x, y, z; a single value is the same along all."""
 
@@ -209,17 +202,8 @@ def _point(value: object, info: ValidationInfo) -> object:
 
 Point = Annotated[
     tuple[Length, Length, Length],
-    BeforeValidator(Length3("[0 mm, 0 mm, 50 mm]")),
+    Triple("[0 mm, 0 mm, 50 mm]"),
     BeforeValidator(_point),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "string", "description": "'head_centre', or '[0, 0, 50] mm'"},
-                {"type": "array", "items": {"type": "string"}, "minItems": 3, "maxItems": 3},
-            ]
-        },
-        mode="validation",
-    ),
 ]
 
 

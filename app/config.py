@@ -45,6 +45,7 @@ from app.geometries import (
     MeshFile,
     MeshOptions,
 )
+from app.json_schema import json_schema
 from app.materials import Eigenstrain, Isotropic, Region, Rigid, TransverselyIsotropic
 from app.units import NonNegativeInteger, PositiveInteger, PositiveNumber
 
@@ -227,7 +228,7 @@ def dump(case: Case) -> str:
 
 def schema() -> dict[str, Any]:
     """JSON schema of a case file, for editors."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Case.model_json_schema()}
+    return json_schema(Case)
 
 
 def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
@@ -244,7 +245,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
 
     def table(key: str, kind: Any) -> dict[str, Any]:
         values = data.get(key, {})
-        if not isinstance(values, dict):
+        if not _is_table(values):
             return {}
         adapter = TypeAdapter(kind)
         result = {}
@@ -261,14 +262,18 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
     return checks.Parts(
         geometry=geometry,
-        regions=table("regions", Region) if "regions" in data else None,
+        regions=table("regions", Region) if _is_table(data.get("regions")) else None,
         interfaces=table("interfaces", Interface),
-        supports=table("supports", Support),
+        supports=table("supports", Support) if _is_table(data.get("supports", {})) else None,
         loads=table("loads", Load),
         stages=part(Case.model_fields["stages"].annotation, data["stages"])
         if "stages" in data
         else default,
     )
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, dict)
 
 
 def _problems(error: ValidationError, data: dict[str, Any]) -> list[Problem]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -85,7 +86,9 @@ def exact_size(case: Case, data: MeshData) -> str:
     lines = [_size("size", len(data.cells), nodes, jumps)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {_count(np.count_nonzero(data.cell_tags == tag))} cells")
-    lines += [f"  {name.replace('_', ' ')}: {_plain(note)}" for name, note in data.notes.items()]
+    for name, note in data.notes.items():
+        text = f"{name.replace('_', ' ')}: {_plain(note)}"
+        lines += textwrap.wrap(text, 98, initial_indent="  ", subsequent_indent="    ")
     return "\n".join(lines)
 
 

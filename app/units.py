@@ -16,7 +16,7 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from app.fields import did_you_mean, fail, show
@@ -169,6 +169,10 @@ class Dimension:
 
     def write(self, value: float) -> str:
         """The value as text that reads back to the same float."""
+        if self.unit == "rad":
+            degrees = f"{round(math.degrees(value), 9)!r} deg"
+            if self.read(degrees) == value:
+                return degrees
         return f"{value!r} {self.unit}"
 
     def __get_pydantic_core_schema__(
@@ -252,43 +256,59 @@ def spread_unit(value: object) -> object:
 
 
 @dataclass(frozen=True)
-class Length3:
-    """Checks, before its entries are read, that a value is a list of exactly three."""
+class Triple:
+    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
+
+    Attributes:
+        example: A value as a user would write it.
+        scalar: Whether a single value stands for three equal ones.
+    """
 
     example: str
+    scalar: bool = False
 
-    def __call__(self, value: object) -> object:
-        """The list itself.
+    def spread(self, value: object) -> object:
+        """The three entries, unread.
 
         Raises:
             PydanticCustomError: Not a list, or not of three entries.
         """
         value = spread_unit(value)
         if not isinstance(value, list | tuple):
+            if self.scalar and value is not None and not isinstance(value, dict):
+                return (value, value, value)
             fail(f"{show(value)} is not a list of three values; expected e.g. {self.example}")
         if len(value) != 3:
             fail(f"has {len(value)} values; expected three, e.g. {self.example}")
         return value
 
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Spread before the entries are read."""
+        return core_schema.no_info_before_validator_function(self.spread, handler(source))
 
-def triple(example: str) -> BeforeValidator:
-    """The validator of a vector field; `example` is a value as a user would write it."""
-    return BeforeValidator(Length3(example))
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """A list, or text where the entries are text."""
+        result = handler(schema)
+        if result.get("prefixItems", [{}])[0].get("type") != "string":
+            return result
+        return {"anyOf": [result, {"type": "string", "examples": [self.example]}]}
 
 
 _length = ("mm", "length", "4 mm")
-_stress = ("MPa", "stress", "110 GPa")
+_stiffness = ("MPa/mm", "stiffness per area", "100 MPa/mm")
 
 Length = Annotated[float, Dimension(*_length)]
 PositiveLength = Annotated[float, Dimension(*_length, above=0.0)]
 NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0)]
 Angle = Annotated[float, Dimension("rad", "angle", "1.5 deg")]
 Stress = Annotated[float, Dimension("MPa", "pressure", "2 MPa")]
-Modulus = Annotated[float, Dimension(*_stress)]
-Stiffness = Annotated[float, Dimension("MPa/mm", "stiffness per area", "100 MPa/mm", at_least=0.0)]
-PositiveStiffness = Annotated[
-    float, Dimension("MPa/mm", "stiffness per area", "100 MPa/mm", above=0.0)
-]
+Modulus = Annotated[float, Dimension("MPa", "stress", "110 GPa")]
+Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
+PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
 Newton = Annotated[float, Dimension("N", "force", "1800 N")]
 ForceDensity = Annotated[float, Dimension("N/mm^3", "force per volume", "1e-5 N/mm^3")]
 
@@ -298,11 +318,11 @@ NonNegativeNumber = Annotated[float, Plain(at_least=0.0)]
 PositiveInteger = Annotated[int, Plain(integer=True, at_least=1)]
 NonNegativeInteger = Annotated[int, Plain(integer=True, at_least=0)]
 
-ForceVector = Annotated[tuple[Newton, Newton, Newton], triple("[0 N, 0 N, -1800 N]")]
+ForceVector = Annotated[tuple[Newton, Newton, Newton], Triple("[0 N, 0 N, -1800 N]")]
 ForceDensityVector = Annotated[
-    tuple[ForceDensity, ForceDensity, ForceDensity], triple("[0 N/mm^3, 0 N/mm^3, -1e-5 N/mm^3]")
+    tuple[ForceDensity, ForceDensity, ForceDensity], Triple("[0 N/mm^3, 0 N/mm^3, -1e-5 N/mm^3]")
 ]
 SizeVector = Annotated[
-    tuple[PositiveLength, PositiveLength, PositiveLength], triple("[10 mm, 10 mm, 5 mm]")
+    tuple[PositiveLength, PositiveLength, PositiveLength], Triple("[10 mm, 10 mm, 5 mm]")
 ]
-Direction = Annotated[tuple[Number, Number, Number], triple("[0, 0, 1]")]
+Direction = Annotated[tuple[Number, Number, Number], Triple("[0, 0, 1]")]

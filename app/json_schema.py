@@ -1,0 +1,35 @@
+"""The JSON schema of a case file, as editors use it for completion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import core_schema
+
+
+class _Generator(GenerateJsonSchema):
+    """Shows defaults with their units, and asks for `kind` where it is needed."""
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        """Write a default like a value."""
+        writer: Any = schema["schema"].get("serialization", {})
+        default = schema.get("default")
+        if default is not None and writer.get("type") == "function-plain":
+            schema = {**schema, "default": writer["function"](default)}
+        return super().default_schema(schema)
+
+    def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
+        """Require the `kind` of every class but the one that may leave it out."""
+        result = super().model_schema(schema)
+        kind = result.get("properties", {}).get("kind")
+        if kind and kind.get("const") != "isotropic":
+            result["required"] = ["kind", *result.get("required", [])]
+        return result
+
+
+def json_schema(model: type[BaseModel]) -> dict[str, Any]:
+    """The schema of a model's YAML form."""
+    generated = model.model_json_schema(schema_generator=_Generator)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **generated}
