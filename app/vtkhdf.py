@@ -1,0 +1,326 @@
+"""Fields in time on a mesh that does not move, in one VTKHDF file.
+
+VTKHDF is the HDF5 format of ParaView and VTK (``UnstructuredGrid``, version 2.0, VTK 9.3 or later):
+the geometry and constant cell data are stored once, and every step adds its rows to each field.
+Format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
+
+Rank 0 writes alone what it gathers, one array at a time. Collective HDF5 would save that copy, but
+on a full disk its ranks wait for each other for ever, and serial HDF5 that has met a write error
+crashes at exit. So the room for an array is reserved first, where a full disk is an ordinary
+``OSError``, and the file is open only while an array is written: a killed run leaves it readable.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from mpi4py import MPI  # before h5py, which may be built for MPI
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+from dolfinx import cpp, fem
+from dolfinx.mesh import CellType, Mesh
+
+Array = npt.NDArray[Any]
+
+TRIANGLE = 5
+"""VTK's number of the triangle with three nodes."""
+_VTK_CELLS = {
+    (CellType.triangle, 1): TRIANGLE,
+    (CellType.triangle, 2): 22,
+    (CellType.tetrahedron, 1): 10,
+    (CellType.tetrahedron, 2): 24,
+}
+# Bytes of HDF5's own beside an array's: 168 kB measured for the first offsets of 50 fields.
+_METADATA = 1 << 20
+
+
+class GridFile:
+    """One grid and its fields in time, from the arrays of each rank.
+
+    A rank without points or cells gives empty arrays of the same type and components as the others.
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        path: Path,
+        points: Array,
+        cells: Array,
+        cell_type: int,
+        cell_data: Mapping[str, Array],
+        ghosts: npt.ArrayLike = (),
+    ) -> None:
+        """Write the geometry to a new file (collective).
+
+        Args:
+            comm: The ranks that share the grid.
+            path: The file, replaced if it exists.
+            points: Coordinates of this rank's own points, shape (n, 3), in mm.
+            cells: This rank's own cells, shape (m, nodes per cell), in VTK's node order. A number
+                i < n is one of this rank's points, and n + i is ``ghosts[i]``.
+            cell_type: VTK's number of the cell type.
+            cell_data: Constant values in this rank's own cells, shape (m,) or (m, components).
+            ghosts: Global numbers of points that other ranks own; the points of all ranks are
+                numbered in the order of the ranks, as by ``dolfinx.common.IndexMap``.
+
+        Raises:
+            OSError: The file cannot be written (on every rank).
+        """
+        self.comm = comm
+        self.path = path
+        self.steps = 0
+        self._constant = frozenset(cell_data)
+        self._names: tuple[frozenset[str], frozenset[str]] | None = None
+        counts = comm.allgather(len(points))
+        self._points, self._cells = sum(counts), comm.allreduce(len(cells))
+        first = sum(counts[: comm.rank])
+        number = np.concatenate([first + np.arange(len(points)), np.asarray(ghosts, np.int64)])
+        shape = self._points, self._cells, cells.shape[1]
+        self._on_root(lambda: _create(path, *shape, cell_type))
+        self._append("Points", np.asarray(points, np.float64), self._points)
+        self._append("Connectivity", number[cells].ravel(), self._cells * cells.shape[1])
+        for name, values in cell_data.items():
+            self._append(f"CellData/{name}", values, self._cells)
+
+    def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
+        """Add one step (collective); the file is complete and closed when this returns.
+
+        After an error the file still holds the steps before, and the step may be tried again.
+
+        Args:
+            time: Time of the step in s, later than the last.
+            point: Values at this rank's own points, shape (n,) or (n, components).
+            cell: Values in this rank's own cells, shape (m,) or (m, components). VTK takes nine
+                components as a tensor by rows, and six as xx, yy, zz, xy, yz, xz.
+
+        Raises:
+            OSError: The file cannot be written (on every rank).
+            ValueError: Names, components or numbers of rows are not those of the first step.
+        """
+        names = frozenset(point), frozenset(cell)
+        if self._names not in (None, names) or not self._constant.isdisjoint(cell):
+            raise ValueError(f"{self.path}: every step writes the same fields, once: not {names}")
+        for name, values in point.items():
+            self._append(f"PointData/{name}", values, self._points)
+        for name, values in cell.items():
+            self._append(f"CellData/{name}", values, self._cells)
+        offsets = {f"PointDataOffsets/{name}": self.steps * self._points for name in point}
+        offsets |= {f"CellDataOffsets/{name}": self.steps * self._cells for name in cell}
+        offsets |= {f"CellDataOffsets/{name}": 0 for name in self._constant}
+        self._on_root(lambda: _commit(self.path, self.steps, time, offsets))
+        self._names = names
+        self.steps += 1
+
+    def _append(self, name: str, values: Array, rows: int) -> None:
+        """Gather the rows of one array and write them as those of the current step."""
+        values = np.ascontiguousarray(values)
+        counts = self.comm.gather(values.size)
+        received: list[Any] | None = None
+        if counts is not None:
+            width = int(np.prod(values.shape[1:], dtype=int))
+            received = [np.empty((sum(counts) // width, *values.shape[1:]), values.dtype), counts]
+        self.comm.Gatherv(values, received)
+
+        def write() -> None:
+            assert received is not None  # on rank 0
+            if len(received[0]) != rows:
+                raise ValueError(f"{self.path}: {name}: {len(received[0])} rows instead of {rows}")
+            with _edit(self.path, received[0].nbytes) as root:
+                _put(root, name, received[0], self.steps * rows, chunk=rows)
+
+        self._on_root(write)
+
+    def _on_root(self, action: Callable[[], None]) -> None:
+        """Do something on rank 0; its error is raised on every rank."""
+        error = None
+        if self.comm.rank == 0:
+            try:
+                action()
+            except Exception as caught:  # of any kind: the other ranks wait
+                error = caught
+        error = self.comm.bcast(error)
+        if error is not None:
+            raise error
+
+
+class FieldFile:
+    """Lagrange fields and cellwise constants of a mesh in time."""
+
+    def __init__(self, path: Path, mesh: Mesh, order: int, cell_data: Mapping[str, Array]) -> None:
+        """Write the geometry: the nodes of the Lagrange space of an order (collective).
+
+        Args:
+            path: The file, replaced if it exists.
+            mesh: Triangles or tetrahedra.
+            order: Order of the Lagrange space, 1 or 2.
+            cell_data: Constant values in this rank's cells, those of ghosts (last) being ignored.
+
+        Raises:
+            OSError: The file cannot be written (on every rank).
+        """
+        space = fem.functionspace(mesh, ("Lagrange", order))
+        index_map = space.dofmap.index_map
+        cell_type = mesh.topology.cell_type
+        self._dofs = space.dofmap.list
+        self._points = index_map.size_local
+        self._cells = mesh.topology.index_map(mesh.topology.dim).size_local
+        to_vtk = np.argsort(cpp.io.perm_vtk(cell_type, self._dofs.shape[1]))
+        self._file = GridFile(
+            mesh.comm,
+            path,
+            space.tabulate_dof_coordinates()[: self._points],
+            self._dofs[: self._cells, to_vtk],
+            _VTK_CELLS[cell_type, order],
+            {name: values[: self._cells] for name, values in cell_data.items()},
+            index_map.ghosts,
+        )
+
+    def write(
+        self,
+        time: float,
+        point: Mapping[str, fem.Function],
+        cell: Mapping[str, fem.Function | Array],
+    ) -> None:
+        """Add one step (collective); see `GridFile.write`.
+
+        Args:
+            time: Time of the step in s, later than the last.
+            point: Functions in Lagrange spaces (scalar, vector, tensor) of the file's order.
+            cell: Piecewise constant functions (scalar, vector, tensor), or values in this rank's
+                cells, shape (m,) or (m, components).
+
+        Raises:
+            OSError: The file cannot be written (on every rank).
+            ValueError: A function is not of such a space, or the fields differ from the first
+                step's.
+        """
+        self._file.write(
+            time,
+            {name: self._nodal(name, values) for name, values in point.items()},
+            {name: self._cellwise(name, values) for name, values in cell.items()},
+        )
+
+    def close(self) -> None:
+        """Nothing to do: the file is closed between the steps."""
+
+    def __enter__(self) -> FieldFile:
+        """Return the file."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file."""
+        self.close()
+
+    def _nodal(self, name: str, function: fem.Function) -> Array:
+        """Values of a function at this rank's own points."""
+        dofmap = function.function_space.dofmap
+        # All spaces of one element on one mesh number their nodes alike: no search for the nodes.
+        if not np.array_equal(dofmap.list, self._dofs):
+            raise ValueError(f"{name}: not a Lagrange function of the order of {self._file.path}")
+        return _components(function, function.x.array.reshape(-1, dofmap.bs)[: self._points])
+
+    def _cellwise(self, name: str, values: fem.Function | Array) -> Array:
+        """Values in this rank's own cells."""
+        if not isinstance(values, fem.Function):
+            return values[: self._cells]
+        dofmap = values.function_space.dofmap
+        if dofmap.list.shape[1] != 1:
+            raise ValueError(f"{name}: not constant in each cell")
+        dofs = dofmap.list[: self._cells, 0]
+        return _components(values, values.x.array.reshape(-1, dofmap.bs)[dofs])
+
+
+def _components(function: fem.Function, values: Array) -> Array:
+    """One number, three or nine for scalars, vectors and tensors: in the plane, with zeros."""
+    shape = function.function_space.value_shape
+    padding = [(0, 1 if size == 2 else 0) for size in shape]
+    padded = np.pad(values.reshape(-1, *shape), [(0, 0), *padding])
+    return padded.reshape(len(padded), -1) if shape else padded
+
+
+def _create(path: Path, points: int, cells: int, nodes: int, cell_type: int) -> None:
+    """Make the file with everything that does not come from other ranks."""
+    with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
+        root = file.create_group("VTKHDF")
+        root.attrs["Version"] = (2, 0)
+        root.attrs["Type"] = np.bytes_("UnstructuredGrid")
+        root["NumberOfPoints"] = np.array([points])
+        root["NumberOfCells"] = np.array([cells])
+        root["NumberOfConnectivityIds"] = np.array([nodes * cells])
+        root["Offsets"] = nodes * np.arange(cells + 1)
+        root["Types"] = np.full(cells, cell_type, np.uint8)
+        for name in ("PointData", "CellData"):
+            root.create_group(name)
+            root.create_group(f"Steps/{name}Offsets")
+        root["Steps"].attrs["NSteps"] = 0
+        file.flush()
+        path.write_bytes(file.id.get_file_image())
+
+
+def _commit(path: Path, step: int, time: float, offsets: Mapping[str, int]) -> None:
+    """Tell readers of a step, after its values."""
+    rows: dict[str, Array] = {"Values": np.array([float(time)]), "NumberOfParts": np.array([1])}
+    rows |= {name: np.array([0]) for name in ("PartOffsets", "PointOffsets")}
+    rows |= {name: np.array([[0]]) for name in ("CellOffsets", "ConnectivityIdOffsets")}
+    rows |= {name: np.array([offset]) for name, offset in offsets.items()}
+    with _edit(path, 0) as root:
+        for name, values in rows.items():
+            _put(root, f"Steps/{name}", values, step, chunk=64)
+        root.file.flush()
+        root["Steps"].attrs.modify("NSteps", step + 1)
+
+
+def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> None:
+    """Write rows of a dataset from a row on, making or enlarging it."""
+    if name not in root:
+        shape = values.shape[1:]
+        chunks = (max(chunk, 1), *shape)
+        root.create_dataset(name, (0, *shape), values.dtype, maxshape=(None, *shape), chunks=chunks)
+    data = root[name]
+    if data.shape[1:] != values.shape[1:]:
+        raise ValueError(f"{name}: components {values.shape[1:]} instead of {data.shape[1:]}")
+    data.resize(start + len(values), axis=0)
+    data[start:] = values
+
+
+@contextmanager
+def _edit(path: Path, size: int) -> Iterator[h5py.Group]:
+    """Open the file to add an array of a size in bytes.
+
+    Raises:
+        OSError: There is no room, or the file cannot be written.
+    """
+    with path.open("r+b") as plain:
+        end = plain.seek(0, os.SEEK_END)
+        try:
+            os.posix_fallocate(plain.fileno(), end, size + _METADATA)
+        except OSError as error:
+            plain.truncate(end)
+            raise OSError(error.errno, error.strerror, str(path)) from error
+    # No lock: a reader that has the file open must not stop the run. No cache: an error comes where
+    # the values are written. Closing cuts off the room that is left.
+    file = h5py.File(path, "r+", locking=False, rdcc_nbytes=0)
+    try:
+        yield file["VTKHDF"]
+        file.flush()
+    except (OSError, RuntimeError) as error:
+        # HDF5 crashes later over what it cannot write: let it end in memory.
+        with open(os.memfd_create(path.name), "wb") as memory:
+            os.dup2(memory.fileno(), file.id.get_vfd_handle())
+        code = getattr(error, "errno", None) or errno.EIO
+        raise OSError(code, os.strerror(code), str(path)) from error
+    finally:
+        file.close()

@@ -1,0 +1,282 @@
+"""The field file: what is read back is what was written, whatever happens to the run."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import h5py
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+
+from app import ranks as mpi
+from app import vtkhdf
+
+ROOT = Path(__file__).parents[2]
+STEPS = 3
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of VTK's quadratic tetrahedron
+
+
+def displacement(x, step):
+    return (step + 1.0) * np.array([x[0] ** 2, x[1] * x[2], x[0] - x[1]])
+
+
+def temperature(x, step):
+    return step + x[0] * x[1]
+
+
+def stress(x, step):
+    return np.array([(i + 1) * x[i % 3] + step for i in range(9)])
+
+
+def write_cube(path, order):
+    order = int(order)
+    cube = mesh.create_unit_cube(MPI.COMM_WORLD, 3, 2, 2)
+    cells = cube.topology.index_map(3).size_local + cube.topology.index_map(3).num_ghosts
+    middle = mesh.compute_midpoints(cube, 3, np.arange(cells, dtype=np.int32))
+    elements = [("Lagrange", order, (3,)), ("Lagrange", order), ("DG", 0, (3, 3))]
+    u, t, s = (fem.Function(fem.functionspace(cube, element)) for element in elements)
+    region = (middle[:, 2] > 0.5).astype(np.int32)
+    with vtkhdf.FieldFile(path, cube, order, {"region": region}) as file:
+        for step in range(STEPS):
+            u.interpolate(lambda x, k=step: displacement(x, k))
+            t.interpolate(lambda x, k=step: temperature(x, k))
+            s.interpolate(lambda x, k=step: stress(x, k))
+            point = {"displacement": u, "temperature": t}
+            file.write(0.5 * step, point, {"stress": s, "height": middle[:, 2] + step})
+
+
+def strip(path):
+    """Triangles on [0, ranks] x [0, 2]: a rank owns the nodes to the right of its column."""
+    comm = MPI.COMM_WORLD
+    columns = [0, 1] if comm.rank == 0 else [comm.rank + 1]
+    points = np.array([[x, y, 0.0] for x in columns for y in range(3)])
+    left, right, ghosts = (0, 3, []) if comm.rank == 0 else (3, 0, 3 * comm.rank + np.arange(3))
+    quads = [(left + i, right + i, right + i + 1, left + i + 1) for i in range(2)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    file = vtkhdf.GridFile(comm, path, points, triangles, vtkhdf.TRIANGLE, {}, ghosts)
+    return file, points
+
+
+def write_strip(path):
+    file, points = strip(path)
+    for step in range(STEPS):
+        file.write(step, {"gap": points[:, 0] + step, "slip": points * step}, {})
+
+
+def die_in_the_third_step(path):
+    file, points = strip(path)
+    for step in range(2):
+        file.write(step, {"gap": points[:, 0] + step, "slip": points * step}, {})
+    vtkhdf._commit = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+    file.write(2, {"gap": points[:, 0] + 2, "slip": points * 2}, {})
+
+
+def fill_the_disk(path, reserve):
+    """A limit on the size of a file stands in for a full disk: the same calls fail."""
+    file, points = strip(path)
+    values = np.repeat(points[:, 0], 3000).reshape(-1, 3000)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if reserve == "no":  # as on a file system that promises room it does not have
+        make_memory = os.memfd_create
+        os.posix_fallocate = lambda *_: None
+        # The limit holds for files in memory too, a full disk does not.
+        os.memfd_create = lambda name: (
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits) or make_memory(name)
+        )
+    if MPI.COMM_WORLD.rank == 0:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, limits[1]))
+    steps = 0
+    try:
+        while steps < 100:
+            file.write(steps, {"values": values + steps}, {})
+            steps += 1
+    except OSError as error:
+        assert error.errno == errno.EFBIG and str(path) in str(error), error
+    assert 0 < steps < 100
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    MPI.COMM_WORLD.barrier()
+    file.write(steps, {"values": values + steps}, {})
+    assert file.steps == steps + 1
+
+
+def in_ranks(ranks, function, *arguments):
+    """Call a function of this file in a number of ranks; returns the exit code."""
+    command = [sys.executable, __file__, function, *map(str, arguments)]
+    if ranks > 1:
+        command = ["mpirun", "-n", str(ranks), *command]
+    environment = {**mpi.environment(), "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    sys.stdout.write(done.stdout + done.stderr)
+    return done.returncode
+
+
+@pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.parallel)], ids=["serial", "2 ranks"])
+def ranks(request):
+    return request.param
+
+
+def rows(root, kind, name, step):
+    """The rows of a field at a step, as a reader finds them."""
+    start = root[f"Steps/{kind}Offsets/{name}"][step]
+    count = root["NumberOfPoints" if kind == "PointData" else "NumberOfCells"][0]
+    return root[f"{kind}/{name}"][start : start + count]
+
+
+def offsets_are_zero(root):
+    steps = root["Steps"]
+    assert (steps["NumberOfParts"][:] == 1).all()
+    for name in ("PartOffsets", "PointOffsets", "CellOffsets", "ConnectivityIdOffsets"):
+        assert not steps[name][:].any() and len(steps[name]) == steps.attrs["NSteps"]
+    assert steps["CellOffsets"].ndim == steps["ConnectivityIdOffsets"].ndim == 2
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_all_steps_read_back(tmp_path, ranks, order):
+    path = tmp_path / "fields.vtkhdf"
+    assert in_ranks(ranks, "write_cube", path, order) == 0
+    with h5py.File(path) as file:
+        root = file["VTKHDF"]
+        assert tuple(root.attrs["Version"]) == (2, 0)
+        assert root.attrs["Type"] == b"UnstructuredGrid"
+        nodes = {1: 4, 2: 10}[order]
+        points = root["Points"][:]
+        cells = root["Connectivity"][:].reshape(-1, nodes)
+        assert (
+            root["NumberOfPoints"][:] == [len(points)] == [(3 * order + 1) * (2 * order + 1) ** 2]
+        )
+        assert root["NumberOfCells"][:] == [len(cells)] == [6 * 12]
+        assert root["NumberOfConnectivityIds"][:] == [cells.size]
+        assert (root["Offsets"][:] == nodes * np.arange(len(cells) + 1)).all()
+        assert root["Types"].dtype == np.uint8 and set(root["Types"][:]) == {
+            10 if order == 1 else 24
+        }
+        assert len(np.unique(points.round(9), axis=0)) == len(points)
+        corners = points[cells[:, :4]]
+        volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+        assert np.isclose(np.abs(volumes).sum(), 1)
+        for column, edge in zip(range(4, nodes), EDGES, strict=False):
+            assert np.allclose(points[cells[:, column]], corners[:, edge].mean(axis=1))
+        assert root["Steps"].attrs["NSteps"] == STEPS
+        assert (root["Steps/Values"][:] == 0.5 * np.arange(STEPS)).all()
+        offsets_are_zero(root)
+        middle = corners.mean(axis=1)
+        assert len(root["CellData/region"]) == len(cells)
+        for step in range(STEPS):
+            u = rows(root, "PointData", "displacement", step)
+            assert (u == displacement(points.T, step).T).all()
+            t = rows(root, "PointData", "temperature", step)
+            assert (t == temperature(points.T, step)).all()
+            assert np.allclose(rows(root, "CellData", "stress", step), stress(middle.T, step).T)
+            assert np.allclose(rows(root, "CellData", "height", step), middle[:, 2] + step)
+            assert (rows(root, "CellData", "region", step) == (middle[:, 2] > 0.5)).all()
+
+
+def test_surface_of_arrays(tmp_path, ranks):
+    path = tmp_path / "surface.vtkhdf"
+    assert in_ranks(ranks, "write_strip", path) == 0
+    with h5py.File(path) as file:
+        root = file["VTKHDF"]
+        points, cells = root["Points"][:], root["Connectivity"][:].reshape(-1, 3)
+        a, b, c = (points[cells[:, i]] for i in range(3))
+        assert np.isclose(np.cross(b - a, c - a)[:, 2].sum() / 2, 2 * ranks)
+        for step in range(STEPS):
+            assert (rows(root, "PointData", "gap", step) == points[:, 0] + step).all()
+            assert (rows(root, "PointData", "slip", step) == points * step).all()
+
+
+def test_killed_run_leaves_the_finished_steps(tmp_path, ranks):
+    path = tmp_path / "killed.vtkhdf"
+    assert in_ranks(ranks, "die_in_the_third_step", path) != 0
+    with h5py.File(path) as file:
+        root = file["VTKHDF"]
+        assert root["Steps"].attrs["NSteps"] == 2
+        offsets_are_zero(root)
+        for step in range(2):
+            assert (rows(root, "PointData", "gap", step) == root["Points"][:, 0] + step).all()
+            assert (rows(root, "PointData", "slip", step) == root["Points"][:] * step).all()
+
+
+@pytest.mark.parametrize("reserve", ["yes", "no"])
+def test_full_disk_is_an_error_on_every_rank_and_can_be_mended(tmp_path, ranks, reserve):
+    path = tmp_path / "full.vtkhdf"
+    assert in_ranks(ranks, "fill_the_disk", path, reserve) == 0
+    with h5py.File(path) as file:
+        root = file["VTKHDF"]
+        for step in range(root["Steps"].attrs["NSteps"]):
+            x = root["Points"][:, :1]
+            assert (rows(root, "PointData", "values", step) == x + step).all()
+
+
+def test_unwritable_path_is_an_os_error(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        write_strip(tmp_path / "no folder" / "surface.vtkhdf")
+
+
+def test_plane_vectors_and_tensors_get_zeros(tmp_path):
+    square = mesh.create_unit_square(MPI.COMM_WORLD, 2, 2)
+    u = fem.Function(fem.functionspace(square, ("Lagrange", 2, (2,))))
+    s = fem.Function(fem.functionspace(square, ("DG", 0, (2, 2))))
+    u.interpolate(lambda x: x[:2])
+    s.interpolate(lambda x: np.array([x[0] * 0 + i for i in (1, 2, 3, 4)]))
+    with vtkhdf.FieldFile(tmp_path / "plane.vtkhdf", square, 2, {}) as file:
+        file.write(0.0, {"u": u}, {"s": s})
+    with h5py.File(tmp_path / "plane.vtkhdf") as hdf5:
+        root = hdf5["VTKHDF"]
+        assert set(root["Types"][:]) == {22}
+        assert np.allclose(root["PointData/u"][:], root["Points"][:])
+        assert (root["CellData/s"][:] == [1, 2, 0, 3, 4, 0, 0, 0, 0]).all()
+
+
+def test_wrong_fields_are_refused(tmp_path):
+    cube = mesh.create_unit_cube(MPI.COMM_WORLD, 1, 1, 1)
+    linear = fem.Function(fem.functionspace(cube, ("Lagrange", 1)))
+    vector = fem.Function(fem.functionspace(cube, ("Lagrange", 1, (3,))))
+    quadratic = fem.Function(fem.functionspace(cube, ("Lagrange", 2)))
+    file = vtkhdf.FieldFile(tmp_path / "fields.vtkhdf", cube, 1, {"region": np.zeros(6)})
+    with pytest.raises(ValueError, match="u: not a Lagrange function of the order"):
+        file.write(0.0, {"u": quadratic}, {})
+    with pytest.raises(ValueError, match="s: not constant in each cell"):
+        file.write(0.0, {}, {"s": linear})
+    with pytest.raises(ValueError, match="5 rows instead of 6"):
+        file.write(0.0, {}, {"s": np.zeros(5)})
+    with pytest.raises(ValueError, match="every step writes the same fields, once"):
+        file.write(0.0, {}, {"region": np.zeros(6)})
+    file.write(0.0, {"u": linear}, {})
+    with pytest.raises(ValueError, match="every step writes the same fields"):
+        file.write(1.0, {"w": linear}, {})
+    with pytest.raises(ValueError, match="PointData/u: components"):
+        file.write(1.0, {"u": vector}, {})
+    file.write(1.0, {"u": linear}, {})
+    with h5py.File(tmp_path / "fields.vtkhdf") as hdf5:
+        assert hdf5["VTKHDF/Steps"].attrs["NSteps"] == 2
+
+
+def test_vtk_reads_all_steps(tmp_path):
+    vtk = pytest.importorskip("vtk")
+    from vtk.util.numpy_support import vtk_to_numpy
+
+    write_cube(tmp_path / "fields.vtkhdf", 2)
+    reader = vtk.vtkHDFReader()
+    reader.SetFileName(str(tmp_path / "fields.vtkhdf"))
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == STEPS
+    for step in range(STEPS):
+        reader.UpdateTimeStep(0.5 * step)
+        grid = reader.GetOutputDataObject(0)
+        points = vtk_to_numpy(grid.GetPoints().GetData())
+        u = vtk_to_numpy(grid.GetPointData().GetArray("displacement"))
+        assert grid.GetCellType(0) == 24 and grid.GetCellData().GetArray("region") is not None
+        assert (u == displacement(points.T, step).T).all()
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](Path(sys.argv[2]), *sys.argv[3:])
