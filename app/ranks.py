@@ -156,8 +156,8 @@ def launch(ranks: int, command: Sequence[str]) -> int:
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:
     """Copy what the ranks and mpirun say, less the banners that repeat the application's own words.
 
-    mpirun explains over ten lines that a rank left with a code; the application has said why in one.
-    What it says about crashes stays.
+    mpirun takes ten lines to say that a rank left with a code; the application has said why in one.
+    What mpirun says about crashes stays.
 
     Args:
         source: Standard error of mpirun, read to its end.
@@ -208,36 +208,3 @@ def _write(target: IO[bytes], text: bytes) -> None:
 
 def _tell(message: str) -> None:
     _write(sys.stderr.buffer, f"mantle: {message}\n".encode())
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Run the application on the ranks that ``-n`` asks for.
-
-    Args:
-        arguments: Command line of the application, with or without ``-n N``.
-
-    Returns:
-        The exit code; does not return where this process becomes the application itself.
-    """
-    try:
-        ranks, rest = split(arguments)
-    except InputError as error:
-        _tell(str(error))
-        return error.exit_code
-    command = [sys.executable, "-m", "app", *rest]
-    size = world_size()
-    if size is not None:
-        first = os.environ.get("OMPI_COMM_WORLD_RANK", os.environ.get("SLURM_PROCID", "0")) == "0"
-        if ranks not in (None, size) and first:
-            _tell(f"-n {ranks} is ignored: this is already a job of {size or 'some'} ranks")
-    elif ranks is not None and ranks > 1:
-        try:
-            return launch(ranks, command)
-        except EnvironmentProblem as error:
-            _tell(str(error))
-            return error.exit_code
-    os.execv(sys.executable, command)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

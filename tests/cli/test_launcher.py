@@ -1,0 +1,246 @@
+"""The launcher: usage, set-up that is interrupted or doubled, ranks, signals, exit codes.
+
+The tests run inside a solver stack, so the launcher finds dolfinx natively; setting a stack up is
+tested with an mmdebstrap that makes an empty tree.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MANTLE = ROOT / "mantle"
+
+# A stand-in for the application on every rank.
+RANK = """
+import os, signal, sys, time
+received = []
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+    signal.signal(number, lambda number, frame: received.append(number))
+from mpi4py import MPI
+world = MPI.COMM_WORLD
+what, value = sys.argv[1], sys.argv[2]
+if what == "leave":
+    sys.exit(int(value))
+if what == "crash":
+    if world.rank == world.size - 1:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    world.barrier()
+if what == "wait":
+    if world.rank == 0:
+        print("ready", flush=True)
+    start = time.monotonic()
+    while time.monotonic() - start < 30 and not world.allreduce(len(received), MPI.MAX):
+        time.sleep(0.05)
+    time.sleep(float(value))  # saving the state
+    print(f"saved after {signal.Signals(received[0]).name}", flush=True)
+    world.barrier()
+    sys.exit(5)
+"""
+LAUNCH = "import sys; from app import ranks; sys.exit(ranks.launch(int(sys.argv[1]), sys.argv[2:]))"
+
+
+def run(*arguments: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["sh", MANTLE, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, **more},
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
+    script = tmp_path / "rank.py"
+    script.write_text(RANK)
+    return [sys.executable, "-c", LAUNCH, str(number), sys.executable, str(script), *arguments]
+
+
+def test_no_command_is_a_usage_error() -> None:
+    result = run()
+    assert result.returncode == 2
+    assert "usage: mantle COMMAND" in result.stdout
+
+
+def test_help_tells_the_launchers_own_commands() -> None:
+    result = run("--help")
+    assert result.returncode == 0
+    for word in ("test [--all]", "shell", "setup", "-n RANKS", "MANTLE_BACKEND"):
+        assert word in result.stdout
+
+
+def test_an_unknown_backend_is_named() -> None:
+    result = run("doctor", MANTLE_BACKEND="cloud", MANTLE_INSIDE="")
+    assert result.returncode == 2
+    assert "'cloud' is not one of native, container, tree" in result.stderr
+
+
+def test_dolfinx_is_found_natively_and_one_thread_is_the_default() -> None:
+    command = 'python3 -c "import dolfinx, app; print(dolfinx.__version__)"; echo $OMP_NUM_THREADS'
+    result = run(
+        "shell", "-c", command, MANTLE_BACKEND="native", MANTLE_INSIDE="", OMP_NUM_THREADS=""
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.split() == ["0.9.0", "1"]
+    assert result.stderr == ""
+
+
+def test_the_working_folder_and_the_exit_code_stay(tmp_path: Path) -> None:
+    result = subprocess.run(
+        ["sh", MANTLE, "shell", "-c", "pwd; exit 4"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (result.returncode, result.stdout.strip()) == (4, str(tmp_path))
+
+
+@pytest.mark.parametrize("home", ["/proc", "/dev/null/home", ""])
+def test_a_home_that_cannot_be_written_does_no_harm(home: str) -> None:
+    result = run("shell", "-c", 'test -w "$XDG_CACHE_HOME"', HOME=home, XDG_CACHE_HOME="")
+    assert result.returncode == 0, result.stderr
+
+
+# ------------------------------------------------------------------------------------- set-up
+
+
+def set_up(tmp_path: Path, mmdebstrap: str) -> subprocess.Popen[str]:
+    """Start a set-up in which ``mmdebstrap`` is a script; TARGET is what it shall make."""
+    programs = tmp_path / "bin"
+    programs.mkdir(exist_ok=True)
+    tool = programs / "mmdebstrap"
+    head = 'for word; do case $word in *.part) TARGET=$word ;; esac; done; echo run >>"$LOG"\n'
+    tool.write_text("#!/bin/sh\n" + head + mmdebstrap)
+    tool.chmod(0o755)
+    return subprocess.Popen(
+        ["sh", MANTLE, "setup"],
+        env={
+            **os.environ,
+            "PATH": f"{programs}:{os.environ['PATH']}",
+            "MANTLE_BACKEND": "tree",
+            "MANTLE_INSIDE": "",
+            "XDG_CACHE_HOME": str(tmp_path / "cache"),
+            "LOG": str(tmp_path / "log"),
+        },
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def trees(tmp_path: Path) -> list[str]:
+    return sorted(path.name for path in (tmp_path / "cache" / "mantle").glob("tree-*"))
+
+
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="others unpack an archive instead")
+EMPTY_TREE = 'mkdir -p "$TARGET/etc" "$TARGET/mnt"\n'
+
+
+@as_root
+def test_a_failed_set_up_is_never_used_and_is_cleared_by_the_next(tmp_path: Path) -> None:
+    failed = set_up(tmp_path, EMPTY_TREE + 'touch "$TARGET/half"; exit 1\n')
+    _, told = failed.communicate(timeout=60)
+    assert failed.returncode == 69
+    assert "mmdebstrap failed" in told
+    assert all(".part" in name for name in trees(tmp_path))
+    set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
+    (tree,) = trees(tmp_path)
+    assert ".part" not in tree
+    assert not (tmp_path / "cache" / "mantle" / tree / "half").exists()
+
+
+@as_root
+def test_a_killed_set_up_is_done_again(tmp_path: Path) -> None:
+    first = set_up(tmp_path, EMPTY_TREE + "exec sleep 1\n")
+    while not (tmp_path / "log").exists():
+        time.sleep(0.05)
+    first.kill()
+    first.communicate(timeout=60)
+    set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
+    assert len(trees(tmp_path)) == 1
+    assert (tmp_path / "log").read_text().split() == ["run", "run"]
+
+
+@as_root
+def test_two_set_ups_at_once_make_one_tree(tmp_path: Path) -> None:
+    both = [set_up(tmp_path, EMPTY_TREE + "sleep 1\n") for _ in range(2)]
+    told = "".join(process.communicate(timeout=60)[1] for process in both)
+    assert "another set-up is running; waiting for it" in told
+    assert (tmp_path / "log").read_text().split() == ["run"]
+    assert len(trees(tmp_path)) == 1
+
+
+def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:
+    for name in ("docker", "podman"):
+        client = tmp_path / name
+        client.write_text("#!/bin/sh\necho 'cannot connect' >&2; exit 1\n")
+        client.chmod(0o755)
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    result = run("setup", PATH=path, MANTLE_BACKEND="container", MANTLE_INSIDE="")
+    assert result.returncode == 69
+    assert "neither docker nor podman has a running engine" in result.stderr
+
+
+# -------------------------------------------------------------------------------------- ranks
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_the_exit_code_of_the_ranks_arrives_without_noise(number: int, tmp_path: Path) -> None:
+    result = subprocess.run(
+        on_ranks(number, tmp_path, "leave", "4"), capture_output=True, text=True, timeout=60
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (4, "", "")
+
+
+@pytest.mark.parallel
+def test_a_crash_of_one_rank_ends_all(tmp_path: Path) -> None:
+    result = subprocess.run(
+        on_ranks(2, tmp_path, "crash", "0"), capture_output=True, text=True, timeout=60
+    )
+    assert result.returncode == 70
+    assert "signal 11" in result.stderr
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ranks_have_time_to_save_their_state(number: signal.Signals, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        on_ranks(2, tmp_path, "wait", "2"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    os.killpg(process.pid, number)  # as the terminal does it
+    told, message = process.communicate(timeout=60)
+    assert process.returncode == 5
+    assert told.count("saved after SIGUSR1") == 2
+    assert message == "mantle: stopping; the state is saved first (once more: stop at once)\n"
+
+
+@pytest.mark.parallel
+def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        on_ranks(2, tmp_path, "wait", "60"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    for _ in range(2):
+        os.killpg(process.pid, signal.SIGINT)
+        time.sleep(0.5)
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "stopped before the state was saved" in message

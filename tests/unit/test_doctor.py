@@ -1,0 +1,97 @@
+"""The doctor tells what is there, what is not, and which BLAS is really loaded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app import __version__, doctor
+
+MAPS = """\
+7f00-7f01 r-xp 00000000 08:01 123 /usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3
+7f01-7f02 r--p 00001000 08:01 123 /usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3
+7f02-7f03 r-xp 00000000 08:01 124 /usr/lib/x86_64-linux-gnu/openblas-pthread/libopenblasp-r0.3.29.so
+7f03-7f04 r-xp 00000000 08:01 125 /usr/lib/x86_64-linux-gnu/libblasfeo.so.0
+7f04-7f05 rw-p 00000000 00:00 0
+7f05-7f06 rw-p 00000000 00:00 0 [heap]
+7f06-7f07 r-xp 00000000 08:01 126 /opt/with blank/libmkl_rt.so.2
+""".splitlines()
+
+
+def test_blas_libraries_are_found_in_the_memory_map() -> None:
+    names = [Path(path).name for path in doctor.blas_libraries(MAPS)]
+    assert names == ["libmkl_rt.so.2", "libblas.so.3", "libopenblasp-r0.3.29.so"]
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("/usr/lib/x86_64-linux-gnu/blas/libblas.so.3", True),
+        ("/usr/lib/x86_64-linux-gnu/blas/libblas.so.3.12.1", True),
+        ("/usr/lib/x86_64-linux-gnu/openblas-pthread/libblas.so.3", False),
+        ("/usr/lib/x86_64-linux-gnu/openblas-pthread/libopenblasp-r0.3.29.so", False),
+    ],
+)
+def test_reference_blas_is_told_from_the_others(path: str, expected: bool) -> None:
+    assert doctor.is_reference_blas(path) is expected
+
+
+def test_report_names_what_a_run_depends_on() -> None:
+    text = doctor.report()
+    rows = dict(line.split(maxsplit=1) for line in text.split("\n\n")[0].splitlines())
+    assert rows["mantle"] == __version__
+    for name in ("dolfinx", "petsc4py", "PETSc", "BLAS", "OMP_NUM_THREADS", "cores", "/dev/shm"):
+        assert rows[name], name
+
+
+def test_report_survives_missing_packages_and_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setattr(doctor, "import_module", nothing)
+    monkeypatch.setenv("PATH", "/nonexistent")
+    text = doctor.report()
+    assert "dolfinx" in text
+    assert "missing" in text
+    found = "\n".join(doctor.problems())
+    assert "not installed: dolfinx, petsc4py" in found
+    assert "mpirun is missing" in found
+    assert "no C compiler" in found
+
+
+def test_report_survives_a_package_that_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(name: str) -> None:
+        raise OSError("libfoo.so: undefined symbol")
+
+    monkeypatch.setattr(doctor, "import_module", broken)
+    assert "unusable (OSError: libfoo.so: undefined symbol)" in doctor.report()
+
+
+def test_problems_name_the_thread_setting(monkeypatch: pytest.MonkeyPatch) -> None:
+    def threads() -> list[str]:
+        return [line for line in doctor.problems() if line.startswith("OMP_NUM_THREADS")]
+
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    assert threads() == []
+    monkeypatch.setenv("OMP_NUM_THREADS", "4")
+    assert "is not 1" in threads()[0]
+    monkeypatch.delenv("OMP_NUM_THREADS")
+    assert "is not set" in threads()[0]
+
+
+def test_the_reference_blas_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        doctor, "loaded_blas", lambda: ["/usr/lib/x86_64-linux-gnu/blas/libblas.so.3"]
+    )
+    assert any("libopenblas0-pthread" in line for line in doctor.problems())
+
+
+def test_form_cache_follows_the_environment(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert doctor.form_cache() == tmp_path / "fenics"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert doctor.form_cache() == tmp_path / ".cache" / "fenics"

@@ -1,0 +1,112 @@
+"""Starting ranks: what -n means, and what of mpirun's words reaches the user."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from app import ranks
+from app.errors import InputError
+
+RULE = "-" * 74 + "\n"
+NON_ZERO = (
+    RULE
+    + "prterun detected that one or more processes exited with non-zero status,\n"
+    + "thus causing the job to be terminated. The first process to do so was:\n\n"
+    + "   Process name: [prterun-host-18422@1,0]\n   Exit code:    4\n"
+    + RULE
+)
+CRASH = (
+    RULE
+    + "prterun noticed that process rank 1 with PID 20251 on node host exited on\n"
+    + "signal 11 (Segmentation fault).\n"
+    + RULE
+)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], (None, [])),
+        (["run", "case.yaml"], (None, ["run", "case.yaml"])),
+        (["run", "-n", "2", "case.yaml"], (2, ["run", "case.yaml"])),
+        (["run", "case.yaml", "-n", "16"], (16, ["run", "case.yaml"])),
+        (["run", "a", "--", "-n", "7"], (None, ["run", "a", "--", "-n", "7"])),
+        (["run", "-n", "3", "a", "--", "-n", "x"], (3, ["run", "a", "--", "-n", "x"])),
+    ],
+)
+def test_ranks_are_taken_out(arguments: list[str], expected: tuple[int | None, list[str]]) -> None:
+    assert ranks.split(arguments) == expected
+
+
+@pytest.mark.parametrize("value", [["0"], ["-1"], ["two"], ["1.5"], ["²"], [""], []])
+def test_a_wrong_number_of_ranks_is_an_input_error(value: list[str]) -> None:
+    with pytest.raises(InputError, match="is not a number of ranks; allowed: 1, 2, 3"):
+        ranks.split(["run", "case.yaml", "-n", *value])
+
+
+@pytest.mark.parametrize(
+    ("environ", "expected"),
+    [
+        ({}, None),
+        ({"SLURM_JOB_ID": "1", "SLURM_NTASKS": "8"}, None),  # a batch script, not yet a step
+        ({"OMPI_COMM_WORLD_SIZE": "4"}, 4),
+        ({"PMI_RANK": "0", "PMI_SIZE": "3"}, 3),
+        ({"SLURM_STEP_ID": "0", "SLURM_STEP_NUM_TASKS": "2", "SLURM_NTASKS": "8"}, 2),
+        ({"PMIX_RANK": "1"}, 0),
+    ],
+)
+def test_an_existing_job_is_recognised(environ: dict[str, str], expected: int | None) -> None:
+    assert ranks.world_size(environ) == expected
+
+
+def test_the_environment_of_the_user_stays() -> None:
+    environ = {"OMP_NUM_THREADS": "2", "OMPI_MCA_btl": "tcp,self"}
+    given = ranks.environment(environ)
+    assert given["OMP_NUM_THREADS"] == "2"
+    assert given["OMPI_MCA_btl"] == "tcp,self"
+    assert ranks.environment({})["OMP_NUM_THREADS"] == "1"
+
+
+def test_a_scheduler_chooses_network_and_mapping() -> None:
+    given = ranks.environment({"SLURM_JOB_ID": "1"})
+    assert "OMPI_MCA_btl" not in given
+    assert "PRTE_MCA_rmaps_default_mapping_policy" not in given
+
+
+def filtered(text: str, received: tuple[int, ...] = ()) -> str:
+    target = io.BytesIO()
+    ranks.filter_messages(io.BytesIO(text.encode()), target, received)
+    return target.getvalue().decode()
+
+
+def test_a_banner_that_repeats_the_exit_code_is_left_out() -> None:
+    assert filtered("step 1\n" + NON_ZERO + "case.yaml:1:2: no\n") == "step 1\ncase.yaml:1:2: no\n"
+
+
+def test_a_crash_is_told() -> None:
+    assert filtered(CRASH) == CRASH
+
+
+def test_a_crash_is_no_news_after_a_signal() -> None:
+    assert filtered(CRASH, received=(2,)) == ""
+
+
+def test_tables_and_unfinished_lines_pass() -> None:
+    text = RULE + "interface   gap\n" + RULE + "\nlast words without an end"
+    assert filtered(text) == text
+    assert filtered(RULE) == RULE
+
+
+def test_the_end_of_an_abort_is_left_out() -> None:
+    abort = (
+        RULE
+        + "MPI_ABORT was invoked on rank 1 in communicator MPI_COMM_WORLD\n"
+        + RULE
+        + RULE
+        + 'prterun has exited due to process rank 1 with PID 0 on node host calling\n"abort".\n'
+        + RULE
+        + " "
+    )
+    assert filtered("mantle: internal error\n" + abort) == "mantle: internal error\n"
