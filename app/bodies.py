@@ -102,9 +102,7 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Contact]) -> Bodies:
     for tag, name in names.items():
         of_tag[tag] = of_region[name]
     return Bodies(
-        tuple(
-            " + ".join(r for r, b in of_region.items() if b == k) for k in range(len(labels))
-        ),
+        tuple(" + ".join(r for r, b in of_region.items() if b == k) for k in range(len(labels))),
         of_region,
         of_tag,
     )
@@ -158,9 +156,7 @@ def contact_facets(
         ):
             n = int(pick.sum())
             rows.append((np.full(n, i), facets[pick], on_master[pick], on_slave[pick]))
-    interface, facet, master, slave = (
-        np.concatenate([r[k] for r in rows]) for k in range(4)
-    )
+    interface, facet, master, slave = (np.concatenate([r[k] for r in rows]) for k in range(4))
     counts = tagged.mesh.comm.allreduce(np.bincount(interface, minlength=len(contacts)), MPI.SUM)
     for c, count in zip(contacts, counts, strict=True):
         if count == 0:

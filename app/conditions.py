@@ -23,7 +23,7 @@ from app.units import (
     spread_unit,
 )
 
-GAP = Dimension("mm", "length", "0.05 mm")
+GAP = Dimension("mm", "a length", "0.05 mm")
 
 
 def _gap(value: object) -> float | str:

@@ -281,7 +281,9 @@ def _problems(error: ValidationError, data: dict[str, Any]) -> list[Problem]:
     problems = []
     for entry in error.errors(include_url=False):
         location = entry["loc"]
-        path = tuple(i for i in location if not (isinstance(i, str) and i.startswith(TAG)))
+        path = tuple(
+            i for i in location if not (isinstance(i, str) and (i.startswith(TAG) or i == "[key]"))
+        )
         key = str(path[-1]) if path else ""
         match entry["type"]:
             case "mantle":

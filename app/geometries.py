@@ -214,7 +214,7 @@ class Femur(Model):
 
     kind: Literal["femur"] = "femur"
     cement_thickness: Annotated[
-        float, Dimension("mm", "length", "4 mm", at_least=1.0, at_most=8.0)
+        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
     ] = 4.0
     """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
     canal_widening: NonNegativeLength = 0.0

@@ -23,11 +23,13 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
+from scipy.sparse import coo_array
 
 from app.bodies import Bodies, contact_facets, held_vertices
 from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.terms import Scene, amplitude
+from app.timing import Timing
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import ContactPoints, Entries, InterfaceFacets, contact_points
 
@@ -73,6 +75,7 @@ class Jumps:
         bodies: Bodies,
         mechanics: Mechanics,
         augmentation_factor: float,
+        timing: Timing,
     ) -> None:
         """Find the contact points and assemble the coupling; collective.
 
@@ -100,7 +103,10 @@ class Jumps:
         self._augmented = np.array([c.augmented for c in scene.contacts])[self.interface]
         self._friction = np.array([c.friction for c in scene.contacts])[self.interface]
         frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
-        self._law = PointLaw(self.comm, self.normals, self.faces, self._friction, frictional)
+        with timing.phase("compile"):
+            self._law = PointLaw(
+                self.comm, self.normals, self.faces, self._friction, frictional
+            )
         self.default_stiffness = self._default_stiffness(augmentation_factor)
         self.stiffness = self.default_stiffness.copy()
         full = np.zeros(n)
@@ -135,9 +141,7 @@ class Jumps:
         ]
         return np.array(values)[self.interface]
 
-    def _couple(
-        self, bodies: Bodies, mechanics: Mechanics, entries: Entries, place: Ints
-    ) -> None:
+    def _couple(self, bodies: Bodies, mechanics: Mechanics, entries: Entries, place: Ints) -> None:
         """Assemble C, its transpose and D, and the loads on moved bodies."""
         index_map = mechanics.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
@@ -151,7 +155,7 @@ class Jumps:
             row, column, value = entries.row[here], entries.column[here], entries.value[here]
             column = 3 * place[column // 3] + column % 3
             own = (row >= start) & (row < end)
-            B = _matrix(self.comm, n_u, n_q, row[own], column[own], value[own])
+            B = _matrix(self.comm, n_u, n_q, row[own] - start, column[own], value[own])
             self.moves[body] = B
             marked = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
             nodes = np.unique(row // 3)
@@ -179,6 +183,11 @@ class Jumps:
         component = np.arange(3)[None, :]
         jump = values[given[:, :, 1], component] - values[given[:, :, 0], component]
         self.given = np.where(self.held, jump, 0.0)
+
+    def scale_augmentation(self, factor: float) -> None:
+        """Set the augmentation to a multiple of its default; penalties stay."""
+        scaled = self.default_stiffness * factor
+        self.stiffness = np.where(self._augmented, scaled, self.default_stiffness)
 
     # Residual and Jacobian
 
@@ -241,14 +250,14 @@ class Jumps:
         )
 
 
-def _matrix(
-    comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats
-) -> PETSc.Mat:
-    """Parallel sparse matrix from triplets of own rows (global numbers)."""
-    A = PETSc.Mat().create(comm)
-    A.setSizes(((rows, None), (columns, None)))
-    A.setType("aij")
-    A.setPreallocationCOO(i.astype(PETSc.IntType), j.astype(PETSc.IntType))
-    A.setValuesCOO(v, addv=PETSc.InsertMode.INSERT_VALUES)
+def _matrix(comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats) -> PETSc.Mat:
+    """Parallel sparse matrix from triplets: own row numbers, global columns."""
+    local = coo_array((v, (i, j)), shape=(rows, int(j.max(initial=-1)) + 1)).tocsr()
+    csr = (
+        local.indptr.astype(PETSc.IntType),
+        local.indices.astype(PETSc.IntType),
+        local.data.astype(PETSc.ScalarType),
+    )
+    A = PETSc.Mat().createAIJ(((rows, None), (columns, None)), csr=csr, comm=comm)
     A.assemble()
     return A

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
-from dolfinx.cpp.fem import IntegralType, compute_integration_domains
+from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from mpi4py import MPI
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from petsc4py import PETSc
 from app.bodies import Bodies, boundary_facets, cell_tags
 from app.errors import InputError
 from app.terms import BodyForce, Elastic, Force, Load, Pressure, Scene
+from app.timing import Timing
 from forms import elasticity, loads
 from meshes.distribute import TaggedMesh
 
@@ -47,13 +48,16 @@ class Mechanics:
         volume: Name of each region -> its cells' measure.
     """
 
-    def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies) -> None:
+    def __init__(
+        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing
+    ) -> None:
         """Set up the forms; nothing is compiled yet.
 
         Raises:
             InputError: A load acts on nothing, or nothing can carry its moment.
         """
         self._scene, self._tagged, self._bodies = scene, tagged, bodies
+        self._timing = timing
         self.mesh = tagged.mesh
         self.comm: MPI.Comm = self.mesh.comm
         self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
@@ -62,7 +66,7 @@ class Mechanics:
         self._patches: dict[tuple[str, int], int] = {}
         self._surface = self._surface_measure()
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
-        self._springs = [self._constant(f.stiffness) for f in scene.foundations]
+        self.springs = [self._constant(f.stiffness) for f in scene.foundations]
         self._amplitude = {
             (e.region, k): self._constant(0.0)
             for e in scene.elastic
@@ -142,7 +146,7 @@ class Mechanics:
         for e in self._scene.elastic:
             if self._bodies.of_region[e.region] == body:
                 total += self.energy_density(e, self.elastic_strain(e, v)) * dx(self.tag(e.region))
-        for f, k in zip(self._scene.foundations, self._springs, strict=True):
+        for f, k in zip(self._scene.foundations, self.springs, strict=True):
             ds = self.ds(f.boundary, body)
             if ds is not None:
                 total += f.energy(v, k) * ds
@@ -167,7 +171,7 @@ class Mechanics:
         ]
 
         def integral(f: Any) -> float:
-            local = sum(fem.assemble_scalar(fem.form(f * ds)) for ds in parts)
+            local = sum(fem.assemble_scalar(self.form(f * ds)) for ds in parts)
             return float(self.comm.allreduce(local, MPI.SUM))
 
         area = integral(fem.Constant(self.mesh, default_scalar_type(1)))
@@ -192,9 +196,7 @@ class Mechanics:
                 moment = np.cross(np.array(load.at) - patch.centroid, load.force)
                 ω = self._constant(np.linalg.solve(patch.moments, moment))
                 x = ufl.SpatialCoordinate(self.mesh)
-                return (
-                    loads.linear_traction_work(t, ω, x, self._constant(patch.centroid), v) * ds
-                )
+                return loads.linear_traction_work(t, ω, x, self._constant(patch.centroid), v) * ds
             case Pressure():
                 ds = self.ds(load.boundary, body)
                 if ds is None:
@@ -216,7 +218,7 @@ class Mechanics:
         u, v, w = self.u, *self._arguments()
         dx = self.cells()
         energy = sum(self.body_energy(b, u, dx) for b in range(len(self._bodies.names)))
-        form = fem.form(ufl.derivative(ufl.derivative(energy, u, v), u, w))
+        form = self.form(ufl.derivative(ufl.derivative(energy, u, v), u, w))
         matrix = assemble_matrix(form, bcs=bcs)
         matrix.assemble()
         return matrix
@@ -226,16 +228,21 @@ class Mechanics:
         near = dofs[self.space.dofmap.list].any(axis=1)
         u, v, w = self.u, *self._arguments()
         energy = self.body_energy(body, u, self.cells(near))
-        matrix = assemble_matrix(fem.form(ufl.derivative(ufl.derivative(energy, u, v), u, w)))
+        matrix = assemble_matrix(self.form(ufl.derivative(ufl.derivative(energy, u, v), u, w)))
         matrix.assemble()
         return matrix
 
     def _arguments(self) -> tuple[Any, Any]:
         return ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
 
+    def form(self, form: Any) -> fem.Form:
+        """Compile a form, counting the time."""
+        with self._timing.phase("compile"):
+            return fem.form(form)
+
     def assemble(self, form: Any) -> PETSc.Vec:
         """Assemble a linear form into an owned vector."""
-        compiled = fem.form(form)
+        compiled = self.form(form)
         vector = create_vector(compiled)
         fem.petsc.assemble_vector(vector, compiled)
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)

@@ -6,10 +6,10 @@ displacement block is assembled once; see `app.jumps` for the equations of the j
 
 from __future__ import annotations
 
-import time as clock
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+import ufl
 from dolfinx import default_scalar_type, fem
 from mpi4py import MPI
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from app.jumps import Jumps
 from app.mechanics import Mechanics
 from app.points import PointForces
 from app.terms import Scene, amplitude
+from app.timing import Timing
 from meshes.distribute import TaggedMesh
 
 Floats = NDArray[np.float64]
@@ -34,17 +35,6 @@ class Trial:
     law: PointForces
 
 
-@dataclass
-class Timing:
-    """Wall seconds by phase."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def add(self, phase: str, since: float) -> None:
-        """Add the time since a clock reading to a phase."""
-        self.seconds[phase] = self.seconds.get(phase, 0.0) + clock.perf_counter() - since
-
-
 class Problem:
     """Operators and state of a scene.
 
@@ -54,7 +44,7 @@ class Problem:
         time: Current time: stage k runs from k to k + 1.
     """
 
-    def __init__(self, scene: Scene, tagged: TaggedMesh, augmentation_factor: float) -> None:
+    def __init__(self, scene: Scene, tagged: TaggedMesh, augmentation_factor: float, timing: Timing) -> None:
         """Assemble everything that does not change; collective.
 
         Raises:
@@ -63,7 +53,7 @@ class Problem:
         self.scene, self.tagged = scene, tagged
         self.comm = tagged.mesh.comm
         self.bodies = bodies_of(tagged, scene.contacts)
-        self.mechanics = Mechanics(scene, tagged, self.bodies)
+        self.mechanics = Mechanics(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u
         index_map = self.space.dofmap.index_map
@@ -74,7 +64,7 @@ class Problem:
         self.K.setBlockSize(3)
         self.K.setNearNullSpace(self._rigid_modes())
         self.jumps: tuple[Jumps, ...] = (
-            (Jumps(scene, tagged, self.bodies, self.mechanics, augmentation_factor),)
+            (Jumps(scene, tagged, self.bodies, self.mechanics, augmentation_factor, timing),)
             if scene.contacts
             else ()
         )
@@ -133,8 +123,6 @@ class Problem:
 
     def _assemble_loads(self) -> None:
         """One vector per load, eigenstrain and prescribed displacement, at full amplitude."""
-        import ufl
-
         mechanics, v = self.mechanics, ufl.TestFunction(self.space)
         dx = mechanics.cells()
         n_q = [j.C.getLocalSize()[1] for j in self.jumps]
@@ -157,7 +145,6 @@ class Problem:
             self._unit_q.append(jump[0] if jump else np.zeros(0))
 
         bodies = range(len(self.bodies.names))
-        self.load_vectors: list[PETSc.Vec] = []
         for load in self.scene.loads:
             parts = {}
             for b in bodies:
@@ -165,7 +152,6 @@ class Problem:
                 if work != 0:
                     parts[b] = mechanics.assemble(work)
             add(load.history, parts)
-            self.load_vectors.append(self._unit_u[-1][1])
         for e in self.scene.elastic:
             for k, strain in enumerate(e.eigenstrains):
                 mechanics.set_amplitudes({(e.region, k): 1.0})
@@ -192,6 +178,12 @@ class Problem:
         held = self.support_of == s
         return np.where(held, np.tile(values, len(held) // 3), 0.0)
 
+    def bodies_at(self, boundary: str) -> set[int]:
+        """Bodies that have facets on a boundary; collective."""
+        f = boundary_facets(self.tagged, boundary)
+        here = set(self.bodies.of_tag[cell_tags(self.tagged)[f.cells]].tolist())
+        return set().union(*self.comm.allgather(here))
+
     # State in time
 
     def set_time(self, time: float) -> None:
@@ -210,7 +202,6 @@ class Problem:
             component = np.arange(len(held)) % 3
             given = np.where(held == s, a * np.array(support.values)[component], given)
         self._held, self._given = held >= 0, given
-        self.f.array[self._held] = 0
         for j in self.jumps:
             j.set_time(time)
             if not len(self.f_q):
@@ -275,3 +266,53 @@ class Problem:
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last spread."""
         return self.mechanics.displacements(self.moved)
+
+    @property
+    def held_mask(self) -> NDArray[np.bool_]:
+        """Own displacement dofs that supports hold."""
+        return self._held
+
+    def applied(self) -> tuple[Floats, Floats]:
+        """Loads now acting on own displacement dofs and jumps [N]; no eigenstrains, no supports."""
+        u = np.zeros(self._owned)
+        q = np.zeros_like(self.f_q)
+        for k in range(len(self.scene.loads)):
+            history, vector = self._unit_u[k]
+            a = amplitude(history, self.time)
+            u += a * vector.array
+            q = q + a * self._unit_q[k]
+        return u, q
+
+    def resultants(self) -> list[Floats]:
+        """Resultant of each load now acting [N]."""
+        sums = []
+        for k in range(len(self.scene.loads)):
+            history, vector = self._unit_u[k]
+            local = vector.array.reshape(-1, 3).sum(axis=0) * amplitude(history, self.time)
+            sums.append(self.comm.allreduce(local, MPI.SUM))
+        return sums
+
+    @property
+    def augmented(self) -> bool:
+        """Whether any interface has an augmentation to lower."""
+        return any(c.augmented for c in self.scene.contacts)
+
+    def scale_augmentation(self, factor: float) -> None:
+        """Set the augmentation to a multiple of its default; penalties stay."""
+        for j in self.jumps:
+            j.scale_augmentation(factor)
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation or penalty in force on each interface [MPa/mm]; collective."""
+        values = {}
+        for j in self.jumps:
+            for i, c in enumerate(self.scene.contacts):
+                local = float(j.stiffness[j.interface == i].max(initial=0.0))
+                values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
+        return values
+
+    def commit(self, trial: Trial | None) -> None:
+        """Make a converged state the history."""
+        for j in self.jumps:
+            if trial is not None:
+                j.commit(trial.equilibrium, trial.jump, trial.law)

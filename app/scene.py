@@ -49,9 +49,7 @@ def build(case: config.Case) -> Scene:
             for name, law in case.interfaces.items()
             for term in _contact(name, law, case.geometry.interface_sides[name], moduli, stages)
         ),
-        stages=tuple(
-            Stage(s.name, s.increments, s.adaptive, s.max_cut_backs) for s in case.stages
-        ),
+        stages=tuple(Stage(s.name, s.increments, s.adaptive, s.max_cut_backs) for s in case.stages),
     )
 
 
@@ -87,9 +85,7 @@ def _region(name: str, region: config.Region, stages: int) -> Elastic | RigidBod
             )
 
 
-def _eigenstrains(
-    strains: tuple[config.Eigenstrain, ...], stages: int
-) -> tuple[Eigenstrain, ...]:
+def _eigenstrains(strains: tuple[config.Eigenstrain, ...], stages: int) -> tuple[Eigenstrain, ...]:
     return tuple(Eigenstrain(tuple(s.strain), _history(s.history, stages)) for s in strains)
 
 

@@ -7,8 +7,7 @@ preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, displacement
 
 from __future__ import annotations
 
-import time as clock
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +15,10 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
 
+from app.errors import StoppedError
 from app.jumps import Jumps
-from app.problem import Problem, Timing, Trial
+from app.problem import Problem, Trial
+from app.timing import Timing
 from forms.contact import OPEN, SLIP, STICK
 
 Options = Mapping[str, str | int | float | bool]
@@ -74,6 +75,7 @@ class Outcome:
         linear_iterations: Krylov iterations.
         residuals: Residual norm at each iteration, relative to the force scale.
         flips: Contact points whose state changed, at each iteration.
+        linear_failed: Whether the linear solver gave up.
     """
 
     converged: bool
@@ -82,6 +84,7 @@ class Outcome:
     linear_iterations: int
     residuals: tuple[float, ...]
     flips: tuple[int, ...]
+    linear_failed: bool
 
 
 class Solver:
@@ -95,6 +98,7 @@ class Solver:
         linear: str,
         options: Options,
         timing: Timing,
+        stop: Callable[[], str] = str,
     ) -> None:
         """Create the solver; collective.
 
@@ -105,10 +109,12 @@ class Solver:
             linear: direct, multigrid or auto (by size).
             options: Raw PETSc options, without dash, that override the defaults.
             timing: Where the seconds go.
+            stop: Names a signal that asks this rank to stop, or gives an empty text.
         """
         self.problem = problem
-        self.timing = timing
+        self._timing = timing
         self._tolerance = tolerance
+        self._stop = stop
         size = problem.K.getSize()[0]
         direct = linear == "direct" or (linear == "auto" and size <= DIRECT_LIMIT)
         block = DIRECT if direct else MULTIGRID
@@ -119,6 +125,7 @@ class Solver:
             defaults |= block
         self._block = _Bonded(problem) if not problem.jumps else _Contact(problem)
         self.x = self._block.vector()
+        self.failed = self._block.vector()
         self._residuals: list[float] = []
         self._flips: list[int] = []
         self._status: NDArray[np.int64] | None = None
@@ -150,6 +157,10 @@ class Solver:
         self._block.jacobian(x)
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        # Every rank sees the same answer, so that none is left waiting for the others.
+        names = [name for name in self.problem.comm.allgather(self._stop()) if name]
+        if names:
+            raise StoppedError(f"stopped by {names[0]}")
         self._residuals.append(norm / self._scale if self._scale else norm)
         self._flips.append(self._block.flips())
 
@@ -157,7 +168,6 @@ class Solver:
 
     def solve(self) -> Outcome:
         """Solve at the problem's current time, from the current iterate in ``x``."""
-        begin = clock.perf_counter()
         self._block.impose(self.x)
         f = self._block.vector()
         self._block.residual(self.x, f)
@@ -165,9 +175,11 @@ class Solver:
         self._residuals, self._flips = [], []
         self._block.forget()
         self.snes.setTolerances(atol=self._tolerance * self._scale)
-        self.snes.solve(None, self.x)
-        self.timing.add("solve", begin)
+        with self._timing.phase("solve"):
+            self.snes.solve(None, self.x)
         reason = self.snes.getConvergedReason()
+        if reason <= 0:
+            self.x.copy(self.failed)
         return Outcome(
             converged=reason > 0,
             reason=reason,
@@ -175,6 +187,7 @@ class Solver:
             linear_iterations=self.snes.getLinearSolveIterations(),
             residuals=tuple(self._residuals),
             flips=tuple(self._flips),
+            linear_failed=reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE,
         )
 
     def parts(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
@@ -302,22 +315,30 @@ class _Contact:
 
 
 def _block_diagonal(j: Jumps) -> PETSc.Mat:
-    """Matrix with a dense 3 x 3 block per contact point, filled with ones."""
+    """Matrix with a dense 3 x 3 block per contact point."""
     n = len(j.mine)
-    A = PETSc.Mat().create(j.comm)
-    A.setSizes(((3 * n, None), (3 * n, None)))
-    A.setType("aij")
-    start = j.comm.exscan(3 * n) or 0
-    i = np.repeat(np.arange(3 * n), 3) + start
-    k = np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n) + start
-    A.setPreallocationCOO(i.astype(PETSc.IntType), k.astype(PETSc.IntType))
-    _fill(A, np.ones((n, 3, 3)))
+    A = PETSc.Mat().createAIJ(
+        ((3 * n, None), (3 * n, None)), csr=_csr(j.comm, np.ones((n, 3, 3))), comm=j.comm
+    )
+    A.assemble()
     return A
 
 
 def _fill(A: PETSc.Mat, blocks: NDArray[np.float64]) -> None:
-    A.setValuesCOO(np.ascontiguousarray(blocks).ravel(), addv=PETSc.InsertMode.INSERT_VALUES)
+    A.setValuesCSR(*_csr(A.comm.tompi4py(), blocks))
     A.assemble()
+
+
+def _csr(comm: MPI.Comm, blocks: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+    """Rows of a block diagonal matrix in compressed form."""
+    n = len(blocks)
+    start = comm.exscan(3 * n) or 0
+    columns = start + np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n)
+    return (
+        (3 * np.arange(3 * n + 1)).astype(PETSc.IntType),
+        columns.astype(PETSc.IntType),
+        np.ascontiguousarray(blocks).ravel(),
+    )
 
 
 def states(status: NDArray[np.int64], weight: NDArray[np.float64]) -> Sequence[float]:

@@ -28,18 +28,20 @@ UNIT = re.compile(r"[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
 LONGEST = 60
 TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
 
-DIMENSION_NAMES = {
-    "[length]": "length",
-    "[mass] * [length] / [time] ** 2": "force",
-    "[mass] / [length] / [time] ** 2": "pressure or stress",
-    "[mass] / [length] ** 2 / [time] ** 2": "stiffness per area",
-    "[mass] * [length] ** 2 / [time] ** 2": "moment or energy",
-    "[length] ** 2": "area",
-    "[length] ** 3": "volume",
-    "[mass]": "mass",
-    "[time]": "time",
-    "[temperature]": "temperature",
-    "dimensionless": "plain number",
+# Exponents of length, mass, time, temperature.
+DIMENSIONS = {
+    (1, 0, 0, 0): "a length",
+    (2, 0, 0, 0): "an area",
+    (3, 0, 0, 0): "a volume",
+    (0, 1, 0, 0): "a mass",
+    (0, 0, 1, 0): "a time",
+    (0, 0, 0, 1): "a temperature",
+    (1, 1, -2, 0): "a force",
+    (0, 1, -2, 0): "a force per length",
+    (-1, 1, -2, 0): "a stress",
+    (-2, 1, -2, 0): "a stiffness per area",
+    (2, 1, -2, 0): "a moment or an energy",
+    (-3, 1, 0, 0): "a mass per volume",
 }
 SUGGESTIONS = (
     "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
@@ -75,10 +77,19 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
     # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
     angle = "radian" in str(target) and not re.search("radian|degree|arc|turn|grade", str(source))
     if source.dimensionality != target.dimensionality or angle:
-        dimension = str(source.dimensionality)
-        raise ValueError(DIMENSION_NAMES.get(dimension, f"quantity of dimension {dimension}"))
+        raise ValueError(_dimension(source))
     offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
     return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
+
+
+def _dimension(unit: Any) -> str:
+    """What a unit measures, in words."""
+    if unit.dimensionless:
+        return "an angle" if re.search("radian|degree|arc|turn", str(unit)) else "a plain number"
+    exponents = dict(unit.dimensionality)
+    base = ("[length]", "[mass]", "[time]", "[temperature]")
+    known = DIMENSIONS.get(tuple(exponents.pop(name, 0) for name in base))
+    return known if known and not exponents else "something else"
 
 
 def finite(value: int | float) -> bool:
@@ -108,7 +119,7 @@ class Dimension:
 
     Attributes:
         unit: Internal unit.
-        what: The dimension in words.
+        what: The dimension in words, with its article.
         example: A value as a user would write it.
         above: Exclusive lower bound in the internal unit.
         at_least: Inclusive lower bound in the internal unit.
@@ -129,16 +140,16 @@ class Dimension:
             PydanticCustomError: Not a number with a unit of this dimension, not finite, out of
                 bounds.
         """
-        expected = f"expected a {self.what} such as '{self.example}'"
+        expected = f"expected {self.what} such as '{self.example}'"
         if not isinstance(value, str):
             if isinstance(value, int | float) and not isinstance(value, bool):
                 if not finite(value):
                     fail(f"{show(value)} is not finite; {expected}")
                 fail(f"{value} needs a unit, e.g. '{value} {self.example.split(maxsplit=1)[1]}'")
-            fail(f"{show(value)} is not a {self.what}; {expected}")
+            fail(f"{show(value)} is not {self.what}; {expected}")
         match = NUMBER.fullmatch(value)
         if match is None:
-            wrong = "is not finite" if NOT_FINITE.match(value) else f"is not a {self.what}"
+            wrong = "is not finite" if NOT_FINITE.match(value) else f"is not {self.what}"
             fail(f"{show(value)} {wrong}; {expected}")
         number, unit = match.groups()
         if not unit:
@@ -151,7 +162,7 @@ class Dimension:
                 + did_you_mean(unit, SUGGESTIONS)
             )
         except ValueError as error:
-            fail(f"{show(value)} is a {error}; {expected}")
+            fail(f"{show(value)} is {error}; {expected}")
         if len(number) > LONGEST or not math.isfinite(float(number)):
             fail(f"{show(value)} is not finite; {expected}")
         # A number too small for a float is zero; as a fraction it could take gigabytes.
@@ -298,19 +309,19 @@ class Triple:
         return {"anyOf": [result, {"type": "string", "examples": [self.example]}]}
 
 
-_length = ("mm", "length", "4 mm")
-_stiffness = ("MPa/mm", "stiffness per area", "100 MPa/mm")
+_length = ("mm", "a length", "4 mm")
+_stiffness = ("MPa/mm", "a stiffness per area", "100 MPa/mm")
 
 Length = Annotated[float, Dimension(*_length)]
 PositiveLength = Annotated[float, Dimension(*_length, above=0.0)]
 NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0)]
-Angle = Annotated[float, Dimension("rad", "angle", "1.5 deg")]
-Stress = Annotated[float, Dimension("MPa", "pressure", "2 MPa")]
-Modulus = Annotated[float, Dimension("MPa", "stress", "110 GPa")]
+Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
+Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
+Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]
 Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
 PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
-Newton = Annotated[float, Dimension("N", "force", "1800 N")]
-ForceDensity = Annotated[float, Dimension("N/mm^3", "force per volume", "1e-5 N/mm^3")]
+Newton = Annotated[float, Dimension("N", "a force", "1800 N")]
+ForceDensity = Annotated[float, Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3")]
 
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]

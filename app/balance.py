@@ -1,0 +1,174 @@
+"""Force, moment and energy balances, from forms assembled apart from the solver's matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app.problem import Problem, Trial
+from app.terms import Elastic, amplitude
+from forms import elasticity, loads
+
+Floats = NDArray[np.float64]
+
+
+class Balance:
+    """Sums kept from step to step.
+
+    Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
+    supports, eigenstrains) equals the stored energy plus the work of the interface forces.
+    """
+
+    def __init__(self, problem: Problem, about: Floats) -> None:
+        """Compile the forms; collective.
+
+        Args:
+            problem: At rest.
+            about: Point that moments are taken about (3,) [mm].
+        """
+        self._problem = problem
+        mechanics, scene = problem.mechanics, problem.scene
+        dx = mechanics.cells()
+        v = ufl.TestFunction(problem.space)
+        displacements = problem.displacements()
+        energy = [mechanics.body_energy(b, U, dx) for b, U in enumerate(displacements)]
+        self._energy = [mechanics.form(e) for e in energy]
+        self._internal = [
+            mechanics.form(ufl.derivative(e, U, v)) for e, U in zip(energy, displacements, strict=True)
+        ]
+        self._strain_work = [
+            (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
+            for e in scene.elastic
+            for s in e.eigenstrains
+        ]
+        self._springs = [
+            mechanics.form(k[i] * U[i] * ds)
+            for f, k in zip(scene.foundations, mechanics.springs, strict=True)
+            for b, U in enumerate(displacements)
+            if (ds := mechanics.ds(f.boundary, b)) is not None
+            for i in range(3)
+        ]
+        x = ufl.SpatialCoordinate(problem.tagged.mesh)
+        arm = [x[i] - float(about[i]) for i in range(3)]
+        self._spring_moments = [
+            mechanics.form((arm[(i + 1) % 3] * t[(i + 2) % 3] - arm[(i + 2) % 3] * t[(i + 1) % 3]) * ds)
+            for f, k in zip(scene.foundations, mechanics.springs, strict=True)
+            for b, U in enumerate(displacements)
+            if (ds := mechanics.ds(f.boundary, b)) is not None
+            for t in [[k[i] * U[i] for i in range(3)]]
+            for i in range(3)
+        ]
+        nodes = problem.space.tabulate_dof_coordinates()[: len(problem.f.array) // 3]
+        self._arm = nodes - about
+        ends = [
+            problem.comm.allreduce(f(nodes), op) for f, op in ((_low, MPI.MIN), (_high, MPI.MAX))
+        ]
+        self._diagonal = float(np.linalg.norm(ends[1] - ends[0]))
+        self._work = self._scale = 0.0
+        self._last = self._measure(None)
+        self.force = self.moment = self.energy = 0.0
+
+    def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
+        mechanics, problem = self._problem.mechanics, self._problem
+        U = problem.displacements()[problem.bodies.of_region[e.region]]
+        σ = elasticity.stress(
+            lambda ε: mechanics.energy_density(e, ε), mechanics.elastic_strain(e, U)
+        )
+        dx = mechanics.cells()
+        work = loads.mechanical_work(σ, elasticity.eigenstrain(components))
+        return -work * dx(mechanics.tag(e.region))
+
+    def _measure(self, state: tuple[PETSc.Vec, PETSc.Vec | None, Trial | None] | None) -> dict:
+        """Everything that enters the balances at the current time and state."""
+        problem = self._problem
+        total = problem.K.createVecLeft()
+        for form in self._internal:
+            part = fem.petsc.assemble_vector(form)
+            part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            total.array[:] += part.array[: len(total.array)]
+        loads_u, loads_q = problem.applied()
+        reaction = np.where(problem.held_mask, total.array - loads_u, 0.0)
+        scalar = lambda f: float(problem.comm.allreduce(fem.assemble_scalar(f), MPI.SUM))  # noqa: E731
+        u, q, trial = state or (problem.K.createVecLeft(), None, None)
+        held_q = np.zeros(0)
+        jump = np.zeros(0)
+        for j in problem.jumps:
+            jump = trial.jump.ravel().copy() if trial is not None else np.zeros(3 * len(j.mine))
+            e = trial.equilibrium if trial is not None else np.zeros((len(j.mine), 3))
+            held_q = np.where(j.held, e, 0.0).ravel()
+        return {
+            "u": u.array.copy(),
+            "q": jump,
+            "loads_u": loads_u,
+            "loads_q": loads_q if len(loads_q) else np.zeros_like(jump),
+            "reaction": reaction,
+            "reaction_q": held_q,
+            "energy": sum(scalar(f) for f in self._energy),
+            "amplitudes": [amplitude(h, problem.time) for h, _ in self._strain_work],
+            "strain_work": [scalar(f) for _, f in self._strain_work],
+            "springs": np.array([scalar(f) for f in self._springs]).reshape(-1, 3).sum(axis=0),
+            "spring_moments": np.array([scalar(f) for f in self._spring_moments])
+            .reshape(-1, 3)
+            .sum(axis=0),
+        }
+
+    def update(self, u: PETSc.Vec, q: PETSc.Vec | None, trial: Trial | None) -> None:
+        """Take in a committed step, whose displacements have been spread; collective."""
+        old, new = self._last, self._measure((u, q, trial))
+        self._last = new
+        problem, comm = self._problem, self._problem.comm
+
+        def work(force: str, motion: str) -> float:
+            return float(np.dot((old[force] + new[force]) / 2, new[motion] - old[motion]))
+
+        parts = [work("loads_u", "u"), work("reaction", "u")]
+        parts += [work("loads_q", "q"), work("reaction_q", "q")]
+        external = float(comm.allreduce(sum(parts), MPI.SUM))
+        for a0, a1, w0, w1 in zip(
+            old["amplitudes"],
+            new["amplitudes"],
+            old["strain_work"],
+            new["strain_work"],
+            strict=True,
+        ):
+            external += (a1 - a0) * (w0 + w1) / 2
+        self._work += external
+        contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
+        self._scale = max(self._scale, abs(self._work), abs(new["energy"]), abs(contact))
+        self.energy = _relative(self._work - new["energy"] - contact, self._scale)
+        self._forces(new)
+
+    def _forces(self, new: dict) -> None:
+        comm = self._problem.comm
+        loads_u = new["loads_u"].reshape(-1, 3)
+        reaction = new["reaction"].reshape(-1, 3)
+        sums = [
+            comm.allreduce(values, MPI.SUM)
+            for values in (
+                loads_u.sum(axis=0),
+                reaction.sum(axis=0),
+                np.cross(self._arm, loads_u).sum(axis=0),
+                np.cross(self._arm, reaction).sum(axis=0),
+            )
+        ]
+        scale = sum(np.linalg.norm(r) for r in self._problem.resultants())
+        scale = scale or float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
+        self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
+        moment = sums[2] + sums[3] - new["spring_moments"]
+        self.moment = _relative(float(np.linalg.norm(moment)), scale * self._diagonal)
+
+
+def _low(x: Floats) -> Floats:
+    return x.min(axis=0, initial=np.inf)
+
+
+def _high(x: Floats) -> Floats:
+    return x.max(axis=0, initial=-np.inf)
+
+
+def _relative(value: float, scale: float) -> float:
+    return abs(value) / scale if scale else abs(value)

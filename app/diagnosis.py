@@ -1,0 +1,153 @@
+"""Why a solve failed, in the words of the model: which interface, where, which body is free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from app.jumps import Jumps
+from app.problem import Problem, Trial
+from app.solver import Outcome, Solver
+from forms.contact import OPEN
+
+Floats = NDArray[np.float64]
+
+_MODES = (
+    "move along x",
+    "move along y",
+    "move along z",
+    "turn about x",
+    "turn about y",
+    "turn about z",
+)
+# A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
+_FREE = 1e-10
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why a solve failed.
+
+    Attributes:
+        short: One clause for the log.
+        where: Interface and place of the largest residual, if it is at one.
+        free: Sentences on bodies that nothing holds.
+        history: Residuals, relative to the force scale.
+        flips: State changes per iteration.
+        tried: What was tried.
+    """
+
+    short: str
+    where: str
+    free: tuple[str, ...]
+    history: tuple[float, ...]
+    flips: tuple[int, ...]
+
+    def text(self, stage: str, reach: float, cuts: int) -> str:
+        """The whole message for the user."""
+        lines = [
+            f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}",
+            *(f"  {line}" for line in self.free),
+        ]
+        if self.where:
+            lines.append(f"  largest residual: {self.where}")
+        tail = ", ".join(f"{r:.1e}" for r in self.history[-6:])
+        lines.append(f"  last residuals (of the force scale): {tail}")
+        lines.append(f"  tried: augmentation 1, 0.1 and 0.01 of its default; {cuts} step halvings")
+        advice = (
+            "hold the free body (a support, friction, an elastic foundation)"
+            if self.free
+            else "more increments, a finer mesh at the interface, or a smaller load"
+        )
+        lines.append(f"  what to change: {advice}")
+        return "\n".join(lines)
+
+
+def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
+    """Say why the last solve failed; collective."""
+    x = solver.failed
+    where, free = "", ()
+    u, q = solver.parts(x)
+    if q is not None:
+        (j,) = problem.jumps
+        trial = problem.trial(u, q)
+        where = _largest(problem, j, trial)
+        free = tuple(free_bodies(problem, trial))
+    if free:
+        short = free[0]
+    elif outcome.linear_failed:
+        short = "the linear solver failed"
+    elif sum(outcome.flips[-5:]) > 0:
+        short = f"contact states keep changing ({outcome.flips[-1]} in the last iteration)"
+    else:
+        short = f"the residual stays at {outcome.residuals[-1]:.1e} of the force scale"
+    return Explanation(short, where, free, outcome.residuals, outcome.flips)
+
+
+def _largest(problem: Problem, j: Jumps, trial: Trial) -> str:
+    """Interface, place and state of the largest residual in the jump block."""
+    r = np.linalg.norm(j.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
+    best = (float(r.max(initial=0.0)), problem.comm.rank)
+    size, rank = problem.comm.allreduce(best, MPI.MAX)
+    text = ""
+    if rank == problem.comm.rank and len(r):
+        k = int(np.argmax(r))
+        x = j.points.x[j.mine[k]]
+        name = problem.scene.contacts[j.interface[k]].name
+        state = ("open", "sticking", "slipping")[trial.law.status[k]]
+        text = (
+            f"{size:.2e} N on interface '{name}' at "
+            f"({x[0]:.2f}, {x[1]:.2f}, {x[2]:.2f}) mm, a {state} point"
+        )
+    return str(problem.comm.bcast(text, root=rank))
+
+
+def free_bodies(problem: Problem, trial: Trial) -> list[str]:
+    """Rigid motions of bodies that no support and no closed contact resists; collective.
+
+    The resistance of the contacts is the generalized Jacobian at each point, seen through the
+    relative rigid motions of the two bodies; its null space beyond the supports is what is free.
+    """
+    (j,) = problem.jumps
+    names = problem.bodies.names
+    held = held_bodies(problem)
+    n = len(names)
+    centre = j.points.x.mean(axis=0)
+    size = np.linalg.norm(np.ptp(j.points.x, axis=0)) or 1.0
+    A = np.zeros((6 * n, 6 * n))
+    x = (j.points.x[j.mine] - centre) / size
+    B = trial.law.jacobian
+    S = np.where((trial.law.status == OPEN)[:, None, None], 0.0, (B + B.transpose(0, 2, 1)) / 2)
+    R = np.zeros((len(x), 3, 6))
+    R[:, :, :3] = np.eye(3)
+    for c in range(3):
+        R[:, :, 3 + c] = np.cross(np.eye(3)[c], x)
+    K = j.weight[:, None, None] * (R.transpose(0, 2, 1) @ S @ R)
+    sides = j.points.bodies[j.mine]
+    for (m, s), k in zip(sides, K, strict=True):
+        for a, b, sign in ((m, m, 1), (s, s, 1), (m, s, -1), (s, m, -1)):
+            A[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] += sign * k
+    A = problem.comm.allreduce(A, MPI.SUM)
+    total = float(np.sum(j.points.weight)) or 1.0
+    for b in held:
+        A[6 * b : 6 * b + 6, 6 * b : 6 * b + 6] += total * np.eye(6)
+    values, vectors = np.linalg.eigh((A + A.T) / 2)
+    found = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value > _FREE * max(values[-1], total):
+            break
+        k = int(np.argmax(np.abs(vector)))
+        found.append(f"nothing holds body '{names[k // 6]}': it is free to {_MODES[k % 6]}")
+    return sorted(set(found))
+
+
+def held_bodies(problem: Problem) -> set[int]:
+    """Bodies with a support or a foundation."""
+    bodies = set()
+    scene = problem.scene
+    for term in (*scene.supports, *scene.foundations):
+        bodies |= problem.bodies_at(term.boundary)
+    return bodies

@@ -1,0 +1,308 @@
+"""The numbers that people publish: interfaces, stresses by region, motion of the stem.
+
+All functions are collective and return the same plain values on every rank. Percentiles are
+weighted by area or volume; maxima are reported beside them because peaks at edges grow with
+refinement.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import basix
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from app.bodies import cell_tags
+from app.problem import Problem, Trial
+from app.terms import Elastic
+from app.timing import Timing
+from forms import elasticity
+from forms.contact import OPEN, SLIP, STICK
+
+Floats = NDArray[np.float64]
+
+PERCENTILE = 0.99
+MICROMOTION = 0.030  # mm: where biology reacts
+STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
+
+
+def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) -> float:
+    """Smallest value that at least ``fraction`` of the weight does not exceed; 0 if empty."""
+    if not len(values):
+        return 0.0
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    k = np.searchsorted(cumulative, fraction * cumulative[-1])
+    return float(values[order[min(int(k), len(values) - 1)]])
+
+
+class Samples:
+    """Contact points of all ranks, in canonical order, on every rank.
+
+    One row per point for vectors, one per point and face for what belongs to a face.
+
+    Attributes:
+        interface: Interface of each point (n,).
+        x: Position (n, 3) [mm].
+        weight: Area (n,) [mm2].
+        area: Area of each face (n, 3) [mm2]; 0 beyond the point's faces.
+        gap: Opening of each face (n, 3) [mm].
+        slip: Tangential part of the jump on each face (n, 3) [mm].
+        accumulated: Sum of slip increments on each face (n, 3) [mm].
+        pressure: Pressure of each face, positive in compression (n, 3) [MPa].
+        shear: Friction per area (n,) [MPa].
+        force: Force of the master on the slave per area (n, 3) [MPa].
+        status: State (n,).
+        jump: Jump with the initial gap (n, 3) [mm].
+        dissipation: Frictional work (n,) [N mm].
+    """
+
+    def __init__(self, problem: Problem, trial: Trial) -> None:
+        """Gather a committed state; collective."""
+        (j,) = problem.jumps
+        history = j.history
+        normal = np.einsum("pi,pki->pk", trial.jump, j.normals)
+        tangential = trial.jump[:, None, :] - normal[:, :, None] * j.normals
+        opening = np.einsum("pi,pki->pk", trial.jump + j.gap, j.normals)
+        used = np.arange(3)[None, :] < j.faces[:, None]
+        share = np.where(used, j.weight[:, None] / np.where(used, j.areas, 1.0), 0.0)
+        local = {
+            "row": j.mine,
+            "gap": np.where(used, opening, 0.0),
+            "slip": np.where(used, np.linalg.norm(tangential, axis=2), 0.0),
+            "accumulated": np.where(used, history.accumulated, 0.0),
+            "pressure": trial.law.pressures * share,
+            "shear": np.linalg.norm(history.friction, axis=1),
+            "force": -history.force,
+            "status": np.where(j.faces > 0, trial.law.status, STICK),
+            "jump": trial.jump + j.gap,
+            "dissipation": history.dissipation,
+        }
+        pieces = problem.comm.allgather(local)
+        whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
+        order = np.argsort(whole.pop("row"))
+        points = j.points
+        self.points = points
+        self.interface, self.x, self.weight = points.interface, points.x, points.weight
+        faces = np.arange(3)[None, :] < points.faces[:, None]
+        self.area = np.where(faces, points.areas, 0.0)
+        self.gap, self.slip, self.accumulated, self.pressure = (
+            whole[k][order] for k in ("gap", "slip", "accumulated", "pressure")
+        )
+        self.shear, self.force, self.status, self.jump, self.dissipation = (
+            whole[k][order] for k in ("shear", "force", "status", "jump", "dissipation")
+        )
+
+
+def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
+    """What one interface does: motion, tractions, states."""
+    s = samples
+    at = s.interface == i
+    area, weight = s.area[at], s.weight[at]
+    total = float(weight.sum())
+    x = np.repeat(s.x[at][:, None, :], 3, axis=1)
+
+    def largest(values: Floats) -> tuple[float, list[float]]:
+        flat = np.where(area > 0, values, -np.inf).ravel()
+        k = int(np.argmax(flat))
+        return float(max(flat[k], 0.0)), [float(c) for c in x.reshape(-1, 3)[k]]
+
+    def p99(values: Floats) -> float:
+        return percentile(values[area > 0], area[area > 0])
+
+    gap, slip = np.maximum(s.gap[at], 0.0), s.slip[at]
+    shear = np.repeat(s.shear[at][:, None], 3, axis=1)
+    gap_max, gap_at = largest(gap)
+    slip_max, slip_at = largest(slip)
+    faces = area > 0
+
+    def fraction(state: int) -> float:
+        return float(weight[s.status[at] == state].sum()) / total
+
+    return {
+        "gap_max": gap_max,
+        "gap_p99": p99(gap),
+        "gap_max_at": gap_at,
+        "slip_max": slip_max,
+        "slip_p99": p99(slip),
+        "slip_max_at": slip_at,
+        "slip_accumulated_max": float(s.accumulated[at].max(initial=0.0)),
+        "pressure_max": largest(s.pressure[at])[0],
+        "pressure_p99": p99(s.pressure[at]),
+        "shear_max": largest(shear)[0],
+        "shear_p99": p99(shear),
+        "penetration_max": float(np.maximum(-s.gap[at][faces], 0.0).max(initial=0.0)),
+        "penetration_sampled": _sampled_penetration(problem, s, i),
+        "open_fraction": fraction(OPEN),
+        "stick_fraction": fraction(STICK),
+        "slip_fraction": fraction(SLIP),
+        "area": total,
+        "area_slip_over_30um": float(area[faces & (slip > MICROMOTION)].sum()),
+        "area_gap_over_30um": float(area[faces & (gap > MICROMOTION)].sum()),
+        "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],
+        "dissipation": float(s.dissipation[at].sum()),
+    }
+
+
+def _sampled_penetration(problem: Problem, s: Samples, i: int) -> float:
+    """Largest penetration between the nodes: jump and normal interpolated on the facets [mm]."""
+    triangles = s.points.triangles[i]
+    if not len(triangles):
+        return 0.0
+    (j,) = problem.jumps
+    x = s.x[triangles]
+    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normals = s.points.normals[triangles]
+    # At each corner the face of the point that this facet belongs to.
+    face = np.argmax(np.abs(np.einsum("fi,fcki->fck", flat, normals)), axis=2)
+    n = np.take_along_axis(normals, face[:, :, None, None], axis=2)[:, :, 0]
+    points, _ = basix.make_quadrature(basix.CellType.triangle, 4)
+    N = np.column_stack([1 - points.sum(axis=1), points])
+    d = np.einsum("qc,fci->fqi", N, s.jump[triangles])
+    n = np.einsum("qc,fci->fqi", N, n)
+    size = np.linalg.norm(n, axis=2)
+    gap = np.einsum("fqi,fqi->fq", d, n) / np.where(size > 0, size, 1.0)
+    return float(np.maximum(-gap, 0.0).max())
+
+
+class Stresses:
+    """Stress at quadrature points of every elastic region, compiled once."""
+
+    def __init__(self, problem: Problem, timing: Timing) -> None:
+        """Compile the stress of each region; collective."""
+        self._problem, self._timing = problem, timing
+        degree = 2 * (problem.scene.order - 1)
+        self._points, self._weights = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        tags = cell_tags(problem.tagged)
+        owned = problem.tagged.mesh.topology.index_map(3).size_local
+        self.cells = {
+            e.region: np.flatnonzero(tags[:owned] == problem.tagged.regions[e.region]).astype(
+                np.int32
+            )
+            for e in problem.scene.elastic
+        }
+        self._expressions = {e.region: self._expression(e) for e in problem.scene.elastic}
+        self.volumes = {r: self._cell_volumes(c) for r, c in self.cells.items()}
+
+    def _expression(self, e: Elastic) -> fem.Expression:
+        problem, mechanics = self._problem, self._problem.mechanics
+        v = problem.displacements()[problem.bodies.of_region[e.region]]
+        ε = mechanics.elastic_strain(e, v)
+        σ = elasticity.stress(lambda strain: mechanics.energy_density(e, strain), ε)
+        with self._timing.phase("compile"):
+            return fem.Expression(σ, self._points, comm=problem.comm)
+
+    def _cell_volumes(self, cells: NDArray[np.int32]) -> Floats:
+        geometry = self._problem.tagged.mesh.geometry
+        x = geometry.x[geometry.dofmap[cells][:, :4]]
+        edges = x[:, 1:] - x[:, :1]
+        return np.abs(np.linalg.det(edges)) / 6
+
+    def evaluate(self, region: str) -> Floats:
+        """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
+        cells = self.cells[region]
+        if not len(cells):
+            return np.zeros((0, len(self._points), 3, 3))
+        values = self._expressions[region].eval(self._problem.tagged.mesh, cells)
+        return values.reshape(len(cells), len(self._points), 3, 3)
+
+    def region(self, region: str) -> dict[str, Any]:
+        """Published stresses of a region; collective."""
+        σ = self.evaluate(region).reshape(-1, 3, 3)
+        share = self._weights / self._weights.sum()
+        volume = np.outer(self.volumes[region], share).ravel()
+        x = self._centres(region)
+        mean = np.trace(σ, axis1=1, axis2=2) / 3
+        deviator = σ - mean[:, None, None] * np.eye(3)
+        local = np.column_stack(
+            [
+                np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)),
+                _hoop(σ, np.repeat(x, len(share), axis=0)),
+                np.linalg.eigvalsh(σ)[:, 2] if len(σ) else np.zeros(0),
+                mean,
+                volume,
+            ]
+        )
+        pieces = self._problem.comm.gather(local)
+        result: dict[str, Any] = {}
+        if pieces is not None:
+            mises, hoop, principal, mean, volume = np.concatenate(pieces).T
+            result = {
+                "von_mises_max": float(mises.max()),
+                "von_mises_p99": percentile(mises, volume),
+                "hoop_p99": percentile(hoop, volume),
+                "principal_max": float(principal.max()),
+                "principal_p99": percentile(principal, volume),
+                "mean_stress_min": float(mean.min()),
+                "mean_stress_max": float(mean.max()),
+                "volume": float(volume.sum()),
+                "volume_over_5_8_10_MPa": [
+                    float(volume[principal > level].sum()) for level in STRESS_LEVELS
+                ],
+            }
+        return dict(self._problem.comm.bcast(result))
+
+    def _centres(self, region: str) -> Floats:
+        geometry = self._problem.tagged.mesh.geometry
+        return geometry.x[geometry.dofmap[self.cells[region]][:, :4]].mean(axis=1)
+
+
+def _hoop(σ: Floats, x: Floats) -> Floats:
+    """Stress around the model's z axis (n,) [MPa]."""
+    r = np.hypot(x[:, 0], x[:, 1])
+    r = np.where(r > 0, r, 1.0)
+    t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, np.zeros(len(x))])
+    return np.einsum("pi,pij,pj->p", t, σ, t)
+
+
+def stem_motion(problem: Problem) -> dict[str, float]:
+    """Rigid motion of the stem against the bone (best fits over their volumes).
+
+    Subsidence [mm] is distal (-z), retroversion [deg] turns the medial side (x) towards posterior
+    (-y), varus [deg] tilts the top of the stem towards medial.
+    """
+    regions = problem.tagged.regions
+    bone = [r for r in regions if "bone" in r]
+    if "stem" not in regions or not bone:
+        return {}
+    stem_t, stem_ω, centre = _rigid_fit(problem, ["stem"])
+    bone_t, bone_ω, bone_centre = _rigid_fit(problem, bone)
+    t = stem_t - bone_t - np.cross(bone_ω, centre - bone_centre)
+    ω = np.rad2deg(stem_ω - bone_ω)
+    return {
+        "subsidence": float(-t[2]),
+        "retroversion": float(-ω[2]),
+        "varus": float(ω[1]),
+    }
+
+
+def _rigid_fit(problem: Problem, regions: list[str]) -> tuple[Floats, Floats, Floats]:
+    """Least-squares rigid motion of regions, weighted by volume: translation, rotation, centre."""
+    mesh, comm = problem.tagged.mesh, problem.comm
+    tags = cell_tags(problem.tagged)
+    owned = mesh.topology.index_map(3).size_local
+    displacements = problem.displacements()
+    xs, us, ws = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)]
+    layout = problem.space.dofmap.dof_layout
+    corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
+    for r in regions:
+        cells = np.flatnonzero(tags[:owned] == problem.tagged.regions[r])
+        x = mesh.geometry.x[mesh.geometry.dofmap[cells][:, :4]]
+        v = displacements[problem.bodies.of_region[r]].x.array.reshape(-1, 3)
+        us.append(v[problem.space.dofmap.list[cells][:, corner]].mean(axis=1))
+        xs.append(x.mean(axis=1))
+        ws.append(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6)
+    x, u, w = np.concatenate(xs), np.concatenate(us), np.concatenate(ws)
+
+    def total(values: Floats) -> Floats:
+        return np.asarray(comm.allreduce(np.einsum("p,p...->...", w, values), MPI.SUM))
+
+    volume = total(np.ones(len(w)))
+    centre, t = total(x) / volume, total(u) / volume
+    ξ, η = x - centre, u - t
+    second = total(np.einsum("pi,pj->pij", ξ, ξ))
+    inertia = np.trace(second) * np.eye(3) - second
+    return t, np.linalg.solve(inertia, total(np.cross(ξ, η))), centre

@@ -1,0 +1,329 @@
+"""One run, from a configuration to a run directory: the straight line through the program."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import signal
+import time as clock
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+from typing import Any, TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+import meshes
+from app import config, folders, quantities, scene, stepping
+from app import log as text
+from app.balance import Balance
+from app.errors import ConvergenceError, MantleError, StoppedError
+from app.output import UNITS, Writer, provenance
+from app.problem import Problem, Trial
+from app.quantities import Samples, Stresses
+from app.solver import Solver
+from app.timing import Timing
+from forms.contact import OPEN, SLIP
+from meshes.data import MeshData
+from meshes.distribute import distribute
+
+T = TypeVar("T")
+log = logging.getLogger("mantle")
+
+
+def run(
+    case: config.Case,
+    case_path: Path,
+    output: Path,
+    petsc_options: list[str],
+    overrides: list[str],
+    force: bool,
+) -> int:
+    """Solve a case and write its run directory; collective.
+
+    Args:
+        case: The configuration.
+        case_path: Where it came from, for the record.
+        output: The run directory.
+        petsc_options: Raw PETSc options from the command line.
+        overrides: ``--set`` options, for the record.
+        force: Whether an earlier result in the directory may be replaced.
+
+    Returns:
+        0.
+
+    Raises:
+        MantleError: With the last converged state on disk where there is one.
+    """
+    comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
+    timing = Timing()
+    stop = _watch_signals()
+    with timing.phase("mesh"):
+        data = on_root(
+            comm,
+            lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
+            share=False,
+        )
+        tagged = distribute(data, comm)
+        mesh_hash = comm.bcast(_mesh_hash(data) if data is not None else "")
+        del data
+    with timing.phase("assemble"):
+        problem = Problem(scene.build(case), tagged, case.solver.augmentation_factor, timing)
+        solver = Solver(
+            problem,
+            case.solver.tolerance,
+            case.solver.max_iterations,
+            case.solver.linear,
+            dict(case.solver.petsc) | raw_options(petsc_options),
+            timing,
+            stop,
+        )
+        stresses = Stresses(problem, timing)
+        balance = Balance(problem, np.array(getattr(case.geometry, "head_centre", (0.0, 0.0, 0.0))))
+    log.info(
+        "%s: %d cells, unknowns %s, %d rank(s)",
+        case.title or case_path.stem,
+        tagged.mesh.topology.index_map(3).size_global,
+        ", ".join(f"{n} {name}" for name, n in solver.block_sizes.items()),
+        comm.size,
+    )
+    writer = Writer(problem, stresses, output, config.dump(case), case.output.fields)
+    recorder = _Recorder(case, problem, solver, stresses, balance, writer, timing, begin)
+    log.info("%s", text.step_header())
+    try:
+        total = stepping.run(
+            problem, solver, problem.scene.stages, recorder.step, lambda s: log.info("     %s", s)
+        )
+    except (ConvergenceError, StoppedError) as error:
+        recorder.close("stopped" if isinstance(error, StoppedError) else "not converged")
+        raise type(error)(f"{error}\n{recorder.last_state()}") from error
+    recorder.flush()
+    summary = recorder.summary("converged", total)
+    record = provenance(problem, case_path, overrides, mesh_hash, started)
+    writer.finish(summary, record, done=True)
+    log.info("%s", text.closing_table(summary))
+    log.info("results in %s", output)
+    return 0
+
+
+class _Recorder:
+    """Turns converged steps into lines, rows, fields and the summary."""
+
+    def __init__(
+        self,
+        case: config.Case,
+        problem: Problem,
+        solver: Solver,
+        stresses: Stresses,
+        balance: Balance,
+        writer: Writer,
+        timing: Timing,
+        begin: float,
+    ) -> None:
+        self._case, self._problem, self._solver = case, problem, solver
+        self._stresses, self._balance, self._writer = stresses, balance, writer
+        self._timing, self._begin = timing, begin
+        self._samples: Samples | None = None
+        self._time = 0.0
+        self._steps = 0
+        self._written = 0
+        self._newton = 0
+
+    def step(self, step: stepping.Step, trial: Trial | None) -> None:
+        """Record a committed step; collective."""
+        with self._timing.phase("output"):
+            self._step(step, trial)
+
+    def _step(self, step: stepping.Step, trial: Trial | None) -> None:
+        problem = self._problem
+        self._balance.update(*self._solver.parts(), trial)
+        self._samples = Samples(problem, trial) if trial is not None else None
+        interfaces = self._interfaces()
+        self._time, self._steps = step.time, step.number
+        self._newton += step.outcome.iterations
+        wall = clock.perf_counter() - self._begin
+        rate = (len(problem.scene.stages) - step.time) / step.time
+        solved = self._timing.seconds.get("solve", 0.0)
+        log.info(
+            "%s",
+            text.step_line(
+                step.number,
+                step.time,
+                step.outcome.iterations,
+                step.outcome.linear_iterations,
+                step.outcome.residuals[-1],
+                self._fraction(OPEN),
+                self._fraction(SLIP),
+                max((q["penetration_max"] for q in interfaces.values()), default=0.0),
+                wall,
+                solved * rate,
+            ),
+        )
+        row: dict[str, Any] = {
+            "step": step.number,
+            "time [-]": step.time,
+            "newton [-]": step.outcome.iterations,
+            "krylov [-]": step.outcome.linear_iterations,
+            "residual [-]": step.outcome.residuals[-1],
+            "augmentation [-]": step.augmentation,
+            "force balance [-]": self._balance.force,
+            "moment balance [-]": self._balance.moment,
+            "energy balance [-]": self._balance.energy,
+        }
+        columns = {
+            "gap_max": "mm",
+            "gap_p99": "mm",
+            "slip_max": "mm",
+            "slip_p99": "mm",
+            "pressure_max": "MPa",
+            "pressure_p99": "MPa",
+            "shear_max": "MPa",
+            "shear_p99": "MPa",
+            "penetration_max": "mm",
+            "open_fraction": "-",
+            "stick_fraction": "-",
+            "slip_fraction": "-",
+            "dissipation": "N mm",
+        }
+        for name, q in interfaces.items():
+            row |= {f"{name} {key} [{unit}]": q[key] for key, unit in columns.items()}
+        self._writer.history(row | {"wall [s]": round(wall, 3)})
+        if step.number % self._case.output.every == 0:
+            self._fields()
+
+    def _fraction(self, status: int) -> float:
+        s = self._samples
+        if s is None:
+            return 0.0
+        return float(s.weight[s.status == status].sum() / s.weight.sum())
+
+    def _interfaces(self) -> dict[str, dict[str, Any]]:
+        if self._samples is None:
+            return {}
+        return {
+            c.name: quantities.interface(self._problem, self._samples, i)
+            for i, c in enumerate(self._problem.scene.contacts)
+        }
+
+    def _fields(self) -> None:
+        self._writer.fields(self._time, self._samples)
+        self._written = self._steps
+
+    def flush(self) -> None:
+        """Write the fields of the last step, unless they are."""
+        if self._written < self._steps:
+            self._fields()
+
+    def summary(self, status: str, total: stepping.Summary | None) -> dict[str, Any]:
+        """The summary of the state last committed; collective."""
+        problem, solver = self._problem, self._solver
+        regions = {e.region: self._stresses.region(e.region) for e in problem.scene.elastic}
+        interfaces = self._interfaces()
+        stem = quantities.stem_motion(problem)
+        sizes = solver.block_sizes
+        result = {
+            "status": status,
+            "title": self._case.title,
+            "units": UNITS,
+            "time": self._time,
+            "interfaces": interfaces,
+            "regions": regions,
+            "stem": stem,
+            "balance": {
+                "force": self._balance.force,
+                "moment": self._balance.moment,
+                "energy": self._balance.energy,
+            },
+            "solver": {
+                "dofs": sum(sizes.values()),
+                "blocks": sizes,
+                "steps": self._steps,
+                "newton_iterations": total.newton_iterations if total else self._newton,
+                "linear_iterations": total.linear_iterations if total else None,
+                "rejected_steps": total.rejected if total else None,
+                "augmentation": problem.augmentation(),
+                "ranks": problem.comm.size,
+            },
+        }
+        seconds = {k: 0.0 for k in ("mesh", "compile", "assemble", "solve", "output")}
+        seconds |= self._timing.seconds
+        seconds["total"] = clock.perf_counter() - self._begin
+        result["timing"] = {k: round(v, 3) for k, v in seconds.items()}
+        return result
+
+    def close(self, status: str) -> None:
+        """Leave the last converged state on disk, as far as the disk allows; collective."""
+        if not self._steps:
+            return
+        try:
+            self.flush()
+            self._writer.finish(self.summary(status, None), {}, done=False)
+        except StoppedError as error:
+            log.warning("%s", error)
+
+    def last_state(self) -> str:
+        """Where the last converged state is."""
+        if not self._steps:
+            return "no step has converged: nothing is on disk"
+        return (
+            f"last converged state: time {self._time:.4g} (step {self._steps}) "
+            f"in {self._writer.folder}"
+        )
+
+
+def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
+    """Do something on rank 0; its errors are raised on every rank, so that none waits.
+
+    Args:
+        comm: Communicator.
+        action: What rank 0 does.
+        share: Whether the result goes to the other ranks, else None does.
+    """
+    result, error = None, None
+    if comm.rank == 0:
+        try:
+            result = action()
+        except MantleError as caught:
+            error = caught
+    error = comm.bcast(error)
+    if error is not None:
+        raise error
+    return comm.bcast(result) if share else result
+
+
+def raw_options(arguments: list[str]) -> dict[str, str]:
+    """PETSc options from the command line: ``-name value`` or ``-name``."""
+    options: dict[str, str] = {}
+    key = ""
+    for word in arguments:
+        if word.startswith("-") and not word[1:2].isdigit():
+            key = word.lstrip("-")
+            options[key] = ""
+        elif key:
+            options[key], key = word, ""
+    return options
+
+
+def _mesh_hash(data: MeshData) -> str:
+    digest = hashlib.sha256()
+    for array in (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _watch_signals() -> Callable[[], str]:
+    """Note signals that ask the run to stop; they are looked at between Newton iterations.
+
+    Returns:
+        A function that names the signal received so far, or gives an empty text.
+    """
+    received: list[str] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(signal.Signals(number).name)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(number, note)
+    return lambda: received[0] if received else ""
