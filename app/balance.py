@@ -64,10 +64,9 @@ class Balance:
         ]
         nodes = problem.space.tabulate_dof_coordinates()[: len(problem.f.array) // 3]
         self._arm = nodes - about
-        ends = [
-            problem.comm.allreduce(f(nodes), op) for f, op in ((_low, MPI.MIN), (_high, MPI.MAX))
-        ]
-        self._diagonal = float(np.linalg.norm(ends[1] - ends[0]))
+        ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
+        low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
+        self._diagonal = float(np.linalg.norm(high - low))
         self._work = self._scale = 0.0
         self._last = self._measure(None)
         self.force = self.moment = self.energy = 0.0
@@ -160,14 +159,6 @@ class Balance:
         self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
         moment = sums[2] + sums[3] - new["spring_moments"]
         self.moment = _relative(float(np.linalg.norm(moment)), scale * self._diagonal)
-
-
-def _low(x: Floats) -> Floats:
-    return x.min(axis=0, initial=np.inf)
-
-
-def _high(x: Floats) -> Floats:
-    return x.max(axis=0, initial=-np.inf)
 
 
 def _relative(value: float, scale: float) -> float:
