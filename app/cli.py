@@ -232,11 +232,12 @@ def _mesh(options: argparse.Namespace) -> int:
     data = _build(case)
     import meshes
     from app import preview
+    from meshes.picture import picture
 
     try:
         meshes.write_msh(data, path)
         print(path)
-        meshes.picture(data, path.with_suffix(".png"))
+        picture(data, path.with_suffix(".png"))
         print(path.with_suffix(".png"))
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
@@ -286,19 +287,21 @@ def _doctor() -> int:
     """Print what is found on this machine."""
     from app import doctor
 
-    result = doctor.report()
-    return result if isinstance(result, int) else 0
+    print(doctor.report())
+    return 0
 
 
 def _configure_log(level: str) -> None:
-    """Send the log to standard error: from rank 0 all that is asked for, from the others errors."""
+    """Send progress to standard output and warnings to standard error, from rank 0 only."""
     import logging
 
-    logging.basicConfig(
-        stream=sys.stderr,
-        format="%(message)s",
-        level=level.upper() if rank() == 0 else logging.ERROR,
-    )
+    logger = logging.getLogger("mantle")
+    logger.propagate = False
+    logger.setLevel(level.upper() if rank() == 0 else logging.CRITICAL)
+    progress, trouble = logging.StreamHandler(sys.stdout), logging.StreamHandler(sys.stderr)
+    progress.addFilter(lambda record: record.levelno < logging.WARNING)
+    trouble.setLevel(logging.WARNING)
+    logger.handlers = [progress, trouble]
 
 
 class _stack:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -231,6 +232,10 @@ def schema() -> dict[str, Any]:
     return json_schema(Case)
 
 
+# Making an adapter takes far longer than using it.
+_adapter = lru_cache(TypeAdapter)
+
+
 def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
     """Every part that is valid by itself, so that the rest can still be checked against it.
 
@@ -239,7 +244,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
 
     def part(kind: Any, value: object) -> Any:
         try:
-            return TypeAdapter(kind).validate_python(value, context=context)
+            return _adapter(kind).validate_python(value, context=context)
         except ValidationError:
             return None
 
@@ -247,7 +252,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
         values = data.get(key, {})
         if not _is_table(values):
             return {}
-        adapter = TypeAdapter(kind)
+        adapter = _adapter(kind)
         result = {}
         for name, value in values.items():
             try:

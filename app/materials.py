@@ -94,10 +94,12 @@ class TransverselyIsotropic(Model):
         largest = max((abs(float(c)) for c in fibre), default=0.0)
         if not 0.0 < largest < math.inf:
             return values
-        length = largest * math.hypot(*(c / largest for c in fibre))
+        scaled = [c / largest for c in fibre]
+        length = math.hypot(*scaled)
         # Left alone once it is of unit length, so that a saved case reads back unchanged.
-        unit = fibre if abs(length - 1.0) < 1e-12 else [c / length for c in fibre]
-        return {**values, "fibre": unit}
+        if abs(largest * length - 1.0) < 1e-12:
+            return values
+        return {**values, "fibre": [c / length for c in scaled]}
 
     @model_validator(mode="after")
     def _admissible(self) -> TransverselyIsotropic:
@@ -132,10 +134,16 @@ class TransverselyIsotropic(Model):
         return max(self.axial_youngs_modulus, self.transverse_youngs_modulus)
 
 
+def _true(value: object) -> object:
+    if value is not True:
+        fail(f"{show(value)} is not true; an elastic region has moduli and no `rigid`")
+    return value
+
+
 class Rigid(Model):
     """Not deformable: the region moves as one body."""
 
-    rigid: Literal[True]
+    rigid: Annotated[Literal[True], BeforeValidator(_true)]
     """Must be true."""
 
 

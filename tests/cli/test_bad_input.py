@@ -1,0 +1,707 @@
+"""Everything a user can get wrong in a case file, with the line, column and words that tell it.
+
+Each entry edits a good file and names every complaint that has to come, in order, none besides.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from app import config
+from app.cli import main
+from app.errors import InputError
+
+GOOD = """\
+title: press
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 4 mm
+  bone_thickness: 6 mm
+  length: 20 mm
+mesh:
+  size: 2 mm
+regions:
+  stem:
+    youngs_modulus: 110 GPa
+    poisson_ratio: 0.3
+  cement: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
+  bone:
+    kind: transversely_isotropic
+    axial_youngs_modulus: 17 GPa
+    transverse_youngs_modulus: 11.5 GPa
+    axial_poisson_ratio: 0.31
+    transverse_poisson_ratio: 0.51
+    axial_shear_modulus: 3.3 GPa
+interfaces:
+  stem_cement:
+    kind: contact
+    friction_coefficient: 0.4
+    gap: -0.01 mm
+  cement_bone: {kind: bonded}
+supports:
+  base: {kind: fixed, boundary: bone_surface}
+loads:
+  push:
+    kind: force
+    boundary: stem_top
+    force: [0 N, 0 N, -100 N]
+    history: [0.5, 1]
+stages:
+  - name: press_fit
+  - name: push_in
+solver:
+  tolerance: 1e-10
+"""
+
+DIRECT = "'direct' or 'multigrid'"
+SYNTAX = "not valid YAML"
+TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
+    "unknown key": (
+        [("length: 20 mm", "lenght: 20 mm")],
+        [
+            "2:1: geometry: 'length' is missing; expected: length along z",
+            "7:3: geometry.lenght: unknown key; allowed: kind, stem_radius, cement_thickness, "
+            "bone_thickness, length, taper, sector; did you mean 'length'?",
+        ],
+    ),
+    "unknown section": (
+        [("solver:", "sover:")],
+        ["39:1: sover: unknown key; allowed: title, geometry,"],
+    ),
+    "unknown key in an interface": (
+        [("friction_coefficient: 0.4", "friction_coeficient: 0.4")],
+        [
+            "23:3: interfaces.stem_cement: 'friction_coefficient' is missing",
+            "25:5: interfaces.stem_cement.friction_coeficient: unknown key; allowed: kind, "
+            "friction_coefficient, gap, gap_history, augmentation; "
+            "did you mean 'friction_coefficient'?",
+        ],
+    ),
+    "duplicate key": (
+        [
+            (
+                "    poisson_ratio: 0.3\n  cement",
+                "    youngs_modulus: 1 GPa\n    poisson_ratio: 0.3\n  cement",
+            )
+        ],
+        ["13:5: regions.stem.youngs_modulus: this key stands here twice; keep one"],
+    ),
+    "duplicate section": (
+        [("solver:\n", "mesh: {}\nsolver:\n")],
+        ["39:1: mesh: this key stands here twice; keep one"],
+    ),
+    "missing section": (
+        [("mesh:\n  size: 2 mm\n", "")],
+        ["1:1: 'mesh' is missing; expected: mesh size and order"],
+    ),
+    "missing unit, whole number": (
+        [("length: 20 mm", "length: 20")],
+        ["7:3: geometry.length: 20 needs a unit, e.g. '20 mm'"],
+    ),
+    "missing unit, zero": (
+        [("gap: -0.01 mm", "gap: 0")],
+        ["26:5: interfaces.stem_cement.gap: 0 needs a unit, e.g. '0 mm'"],
+    ),
+    "missing unit, text": (
+        [("size: 2 mm", "size: '2'")],
+        ["9:3: mesh.size: '2' needs a unit, e.g. '2 mm'"],
+    ),
+    "missing unit in a vector": (
+        [("0 N, -100 N]", "0 N, -100]")],
+        ["34:23: loads.push.force[2]: -100 needs a unit, e.g. '-100 N'"],
+    ),
+    "wrong dimension": (
+        [("110 GPa", "110 mm")],
+        [
+            "12:5: regions.stem.youngs_modulus: '110 mm' is a length; expected a stress "
+            "such as '110 GPa'"
+        ],
+    ),
+    "wrong dimension, compound": (
+        [("110 GPa", "110 N/mm")],
+        ["12:5: regions.stem.youngs_modulus: '110 N/mm' is a force per length; expected a stress"],
+    ),
+    "unknown unit": (
+        [("110 GPa", "110 GPA")],
+        [
+            "12:5: regions.stem.youngs_modulus: '110 GPA': 'GPA' is not a unit; "
+            "expected a stress such as '110 GPa'; did you mean 'GPa'?"
+        ],
+    ),
+    "unit on a plain number": (
+        [("friction_coefficient: 0.4", "friction_coefficient: 0.4 mm")],
+        [
+            "25:5: interfaces.stem_cement.friction_coefficient: '0.4 mm' is not a number; "
+            "expected a plain number (this value is dimensionless: no unit)"
+        ],
+    ),
+    "quoted number": (
+        [("poisson_ratio: 0.3\n", "poisson_ratio: '0.3'\n")],
+        [
+            "13:5: regions.stem.poisson_ratio: '0.3' is not a number; expected a plain "
+            "number without"
+        ],
+    ),
+    "thousands separator": (
+        [("-100 N]", "'-1,000 N']")],
+        ["34:23: loads.push.force[2]: '-1,000 N': ',000 N' is not a unit"],
+    ),
+    "bool for a number": (
+        [("friction_coefficient: 0.4", "friction_coefficient: true")],
+        ["25:5: interfaces.stem_cement.friction_coefficient: true is not a number"],
+    ),
+    "number for a bool": (
+        [("size: 2 mm", "size: 2 mm\n  curved: 1")],
+        ["10:3: mesh.curved: 1 is not true or false"],
+    ),
+    "infinite": (
+        [("friction_coefficient: 0.4", "friction_coefficient: .inf")],
+        ["25:5: interfaces.stem_cement.friction_coefficient: inf is not finite; expected a number"],
+    ),
+    "infinite with unit": (
+        [("110 GPa", ".inf GPa")],
+        ["12:5: regions.stem.youngs_modulus: '.inf GPa' is not finite; expected a stress"],
+    ),
+    "not a number": (
+        [("0.31", ".nan")],
+        ["19:5: regions.bone.axial_poisson_ratio: nan is not finite; expected a number"],
+    ),
+    "overflow": (
+        [("110 GPa", "1e400 GPa")],
+        ["12:5: regions.stem.youngs_modulus: '1e400 GPa' is not finite"],
+    ),
+    "negative length": (
+        [("stem_radius: 7 mm", "stem_radius: -7 mm")],
+        ["4:3: geometry.stem_radius: '-7 mm' must be positive"],
+    ),
+    "negative friction": (
+        [("friction_coefficient: 0.4", "friction_coefficient: -0.1")],
+        ["25:5: interfaces.stem_cement.friction_coefficient: -0.1 must not be negative"],
+    ),
+    "two keys on a line": (
+        [("name: push_in", "name: push_in, increments: 2.5")],
+        [f"38:30: {SYNTAX}: mapping values are not allowed here"],
+    ),
+    "increments not whole": (
+        [("- name: push_in", "- {name: push_in, increments: 2.5}")],
+        ["38:21: stages[1].increments: 2.5 is not a whole number"],
+    ),
+    "order out of range": (
+        [("size: 2 mm", "size: 2 mm\n  order: 3")],
+        ["10:3: mesh.order: 3 must be at most 2"],
+    ),
+    "far size below size": (
+        [("size: 2 mm", "size: 2 mm\n  far_size: 1 mm")],
+        ["10:3: mesh.far_size: 1 mm is finer than size, 2 mm"],
+    ),
+    "isotropic not positive definite": (
+        [("poisson_ratio: 0.3\n", "poisson_ratio: 0.5\n")],
+        [
+            "13:5: regions.stem.poisson_ratio: the stiffness is not positive definite; "
+            "expected -1 < poisson_ratio < 0.5"
+        ],
+    ),
+    "negative modulus": (
+        [("110 GPa", "-110 GPa")],
+        [
+            "12:5: regions.stem.youngs_modulus: the stiffness is not positive definite; "
+            "expected youngs_modulus > 0"
+        ],
+    ),
+    "transversely isotropic not positive definite": (
+        [("0.31", "0.7")],
+        [
+            "19:5: regions.bone.axial_poisson_ratio: the stiffness is not positive "
+            "definite; expected "
+            "1 - transverse_poisson_ratio - 2 axial_poisson_ratio^2 transverse_youngs_modulus / "
+            "axial_youngs_modulus > 0 (it is -0.173)"
+        ],
+    ),
+    "transverse ratio of one": (
+        [("0.51", "1")],
+        ["20:5: regions.bone.transverse_poisson_ratio: the stiffness is not positive definite"],
+    ),
+    "fibre zero": (
+        [("3.3 GPa", "3.3 GPa\n    fibre: [0, 0, 0]")],
+        ["22:5: regions.bone.fibre: is the zero vector; expected a direction"],
+    ),
+    "fibre of two": (
+        [("3.3 GPa", "3.3 GPa\n    fibre: [0, 1]")],
+        ["22:5: regions.bone.fibre: has 2 values; expected three, e.g. [0, 0, 1]"],
+    ),
+    "unknown kind of interface": (
+        [("kind: bonded", "kind: glued")],
+        ["27:17: interfaces.cement_bone.kind: 'glued' is not one of bonded, contact, penalty"],
+    ),
+    "misspelled kind": (
+        [("kind: bonded", "kind: bonde")],
+        [
+            "27:17: interfaces.cement_bone.kind: 'bonde' is not one of bonded, contact, penalty; "
+            "did you mean 'bonded'?"
+        ],
+    ),
+    "missing kind": (
+        [("{kind: fixed, ", "{")],
+        [
+            "29:3: supports.base.kind: is missing; expected one of fixed, roller, "
+            "displacement, foundation"
+        ],
+    ),
+    "unknown geometry": (
+        [("kind: cylinders", "kind: cylinder")],
+        [
+            "3:3: geometry.kind: 'cylinder' is not one of blocks, cylinders, femur, "
+            "file; did you mean"
+        ],
+    ),
+    "kind that is no word": (
+        [("kind: cylinders", "kind: [cylinders]")],
+        ["3:3: geometry.kind: a list is not one of blocks, cylinders, femur, file"],
+    ),
+    "unknown region and missing material": (
+        [("  cement: {", "  cemnt: {")],
+        [
+            "10:1: regions: no material for cement; every region needs one",
+            "14:3: regions.cemnt: the geometry (cylinders) has no region 'cemnt'; "
+            "it has stem, cement, bone; did you mean 'cement'?",
+        ],
+    ),
+    "unknown interface": (
+        [("cement_bone: {", "bone_cement: {")],
+        [
+            "27:3: interfaces.bone_cement: the geometry (cylinders) has no interface "
+            "'bone_cement'; "
+            "it has stem_cement, cement_bone"
+        ],
+    ),
+    "unknown boundary of a support": (
+        [("boundary: bone_surface", "boundary: bone_surfaces")],
+        [
+            "29:23: supports.base.boundary: the geometry (cylinders) has no boundary "
+            "'bone_surfaces'; "
+            "it has stem_top, stem_bottom, cement_top, cement_bottom, bone_top, bone_bottom, top, "
+            "bottom, bone_surface; did you mean 'bone_surface'?"
+        ],
+    ),
+    "unknown boundary of a load": (
+        [("boundary: stem_top", "boundary: stem_trunnion")],
+        ["33:5: loads.push.boundary: the geometry (cylinders) has no boundary 'stem_trunnion'"],
+    ),
+    "boundary of another sector": (
+        [("boundary: bone_surface", "boundary: symmetry_x")],
+        ["29:23: supports.base.boundary: the geometry (cylinders) has no boundary 'symmetry_x'"],
+    ),
+    "history too short": (
+        [("history: [0.5, 1]", "history: [1]")],
+        [
+            "35:5: loads.push.history: has 1 values; expected 2, one for the end of each stage "
+            "(press_fit, push_in)"
+        ],
+    ),
+    "gap history too long": (
+        [("gap: -0.01 mm", "gap: -0.01 mm\n    gap_history: [1, 1, 1]")],
+        ["27:5: interfaces.stem_cement.gap_history: has 3 values; expected 2"],
+    ),
+    "history not a list": (
+        [("history: [0.5, 1]", "history: 1")],
+        ["35:5: loads.push.history: 1 is not a list"],
+    ),
+    "two stages of a name": (
+        [("- name: push_in", "- name: press_fit")],
+        ["38:5: stages[1].name: 'press_fit' is the name of an earlier stage too; expected another"],
+    ),
+    "no stages": (
+        [
+            ("stages:\n  - name: press_fit\n  - name: push_in\n", "stages: []\n"),
+            ("    history: [0.5, 1]\n", ""),
+        ],
+        ["35:1: stages: is empty; expected at least one stage"],
+    ),
+    "nothing holds the model": (
+        [("supports:\n  base: {kind: fixed, boundary: bone_surface}\n", "")],
+        ["1:1: supports: nothing holds the model; expected a support"],
+    ),
+    "nothing holds the model along two axes": (
+        [("kind: fixed,", "kind: roller, axis: z,")],
+        ["28:1: supports: nothing holds the model along x and y; expected a support"],
+    ),
+    "unknown axis": (
+        [("kind: fixed,", "kind: roller, axis: w,")],
+        ["29:24: supports.base.axis: 'w' is not one of x, y, z"],
+    ),
+    "displacement of nothing": (
+        [("kind: fixed,", "kind: displacement,")],
+        ["29:3: supports.base: prescribes nothing; expected at least one of x, y, z"],
+    ),
+    "foundation without stiffness": (
+        [("kind: fixed,", "kind: foundation, stiffness: 0 MPa/mm,")],
+        ["29:28: supports.base.stiffness: is zero along every axis"],
+    ),
+    "force of two components": (
+        [("[0 N, 0 N, -100 N]", "[0 N, -100 N]")],
+        ["34:5: loads.push.force: has 2 values; expected three, e.g. [0 N, 0 N, -1800 N]"],
+    ),
+    "force that is no vector": (
+        [("[0 N, 0 N, -100 N]", "-100 N")],
+        ["34:5: loads.push.force: '-100 N' is not a list of three values"],
+    ),
+    "unit behind a list without quotes": (
+        [("[0 N, 0 N, -100 N]", "[0, 0, -100] N")],
+        [
+            f"34:25: {SYNTAX}: expected <block end>, but found '<scalar>'; a list with "
+            "one unit needs quotes"
+        ],
+    ),
+    "named point of another geometry": (
+        [("history: [0.5, 1]", "at: head_centre")],
+        [
+            "35:5: loads.push.at: 'head_centre' is not a point; expected [x, y, z] lengths "
+            "(this geometry names no points)"
+        ],
+    ),
+    "gap that is no expression": (
+        [("gap: -0.01 mm", "gap: import os")],
+        [
+            "26:5: interfaces.stem_cement.gap: 'import os' is not an expression in x, y, "
+            "z: invalid syntax"
+        ],
+    ),
+    "gap that reaches for Python": (
+        [("gap: -0.01 mm", "gap: x.__class__")],
+        [
+            "26:5: interfaces.stem_cement.gap: 'x.__class__' is not allowed in an "
+            "expression; allowed are"
+        ],
+    ),
+    "gap with unknown name": (
+        [("gap: -0.01 mm", "gap: 0.01 * w")],
+        ["26:5: interfaces.stem_cement.gap: 'w' is not one of x, y, z, pi"],
+    ),
+    "two rigid regions in contact": (
+        [
+            ("    youngs_modulus: 110 GPa\n    poisson_ratio: 0.3\n", "    rigid: true\n"),
+            ("cement: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}", "cement: {rigid: true}"),
+        ],
+        [
+            "22:3: interfaces.stem_cement: contact between rigid regions (cement and stem); "
+            "one side has to be elastic"
+        ],
+    ),
+    "rigid and elastic at once": (
+        [("    poisson_ratio: 0.3\n  cement", "    rigid: true\n  cement")],
+        ["12:5: regions.stem.youngs_modulus: unknown key; allowed: rigid"],
+    ),
+    "rigid false": (
+        [("cement: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}", "cement: {rigid: false}")],
+        ["14:12: regions.cement.rigid: false is not true; an elastic region has"],
+    ),
+    "vanishing stem": (
+        [("length: 20 mm", "length: 20 mm\n  taper: 40 deg")],
+        ["8:3: geometry.taper: makes the stem vanish at an end; expected a smaller angle"],
+    ),
+    "angle without unit of angle": (
+        [("length: 20 mm", "length: 20 mm\n  taper: 5 percent")],
+        ["8:3: geometry.taper: '5 percent' is a plain number; expected an angle such as '1.5 deg'"],
+    ),
+    "unknown sector": (
+        [("length: 20 mm", "length: 20 mm\n  sector: third")],
+        ["8:3: geometry.sector: 'third' is not one of full, half, quarter"],
+    ),
+    "section that is no mapping": (
+        [("mesh:\n  size: 2 mm\n", "mesh: 2 mm\n")],
+        ["8:1: mesh: '2 mm' is not a mapping; expected keys size, far_size, order, curved"],
+    ),
+    "table that is no mapping": (
+        [("supports:\n  base: {kind: fixed, boundary: bone_surface}\n", "supports: fixed\n")],
+        ["28:1: supports: 'fixed' is not a mapping of names to values"],
+    ),
+    "entry that is no mapping": (
+        [("cement_bone: {kind: bonded}", "cement_bone: bonded")],
+        [
+            "27:3: interfaces.cement_bone: 'bonded' is not a mapping; expected one with "
+            "kind: bonded | "
+        ],
+    ),
+    "title that is no text": ([("title: press", "title: 7")], ["1:1: title: 7 is not text"]),
+    "name that is no name": (
+        [("push:\n", "'push it':\n")],
+        ["31:3: loads.push it: 'push it' is not a name; expected letters, digits, _ and -"],
+    ),
+    "PETSc option with a dash": (
+        [("tolerance: 1e-10", "petsc: {-ksp_type: cg}")],
+        ["40:11: solver.petsc.-ksp_type: write the option without the dash: ksp_type"],
+    ),
+    "unknown linear solver": (
+        [("tolerance: 1e-10", "linear: lu")],
+        ["40:3: solver.linear: 'lu' is not one of auto, direct, multigrid"],
+    ),
+    "tab": (
+        [("  kind: cylinders", "\tkind: cylinders")],
+        [f"3:1: {SYNTAX}: found character '\\t'"],
+    ),
+    "open bracket": (
+        [("[0.5, 1]", "[0.5, 1")],
+        [f"36:7: {SYNTAX}: expected ',' or ']', but got"],
+    ),
+    "unknown alias": (
+        [("length: 20 mm", "length: *l")],
+        [f"7:11: {SYNTAX}: found undefined alias 'l'"],
+    ),
+    "foreign tag": (
+        [("length: 20 mm", "length: !!python/name:os.system 20")],
+        ["7:11: the tag tag:yaml.org,2002:python/name:os.system has no meaning here"],
+    ),
+    "alias inside itself": (
+        [("title: press", "title: &t [*t]")],
+        ["1:8: too many or too deeply nested values"],
+    ),
+    "two documents": (
+        [("solver:", "---\nsolver:")],
+        [f"39:1: {SYNTAX}: but found another document"],
+    ),
+    "list for a mapping": ([(GOOD, "- a\n")], ["1:1: expected a mapping with geometry"]),
+    "empty": ([(GOOD, "")], ["1:1: the file is empty; expected a mapping with geometry"]),
+    "only a comment": ([(GOOD, "# nothing\n")], ["1:1: the file is empty"]),
+    "control character": (
+        [("press", "pr\0ss")],
+        [f"1:10: {SYNTAX}: a control character is not allowed"],
+    ),
+    "many at once": (
+        [
+            ("length: 20 mm", "lenght: 20 mm"),
+            ("size: 2 mm", "size: 2"),
+            ("poisson_ratio: 0.3\n", "poisson_ratio: 0.6\n"),
+            ("kind: bonded", "kind: glued"),
+            ("[0.5, 1]", "[1]"),
+        ],
+        [
+            "2:1: geometry: 'length' is missing",
+            "7:3: geometry.lenght: unknown key",
+            "9:3: mesh.size: 2 needs a unit",
+            "13:5: regions.stem.poisson_ratio: the stiffness is not positive definite",
+            "27:17: interfaces.cement_bone.kind: 'glued'",
+            "35:5: loads.push.history: has 1 values; expected 2",
+        ],
+    ),
+}
+
+
+def edit(edits: list[tuple[str, str]]) -> str:
+    """The good file with edits, each of which has to apply."""
+    text = GOOD
+    for old, new in edits:
+        assert old in text, old
+        text = text.replace(old, new, 1)
+    return text
+
+
+def complaints(path: Path, overrides: list[str] | None = None) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        config.load(path, overrides or [])
+    return caught.value.messages
+
+
+def test_good_file_is_good(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(GOOD)
+    assert config.load(path).title == "press"
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_complaint(name: str, tmp_path: Path) -> None:
+    edits, expected = TABLE[name]
+    path = tmp_path / "case.yaml"
+    path.write_text(edit(edits))
+    messages = complaints(path)
+    assert len(messages) == len(expected), messages
+    for message, start in zip(messages, expected, strict=True):
+        assert message.startswith(f"{path}:{start}")
+        assert "\n" not in message
+        assert "=" not in message.replace(" >= ", "").split(": ")[1], (
+            "a class name leaked into the path"
+        )
+
+
+def test_table_is_large_enough() -> None:
+    assert sum(len(expected) for _, expected in TABLE.values()) >= 60
+
+
+OVERRIDES = [
+    ("mesh.size=3", "--set mesh.size: 3 needs a unit, e.g. '3 mm'"),
+    (
+        "mesh.sise=3 mm",
+        "--set mesh.sise: unknown key; allowed: size, far_size, order, curved; did you",
+    ),
+    ("mesh", "--set mesh: expected KEY=VALUE"),
+    ("=3", "--set : expected KEY=VALUE"),
+    ("mesh..size=3", "--set mesh..size: expected KEY=VALUE"),
+    ("title.x=3", "--set title.x: title is a single value: it has no 'x'"),
+    ("stages[7].name=a", "--set stages[7].name: stages has entries 0 to 1, not '7'"),
+    (
+        "stages.1.increments=0",
+        "--set stages.1.increments: stages[1].increments: 0 must be at least 1",
+    ),
+    (
+        "interfaces.stem_cement.kind=glued",
+        "--set interfaces.stem_cement.kind: 'glued' is not one of",
+    ),
+    ("regions.stem={rigid: 1}", "--set regions.stem: regions.stem.rigid: 1 is not true"),
+    ("loads.push.force=[0, 0", "--set loads.push.force: not valid YAML: "),
+    (
+        "mesh.size={a: 1, a: 2}",
+        "--set mesh.size: mesh.size.a: this key stands here twice; keep one",
+    ),
+]
+
+
+@pytest.mark.parametrize(("override", "expected"), OVERRIDES)
+def test_override(override: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(GOOD)
+    (message,) = complaints(path, [override])
+    assert message.startswith(expected)
+
+
+def test_errors_of_file_and_overrides_come_together(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(edit([("length: 20 mm", "length: 20")]))
+    messages = complaints(path, ["mesh.size=3", "nonsense"])
+    assert len(messages) == 3
+    assert messages[0].startswith(f"{path}:7:3: ")
+    assert all(m.startswith("--set ") for m in messages[1:])
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    assert complaints(tmp_path / "none.yaml") == [f"{tmp_path}/none.yaml: no such file"]
+    assert complaints(tmp_path) == [f"{tmp_path}: is a folder; expected a YAML file"]
+    latin = tmp_path / "latin.yaml"
+    latin.write_bytes(b"title: a\n# \xb5m\n")
+    assert complaints(latin) == [f"{latin}:2:3: not UTF-8 text (byte 0xb5)"]
+    assert complaints(latin / "below")[0].startswith(f"{latin}/below: cannot be read: Not a dir")
+
+
+def test_aliases_cannot_blow_up(tmp_path: Path) -> None:
+    rows = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
+    rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
+    path = tmp_path / "bomb.yaml"
+    path.write_text("\n".join(rows))
+    assert "too many or too deeply nested values" in complaints(path)[0]
+    path.write_text("a: " + "[" * 3000)
+    assert "not valid YAML" in complaints(path)[0]
+
+
+MESHES = [
+    ("nonsense", "not a gmsh .msh file"),
+    ("$MeshFormat\n2.1 0 8\n", "not of .msh format 2.2 or 4.1"),
+    ("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n", "names no region"),
+]
+
+
+@pytest.mark.parametrize(("content", "expected"), MESHES)
+def test_mesh_file(content: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text("geometry:\n  kind: file\n  path: a.msh\nmesh: {size: 1 mm}\nregions: {}\n")
+    assert any(f"{path}:3:3: geometry.path: no such file: " in m for m in complaints(path))
+    (tmp_path / "a.msh").write_text(content)
+    (message,) = (m for m in complaints(path) if "geometry" in m)
+    assert message.startswith(f"{path}:3:3: geometry.path: ")
+    assert expected in message
+
+
+def test_names_of_a_mesh_file(tmp_path: Path) -> None:
+    (tmp_path / "a.msh").write_text(
+        '$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$PhysicalNames\n3\n2 7 "bottom"\n3 1 "rock"\n'
+        '3 2 "soil"\n$EndPhysicalNames\n'
+    )
+    path = tmp_path / "case.yaml"
+    path.write_text(
+        "geometry:\n  kind: file\n  path: a.msh\n  interfaces:\n    joint: [rock, [soli]]\n"
+        "mesh: {size: 1 mm}\nregions: {rock: {rigid: true}}\nsupports:\n"
+        "  base: {kind: fixed, boundary: botom}\n"
+    )
+    (message,) = complaints(path)
+    assert message == (
+        f"{path}:5:19: geometry.interfaces.joint[1]: 'soli' is not one of rock, soil; "
+        "did you mean 'soil'?"
+    )
+    path.write_text(path.read_text().replace("soli", "soil"))
+    messages = complaints(path)
+    assert [re.sub(r".*?yaml:", "", m).split(";")[0] for m in messages] == [
+        "7:1: regions: no material for soil",
+        "9:23: supports.base.boundary: the geometry (file) has no boundary 'botom'",
+    ]
+
+
+def test_command_says_it_once_and_exits_with_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(edit([("110 GPa", "110 mm")]))
+    for command in ("check", "run", "mesh"):
+        assert main([command, str(path)]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith(f"{path}:12:5: regions.stem.youngs_modulus: ")
+        assert err.count("\n") == 1
+    # The other ranks of an MPI job keep quiet and leave with the same code.
+    monkeypatch.setenv("OMPI_COMM_WORLD_RANK", "1")
+    assert main(["run", str(path)]) == 2
+    assert capsys.readouterr() == ("", "")
+
+
+COMMAND_LINES = [
+    ([], "the following arguments are required: COMMAND"),
+    (["chek", "x"], "invalid choice: 'chek'"),
+    (["check"], "the following arguments are required: CASE"),
+    (["check", "none.yaml"], "none.yaml: no such file"),
+    (["check", "none.yaml", "--colour"], "unrecognized arguments: --colour"),
+    (["check", "none.yaml", "--", "-log_view"], "nothing to solve"),
+    (["run", "none.yaml", "-n", "zero"], "-n: 'zero' is not a number of ranks"),
+    (["run", "none.yaml", "-o"], "expected one argument"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "expected"), COMMAND_LINES)
+def test_command_line(
+    arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert expected in err
+    assert err.count("\n") == 1
+
+
+def test_run_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(GOOD)
+    full = tmp_path / "full"
+    full.mkdir()
+    (full / "fields.vtkhdf").touch()
+    cases = [
+        (full, "is not empty; choose another folder, or --force to replace the results"),
+        (path, "is a file; expected a folder"),
+        (path / "below", "a folder above it is a file"),
+        (Path("/proc/nowhere"), "cannot be made or read: "),
+    ]
+    for folder, expected in cases:
+        assert main(["run", str(path), "-o", str(folder)]) == 2
+        assert capsys.readouterr().err.startswith(f"-o {folder}: {expected}")
+
+
+def test_module_exits_with_the_code(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "app", "run", str(tmp_path / "none.yaml")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.returncode == 2
+    assert result.stderr == f"{tmp_path}/none.yaml: no such file\n"
+    assert result.stdout == ""

@@ -1,0 +1,214 @@
+"""``mantle check`` and the other commands that need no solver; how the command line fails."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from app import __version__, cli, folders
+from app.cli import main
+from app.errors import ConvergenceError
+
+ROOT = Path(__file__).parents[2]
+CONFIGS = ROOT / "configs"
+
+
+def python(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a fresh interpreter in the checkout."""
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def test_check_imports_neither_solver_nor_mesher() -> None:
+    result = python(
+        """
+        import sys
+        from app.cli import main
+        assert main(["check", "configs/stance.yaml"]) == 0
+        heavy = ("dolfinx", "mpi4py", "petsc4py", "gmsh", "ufl", "h5py", "scipy", "matplotlib")
+        print("loaded:", [m for m in heavy if m in sys.modules])
+        """
+    )
+    assert result.stdout.splitlines()[-1] == "loaded: []", result.stderr
+
+
+def test_check_takes_less_than_two_seconds() -> None:
+    """Processor time, which on an idle machine is the wall time: others may be busy here."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = [sys.executable, "-m", "app", "check", "configs/stance.yaml"]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=60)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 2.0
+
+
+def test_check_tells_what_it_understood(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(CONFIGS / "stance.yaml")
+    assert main(["check", path, "--set", "geometry.cement_thickness=0.3 cm"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    for line in (
+        "Single-limb stance, titanium stem, 4 mm mantle",
+        "  cement_thickness: 3 mm  (0.3 cm)",
+        "  stem_length: 147 mm  [default]",
+        "  neck_angle: 130 deg  [default]",
+        "  stem: isotropic",
+        "    youngs_modulus: 110000 MPa  (110 GPa)",
+        "  cortical_bone: transversely_isotropic",
+        "  stem_cement (stem | cement): contact",
+        "    friction_coefficient: 0.4",
+        "  shaft: fixed on distal_cut",
+        "  hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm",
+        "  psoas: force on psoas, force [11.8, 35.3, 100] N",
+        "  sum at the end: [0.1, -0.1, -503.4] N, 503.4 N",
+        "  stance: 4 increments, adaptive",
+    ):
+        assert line in out.splitlines()
+    assert "size (estimated; --mesh counts)" in out
+    assert all(len(line) <= 120 for line in out.splitlines())
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_check_accepts_every_shipped_case(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(path)]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_check_notes_that_nothing_acts(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(CONFIGS / "blocks.yaml")
+    assert main(["check", path, "--set", "loads="]) == 2
+    assert main(["check", path, "--set", "loads={}"]) == 0
+    assert "note: nothing acts on the model" in capsys.readouterr().err
+
+
+def test_check_mesh_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gmsh")
+    path = str(CONFIGS / "blocks.yaml")
+    assert main(["check", path, "--mesh", "--set", "mesh.size=5 mm", "--set", "mesh.order=2"]) == 0
+    out = capsys.readouterr().out
+    assert "size\n" in out
+    assert "estimated" not in out
+    assert "interface areas mm2: bone_cement 100, cement_metal 100" in out
+
+
+def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gmsh")
+    case = str(CONFIGS / "blocks.yaml")
+    coarse = ["--set", "mesh.size=5 mm"]
+    assert main(["mesh", case, "-o", str(tmp_path / "new" / "folder"), *coarse]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert [Path(line).name for line in out[:2]] == ["blocks.msh", "blocks.png"]
+    assert all(Path(line).stat().st_size > 1000 for line in out[:2])
+    # What was written can be read as a geometry of its own.
+    given = tmp_path / "again.yaml"
+    given.write_text(
+        f"geometry: {{kind: file, path: {out[0]}, interfaces: {{joint: [bone, cement]}}}}\n"
+        "mesh: {size: 5 mm}\nsupports: {base: {kind: fixed, boundary: bottom}}\nregions:\n"
+        + "".join(
+            f"  {n}: {{youngs_modulus: 1 GPa, poisson_ratio: 0}}\n"
+            for n in ("bone", "cement", "metal")
+        )
+    )
+    assert main(["check", str(given), "--mesh"]) == 0
+    assert "joint 100" in capsys.readouterr().out
+
+
+def test_mesh_says_where_it_cannot_write(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    target = tmp_path / "file" / "below.msh"
+    assert main(["mesh", str(CONFIGS / "blocks.yaml"), "-o", str(target)]) == 2
+    assert "cannot be made" in capsys.readouterr().err
+
+
+def test_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert schema["required"] == ["geometry", "mesh", "regions"]
+    femur = schema["$defs"]["Femur"]["properties"]["cement_thickness"]
+    assert femur["default"] == "4.0 mm"
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["--version"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out == f"mantle {__version__}\n"
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    command = f"{sys.executable} -m app schema | head -n 1; echo ${{PIPESTATUS[0]}}"
+    result = subprocess.run(
+        ["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=60
+    )
+    assert result.stdout == "{\n0\n"
+    assert result.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (ConvergenceError("stem_cement did not settle"), 4, "stem_cement did not settle"),
+        (KeyboardInterrupt(), 5, "stopped"),
+        (ZeroDivisionError("a bug"), 70, "ZeroDivisionError: a bug"),
+    ],
+)
+def test_exit_codes(
+    error: BaseException,
+    code: int,
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(arguments: list[str]) -> int:
+        raise error
+
+    monkeypatch.setattr(cli, "_dispatch", fail)
+    aborted: list[int] = []
+    monkeypatch.setattr(cli, "_abort", aborted.append)
+    assert main([]) == code
+    assert capsys.readouterr().err.rstrip().endswith(said)
+    # Errors that all ranks have alike leave by themselves; others end the ranks that would wait.
+    assert aborted == ([] if code == 4 else [code])
+
+
+@pytest.mark.parametrize("variable", cli.RANK_VARIABLES)
+def test_one_rank_speaks(
+    variable: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for other in cli.RANK_VARIABLES:
+        monkeypatch.delenv(other, raising=False)
+    assert cli.rank() == 0
+    monkeypatch.setenv(variable, "3")
+    assert cli.rank() == 3
+    assert main(["check", "none.yaml"]) == 2
+    assert capsys.readouterr() == ("", "")
+
+
+def test_run_folder_is_made_once_and_refused_when_full(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    folders.prepare_run(folder, force=False)
+    folders.prepare_run(folder, force=False)
+    (folder / "DONE").touch()
+    with pytest.raises(Exception, match="is not empty"):
+        folders.prepare_run(folder, force=False)
+    folders.prepare_run(folder, force=True)
+
+
+def test_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert folders.cache("meshes") == tmp_path / "mantle" / "meshes"
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    assert folders.cache("meshes") is None

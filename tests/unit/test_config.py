@@ -1,0 +1,243 @@
+"""Reading, resolving and writing a case; the shipped configurations."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from app import config
+from app.errors import InputError
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SHIPPED = sorted(CONFIGS.glob("*.yaml"))
+
+MINIMAL = """\
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: "[10, 20, 5] mm"}
+    - {name: upper, size: [1 cm, 0.02 m, 5000 um]}
+mesh: {size: 2 mm}
+regions:
+  lower: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
+  upper: {rigid: true}
+supports:
+  base: {kind: fixed, boundary: bottom}
+"""
+
+
+def load(tmp_path: Path, text: str, *overrides: str) -> config.Case:
+    path = tmp_path / "case.yaml"
+    path.write_text(text)
+    return config.load(path, overrides)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_shipped_case_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
+    case = config.load(path)
+    text = config.dump(case)
+    assert load(tmp_path, text) == case
+    assert config.dump(load(tmp_path, text)) == text
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_shipped_case_names_an_existing_schema(path: Path) -> None:
+    first = path.read_text().splitlines()[0]
+    assert first == "# yaml-language-server: $schema=schema.json"
+
+
+def test_schema_for_editors_is_current() -> None:
+    """``mantle schema > configs/schema.json`` renews it."""
+    assert json.loads((CONFIGS / "schema.json").read_text()) == config.schema()
+
+
+def test_stance_is_the_case_of_the_paper() -> None:
+    case = config.load(CONFIGS / "stance.yaml")
+    assert isinstance(case.geometry, config.Femur)
+    assert case.geometry.cement_thickness == 4.0
+    hip = case.loads["hip"]
+    assert isinstance(hip, config.Force)
+    assert math.hypot(*hip.force) == pytest.approx(1800.0, abs=0.1)
+    assert hip.at == case.geometry.head_centre
+    assert [law.friction_coefficient for law in case.interfaces.values()] == [0.4, 1.0]  # type: ignore[union-attr]
+    forces = np.array([load.force for load in case.loads.values()])  # type: ignore[union-attr]
+    medius = [n.startswith("gluteus_medius") for n in case.loads]
+    assert forces[medius].sum(axis=0) == pytest.approx([320.6, 124.0, 989.1])
+
+
+def test_the_two_stance_cases_differ_in_the_stem_alone() -> None:
+    titanium, cobalt = (config.load(CONFIGS / f"{n}.yaml") for n in ("stance", "stance_cocr"))
+    stems = titanium.regions["stem"], cobalt.regions["stem"]
+    assert [stem.youngs_modulus for stem in stems] == [110e3, 200e3]  # type: ignore[union-attr]
+    changes = {"title": titanium.title, "regions": {**cobalt.regions, "stem": stems[0]}}
+    assert cobalt.model_copy(update=changes) == titanium
+
+
+def test_defaults_are_filled_in(tmp_path: Path) -> None:
+    case = load(tmp_path, MINIMAL)
+    assert case.interfaces == {"lower_upper": config.Bonded()}
+    assert [stage.name for stage in case.stages] == ["load"]
+    assert case.mesh.far == 8.0
+    assert case.loads == {}
+    assert case.geometry.blocks[0].size == case.geometry.blocks[1].size == (10.0, 20.0, 5.0)  # type: ignore[union-attr]
+
+
+def test_overrides_reach_everything(tmp_path: Path) -> None:
+    case = load(
+        tmp_path,
+        MINIMAL,
+        "mesh.size=0.1 cm",
+        "geometry.blocks[1].name=top_one",
+        "regions.upper=",
+        "regions={lower: {rigid: true}, top_one: {youngs_modulus: 1 GPa, poisson_ratio: 0}}",
+        "loads.push.kind=force",
+        "loads.push.boundary=top",
+        "loads.push.force=[0, 0, -1] kN",
+        "solver.petsc.ksp_monitor=true",
+        "mesh.size=3 mm",
+    )
+    assert case.mesh.size == 3.0
+    assert case.geometry.region_names == ("lower", "top_one")
+    assert case.loads["push"].force == (0.0, 0.0, -1000.0)  # type: ignore[union-attr]
+    assert case.solver.petsc == {"ksp_monitor": True}
+
+
+def test_a_case_is_immutable(tmp_path: Path) -> None:
+    case = load(tmp_path, MINIMAL)
+    with pytest.raises(ValidationError):
+        case.title = "other"
+    assert isinstance(case.stages, tuple)
+
+
+def test_single_values_stand_for_all_directions(tmp_path: Path) -> None:
+    case = load(
+        tmp_path,
+        MINIMAL,
+        "supports.base={kind: foundation, boundary: bottom, stiffness: 0.1 GPa/mm}",
+        "regions.lower.eigenstrains=[{strain: -1e-3}, {strain: [0, 0, 1e-3, 0, 0, 0]}]",
+    )
+    assert case.supports["base"].stiffness == (100.0, 100.0, 100.0)  # type: ignore[union-attr]
+    strains = [e.strain for e in case.regions["lower"].eigenstrains]  # type: ignore[union-attr]
+    assert strains == [(-1e-3, -1e-3, -1e-3, 0, 0, 0), (0, 0, 1e-3, 0, 0, 0)]
+
+
+def test_merged_keys_and_anchors(tmp_path: Path) -> None:
+    text = MINIMAL.replace("{rigid: true}", "{<<: *lower, poisson_ratio: 0.1}").replace(
+        "lower: {youngs", "lower: &lower {youngs"
+    )
+    upper = load(tmp_path, text).regions["upper"]
+    assert isinstance(upper, config.Isotropic)
+    assert (upper.youngs_modulus, upper.poisson_ratio) == (2200.0, 0.1)
+
+
+def test_yaml_is_of_version_1_2(tmp_path: Path) -> None:
+    """``no`` is a word, ``1e-3`` a number, and a date text."""
+    case = load(tmp_path, MINIMAL + "title: no\nsolver: {tolerance: 1e-3}\n")
+    assert case.title == "no"
+    assert case.solver.tolerance == 1e-3
+    assert load(tmp_path, MINIMAL + "title: 2024-01-01\n").title == "2024-01-01"
+
+
+def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "a.msh").write_text(
+        '$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n2\n2 1 "floor"\n3 2 "rock"\n'
+        "$EndPhysicalNames\n"
+    )
+    case = load(
+        tmp_path,
+        "geometry: {kind: file, path: meshes/a.msh}\nmesh: {size: 1 mm}\n"
+        "regions: {rock: {youngs_modulus: 1 GPa, poisson_ratio: 0.2}}\n"
+        "supports: {base: {kind: fixed, boundary: floor}}\n",
+    )
+    other = tmp_path / "elsewhere"
+    other.mkdir()
+    assert load(other, config.dump(case)) == case
+
+
+@pytest.mark.parametrize(
+    ("sector", "planes"),
+    [("full", set()), ("half", {"symmetry_y"}), ("quarter", {"symmetry_x", "symmetry_y"})],
+)
+def test_planes_of_symmetry(sector: str, planes: set[str]) -> None:
+    cylinders = config.Cylinders.model_validate(
+        {
+            "stem_radius": "7 mm",
+            "cement_thickness": "4 mm",
+            "bone_thickness": "6 mm",
+            "length": "20 mm",
+            "sector": sector,
+        }
+    )
+    assert {n for n in cylinders.boundary_names if n.startswith("symmetry")} == planes
+
+
+def test_estimates_are_those_of_measured_meshes() -> None:
+    """Cells of a femur with 2 mm mantle, of the mesher's measurements."""
+    femur = config.Femur.model_validate({"cement_thickness": "2 mm"})
+    measured = {(2.0, 7.0): 47e3, (1.5, 6.0): 85e3, (1.0, 5.0): 205e3, (0.8, 4.0): 405e3}
+    for (size, far), cells in measured.items():
+        mesh = config.MeshOptions.model_validate({"size": f"{size} mm", "far_size": f"{far} mm"})
+        assert 0.5 < femur.estimate_cells(mesh) / cells < 2.0
+
+
+# ------------------------------------------------------------------------------ expressions
+
+POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("-0.02 * (1 - z / 50)", lambda x, y, z: -0.02 * (1 - z / 50)),
+        ("2", lambda x, y, z: 2 + 0 * x),
+        ("min(x, y, z)", lambda x, y, z: np.minimum(np.minimum(x, y), z)),
+        ("max(x, y)", lambda x, y, z: np.maximum(x, y)),
+        ("hypot(x, y) - 7", lambda x, y, z: np.hypot(x, y) - 7),
+        ("atan2(y, x)", lambda x, y, z: np.arctan2(y, x)),
+        ("-x**2 + +y", lambda x, y, z: -(x**2) + y),
+        ("0.01 * cos(2 * pi * z)", lambda x, y, z: 0.01 * np.cos(2 * np.pi * z)),
+        ("abs(log(x)) * exp(-y) / sqrt(z) + sin(x) * tan(y/9)",
+         lambda x, y, z: np.abs(np.log(x)) * np.exp(-y) / np.sqrt(z) + np.sin(x) * np.tan(y / 9)),
+    ],
+)  # fmt: skip
+def test_expression(expression: str, expected: object) -> None:
+    values = config.evaluate(expression, POINTS)
+    assert values.shape == (7,)
+    np.testing.assert_allclose(values, expected(*POINTS.T), rtol=1e-14)  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("expression", "reason"),
+    [
+        ("sqrt(x - 100)", "is not finite at"),
+        ("1 / (x - x)", "is not finite at"),
+        ("__import__('os')", "'__import__' is not one of"),
+        ("x if y else z", "is not allowed"),
+        ("(lambda: 1)()", "is not allowed"),
+        ("[x for x in y]", "is not allowed"),
+        ("x < y", "is not allowed"),
+        ("x @ y", "is not allowed"),
+        ("min(x)", "takes 2 argument"),
+        ("sin(x, out=y)", "is not allowed"),
+        ("1e999", "too large"),
+        ("True", "not numbers"),
+        ("'a'", "is not allowed"),
+        ("(" * 300 + "x" + ")" * 300, "is not an expression"),
+        ("x" + "+x" * 600, "characters"),
+        ("", "is not an expression"),
+    ],
+)
+def test_refused_expression(expression: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        config.evaluate(expression, POINTS)
+
+
+def test_a_large_power_is_no_large_integer() -> None:
+    with pytest.raises(InputError, match="not finite"):
+        config.evaluate("9**9**9**9", POINTS)
