@@ -1,0 +1,24 @@
+# mantle with its solver stack: docker build -t mantle . && docker run --rm -v "$PWD:/work" mantle run case.yaml
+# Where ranks exchange much, give them room: --shm-size=2g
+FROM debian:trixie-slim
+
+COPY packages.txt /tmp/packages.txt
+RUN apt-get update \
+    && sed 's/#.*//' /tmp/packages.txt \
+       | DEBIAN_FRONTEND=noninteractive xargs apt-get install -y --no-install-recommends \
+    && rm -rf /var/lib/apt/lists/* /tmp/packages.txt
+
+# Everything it depends on is installed; without an index nothing else can come in.
+COPY . /opt/mantle
+RUN pip install --no-deps --no-build-isolation --no-index --break-system-packages --no-cache-dir /opt/mantle \
+    && rm -rf /opt/mantle \
+    && useradd --create-home --shell /bin/bash mantle \
+    && mkdir /work \
+    && chown mantle:mantle /work \
+    && mkdir -m 1777 /var/cache/mantle
+
+USER mantle
+WORKDIR /work
+# One thread per rank: more make MPI runs slower. The caches serve whatever user `--user` names.
+ENV OMP_NUM_THREADS=1 XDG_CACHE_HOME=/var/cache/mantle MPLCONFIGDIR=/var/cache/mantle/matplotlib
+ENTRYPOINT ["mantle"]
