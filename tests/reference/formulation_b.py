@@ -1,0 +1,610 @@
+r"""Formulation B: frictional contact with a submesh per body and a multiplier field (tests only).
+
+An implementation that shares no equation with the application: every body has its own displacement
+space on its own submesh, every interface a multiplier on the submesh of its facets, and all are
+unknowns of one monolithic Newton method with a direct solver. It reads the same configuration and
+the same mesh, in series, on small cases; first order, isotropic bodies, contact on every interface.
+
+With D = u_slave - u_master, n the averaged nodal normal from master to slave, S = lambda + r D (the
+gap added in the normal direction, the last converged D taken off in the tangential plane) and
+
+.. math:: P(S) = min(S_n, 0) n + \min(1, -μ \min(S_n, 0) / |S_T|) S_T,
+
+the residuals are, for the displacements v and the multipliers m,
+
+.. math:: \sum_b \int σ(u_b) : ε(v_b) - f(v_b) + \int P(S) \cdot (v_s - v_m) = 0, \qquad
+          \int (P(S) - λ) \cdot m = 0,
+
+the interface integrals by the vertex rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from dolfinx import default_scalar_type, fem
+from dolfinx.fem import IntegralType, compute_integration_domains
+from dolfinx.fem import petsc as fem_petsc
+from dolfinx.mesh import create_submesh, entities_to_geometry
+from numpy.typing import NDArray
+from ufl.algorithms import expand_derivatives
+
+from app import config
+from meshes.distribute import TaggedMesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
+TOLERANCE = 1e-11
+MAX_ITERATIONS = 60
+SMALLEST_STEP = 1 / 64
+
+
+@dataclass(frozen=True)
+class InterfaceState:
+    """An interface after a converged step, one row per vertex.
+
+    Attributes:
+        vertex: Vertex number of the mesh file (n,).
+        normal: From master to slave (n, 3).
+        area: Area of the vertex (n,) [mm2].
+        jump: Displacement of the slave minus that of the master (n, 3) [mm].
+        slip: Tangential jump of this step alone (n, 3) [mm].
+        force: Multiplier: force per area conjugate to the jump (n, 3) [MPa].
+    """
+
+    vertex: Ints
+    normal: Floats
+    area: Floats
+    jump: Floats
+    slip: Floats
+    force: Floats
+
+
+@dataclass(frozen=True)
+class State:
+    """A converged step.
+
+    Attributes:
+        interfaces: State of each interface.
+        displacement: For each body, vertex numbers (n,) and displacements (n, 3) [mm].
+        iterations: Newton iterations of the step.
+    """
+
+    interfaces: dict[str, InterfaceState]
+    displacement: dict[str, tuple[Ints, Floats]]
+    iterations: int
+
+
+@dataclass(frozen=True)
+class Part:
+    """A submesh (a body or an interface), its space and unknown.
+
+    Attributes:
+        u: The unknown: displacement or multiplier.
+        to_parent: Parent cell or facet of each of its cells.
+        map: Its cell for each parent cell or facet, else -1.
+        dof_of_node: Blocked dof at each node of the parent's geometry, else -1.
+        vertex: Vertex number of the mesh file at each blocked dof.
+    """
+
+    u: fem.Function
+    to_parent: NDArray[np.int32]
+    map: NDArray[np.int32]
+    dof_of_node: NDArray[np.int32]
+    vertex: Ints
+
+
+@dataclass(frozen=True)
+class Interface:
+    """A contact interface: names of its sides, its multiplier and its data at nodes.
+
+    Attributes:
+        master: Body whose side is '+' in the interface integrals.
+        slave: Body whose side is '-'.
+        part: Facet submesh and multiplier.
+        entities: Integration entities, the master's cell first.
+        normal: Averaged nodal normal from master to slave.
+        area: Area of each node (n,).
+        free: 1 in components that can jump, 0 where supports hold both sides.
+        gap: Current initial gap, negative where the bodies interfere.
+        full_gap: The same at full amplitude.
+        old: Jump of the last converged state.
+        r: Augmentation parameter.
+        friction: Friction coefficient.
+        history: Amplitudes of the gap at the ends of the stages.
+    """
+
+    name: str
+    master: str
+    slave: str
+    part: Part
+    entities: NDArray[np.int32]
+    normal: fem.Function
+    area: Floats
+    free: fem.Function
+    gap: fem.Function
+    full_gap: Floats
+    old: fem.Function
+    r: fem.Constant
+    friction: fem.Constant
+    history: tuple[float, ...] | None
+
+
+def solve(
+    case: config.Case, tagged: TaggedMesh, times: Sequence[float], r_factor: float = 1.0
+) -> list[State]:
+    """Solve the case at each of the given times, one Newton solve each.
+
+    Args:
+        case: Isotropic bodies, each region one; contact on every interface.
+        tagged: Its mesh, on one rank.
+        times: Stage k runs from k to k + 1.
+        r_factor: Augmentation parameter over E_soft / mean edge.
+
+    Raises:
+        RuntimeError: Newton does not converge.
+    """
+    assert tagged.mesh.comm.size == 1 and case.mesh.order == 1
+    bodies = {name: _body(tagged, name) for name in case.regions}
+    interfaces = [_interface(case, tagged, bodies, name, r_factor) for name in case.interfaces]
+    assert len(interfaces) == len(tagged.interfaces)
+    amplitudes: list[tuple[fem.Constant, tuple[float, ...] | None]] = []
+    residual = _residual(case, tagged, bodies, interfaces, amplitudes)
+    parts = [*bodies.values(), *(i.part for i in interfaces)]
+    newton = _Newton(tagged, parts, residual)
+    held = _supports(case, tagged, bodies)
+    both_held = [_held_on_both_sides(i, bodies, held) for i in interfaces]
+    for i, rows in zip(interfaces, both_held, strict=True):
+        i.free.x.array[rows] = 0
+        _take_out(i.normal, rows)
+    states = []
+    for time in times:
+        for constant, history in amplitudes:
+            constant.value = _amplitude(history, time)
+        for i in interfaces:
+            i.gap.x.array[:] = i.full_gap * _amplitude(i.history, time)
+        # The application's rule: no force in components that supports hold on both sides.
+        iterations = newton.solve(
+            [
+                *({d: v * _amplitude(h, time) for d, (v, h) in b.items()} for b in held),
+                *(dict.fromkeys(rows, 0.0) for rows in both_held),
+            ]
+        )
+        states.append(_state(bodies, interfaces, iterations))
+        for i in interfaces:
+            i.old.x.array[:] = _jump(i, bodies).ravel()
+    return states
+
+
+def _amplitude(history: tuple[float, ...] | None, time: float) -> float:
+    """Multiplier at a time: it goes from 0 linearly to each stage's end value; 1 by default."""
+    values = (0.0, *(history or (1.0,)))
+    k = min(int(time), len(values) - 2) if history else 0
+    s = min(time - k, 1.0)
+    return (1 - s) * values[k] + s * values[k + 1]
+
+
+def _isotropic(case: config.Case, region: str) -> tuple[float, float]:
+    """Young's modulus [MPa] and Poisson's ratio of a region."""
+    material = case.regions[region]
+    assert isinstance(material, config.Isotropic) and not material.eigenstrains
+    return material.youngs_modulus, material.poisson_ratio
+
+
+# Submeshes
+
+
+def _part(tagged: TaggedMesh, dim: int, entities: NDArray[np.int32], name: str) -> Part:
+    mesh = tagged.mesh
+    submesh, to_parent, _, nodes = create_submesh(mesh, dim, entities)
+    space = fem.functionspace(submesh, ("Lagrange", 1, (3,)))
+    index_map = mesh.topology.index_map(dim)
+    inverse = np.full(index_map.size_local + index_map.num_ghosts, -1, dtype=np.int32)
+    inverse[to_parent] = np.arange(len(to_parent), dtype=np.int32)
+    dof_of_node = np.full(len(mesh.geometry.x), -1, dtype=np.int32)
+    dof_of_node[np.asarray(nodes)[submesh.geometry.dofmap]] = space.dofmap.list
+    vertex = np.zeros(space.dofmap.index_map.size_local, dtype=np.int64)
+    on = dof_of_node >= 0
+    vertex[dof_of_node[on]] = np.asarray(mesh.geometry.input_global_indices)[on]
+    return Part(fem.Function(space, name=name), to_parent, inverse, dof_of_node, vertex)
+
+
+def _body(tagged: TaggedMesh, region: str) -> Part:
+    return _part(tagged, 3, tagged.cell_tags.find(tagged.regions[region]), region)
+
+
+def _interface(
+    case: config.Case,
+    tagged: TaggedMesh,
+    bodies: dict[str, Part],
+    name: str,
+    r_factor: float,
+) -> Interface:
+    """Facets between two regions, the stiffer one's cells first."""
+    mesh = tagged.mesh
+    law, sides = case.interfaces[name], tagged.interfaces[name]
+    assert isinstance(law, config.Contact)
+    ((first,), (second,)) = sides
+    modulus = {region: _isotropic(case, region)[0] for region in (first, second)}
+    master, slave = (first, second) if modulus[first] >= modulus[second] else (second, first)
+    tags = tagged.cell_tags.values
+    assert np.array_equal(tagged.cell_tags.indices, np.arange(len(tags)))
+    cells_of = mesh.topology.connectivity(2, 3)
+    pairs = {
+        f: tags[cells_of.links(f)]
+        for f in range(mesh.topology.index_map(2).size_local)
+        if len(cells_of.links(f)) == 2
+    }
+    wanted = {tagged.regions[master], tagged.regions[slave]}
+    facets = np.array([f for f, pair in pairs.items() if set(pair) == wanted], dtype=np.int32)
+    part = _part(tagged, 2, facets, name)
+    entities = np.array(
+        compute_integration_domains(IntegralType.interior_facet, mesh.topology, facets, 2)
+    ).reshape(-1, 4)
+    turned = tags[entities[:, 0]] != tagged.regions[master]
+    entities[turned] = entities[turned][:, [2, 3, 0, 1]]
+    # Both sides of a facet are mapped for every form on it, so each body's map must hold some
+    # valid cell for the cells across; what is computed there is multiplied by nothing.
+    bodies[master].map[entities[:, 2]] = bodies[master].map[entities[:, 0]]
+    bodies[slave].map[entities[:, 0]] = bodies[slave].map[entities[:, 2]]
+    submesh = part.u.function_space.mesh
+    x = submesh.geometry.x[submesh.geometry.dofmap]
+    edge = np.linalg.norm(x - x[:, [1, 2, 0]], axis=2).mean()
+    scalars = fem.functionspace(submesh, ("Lagrange", 1))
+    normal, area = _nodal_normal(tagged, part, entities)
+    free = fem.Function(part.u.function_space)
+    free.x.array[:] = 1
+    gap = fem.Function(scalars)
+    at = scalars.tabulate_dof_coordinates()
+    if isinstance(law.gap, str):
+        full_gap = np.asarray(config.evaluate(law.gap, at), dtype=np.float64)
+    else:
+        full_gap = np.full(len(at), law.gap)
+    return Interface(
+        name=name,
+        master=master,
+        slave=slave,
+        part=part,
+        entities=entities,
+        normal=normal,
+        area=area,
+        free=free,
+        gap=gap,
+        full_gap=full_gap,
+        old=fem.Function(part.u.function_space),
+        r=fem.Constant(mesh, default_scalar_type(r_factor * modulus[slave] / edge)),
+        friction=fem.Constant(mesh, default_scalar_type(law.friction_coefficient)),
+        history=law.gap_history,
+    )
+
+
+def _vertex_rule(tagged: TaggedMesh, entities: Sequence[NDArray[np.int32]]) -> Any:
+    """Vertex rule over lists of interior facets numbered from 0, '+' the first cell of each."""
+    data = [(k, e.ravel()) for k, e in enumerate(entities)]
+    return ufl.Measure("dS", domain=tagged.mesh, subdomain_data=data, metadata=VERTEX_RULE)
+
+
+def _nodal_normal(
+    tagged: TaggedMesh, part: Part, entities: NDArray[np.int32]
+) -> tuple[fem.Function, Floats]:
+    """The master's facet normal averaged to the nodes, and their areas, by the vertex rule."""
+    space = part.u.function_space
+    m = ufl.TestFunction(space)
+    dS = _vertex_rule(tagged, [entities])(0)
+
+    def assemble(form: Any) -> Floats:
+        compiled = fem.form(form, entity_maps={space.mesh: part.map})
+        values: Floats = fem_petsc.assemble_vector(compiled).array.reshape(-1, 3)
+        return values
+
+    b = assemble(ufl.inner(ufl.FacetNormal(tagged.mesh)("+"), m("+")) * dS)
+    normal = fem.Function(space)
+    normal.x.array[:] = (b / np.linalg.norm(b, axis=1, keepdims=True)).ravel()
+    return normal, assemble(m[0]("+") * dS)[:, 0]
+
+
+# Supports
+
+
+Held = dict[int, tuple[float, tuple[float, ...] | None]]
+
+
+def _supports(case: config.Case, tagged: TaggedMesh, bodies: dict[str, Part]) -> list[Held]:
+    """For each body: unrolled dof -> (value at full amplitude, history)."""
+    held: list[Held] = [{} for _ in bodies]
+    for support in case.supports.values():
+        match support:
+            case config.Fixed():
+                values: dict[int, float] = {0: 0.0, 1: 0.0, 2: 0.0}
+                history = None
+            case config.Roller():
+                values, history = {"xyz".index(support.axis): 0.0}, None
+            case config.Displacement():
+                given = (support.x, support.y, support.z)
+                values = {c: v for c, v in enumerate(given) if v is not None}
+                history = support.history
+            case _:
+                raise NotImplementedError(support.kind)
+        for part, dofs in zip(bodies.values(), held, strict=True):
+            nodes = _boundary_nodes(tagged, part, support.boundary)
+            for c, value in values.items():
+                for dof in part.dof_of_node[nodes]:
+                    dofs[3 * int(dof) + c] = (value, history)
+    return held
+
+
+def _boundary_facets(tagged: TaggedMesh, part: Part, boundary: str) -> NDArray[np.int32]:
+    """Facets of a boundary whose cell belongs to a body."""
+    mesh = tagged.mesh
+    facets = np.concatenate([tagged.facet_tags.find(t) for t in tagged.boundaries[boundary]])
+    cells_of = mesh.topology.connectivity(2, 3)
+    own = np.isin([cells_of.links(f)[0] for f in facets], part.to_parent)
+    return facets[own].astype(np.int32)
+
+
+def _boundary_nodes(tagged: TaggedMesh, part: Part, boundary: str) -> Ints:
+    facets = _boundary_facets(tagged, part, boundary)
+    if not len(facets):  # entities_to_geometry divides by their number
+        return np.zeros(0, dtype=np.int64)
+    return np.unique(entities_to_geometry(tagged.mesh, 2, facets))
+
+
+def _held_on_both_sides(
+    interface: Interface, bodies: dict[str, Part], held: list[Held]
+) -> list[int]:
+    """Unrolled dofs of the multiplier in whose component supports hold both sides."""
+    names = list(bodies)
+    of = interface.part.dof_of_node
+    nodes = np.flatnonzero(of >= 0)
+    sides = [
+        (bodies[name].dof_of_node[nodes], held[names.index(name)])
+        for name in (interface.master, interface.slave)
+    ]
+    return [
+        3 * int(of[node]) + c
+        for k, node in enumerate(nodes)
+        for c in range(3)
+        if all(3 * int(dofs[k]) + c in values for dofs, values in sides)
+    ]
+
+
+def _take_out(normal: fem.Function, components: list[int]) -> None:
+    """Take components out of the nodal normals and normalise again."""
+    n = normal.x.array.reshape(-1, 3)
+    n.ravel()[components] = 0
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+
+
+# Forms
+
+
+def _residual(
+    case: config.Case,
+    tagged: TaggedMesh,
+    bodies: dict[str, Part],
+    interfaces: list[Interface],
+    amplitudes: list[tuple[fem.Constant, tuple[float, ...] | None]],
+) -> Any:
+    """The residual over the mixed space; the amplitudes of the loads are appended to a list."""
+    mesh = tagged.mesh
+    parts = [*bodies.values(), *(i.part for i in interfaces)]
+    tests = ufl.TestFunctions(ufl.MixedFunctionSpace(*(p.u.function_space for p in parts)))
+    v = dict(zip(bodies, tests, strict=False))
+    dx = ufl.Measure(
+        "dx",
+        domain=mesh,
+        subdomain_data=[(tagged.regions[name], part.to_parent) for name, part in bodies.items()],
+    )
+    F: Any = 0
+    for name, part in bodies.items():
+        E, ν = _isotropic(case, name)
+        μ = fem.Constant(mesh, default_scalar_type(E / (2 * (1 + ν))))
+        λ = fem.Constant(mesh, default_scalar_type(E * ν / ((1 + ν) * (1 - 2 * ν))))
+        ε = ufl.sym(ufl.grad(part.u))
+        σ = 2 * μ * ε + λ * ufl.tr(ε) * ufl.Identity(3)
+        F += ufl.inner(σ, ufl.sym(ufl.grad(v[name]))) * dx(tagged.regions[name])
+    ds, patches = _patches(case, tagged, bodies)
+    for key, load in case.loads.items():
+        a = fem.Constant(mesh, default_scalar_type(0))
+        amplitudes.append((a, load.history))
+        assert not isinstance(load, config.BodyForce)
+        t = _traction(tagged, load, [ds(k) for k in patches[key].values()])
+        for name, k in patches[key].items():
+            F -= a * ufl.inner(t, v[name]) * ds(k)
+    dS = _vertex_rule(tagged, [i.entities for i in interfaces])
+    for k, (i, m) in enumerate(zip(interfaces, tests[len(bodies) :], strict=True)):
+        u_m, u_s, λ_i = bodies[i.master].u, bodies[i.slave].u, i.part.u
+        n, free = i.normal("+"), i.free("+")
+        D, D_old = (
+            ufl.as_vector([free[c] * d[c] for c in range(3)])
+            for d in (u_s("-") - u_m("+"), i.old("+"))
+        )
+        S = λ_i("+") + i.r * D
+        S_n = ufl.inner(S, n) + i.r * i.gap("+")
+        S_T = S - i.r * D_old
+        S_T = S_T - ufl.inner(S_T, n) * n
+        P = _projected(S_n, S_T, i.friction, n)
+        F += ufl.inner(P, v[i.slave]("-") - v[i.master]("+")) * dS(k)
+        F += ufl.inner(P - λ_i("+"), m("+")) * dS(k)
+    return F
+
+
+def _projected(S_n: Any, S_T: Any, μ: Any, n: Any) -> Any:
+    """The trial force on the cone of Coulomb: half line and disc.
+
+    Equalities belong to contact and stick, so that the first iterate from zero is the tied state.
+    """
+    p = ufl.conditional(ufl.le(S_n, 0), -S_n, 0)
+    square = ufl.inner(S_T, S_T)
+    inside = ufl.le(square, (μ * p) ** 2)
+    size = ufl.sqrt(ufl.conditional(inside, 1, square))
+    return ufl.conditional(inside, 1, μ * p / size) * S_T - p * n
+
+
+def _patches(
+    case: config.Case, tagged: TaggedMesh, bodies: dict[str, Part]
+) -> tuple[Any, dict[str, dict[str, int]]]:
+    """Surface measure, and for each load the bodies it acts on with their subdomain number."""
+    data: list[tuple[int, NDArray[np.int32]]] = []
+    patches: dict[str, dict[str, int]] = {}
+    for key, load in case.loads.items():
+        assert not isinstance(load, config.BodyForce)
+        patches[key] = {}
+        for name, part in bodies.items():
+            facets = _boundary_facets(tagged, part, load.boundary)
+            if len(facets):
+                patches[key][name] = len(data)
+                entities = compute_integration_domains(
+                    IntegralType.exterior_facet, tagged.mesh.topology, facets, 2
+                )
+                data.append((len(data), entities))
+    return ufl.Measure("ds", domain=tagged.mesh, subdomain_data=data), patches
+
+
+def _traction(tagged: TaggedMesh, load: config.Force | config.Pressure, patches: list[Any]) -> Any:
+    """Traction of a load at full amplitude on its patches [MPa]."""
+    match load:
+        case config.Force(at=None):
+            one = fem.Constant(tagged.mesh, default_scalar_type(1))
+            area = sum(float(fem.assemble_scalar(fem.form(one * ds))) for ds in patches)
+            return fem.Constant(tagged.mesh, np.array(load.force) / area)
+        case config.Pressure():
+            p = fem.Constant(tagged.mesh, default_scalar_type(load.pressure))
+            return -p * ufl.FacetNormal(tagged.mesh)
+        case _:
+            raise NotImplementedError(load.kind)
+
+
+# Newton
+
+
+class _Newton:
+    """Generalized Newton method on all blocks at once, halving steps that do not reduce."""
+
+    def __init__(self, tagged: TaggedMesh, parts: list[Part], residual: Any) -> None:
+        self._parts = parts
+        maps = {p.u.function_space.mesh: p.map for p in parts}
+        spaces = ufl.MixedFunctionSpace(*(p.u.function_space for p in parts))
+        rows = ufl.extract_blocks(residual)
+        trials = ufl.TrialFunctions(spaces)
+        jacobian = [
+            [
+                None if (J := expand_derivatives(ufl.derivative(row, p.u, w))).empty() else J
+                for p, w in zip(parts, trials, strict=True)
+            ]
+            for row in rows
+        ]
+        self._F = fem.form(rows, entity_maps=maps)
+        self._J = fem.form(jacobian, entity_maps=maps)
+        self._A = fem_petsc.create_matrix_block(self._J)
+        self._b = fem_petsc.create_vector_block(self._F)
+        sizes = [len(p.u.x.array) for p in parts]
+        self._ends = np.cumsum([0, *sizes])
+        ksp = PETSc.KSP().create(MPI.COMM_SELF)
+        ksp.setOperators(self._A)
+        ksp.setType("preonly")
+        ksp.getPC().setType("lu")
+        ksp.getPC().setFactorSolverType("mumps")
+        self._ksp = ksp
+
+    def _get(self) -> Floats:
+        return np.concatenate([p.u.x.array for p in self._parts])
+
+    def _set(self, x: Floats) -> None:
+        for p, a, b in zip(self._parts, self._ends, self._ends[1:], strict=False):
+            p.u.x.array[:] = x[a:b]
+
+    def _evaluate(self, fixed: Ints) -> Floats:
+        with self._b.localForm() as local:
+            local.set(0)
+        fem_petsc.assemble_vector_block(self._b, self._F, self._J, [])
+        f = self._b.array.copy()
+        f[fixed] = 0
+        return f
+
+    def solve(self, fixed: list[dict[int, float]]) -> int:
+        """Solve with given values of some dofs of each block; returns the iterations.
+
+        Raises:
+            RuntimeError: No convergence.
+        """
+        given = {
+            start + dof: value
+            for start, dofs in zip(self._ends, fixed, strict=False)
+            for dof, value in dofs.items()
+        }
+        rows = np.array(sorted(given), dtype=np.int64)
+        x = self._get()
+        x[rows] = [given[k] for k in rows.tolist()]
+        self._set(x)
+        f = self._evaluate(rows)
+        scale, history = 0.0, []
+        for iteration in range(MAX_ITERATIONS):
+            norm = float(np.linalg.norm(f))
+            scale = max(scale, norm)
+            history.append(norm)
+            if norm <= TOLERANCE * scale and iteration:
+                return iteration
+            self._A.zeroEntries()
+            fem_petsc.assemble_matrix_block(self._A, self._J)
+            self._A.assemble()
+            self._A.zeroRows(rows.astype(PETSc.IntType), diag=1.0)
+            right, step = self._A.createVecLeft(), self._A.createVecRight()
+            right.array[:] = -f
+            self._ksp.solve(right, step)
+            if not np.isfinite(step.array).all():
+                break
+            t = 1.0
+            while True:
+                self._set(x + t * step.array)
+                f = self._evaluate(rows)
+                if np.linalg.norm(f) < (1 - 1e-4 * t) * norm or t <= SMALLEST_STEP:
+                    break
+                t /= 2
+            x = x + t * step.array
+        raise RuntimeError(f"formulation B does not converge: {history}")
+
+
+# Results
+
+
+def _jump(i: Interface, bodies: dict[str, Part]) -> Floats:
+    """Slave minus master at the dofs of the interface (n, 3)."""
+    of = i.part.dof_of_node
+    nodes = np.flatnonzero(of >= 0)
+    jump = np.zeros((len(nodes), 3))
+    s, m = bodies[i.slave], bodies[i.master]
+    jump[of[nodes]] = (
+        s.u.x.array.reshape(-1, 3)[s.dof_of_node[nodes]]
+        - m.u.x.array.reshape(-1, 3)[m.dof_of_node[nodes]]
+    )
+    return jump
+
+
+def _state(bodies: dict[str, Part], interfaces: list[Interface], iterations: int) -> State:
+    result = {}
+    for i in interfaces:
+        jump = _jump(i, bodies)
+        n = i.normal.x.array.reshape(-1, 3).copy()
+        step = jump - i.old.x.array.reshape(-1, 3)
+        result[i.name] = InterfaceState(
+            vertex=i.part.vertex,
+            normal=n,
+            area=i.area,
+            jump=jump,
+            slip=step - np.sum(step * n, axis=1, keepdims=True) * n,
+            force=i.part.u.x.array.reshape(-1, 3).copy(),
+        )
+    displacement: dict[str, tuple[Ints, Floats]] = {
+        name: (part.vertex, part.u.x.array.reshape(-1, 3).copy()) for name, part in bodies.items()
+    }
+    return State(result, displacement, iterations)

@@ -1,0 +1,306 @@
+"""The application (formulation A) against an independent implementation (formulation B).
+
+Both solve the same discrete problem, so every nodal value agrees up to the solvers' tolerances:
+displacement of each body, gap, slip of each step, interface force.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import meshes
+from app import config, scene, stepping
+from app.jumps import Jumps
+from app.problem import Problem, Trial
+from app.solver import Solver
+from app.timing import Timing
+from meshes.distribute import TaggedMesh, distribute
+from tests.reference import formulation_b
+from tests.reference.formulation_b import InterfaceState, State
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+TOLERANCE = 1e-6
+# Ten times the rounding errors of the residual on these meshes, for either solver.
+SOLVER_TOLERANCE = 1e-11
+
+# Two materials that want to spread differently under pressure, pushed sideways and back: part of
+# each interface slips, part sticks, one corner opens. Nothing holds the two upper blocks but
+# contact.
+STACK = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [10 mm, 8 mm, 5 mm]}
+    - {name: middle, size: [10 mm, 8 mm, 4 mm]}
+    - {name: upper, size: [10 mm, 8 mm, 5 mm]}
+  tilt: 4 deg
+mesh: {size: 2 mm, far_size: 3 mm}
+regions:
+  lower: {youngs_modulus: 10 GPa, poisson_ratio: 0.1}
+  middle: {youngs_modulus: 2 GPa, poisson_ratio: 0.45}
+  upper: {youngs_modulus: 20 GPa, poisson_ratio: 0.2}
+interfaces:
+  lower_middle: {kind: contact, friction_coefficient: 0.3}
+  middle_upper: {kind: contact, friction_coefficient: 0.3, gap: 0.001 * x * (y - 4)}
+supports:
+  base: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 8 MPa, history: [1, 1, 0.8]}
+  shear: {kind: force, boundary: upper_x_min, force: [150 N, 40 N, 0 N], history: [0, 1, -0.5]}
+  side: {kind: force, boundary: middle_y_max, force: [0 N, -40 N, 10 N], history: [0, 1, 0.5]}
+stages:
+  - {name: press}
+  - {name: shear, increments: 2}
+  - {name: back}
+"""
+
+# Supports at interface nodes: both sides in x; the soft (slave) side alone in y, moved along; both
+# sides in y, one of them moved; a frictionless interface.
+HELD_STACK = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [8 mm, 8 mm, 4 mm]}
+    - {name: middle, size: [8 mm, 8 mm, 4 mm]}
+    - {name: upper, size: [8 mm, 8 mm, 4 mm]}
+mesh: {size: 2 mm, far_size: 2 mm}
+regions:
+  lower: {youngs_modulus: 10 GPa, poisson_ratio: 0.1}
+  middle: {youngs_modulus: 2 GPa, poisson_ratio: 0.45}
+  upper: {youngs_modulus: 20 GPa, poisson_ratio: 0.2}
+interfaces:
+  lower_middle: {kind: contact, friction_coefficient: 0.3}
+  middle_upper: {kind: contact, friction_coefficient: 0}
+supports:
+  base: {kind: fixed, boundary: bottom}
+  plane: {kind: roller, boundary: x_min, axis: x}
+  side: {kind: displacement, boundary: middle_y_min, y: 0.004 mm, history: [0.2, 1]}
+  rest: {kind: roller, boundary: upper_y_min, axis: y}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 10 MPa, history: [1, 0.7]}
+  tip: {kind: force, boundary: upper_x_max, force: [0 N, 100 N, 400 N]}
+stages:
+  - {name: press}
+  - {name: more}
+"""
+
+# The stem is pushed in and sideways, then partly unloaded and pushed to the other side.
+STEM = """
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 4 mm
+  bone_thickness: 5 mm
+  length: 34 mm
+  taper: 1.5 deg
+mesh: {size: 2.2 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.3}
+  cement_bone: {kind: contact, friction_coefficient: 0.5}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+loads:
+  push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -1800 N], history: [1, 0.6]}
+  lateral: {kind: force, boundary: stem_top, force: [300 N, 100 N, 0 N], history: [1, -0.5]}
+stages:
+  - {name: load}
+  - {name: back}
+"""
+
+# Half of it on a plane of symmetry (both sides of both interfaces held in y), pressed in.
+HALF_STEM = """
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 4 mm
+  bone_thickness: 5 mm
+  length: 20 mm
+  taper: 2 deg
+  sector: half
+mesh: {size: 2.6 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.3, gap: -0.004 mm, gap_history: [1, 1]}
+  cement_bone: {kind: contact, friction_coefficient: 0.6}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+  symmetry: {kind: roller, boundary: symmetry_y, axis: y}
+loads:
+  push: {kind: force, boundary: stem_top, force: [400 N, 0 N, -1500 N], history: [0, 1]}
+stages:
+  - {name: fit}
+  - {name: load}
+"""
+
+
+def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[State], Jumps]:
+    """The application's steps: times, states in the form of the reference's, and its jumps."""
+    terms = scene.build(case)
+    options, timing = case.solver, Timing()
+    problem = Problem(terms, tagged, options.augmentation_factor, timing)
+    solver = Solver(
+        problem,
+        SOLVER_TOLERANCE,
+        options.max_iterations,
+        options.linear,
+        options.petsc,
+        timing,
+    )
+    (jumps,) = problem.jumps
+    assert (jumps.faces == 1).all(), "the reference has one normal per node"
+    assert jumps.points.unenforced == 0
+    vertex = jumps.points.vertex[jumps.mine]
+    normal = jumps.normals[:, 0]
+    dofs, nodes = problem.space.dofmap.list, tagged.mesh.geometry.dofmap
+    number = np.zeros(len(tagged.mesh.geometry.x), dtype=np.int64)
+    number[dofs] = np.asarray(tagged.mesh.geometry.input_global_indices)[nodes]
+    times: list[float] = []
+    states: list[State] = []
+    before = np.zeros((len(vertex), 3))
+
+    def on_step(step: stepping.Step, trial: Trial | None) -> None:
+        assert trial is not None
+        change = trial.jump - before
+        before[:] = trial.jump
+        slip = change - np.sum(change * normal, axis=1, keepdims=True) * normal
+        force = jumps.forces(trial.equilibrium)
+        interfaces = {
+            c.name: InterfaceState(
+                *(v[own] for v in (vertex, normal, jumps.weight, trial.jump, slip, force))
+            )
+            for k, c in enumerate(terms.contacts)
+            for own in [jumps.interface == k]
+        }
+        displacement: dict[str, tuple[Ints, Floats]] = {
+            name: (number, u.x.array.reshape(-1, 3).copy())
+            for name, u in zip(problem.bodies.names, problem.displacements(), strict=True)
+        }
+        times.append(step.time)
+        states.append(State(interfaces, displacement, step.outcome.iterations))
+
+    stepping.run(problem, solver, terms.stages, on_step, print)
+    return times, states, jumps
+
+
+def difference(a: Floats, b: Floats, floor: float = 0.0) -> float:
+    """Largest difference over the largest value, or over a floor where that is larger."""
+    return float(np.abs(a - b).max() / max(np.abs(b).max(), floor))
+
+
+def compare(a: State, b: State) -> dict[str, float]:
+    """Relative differences in the maximum norm, matched by vertex number."""
+    result = {}
+    for body, (vertex, values) in b.displacement.items():
+        numbers, others = a.displacement[body]
+        row = np.argsort(numbers)[np.searchsorted(np.sort(numbers), vertex)]
+        assert np.array_equal(numbers[row], vertex)
+        result[f"displacement {body}"] = difference(others[row], values)
+    floor = smallest(b)
+    for name, i in b.interfaces.items():
+        j = a.interfaces[name]
+        one, two = np.argsort(j.vertex), np.argsort(i.vertex)
+        assert np.array_equal(j.vertex[one], i.vertex[two])
+        assert np.abs(j.normal[one] - i.normal[two]).max() < 1e-12
+        result[f"area {name}"] = difference(j.area[one], i.area[two])
+        for what in ("jump", "slip"):
+            x, y = getattr(j, what)[one], getattr(i, what)[two]
+            result[f"{what} {name}"] = difference(x, y, floor)
+        result[f"force {name}"] = difference(j.force[one], i.force[two])
+        n = i.normal[two]
+        for what, least in (("jump", floor), ("force", 0.0)):
+            x, y = (np.sum(getattr(s, what)[k] * n, axis=1) for s, k in ((j, one), (i, two)))
+            result[f"normal {what} {name}"] = difference(x, y, least)
+    return result
+
+
+def sums(steps: list[InterfaceState]) -> tuple[Floats, Floats]:
+    """Accumulated slip where the step ends in contact, and work of friction, by vertex number."""
+    slip = work = np.zeros(len(steps[0].vertex))
+    before = np.zeros((len(slip), 3))
+    for s in steps:
+        p = -np.sum(s.force * s.normal, axis=1)
+        shear = s.force + p[:, None] * s.normal
+        slip = slip + np.where(p > 1e-9 * p.max(), np.linalg.norm(s.slip, axis=1), 0)
+        work = work + s.area * np.sum((shear + before) / 2 * s.slip, axis=1)
+        before = shear
+    order = np.argsort(steps[0].vertex)
+    return slip[order], work[order]
+
+
+def smallest(state: State) -> float:
+    """A jump that counts as none: where nothing moves, jumps are rounding errors."""
+    return 1e-6 * max(float(np.abs(values).max()) for _, values in state.displacement.values())
+
+
+def load(text: str, folder: Path) -> tuple[config.Case, TaggedMesh]:
+    """Case and mesh of a YAML text."""
+    path = folder / "case.yaml"
+    path.write_text(text)
+    case = config.load(path)
+    return case, distribute(meshes.build(case.geometry, case.mesh, None), MPI.COMM_WORLD)
+
+
+def shares(state: State, friction: dict[str, float]) -> dict[str, tuple[float, float, float]]:
+    """Fraction of the nodes of each interface that are open, stick, slip."""
+    result = {}
+    for name, i in state.interfaces.items():
+        p = -np.sum(i.force * i.normal, axis=1)
+        touches = p > 1e-9 * p.max()
+        slips = touches & (np.linalg.norm(i.slip, axis=1) > smallest(state))
+        open_, slip = 1 - touches.mean(), slips.mean()
+        result[name] = (float(open_), float(1 - open_ - slip), float(slip))
+        # Coulomb, on the reference itself.
+        shear = np.linalg.norm(i.force + p[:, None] * i.normal, axis=1)
+        assert (shear <= friction[name] * p + 1e-8 * p.max()).all()
+    return result
+
+
+@pytest.mark.parametrize(
+    ("text", "steps"),
+    [
+        pytest.param(STACK, 4, id="stack"),
+        pytest.param(HELD_STACK, 2, id="held_stack"),
+        pytest.param(STEM, 2, id="tapered_stem"),
+        pytest.param(HALF_STEM, 2, id="half_stem"),
+    ],
+)
+def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
+    case, tagged = load(text, tmp_path)
+    friction = {
+        name: i.friction_coefficient
+        for name, i in case.interfaces.items()
+        if isinstance(i, config.Contact)
+    }
+    times, a, jumps = solve_a(case, tagged)
+    assert len(times) == steps
+    b = formulation_b.solve(case, tagged, times)
+    seen = np.zeros(3)
+    for time, one, two in zip(times, a, b, strict=True):
+        differences = compare(one, two)
+        print(f"time {time}: {one.iterations} and {two.iterations} iterations", differences)
+        assert max(differences.values()) < TOLERANCE, (time, differences)
+        seen += sum(np.array(s) for s in shares(two, friction).values())
+    for k, name in enumerate(friction):
+        own = jumps.interface == k
+        slip, work = sums([s.interfaces[name] for s in b])
+        order = np.argsort(jumps.points.vertex[jumps.mine][own])
+        assert difference(jumps.history.accumulated[own, 0][order], slip) < TOLERANCE
+        if friction[name]:
+            assert difference(jumps.history.dissipation[own][order], work) < TOLERANCE
+    # The case says something about history only if points of all kinds occur.
+    assert (seen > 0.02).all(), seen
