@@ -144,7 +144,15 @@ class Solver:
         for key, value in self.options.items():
             database[key] = value
         self.snes.setFromOptions()
-        self._block.configure(self.snes.getKSP())
+        ksp = self.snes.getKSP()
+        self._block.configure(ksp)
+        # The inner solvers read their options when they are set up: that has to be now.
+        self._block.jacobian(self.x)
+        pc = ksp.getPC()
+        pc.setOperators(self._block.matrix())
+        with self._timing.phase("factorize"):
+            pc.setUp()
+            pc.setUpOnBlocks()
         for key in self.options:
             database.delValue(key)
 
