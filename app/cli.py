@@ -13,6 +13,7 @@ import argparse
 import io
 import os
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ from app.errors import EnvironmentProblem, InputError, MantleError
 
 INTERNAL_ERROR = 70
 STOPPED = 5
+GRACE = 1.0
 # The rank of this process, by whatever started it; MPI itself is not up yet when input is checked.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 
@@ -131,6 +133,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MantleError as error:
         if rank() == 0:
             print(error, file=sys.stderr, flush=True)
+        else:
+            # The first rank to leave has mpirun end the others, of which one is about to speak.
+            time.sleep(GRACE)
         return error.exit_code
     except KeyboardInterrupt:
         if rank() == 0:

@@ -107,6 +107,8 @@ def _petsc(value: object) -> object:
     for name, entry in value.items():
         if name.startswith("-"):
             fail(f"write the option without the dash: {name.lstrip('-')}", at=(name,))
+        if name.split() != [name]:
+            fail(f"{show(name)} is not the name of an option", at=(name,))
         if not isinstance(entry, str | int | float | bool):
             fail(f"{show(entry)} is not a single value", at=(name,))
     return value
@@ -207,9 +209,12 @@ def dump(case: Case) -> str:
     """A case as YAML in internal units; `load` reads it back to an equal case."""
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedSeq
+    from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
     def arrange(value: Any) -> Any:
-        """Short lists on one line."""
+        """Short lists on one line; text with unusual line breaks escaped, or it would change."""
+        if isinstance(value, str) and not value.isprintable():
+            return DoubleQuotedScalarString(value)
         if isinstance(value, dict):
             return {k: arrange(v) for k, v in value.items()}
         if isinstance(value, list):

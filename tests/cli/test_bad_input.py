@@ -6,13 +6,14 @@ Each entry edits a good file and names every complaint that has to come, in orde
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from app import config
+from app import cli, config, ranks
 from app.cli import main
 from app.errors import InputError
 
@@ -651,6 +652,7 @@ def test_command_says_it_once_and_exits_with_2(
         assert err.count("\n") == 1
     # The other ranks of an MPI job keep quiet and leave with the same code.
     monkeypatch.setenv("OMPI_COMM_WORLD_RANK", "1")
+    monkeypatch.setattr(cli, "GRACE", 0.0)
     assert main(["run", str(path)]) == 2
     assert capsys.readouterr() == ("", "")
 
@@ -704,4 +706,22 @@ def test_module_exits_with_the_code(tmp_path: Path) -> None:
     )
     assert result.returncode == 2
     assert result.stderr == f"{tmp_path}/none.yaml: no such file\n"
+    assert result.stdout == ""
+
+
+@pytest.mark.parallel
+def test_one_rank_of_a_plain_mpirun_speaks_and_all_exit_with_2(tmp_path: Path) -> None:
+    if shutil.which("mpirun") is None:
+        pytest.skip("no mpirun")
+    path = tmp_path / "case.yaml"
+    path.write_text(edit([("110 GPa", "110 mm")]))
+    result = subprocess.run(
+        ["mpirun", "-n", "3", sys.executable, "-m", "app", "run", str(path)],
+        env=ranks.environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 2
+    assert result.stderr.count("regions.stem.youngs_modulus: '110 mm' is a length") == 1
     assert result.stdout == ""

@@ -241,3 +241,19 @@ def test_refused_expression(expression: str, reason: str) -> None:
 def test_a_large_power_is_no_large_integer() -> None:
     with pytest.raises(InputError, match="not finite"):
         config.evaluate("9**9**9**9", POINTS)
+
+
+@pytest.mark.parametrize(
+    "title", ["Lamé, 5 µm", "a\x85b", "a\u2028b", "\ttab", "two\nlines\n", "'", "~", "1e3"]
+)
+def test_any_title_survives(title: str, tmp_path: Path) -> None:
+    case = load(tmp_path, MINIMAL).model_copy(update={"title": title})
+    path = tmp_path / "dumped.yaml"
+    path.write_text(config.dump(case), encoding="utf-8", newline="")
+    assert config.load(path) == case
+
+
+def test_a_byte_order_mark_and_windows_lines_are_no_trouble(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
+    assert config.load(path) == load(tmp_path, MINIMAL)
