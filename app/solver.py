@@ -46,6 +46,7 @@ SPLIT: Options = {
     "pc_type": "fieldsplit",
     "pc_fieldsplit_type": "multiplicative",
     "fieldsplit_u_ksp_type": "preonly",
+    "fieldsplit_u_ksp_reuse_preconditioner": True,
     "fieldsplit_jump_ksp_type": "preonly",
     "fieldsplit_jump_pc_type": "lu",
     "fieldsplit_jump_pc_factor_mat_solver_type": "mumps",
