@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import os
 import re
 import shutil
@@ -15,6 +16,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from typing import IO
 
@@ -26,6 +28,7 @@ _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID"
 _SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
 _RULE = b"-" * 74
 _PR_SET_PDEATHSIG = 1
+_SAME_SIGNAL = 1.0  # s
 
 
 def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
@@ -95,7 +98,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
 
     The ranks get SIGUSR1, the one signal that mpirun passes on without ending them, for the first
     SIGINT (Ctrl-C), SIGTERM, SIGHUP or SIGUSR1 received here: they have the time they need to save
-    their state and leave. A second one ends them at once.
+    their state and leave. A second one, a second later or more, ends them at once.
 
     Args:
         ranks: How many, at least 1.
@@ -112,10 +115,16 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     if mpirun is None:
         raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
     received: list[int] = []
+    first = math.inf
     child: subprocess.Popen[bytes] | None = None
 
     def stop(number: int, _frame: object) -> None:
+        nonlocal first
+        # One Ctrl-C may arrive twice: from the terminal and passed on by whatever started this.
+        if received and time.monotonic() < first + _SAME_SIGNAL:
+            return
         received.append(number)
+        first = min(first, time.monotonic())
         if child is None:
             return
         if len(received) == 1:

@@ -240,7 +240,7 @@ def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
     assert process.stdout.readline() == "ready\n"
     for _ in range(2):
         os.killpg(process.pid, signal.SIGINT)
-        time.sleep(0.5)
+        time.sleep(1.2)  # less would be taken for the same signal
     _, message = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "stopped before the state was saved" in message
