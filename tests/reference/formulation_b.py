@@ -140,7 +140,7 @@ class Interface:
 
 
 def solve(
-    case: config.Case, tagged: TaggedMesh, times: Sequence[float], r_factor: float = 1.0
+    case: config.Case, tagged: TaggedMesh, times: Sequence[float], r_factor: float = 0.3
 ) -> list[State]:
     """Solve the case at each of the given times, one Newton solve each.
 
@@ -378,10 +378,11 @@ def _held_on_both_sides(
 
 
 def _take_out(normal: fem.Function, components: list[int]) -> None:
-    """Take components out of the nodal normals and normalise again."""
+    """Take components out of the nodal normals and normalise again; zero where none is left."""
     n = normal.x.array.reshape(-1, 3)
     n.ravel()[components] = 0
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    size = np.linalg.norm(n, axis=1, keepdims=True)
+    n /= np.where(size > 0, size, 1)
 
 
 # Forms
