@@ -75,6 +75,21 @@ def test_a_scheduler_chooses_network_and_mapping() -> None:
     assert "PRTE_MCA_rmaps_default_mapping_policy" not in given
 
 
+@pytest.mark.parametrize(
+    ("environ", "expected"),
+    [
+        ({"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}, "self,sm"),
+        ({"OMPI_COMM_WORLD_SIZE": "4", "OMPI_COMM_WORLD_LOCAL_SIZE": "2"}, None),
+        ({}, None),
+    ],
+)
+def test_only_ranks_of_one_node_do_without_a_network(
+    environ: dict[str, str], expected: str | None
+) -> None:
+    ranks.keep_quiet(environ)
+    assert environ.get("OMPI_MCA_btl") == expected
+
+
 def filtered(text: str, received: tuple[int, ...] = ()) -> str:
     target = io.BytesIO()
     ranks.filter_messages(io.BytesIO(text.encode()), target, received)
