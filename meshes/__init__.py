@@ -7,6 +7,7 @@ used, so that checking a configuration needs neither.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ from .data import (
 )
 
 __all__ = ["MeshData", "build", "write_msh"]
+
+# A mantle that fills the canal divides the cancellous bone; each piece is held by the cortex.
+DIVISIBLE = frozenset({"cancellous_bone"})
 
 
 def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
@@ -49,7 +53,7 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
         return stored
     data = canonical(_generate(geometry, mesh))
     _quality.gate(data)
-    _check_parts(data, connected=geometry.kind != "file")
+    _check_parts(data, () if geometry.kind == "file" else set(data.regions) - DIVISIBLE)
     notes = {
         **data.notes,
         "quality": _quality.describe(data),
@@ -96,8 +100,12 @@ def _generate(geometry: Any, mesh: Any) -> MeshData:
             raise GeometryError(f"geometry.kind: {kind!r} has no mesher")
 
 
-def _check_parts(data: MeshData, connected: bool) -> None:
-    """Every region, boundary and interface is there, and regions are in one piece.
+def _check_parts(data: MeshData, whole: Collection[str]) -> None:
+    """Every region, boundary and interface is there, and some regions are in one piece.
+
+    Args:
+        data: The mesh.
+        whole: The regions whose cells must be connected by faces.
 
     Raises:
         GeometryError: With all that is missing.
@@ -113,14 +121,9 @@ def _check_parts(data: MeshData, connected: bool) -> None:
     ]
     if missing:
         raise GeometryError("the mesh has no " + ", no ".join(missing))
-    if not connected:
-        return
-    count, component = components(face_neighbours(data.cells), data.cell_tags)
-    if count > len(data.regions):
-        pieces = {
-            name: len(set(component[data.cell_tags == tag].tolist()))
-            for name, tag in data.regions.items()
-        }
+    _, component = components(face_neighbours(data.cells), data.cell_tags)
+    pieces = {n: len(set(component[data.cell_tags == data.regions[n]].tolist())) for n in whole}
+    if any(n > 1 for n in pieces.values()):
         raise GeometryError(
             "regions in several pieces: "
             + ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)

@@ -6,7 +6,7 @@ edges ``EDGES``; a facet has its vertices 0..2, then the middles of 01, 12, 20.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
 FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])  # outward for positive volume
 # The six nodes of each face of a quadratic tetrahedron, in the order of a quadratic facet.
 FACES_QUADRATIC = np.array(
@@ -139,12 +139,12 @@ _TRI_WEIGHTS = np.array(
 )
 
 
-def gradients(barycentric: Floats, edges: npt.NDArray[np.int64]) -> Floats:
+def gradients(barycentric: Floats, edges: Sequence[tuple[int, int]]) -> Floats:
     """Derivatives of the quadratic shape functions by the barycentric coordinates.
 
     Args:
         barycentric: Points, shape (q, v).
-        edges: Pairs of vertices with a node in the middle, shape (e, 2).
+        edges: Pairs of vertices with a node in the middle.
 
     Returns:
         Shape (q, v + e, v).
@@ -153,7 +153,7 @@ def gradients(barycentric: Floats, edges: npt.NDArray[np.int64]) -> Floats:
     result = np.zeros((points, vertices + len(edges), vertices))
     for i in range(vertices):
         result[:, i, i] = 4 * barycentric[:, i] - 1
-    for k, (i, j) in enumerate(edges.tolist()):
+    for k, (i, j) in enumerate(edges):
         result[:, vertices + k, i] = 4 * barycentric[:, j]
         result[:, vertices + k, j] = 4 * barycentric[:, i]
     return result
@@ -180,7 +180,7 @@ def facet_areas(points: Floats, facets: Ints) -> Floats:
     x = points[facets]
     if facets.shape[1] == 3:
         return np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    d = gradients(_TRI_POINTS, np.array([(0, 1), (1, 2), (2, 0)]))
+    d = gradients(_TRI_POINTS, ((0, 1), (1, 2), (2, 0)))
     d = d[:, :, 1:] - d[:, :, :1]
     t = np.einsum("qak,maj->mqkj", d, x)
     return np.linalg.norm(np.cross(t[:, :, 0], t[:, :, 1]), axis=2) @ _TRI_WEIGHTS / 2

@@ -178,7 +178,7 @@ def write(data: MeshData, path: Path) -> None:
             model.mesh.addElementsByType(
                 tag, tet, [], data.cells[data.cell_tags == tag].ravel() + 1
             )
-        for tag in sorted(set(data.facet_tags.tolist())):
+        for tag in sorted({t for tags in data.boundaries.values() for t in tags}):
             model.addDiscreteEntity(2, tag)
             own = data.facets[data.facet_tags == tag]
             model.mesh.addElementsByType(tag, triangle, [], own.ravel() + 1)
