@@ -1,0 +1,19 @@
+"""What every test under MPI needs: destructors of PETSc and dolfinx objects are collective."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def collect_together() -> Iterator[None]:
+    """Collect garbage on all ranks at the same time, after each test."""
+    yield
+    mpi = sys.modules.get("mpi4py.MPI")
+    if mpi is not None and mpi.Is_initialized() and not mpi.Is_finalized():
+        gc.collect()
+        mpi.COMM_WORLD.barrier()

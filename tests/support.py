@@ -1,0 +1,184 @@
+"""Solving a case inside a test: the one place where the tests drive the application by hand."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+
+import meshes
+from app import config, quantities, ranks, scene, stepping
+from app.balance import Balance
+from app.problem import Problem, Trial
+from app.quantities import Samples, Stresses
+from app.solver import Solver
+from app.timing import Timing
+from meshes.distribute import TaggedMesh, distribute
+
+Floats = NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIGS = ROOT / "configs"
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A solved case.
+
+    Attributes:
+        case: Its configuration.
+        tagged: Its mesh.
+        problem: The problem, in its last state.
+        solver: Its solver.
+        steps: The converged steps.
+        samples: The contact points after each step; empty without contact.
+        interfaces: Reported quantities of each interface, after the last step.
+        balances: Force, moment and energy balance after each step.
+    """
+
+    case: config.Case
+    tagged: TaggedMesh
+    problem: Problem
+    solver: Solver
+    steps: tuple[stepping.Step, ...]
+    samples: tuple[Samples, ...]
+    interfaces: dict[str, dict[str, Any]]
+    balances: Floats
+
+    @property
+    def last(self) -> Samples:
+        """The contact points after the last step."""
+        return self.samples[-1]
+
+    def stress(self, region: str) -> Floats:
+        """Stress at the quadrature points of a region (n, 3, 3) [MPa]."""
+        return Stresses(self.problem, Timing()).evaluate(region).reshape(-1, 3, 3)
+
+    def displacement(self, region: str) -> tuple[Floats, Floats]:
+        """Positions and displacements of the nodes of a region (n, 3), in series [mm]."""
+        function = self.problem.displacements()[self.problem.bodies.of_region[region]]
+        space = self.problem.space
+        cells = self.tagged.cell_tags.find(self.tagged.regions[region])
+        nodes = np.unique(space.dofmap.list[cells])
+        x = space.tabulate_dof_coordinates()[nodes]
+        return x, function.x.array.reshape(-1, 3)[nodes]
+
+
+def case(text: str | Mapping[str, Any], *overrides: str) -> config.Case:
+    """A configuration from YAML text or from the same as a mapping.
+
+    Args:
+        text: The case.
+        overrides: ``key.path=value``, as after ``--set``.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "case.yaml"
+        if isinstance(text, str):
+            path.write_text(text, encoding="utf-8")
+        else:
+            YAML().dump(dict(text), path)
+        return config.load(path, overrides)
+
+
+def mesh(case: config.Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
+    """The mesh of a case."""
+    data = meshes.build(case.geometry, case.mesh, None) if comm.rank == 0 else None
+    return distribute(data, comm)
+
+
+def assemble(case: config.Case, tagged: TaggedMesh | None = None) -> tuple[Problem, Solver]:
+    """Problem and solver of a case, at rest."""
+    timing, options = Timing(), case.solver
+    problem = Problem(scene.build(case), tagged or mesh(case), options.augmentation_factor, timing)
+    solver = Solver(
+        problem,
+        options.tolerance,
+        options.max_iterations,
+        options.linear,
+        dict(options.petsc),
+        timing,
+    )
+    return problem, solver
+
+
+def solve(
+    text: str | Mapping[str, Any] | config.Case,
+    *overrides: str,
+    tagged: TaggedMesh | None = None,
+    balances: bool = False,
+) -> Solved:
+    """Solve a case.
+
+    Args:
+        text: The case.
+        overrides: ``key.path=value``, as after ``--set``.
+        tagged: Its mesh if it is there already.
+        balances: Whether to keep the balances, which costs some forms.
+
+    Raises:
+        MantleError: As the application does.
+    """
+    this = text if isinstance(text, config.Case) else case(text, *overrides)
+    problem, solver = assemble(this, tagged)
+    balance = Balance(problem, np.zeros(3)) if balances else None
+    steps: list[stepping.Step] = []
+    samples: list[Samples] = []
+    sums: list[tuple[float, float, float]] = []
+
+    def on_step(step: stepping.Step, trial: Trial | None) -> None:
+        steps.append(step)
+        if trial is not None:
+            samples.append(Samples(problem, trial))
+        if balance is not None:
+            balance.update(*solver.parts(), trial)
+            sums.append((balance.force, balance.moment, balance.energy))
+
+    stepping.run(problem, solver, problem.scene.stages, on_step, print)
+    interfaces = {
+        c.name: quantities.interface(problem, samples[-1], i)
+        for i, c in enumerate(problem.scene.contacts)
+    }
+    return Solved(
+        case=this,
+        tagged=problem.tagged,
+        problem=problem,
+        solver=solver,
+        steps=tuple(steps),
+        samples=tuple(samples),
+        interfaces=interfaces,
+        balances=np.array(sums),
+    )
+
+
+def fitted_order(sizes: list[float], errors: list[float]) -> float:
+    """Slope of log error over log size by least squares."""
+    return float(np.polyfit(np.log(sizes), np.log(np.abs(errors)), 1)[0])
+
+
+def difference(a: Any, b: Any) -> float:
+    """Largest difference over the largest value of b."""
+    one, two = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    return float(np.abs(one - two).max() / np.abs(two).max())
+
+
+def mpirun(ranks_: int, *arguments: str | Path) -> list[str]:
+    """Command that runs Python with these arguments on a number of ranks."""
+    return ["mpirun", "-n", str(ranks_), sys.executable, *map(str, arguments)]
+
+
+def environment() -> dict[str, str]:
+    """Environment of a new set of ranks, whatever MPI this process was started by."""
+    import os
+
+    foreign = ("OMPI_COMM_", "PMIX_", "PRTE_", "PMI_")
+    here = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
+    return ranks.environment(here) | {"PYTHONPATH": str(ROOT)}

@@ -1,0 +1,205 @@
+"""Elastic bodies: the stiffness of eq. 48-50 as corrected is the inverse of the compliance.
+
+The stiffness is the second derivative of the strain energy by UFL, evaluated by dolfinx on a cell;
+the compliance is written down from its definition and inverted by numpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import create_unit_cube
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from forms import elasticity
+
+Floats = NDArray[np.float64]
+Stiffness = Callable[[Sequence[float], Sequence[float]], Floats]
+
+FIBRES = [
+    pytest.param((0.0, 0.0, 1.0), id="z"),
+    pytest.param((1.0, 0.0, 0.0), id="x"),
+    pytest.param(tuple(np.ones(3) / np.sqrt(3)), id="diagonal"),
+]
+# E_l, E_t, ν_l, ν_t, μ_l of the example of errata E6.
+BONE = (17000.0, 11500.0, 0.31, 0.51, 3280.0)
+# Components of a symmetric tensor in Mandel's notation, in which rotations are orthogonal.
+PAIRS = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
+ROOT_2 = np.array([1, 1, 1, np.sqrt(2), np.sqrt(2), np.sqrt(2)])
+
+
+def compile_stiffness(coefficients: Callable[..., tuple]) -> Stiffness:
+    """Function (constants, fibre) -> stiffness (3, 3, 3, 3), compiled once for all constants."""
+    mesh = create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
+    constants = [fem.Constant(mesh, 1.0) for _ in range(5)]
+    m = fem.Constant(mesh, np.zeros(3))
+    ε = ufl.variable(fem.Constant(mesh, np.zeros((3, 3))))
+    ψ = elasticity.transversely_isotropic_energy(ufl.sym(ε), m, *coefficients(*constants))
+    second = ufl.diff(ufl.diff(ψ, ε), ε)
+    expression = fem.Expression(second, np.full((1, 3), 0.25), comm=MPI.COMM_SELF)
+
+    def stiffness(values: Sequence[float], fibre: Sequence[float]) -> Floats:
+        for constant, value in zip(constants, values, strict=True):
+            constant.value = value
+        m.value[:] = fibre
+        return np.asarray(expression.eval(mesh, np.array([0]))).reshape(3, 3, 3, 3)
+
+    return stiffness
+
+
+@pytest.fixture(scope="module")
+def stiffness() -> Stiffness:
+    return compile_stiffness(elasticity.transversely_isotropic_coefficients)
+
+
+def compliance(E_l: float, E_t: float, ν_l: float, ν_t: float, μ_l: float) -> Floats:
+    """Compliance in Mandel's notation, fibre along z, from the meaning of the constants."""
+    S = np.zeros((6, 6))
+    S[:3, :3] = [
+        [1 / E_t, -ν_t / E_t, -ν_l / E_l],
+        [-ν_t / E_t, 1 / E_t, -ν_l / E_l],
+        [-ν_l / E_l, -ν_l / E_l, 1 / E_l],
+    ]
+    S[3, 3] = S[4, 4] = 1 / (2 * μ_l)
+    S[5, 5] = (1 + ν_t) / E_t
+    return S
+
+
+def tensor(C: Floats) -> Floats:
+    """Fourth-order tensor from Mandel's notation."""
+    T = np.zeros((3, 3, 3, 3))
+    for a, (i, j) in enumerate(PAIRS):
+        for b, (k, l) in enumerate(PAIRS):  # noqa: E741
+            value = C[a, b] / (ROOT_2[a] * ROOT_2[b])
+            for p, q in ((i, j), (j, i)):
+                for r, s in ((k, l), (l, k)):
+                    T[p, q, r, s] = value
+    return T
+
+
+def mandel(T: Floats) -> Floats:
+    """Mandel's notation of a fourth-order tensor."""
+    rows = [[T[i, j, k, l] for k, l in PAIRS] for i, j in PAIRS]  # noqa: E741
+    return np.array(rows) * np.outer(ROOT_2, ROOT_2)
+
+
+def rotation(fibre: Sequence[float]) -> Floats:
+    """An orthogonal matrix whose third column is the fibre."""
+    m = np.asarray(fibre)
+    a = np.cross(m, np.eye(3)[np.argmin(np.abs(m))])
+    a /= np.linalg.norm(a)
+    return np.column_stack([np.cross(a, m), a, m])
+
+
+def expected(values: Sequence[float], fibre: Sequence[float]) -> Floats:
+    Q = rotation(fibre)
+    C = tensor(np.linalg.inv(compliance(*values)))
+    return np.einsum("ia,jb,kc,ld,abcd->ijkl", Q, Q, Q, Q, C)
+
+
+def error(actual: Floats, values: Sequence[float], fibre: Sequence[float]) -> float:
+    exact = expected(values, fibre)
+    return float(np.abs(actual - exact).max() / np.abs(exact).max())
+
+
+@st.composite
+def admissible(draw: st.DrawFn) -> tuple[float, float, float, float, float]:
+    """Random constants with 1 - ν_t - 2 ν_l² E_t/E_l > 0, at a distance from the limits."""
+    E_l = 10 ** draw(st.floats(2, 5))
+    E_t = E_l * 10 ** draw(st.floats(-1.5, 1.0))
+    ν_t = draw(st.floats(-0.9, 0.9))
+    share = draw(st.floats(-0.97, 0.97))
+    μ_l = E_l * 10 ** draw(st.floats(-1.5, 0.5))
+    return E_l, E_t, share * np.sqrt((1 - ν_t) * E_l / (2 * E_t)), ν_t, μ_l
+
+
+@pytest.mark.parametrize("fibre", FIBRES)
+@settings(max_examples=100, deadline=None)
+@given(values=admissible())
+def test_stiffness_is_inverse_compliance(
+    stiffness: Stiffness, fibre: tuple[float, ...], values: tuple[float, ...]
+) -> None:
+    C = stiffness(values, fibre)
+    assert error(C, values, fibre) < 1e-10
+    assert np.linalg.eigvalsh(mandel(C)).min() > 0
+
+
+@pytest.mark.parametrize("fibre", FIBRES)
+def test_uniaxial_tension(stiffness: Stiffness, fibre: tuple[float, ...]) -> None:
+    """σ = m⊗m stretches by 1/E_l along m and contracts by ν_l/E_l across; likewise across m."""
+    E_l, E_t, ν_l, ν_t, _ = BONE
+    C = stiffness(BONE, fibre)
+    m = np.array(fibre)
+    M, across = np.outer(m, m), np.eye(3) - np.outer(m, m)
+    ε = M / E_l - ν_l / E_l * across
+    assert np.abs(np.einsum("ijkl,kl->ij", C, ε) - M).max() < 1e-10
+    a, b = rotation(fibre).T[:2]
+    ε = np.outer(a, a) / E_t - ν_t / E_t * np.outer(b, b) - ν_l / E_l * M
+    assert np.abs(np.einsum("ijkl,kl->ij", C, ε) - np.outer(a, a)).max() < 1e-10
+
+
+def test_example_of_the_errata() -> None:
+    """Coefficients e1..e5 of errata E6, to the digits given there."""
+    e = elasticity.transversely_isotropic_coefficients(*BONE)
+    np.testing.assert_allclose(e, [12165.1, 7615.9, -2261.8, -1055.9, 9994.4], atol=0.051)
+
+
+def printed_coefficients(E_l, E_t, ν_l, ν_t, μ_l):  # type: ignore[no-untyped-def]
+    """Eq. 50 as printed: ν_t² for ν_l² in e1, e3, e5, and E_t/E_l for E_l/E_t in e5."""
+    Δ = (1 - ν_t - 2 * ν_l**2 * E_t / E_l) * (1 + ν_t)
+    a = ν_t**2 * E_t / E_l
+    e1 = (ν_t + a) * E_t / Δ
+    e2 = E_t / (1 + ν_t)
+    e3 = (ν_l - ν_t + ν_l * ν_t - a) * E_t / Δ
+    e4 = 2 * μ_l - E_t / (1 + ν_t)
+    e5 = -4 * μ_l + (1 - 2 * ν_l - 2 * ν_l * ν_t - a + (1 - ν_t**2) * E_t / E_l) * E_t / Δ
+    return e1, e2, e3, e4, e5
+
+
+def test_the_printed_coefficients_fail() -> None:
+    """The comparison sees the misprints: modulus along the fibre 542 instead of 17000 MPa."""
+    printed = compile_stiffness(printed_coefficients)
+    z = (0.0, 0.0, 1.0)
+    C = printed(BONE, z)
+    assert 1 / np.linalg.inv(mandel(C))[2, 2] == pytest.approx(542, abs=0.5)
+    assert error(C, BONE, z) > 0.1
+    # The second example of E6 is indefinite.
+    second = mandel(printed((17000.0, 11500.0, 0.46, 0.42, 3300.0), z))
+    assert np.linalg.eigvalsh(second).min() == pytest.approx(-324, abs=1)
+
+
+def test_isotropic_limit(stiffness: Stiffness) -> None:
+    """With E_l = E_t, one Poisson's ratio and μ_l = E/2(1+ν) the fibre terms vanish."""
+    E, ν = 2200.0, 0.3
+    e = elasticity.transversely_isotropic_coefficients(E, E, ν, ν, E / (2 * (1 + ν)))
+    e1, e2 = elasticity.isotropic_coefficients(E, ν)
+    np.testing.assert_allclose(e, [e1, e2, 0, 0, 0], atol=1e-9)
+    C = stiffness((E, E, ν, ν, E / (2 * (1 + ν))), (0.6, 0.0, 0.8))
+    δ = np.eye(3)
+    isotropic = e1 * np.einsum("ij,kl->ijkl", δ, δ) + e2 / 2 * (
+        np.einsum("ik,jl->ijkl", δ, δ) + np.einsum("il,jk->ijkl", δ, δ)
+    )
+    assert np.abs(C - isotropic).max() < 1e-9
+
+
+def test_stress_is_the_derivative_with_plus_sign() -> None:
+    """Eq. 49 with its sign corrected: stretching pulls. Eigenstrains give their components."""
+    mesh = create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
+    free = elasticity.eigenstrain([fem.Constant(mesh, v) for v in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)])
+    σ = elasticity.stress(lambda e: elasticity.isotropic_energy(e, 3.0, 2.0), free)
+    mises = elasticity.von_mises(ufl.as_matrix([[0, 0, 0], [0, 0, 0], [0, 0, -7.0]]))
+    point = np.full((1, 3), 0.25)
+    values = fem.Expression(σ, point, comm=MPI.COMM_SELF).eval(mesh, np.array([0]))
+    ε = np.array([[1, 6, 5], [6, 2, 4], [5, 4, 3]])
+    np.testing.assert_allclose(values.reshape(3, 3), 3 * 6 * np.eye(3) + 2 * ε, rtol=1e-12)
+    one = fem.Constant(mesh, 1.0)
+    value = fem.Expression(one * mises, point, comm=MPI.COMM_SELF).eval(mesh, np.array([0]))
+    assert float(value.reshape(-1)[0]) == pytest.approx(7.0)
