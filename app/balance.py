@@ -35,10 +35,15 @@ class Balance:
         dx = mechanics.cells()
         v = ufl.TestFunction(problem.space)
         displacements = problem.displacements()
-        energy = [mechanics.body_energy(b, U, dx) for b, U in enumerate(displacements)]
-        self._energy = [mechanics.form(e) for e in energy]
+        # A rigid body has no energy.
+        energy = [
+            (e, U)
+            for b, U in enumerate(displacements)
+            if (e := mechanics.body_energy(b, U, dx)) != 0
+        ]
+        self._energy = [mechanics.form(e) for e, _ in energy]
         self._internal = [
-            mechanics.form(ufl.derivative(e, U, v)) for e, U in zip(energy, displacements, strict=True)
+            mechanics.form(ufl.derivative(e, U, v)) for e, U in energy
         ]
         self._strain_work = [
             (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
@@ -62,7 +67,7 @@ class Balance:
             for t in [[k[i] * U[i] for i in range(3)]]
             for i in range(3)
         ]
-        nodes = problem.space.tabulate_dof_coordinates()[: len(problem.f.array) // 3]
+        nodes = problem.space.tabulate_dof_coordinates()[: len(problem.reduction.reacting) // 3]
         self._arm = nodes - about
         ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
         low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
@@ -84,13 +89,13 @@ class Balance:
     def _measure(self, state: tuple[PETSc.Vec, PETSc.Vec | None, Trial | None] | None) -> dict:
         """Everything that enters the balances at the current time and state."""
         problem = self._problem
-        total = problem.K.createVecLeft()
+        total = PETSc.Vec().createMPI((len(problem.reduction.reacting), None), comm=problem.comm)
         for form in self._internal:
             part = fem.petsc.assemble_vector(form)
             part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
             total.array[:] += part.array[: len(total.array)]
         loads_u, loads_q = problem.applied()
-        reaction = np.where(problem.held_mask, total.array - loads_u, 0.0)
+        reaction = np.where(problem.reduction.reacting, total.array - loads_u, 0.0)
         scalar = lambda f: float(problem.comm.allreduce(fem.assemble_scalar(f), MPI.SUM))  # noqa: E731
         u, q, trial = state or (problem.K.createVecLeft(), None, None)
         held_q = np.zeros(0)
@@ -100,7 +105,7 @@ class Balance:
             e = trial.equilibrium if trial is not None else np.zeros((len(j.mine), 3))
             held_q = np.where(j.held, e, 0.0).ravel()
         return {
-            "u": u.array.copy(),
+            "u": problem.reduction.expand(u).array.copy(),
             "q": jump,
             "loads_u": loads_u,
             "loads_q": loads_q if len(loads_q) else np.zeros_like(jump),

@@ -28,6 +28,7 @@ from scipy.sparse import coo_array
 from app.bodies import Bodies, contact_facets, held_vertices
 from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
+from app.reduction import Reduction
 from app.terms import Scene, amplitude
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
@@ -74,6 +75,7 @@ class Jumps:
         tagged: TaggedMesh,
         bodies: Bodies,
         mechanics: Mechanics,
+        reduction: Reduction,
         augmentation_factor: float,
         timing: Timing,
     ) -> None:
@@ -84,7 +86,6 @@ class Jumps:
         """
         self._contacts = scene.contacts
         self._supports = scene.supports
-        self._loads = scene.loads
         self.comm = tagged.mesh.comm
         space = mechanics.space
         self.facets: InterfaceFacets = contact_facets(tagged, bodies, space, scene.contacts)
@@ -115,7 +116,7 @@ class Jumps:
         self._full_gap = full
         zero = np.zeros((n, 3))
         self.history = History(zero, zero, zero, zero, np.zeros(n), np.zeros(n))
-        self._couple(bodies, mechanics, entries, place)
+        self._couple(mechanics, reduction, entries, place)
         self._work = self.Ct.createVecLeft()
         self.set_time(0.0)
 
@@ -141,14 +142,15 @@ class Jumps:
         ]
         return np.array(values)[self.interface]
 
-    def _couple(self, bodies: Bodies, mechanics: Mechanics, entries: Entries, place: Ints) -> None:
+    def _couple(
+        self, mechanics: Mechanics, reduction: Reduction, entries: Entries, place: Ints
+    ) -> None:
         """Assemble C, its transpose and D, and the loads on moved bodies."""
         index_map = mechanics.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
         n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
         self.moves: dict[int, PETSc.Mat] = {}
         C = D = None
-        self.load_parts = np.zeros((len(self._loads), n_q))
         ghosts = index_map.ghosts
         for body in np.unique(entries.body).tolist():
             here = entries.body == body
@@ -167,8 +169,8 @@ class Jumps:
             D_b = B.transposeMatMult(KB)
             C = KB if C is None else C + KB
             D = D_b if D is None else D + D_b
-        self.C, self.D = C, D
-        self.Ct = C.copy().transpose()
+        self.C, self.D = reduction.rows(C), D
+        self.Ct = self.C.copy().transpose()
 
     # State in time
 

@@ -213,13 +213,13 @@ class Mechanics:
 
     # Assembly
 
-    def stiffness(self, bcs: list[fem.DirichletBC]) -> PETSc.Mat:
-        """Stiffness of all bodies moving with u, supported rows and columns set to identity."""
+    def stiffness(self) -> PETSc.Mat:
+        """Stiffness of all bodies moving with u, supports not yet applied."""
         u, v, w = self.u, *self._arguments()
         dx = self.cells()
         energy = sum(self.body_energy(b, u, dx) for b in range(len(self._bodies.names)))
         form = self.form(ufl.derivative(ufl.derivative(energy, u, v), u, w))
-        matrix = assemble_matrix(form, bcs=bcs)
+        matrix = assemble_matrix(form)
         matrix.assemble()
         return matrix
 

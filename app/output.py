@@ -221,7 +221,7 @@ class _Fields:
         return {
             f"{name}_gap": spread(s.gap.max(axis=1)),
             f"{name}_slip": spread(s.slip.max(axis=1)),
-            f"{name}_pressure": spread(s.pressure.max(axis=1)),
+            f"{name}_pressure": spread(s.pressure),
             f"{name}_shear": spread(s.shear),
             f"{name}_status": spread(s.status.astype(float), -1.0),
         }

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import ufl
-from dolfinx import default_scalar_type, fem
+from dolfinx import fem
 from mpi4py import MPI
 from numpy.typing import NDArray
 from petsc4py import PETSc
@@ -19,11 +19,16 @@ from app.bodies import bodies_of, boundary_facets, cell_tags
 from app.jumps import Jumps
 from app.mechanics import Mechanics
 from app.points import PointForces
-from app.terms import Scene, amplitude
+from app.reduction import near_null_space, reduction_of, support_of_dofs
+from app.terms import Elastic, Load, Scene, amplitude
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
 
 Floats = NDArray[np.float64]
+
+
+# Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
+ROUNDING = 8.0
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,16 @@ class Trial:
     law: PointForces
 
 
+@dataclass(frozen=True)
+class Action:
+    """Forces at full amplitude: on own nodes, on own unknowns, on own jumps [N]."""
+
+    history: tuple[float, ...]
+    nodal: PETSc.Vec
+    reduced: PETSc.Vec
+    jump: Floats
+
+
 class Problem:
     """Operators and state of a scene.
 
@@ -44,7 +59,9 @@ class Problem:
         time: Current time: stage k runs from k to k + 1.
     """
 
-    def __init__(self, scene: Scene, tagged: TaggedMesh, augmentation_factor: float, timing: Timing) -> None:
+    def __init__(
+        self, scene: Scene, tagged: TaggedMesh, augmentation_factor: float, timing: Timing
+    ) -> None:
         """Assemble everything that does not change; collective.
 
         Raises:
@@ -56,15 +73,31 @@ class Problem:
         self.mechanics = Mechanics(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u
-        index_map = self.space.dofmap.index_map
-        self._owned = 3 * index_map.size_local
-        self.support_of = self._support_of_dofs()
-        self._bcs = self._dirichlet()
-        self.K = self.mechanics.stiffness(self._bcs)
+        self._owned = 3 * self.space.dofmap.index_map.size_local
+        support_of = support_of_dofs(scene, tagged, self.bodies, self.space)
+        self.reduction = reduction_of(scene, tagged, self.space, support_of)
+        self.held = self.reduction.held
+        nodal = self.mechanics.stiffness()
+        self.K = self.reduction.matrix(nodal)
+        self._lifts = [self._lift(unit) for unit in self.reduction.unit]
+        self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.K.zeroRowsColumns(self.supported_rows(), diag=_typical(self.K))
+        self._diagonal = self.K.getDiagonal()
         self.K.setBlockSize(3)
-        self.K.setNearNullSpace(self._rigid_modes())
+        self.K.setOption(PETSc.Mat.Option.SPD, True)
+        self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
         self.jumps: tuple[Jumps, ...] = (
-            (Jumps(scene, tagged, self.bodies, self.mechanics, augmentation_factor, timing),)
+            (
+                Jumps(
+                    scene,
+                    tagged,
+                    self.bodies,
+                    self.mechanics,
+                    self.reduction,
+                    augmentation_factor,
+                    timing,
+                ),
+            )
             if scene.contacts
             else ()
         )
@@ -73,110 +106,56 @@ class Problem:
             for j in self.jumps
             for b in j.moves
         }
-        self._assemble_loads()
+        self._loads = [self._load(load) for load in scene.loads]
+        self._strains = [
+            self._strain(e, k) for e in scene.elastic for k in range(len(e.eigenstrains))
+        ]
         self.set_time(0.0)
 
     # Construction
 
-    def _support_of_dofs(self) -> NDArray[np.int64]:
-        """Support that holds each local dof, -1 where none does (3 dofs per node).
+    def _lift(self, unit: Floats) -> PETSc.Vec:
+        """Minus the forces of a support's displacements at full amplitude."""
+        given, forces = self.K.createVecRight(), self.K.createVecLeft()
+        given.array[:] = unit
+        self.K.mult(given, forces)
+        forces.scale(-1)
+        return forces
 
-        Where supports on several bodies hold a node, the body of lowest number wins: it is the
-        base of that node (see `meshes.interfaces`).
-        """
-        index_map = self.space.dofmap.index_map
-        support = np.full(3 * (index_map.size_local + index_map.num_ghosts), -1, dtype=np.int64)
-        tags = cell_tags(self.tagged)
-        for body in reversed(range(len(self.bodies.names))):
-            for s, term in enumerate(self.scene.supports):
-                f = boundary_facets(self.tagged, term.boundary)
-                mine = f.facets[self.bodies.of_tag[tags[f.cells]] == body]
-                nodes = fem.locate_dofs_topological(self.space, 2, mine.astype(np.int32))
-                for c in np.flatnonzero(term.components):
-                    support[3 * nodes + c] = s
-        return support
+    def _load(self, load: Load) -> Action:
+        """A load at full amplitude."""
+        v, dx = ufl.TestFunction(self.space), self.mechanics.cells()
+        parts = {}
+        for b in range(len(self.bodies.names)):
+            work = self.mechanics.load_work(load, b, v, dx)
+            if work != 0:
+                parts[b] = self.mechanics.assemble(work)
+        return self._action(load.history, parts)
 
-    def _dirichlet(self) -> list[fem.DirichletBC]:
-        held = self.support_of >= 0
-        bcs = []
-        for c in range(3):
-            nodes = np.flatnonzero(held[c::3])
-            dofs = (3 * nodes + c).astype(np.int32)
-            bcs.append(fem.dirichletbc(default_scalar_type(0), dofs, self.space.sub(c)))
-        return bcs
-
-    def _rigid_modes(self) -> PETSc.NullSpace:
-        """The six rigid modes, orthonormal, for algebraic multigrid."""
-        modes = []
-        x = self.space.tabulate_dof_coordinates()[: self._owned // 3]
-        for k in range(6):
-            mode = self.K.createVecLeft()
-            values = mode.array.reshape(-1, 3)
-            axis = np.eye(3)[k % 3]
-            values[:] = axis if k < 3 else np.cross(axis, x)
-            modes.append(mode)
-        for i, mode in enumerate(modes):
-            for other in modes[:i]:
-                mode.axpy(-mode.dot(other), other)
-            mode.normalize()
-        return PETSc.NullSpace().create(vectors=modes, comm=self.comm)
-
-    def _assemble_loads(self) -> None:
-        """One vector per load, eigenstrain and prescribed displacement, at full amplitude."""
+    def _strain(self, e: Elastic, k: int) -> Action:
+        """An eigenstrain at full amplitude, as the load it is equivalent to."""
         mechanics, v = self.mechanics, ufl.TestFunction(self.space)
-        dx = mechanics.cells()
-        n_q = [j.C.getLocalSize()[1] for j in self.jumps]
-        self._unit_u: list[tuple[tuple[float, ...], PETSc.Vec]] = []
-        self._unit_q: list[Floats] = []
+        mechanics.set_amplitudes({(e.region, k): 1.0})
+        body = self.bodies.of_region[e.region]
+        energy = mechanics.body_energy(body, self.u, mechanics.cells())
+        part = mechanics.assemble(ufl.derivative(energy, self.u, v))
+        part.scale(-1)
+        return self._action(e.eigenstrains[k].history, {body: part})
 
-        def add(history: tuple[float, ...], parts: dict[int, PETSc.Vec]) -> None:
-            total = self.K.createVecLeft()
-            jump = [np.zeros(n) for n in n_q]
-            for body, part in parts.items():
-                total.array[:] += part.array[: self._owned]
-                for j, values in zip(self.jumps, jump, strict=True):
-                    if body in j.moves:
-                        moved = j.moves[body].createVecRight()
-                        whole = self.K.createVecLeft()
-                        whole.array[:] = part.array[: self._owned]
-                        j.moves[body].multTranspose(whole, moved)
-                        values += moved.array
-            self._unit_u.append((history, total))
-            self._unit_q.append(jump[0] if jump else np.zeros(0))
-
-        bodies = range(len(self.bodies.names))
-        for load in self.scene.loads:
-            parts = {}
-            for b in bodies:
-                work = mechanics.load_work(load, b, v, dx)
-                if work != 0:
-                    parts[b] = mechanics.assemble(work)
-            add(load.history, parts)
-        for e in self.scene.elastic:
-            for k, strain in enumerate(e.eigenstrains):
-                mechanics.set_amplitudes({(e.region, k): 1.0})
-                body = self.bodies.of_region[e.region]
-                form = ufl.derivative(mechanics.body_energy(body, self.u, dx), self.u, v)
-                part = mechanics.assemble(form)
-                part.scale(-1)
-                add(strain.history, {body: part})
-        mechanics.set_amplitudes({})
-        for s, support in enumerate(self.scene.supports):
-            if not any(support.values):
-                continue
-            self.u.x.array[:] = self._unit_displacement(s)
-            energy = sum(mechanics.body_energy(b, self.u, dx) for b in bodies)
-            part = mechanics.assemble(ufl.derivative(energy, self.u, v))
-            self.u.x.array[:] = 0
-            lift = self.K.createVecLeft()
-            lift.array[:] = -part.array[: self._owned]
-            self._unit_u.append((support.history, lift))
-            self._unit_q.append(np.zeros(n_q[0] if n_q else 0))
-
-    def _unit_displacement(self, s: int) -> Floats:
-        values = np.array(self.scene.supports[s].values)
-        held = self.support_of == s
-        return np.where(held, np.tile(values, len(held) // 3), 0.0)
+    def _action(self, history: tuple[float, ...], parts: dict[int, PETSc.Vec]) -> Action:
+        """Sum the nodal forces on each body, for the displacement and for the jumps."""
+        total = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
+        jump = np.zeros(sum(3 * len(j.mine) for j in self.jumps))
+        for body, part in parts.items():
+            own = total.duplicate()
+            own.array[:] = part.array[: self._owned]
+            total.axpy(1.0, own)
+            for j in self.jumps:
+                if body in j.moves:
+                    moved = j.moves[body].createVecRight()
+                    j.moves[body].multTranspose(own, moved)
+                    jump += moved.array
+        return Action(history, total, self.reduction.vector(total), jump)
 
     def bodies_at(self, boundary: str) -> set[int]:
         """Bodies that have facets on a boundary; collective."""
@@ -190,22 +169,20 @@ class Problem:
         """Set loads, supports and gaps to a time; the state itself does not move."""
         self.time = time
         self.f = self.K.createVecLeft()
-        self.f_q = np.zeros_like(self._unit_q[0]) if self._unit_q else np.zeros(0)
-        for (history, vector), jump in zip(self._unit_u, self._unit_q, strict=True):
-            a = amplitude(history, time)
-            self.f.axpy(a, vector)
-            self.f_q = self.f_q + a * jump
-        held = self.support_of[: self._owned]
-        given = np.zeros(len(held))
-        for s, support in enumerate(self.scene.supports):
+        self.f_q = np.zeros(sum(3 * len(j.mine) for j in self.jumps))
+        for action in (*self._loads, *self._strains):
+            a = amplitude(action.history, time)
+            self.f.axpy(a, action.reduced)
+            self.f_q += a * action.jump
+        self._given = np.zeros(len(self.held))
+        for support, unit, lift in zip(
+            self.scene.supports, self.reduction.unit, self._lifts, strict=True
+        ):
             a = amplitude(support.history, time)
-            component = np.arange(len(held)) % 3
-            given = np.where(held == s, a * np.array(support.values)[component], given)
-        self._held, self._given = held >= 0, given
+            self._given += a * unit
+            self.f.axpy(a, lift)
         for j in self.jumps:
             j.set_time(time)
-            if not len(self.f_q):
-                self.f_q = np.zeros(3 * len(j.mine))
         self.mechanics.set_amplitudes(
             {
                 (e.region, k): amplitude(s.history, time)
@@ -216,7 +193,7 @@ class Problem:
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the supported components of a displacement to their current values."""
-        u.array[self._held] = self._given[self._held]
+        u.array[self.held] = self._given[self.held]
 
     # Residual and Jacobian
 
@@ -233,12 +210,12 @@ class Problem:
         for j in self.jumps:
             j.C.multAdd(q, out, out)
         out.axpy(-1.0, self.f)
-        out.array[self._held] = 0
+        out.array[self.held] = 0
 
     def supported_rows(self) -> NDArray[np.int32]:
         """Global rows that supports hold, of this rank."""
         start = self.K.getOwnershipRange()[0]
-        return (start + np.flatnonzero(self._held)).astype(np.int32)
+        return (start + np.flatnonzero(self.held)).astype(np.int32)
 
     def force_scale(self) -> float:
         """Size of the forces now acting: loads, and interface forces so far [N]."""
@@ -249,48 +226,45 @@ class Problem:
             scale += float(np.sqrt(self.comm.allreduce(float(np.sum(self.f_q**2)), MPI.SUM)))
         return scale
 
+    def rounding(self, u: PETSc.Vec) -> float:
+        """Residual that rounding alone leaves at a displacement: a stiff body that moves [N]."""
+        return ROUNDING * float(np.finfo(float).eps) * (self._diagonal * u).norm()
+
     # State
 
     def spread(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Put a state into the displacement functions of all bodies."""
-        self.u.x.petsc_vec.array[: self._owned] = u.array
+        nodal = self.reduction.expand(u)
+        self.u.x.petsc_vec.array[: self._owned] = nodal.array
         self.u.x.scatter_forward()
         for j in self.jumps:
-            extra = self.K.createVecLeft()
+            extra = nodal.duplicate()
             for body, B in j.moves.items():
                 B.mult(q, extra)
                 function = self.moved[body]
-                function.x.petsc_vec.array[: self._owned] = u.array + extra.array
+                function.x.petsc_vec.array[: self._owned] = nodal.array + extra.array
                 function.x.scatter_forward()
 
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last spread."""
         return self.mechanics.displacements(self.moved)
 
-    @property
-    def held_mask(self) -> NDArray[np.bool_]:
-        """Own displacement dofs that supports hold."""
-        return self._held
-
     def applied(self) -> tuple[Floats, Floats]:
-        """Loads now acting on own displacement dofs and jumps [N]; no eigenstrains, no supports."""
-        u = np.zeros(self._owned)
-        q = np.zeros_like(self.f_q)
-        for k in range(len(self.scene.loads)):
-            history, vector = self._unit_u[k]
-            a = amplitude(history, self.time)
-            u += a * vector.array
-            q = q + a * self._unit_q[k]
+        """Loads now acting on own nodes and jumps [N]; no eigenstrains, no supports."""
+        u, q = np.zeros(self._owned), np.zeros_like(self.f_q)
+        for action in self._loads:
+            a = amplitude(action.history, self.time)
+            u += a * action.nodal.array
+            q += a * action.jump
         return u, q
 
     def resultants(self) -> list[Floats]:
         """Resultant of each load now acting [N]."""
-        sums = []
-        for k in range(len(self.scene.loads)):
-            history, vector = self._unit_u[k]
-            local = vector.array.reshape(-1, 3).sum(axis=0) * amplitude(history, self.time)
-            sums.append(self.comm.allreduce(local, MPI.SUM))
-        return sums
+        return [
+            self.comm.allreduce(action.nodal.array.reshape(-1, 3).sum(axis=0), MPI.SUM)
+            * amplitude(action.history, self.time)
+            for action in self._loads
+        ]
 
     @property
     def augmented(self) -> bool:
@@ -316,3 +290,9 @@ class Problem:
         for j in self.jumps:
             if trial is not None:
                 j.commit(trial.equilibrium, trial.jump, trial.law)
+
+
+def _typical(K: PETSc.Mat) -> float:
+    """Mean diagonal of a matrix: what supported rows get, so that scales stay alike."""
+    diagonal = K.getDiagonal()
+    return float(diagonal.sum()) / diagonal.getSize()

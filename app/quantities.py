@@ -52,7 +52,7 @@ class Samples:
         gap: Opening of each face (n, 3) [mm].
         slip: Tangential part of the jump on each face (n, 3) [mm].
         accumulated: Sum of slip increments on each face (n, 3) [mm].
-        pressure: Pressure of each face, positive in compression (n, 3) [MPa].
+        pressure: Normal force per area, positive in compression (n,) [MPa].
         shear: Friction per area (n,) [MPa].
         force: Force of the master on the slave per area (n, 3) [MPa].
         status: State (n,).
@@ -68,13 +68,14 @@ class Samples:
         tangential = trial.jump[:, None, :] - normal[:, :, None] * j.normals
         opening = np.einsum("pi,pki->pk", trial.jump + j.gap, j.normals)
         used = np.arange(3)[None, :] < j.faces[:, None]
-        share = np.where(used, j.weight[:, None] / np.where(used, j.areas, 1.0), 0.0)
         local = {
             "row": j.mine,
             "gap": np.where(used, opening, 0.0),
             "slip": np.where(used, np.linalg.norm(tangential, axis=2), 0.0),
             "accumulated": np.where(used, history.accumulated, 0.0),
-            "pressure": trial.law.pressures * share,
+            "pressure": np.linalg.norm(
+                np.einsum("pk,pki->pi", trial.law.pressures, j.normals), axis=1
+            ),
             "shear": np.linalg.norm(history.friction, axis=1),
             "force": -history.force,
             "status": np.where(j.faces > 0, trial.law.status, STICK),
@@ -114,7 +115,7 @@ def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
         return percentile(values[area > 0], area[area > 0])
 
     gap, slip = np.maximum(s.gap[at], 0.0), s.slip[at]
-    shear = np.repeat(s.shear[at][:, None], 3, axis=1)
+    pressure, shear = s.pressure[at], s.shear[at]
     gap_max, gap_at = largest(gap)
     slip_max, slip_at = largest(slip)
     faces = area > 0
@@ -130,10 +131,10 @@ def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
         "slip_p99": p99(slip),
         "slip_max_at": slip_at,
         "slip_accumulated_max": float(s.accumulated[at].max(initial=0.0)),
-        "pressure_max": largest(s.pressure[at])[0],
-        "pressure_p99": p99(s.pressure[at]),
-        "shear_max": largest(shear)[0],
-        "shear_p99": p99(shear),
+        "pressure_max": float(pressure.max(initial=0.0)),
+        "pressure_p99": percentile(pressure, weight),
+        "shear_max": float(shear.max(initial=0.0)),
+        "shear_p99": percentile(shear, weight),
         "penetration_max": float(np.maximum(-s.gap[at][faces], 0.0).max(initial=0.0)),
         "penetration_sampled": _sampled_penetration(problem, s, i),
         "open_fraction": fraction(OPEN),

@@ -32,8 +32,6 @@ NEWTON: Options = {
     "snes_linesearch_type": "bt",
     "snes_linesearch_order": 1,
     "snes_max_linear_solve_fail": 10,
-    "snes_stol": 0.0,
-    "snes_rtol": 0.0,
     "snes_ksp_ew": True,
     "snes_ksp_ew_version": 2,
     "snes_ksp_ew_rtol0": 1e-2,
@@ -136,6 +134,7 @@ class Solver:
         self.snes.setFunction(self._residual, self._block.vector())
         self.snes.setJacobian(self._jacobian, self._block.matrix())
         self.snes.setMonitor(self._monitor)
+        self.snes.setConvergenceTest(self._converged)
         self.options = defaults | dict(options)
         self._configure()
 
@@ -173,6 +172,16 @@ class Solver:
         self._residuals.append(norm / self._scale if self._scale else norm)
         self._flips.append(self._block.flips())
 
+    def _converged(
+        self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
+    ) -> PETSc.SNES.ConvergedReason:
+        """Residual below its tolerance, or below what rounding leaves of it."""
+        limit = max(self._tolerance * self._scale, self._block.rounding(snes.getSolution()))
+        reasons = PETSc.SNES.ConvergedReason
+        if not np.isfinite(norms[2]):
+            return reasons.DIVERGED_FUNCTION_NANORINF
+        return reasons.CONVERGED_FNORM_ABS if norms[2] <= limit else reasons.ITERATING
+
     # Solve
 
     def solve(self) -> Outcome:
@@ -183,7 +192,6 @@ class Solver:
         self._scale = max(self._scale, self.problem.force_scale(), f.norm())
         self._residuals, self._flips = [], []
         self._block.forget()
-        self.snes.setTolerances(atol=self._tolerance * self._scale)
         with self._timing.phase("solve"):
             self.snes.solve(None, self.x)
         reason = self.snes.getConvergedReason()
@@ -226,6 +234,9 @@ class _Bonded:
 
     def sizes(self) -> dict[str, int]:
         return {"displacement": self._problem.K.getSize()[0]}
+
+    def rounding(self, x: PETSc.Vec) -> float:
+        return self._problem.rounding(x)
 
     def impose(self, x: PETSc.Vec) -> None:
         self._problem.impose(x)
@@ -284,6 +295,9 @@ class _Contact:
             "displacement": self._problem.K.getSize()[0],
             "jump": self._jumps.D.getSize()[0],
         }
+
+    def rounding(self, x: PETSc.Vec) -> float:
+        return self._problem.rounding(self.parts(x)[0])
 
     def impose(self, x: PETSc.Vec) -> None:
         u, q = self.parts(x)

@@ -1,0 +1,282 @@
+r"""From nodal displacements to independent unknowns: supports, and regions that move rigidly.
+
+The displacement of all nodes is U = P ũ. Without rigid regions P is the identity. The nodes of a
+rigid region move by :math:`t + ω × (x - c)`; its six parameters are rotated so that those its
+supports determine come first, and then they are held like any supported component.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+from numpy.typing import NDArray
+from petsc4py import PETSc
+
+from app.bodies import Bodies, boundary_facets, cell_tags
+from app.errors import InputError
+from app.terms import Scene
+from meshes.distribute import TaggedMesh
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+# A motion of a rigid region counts as held when its supports resist it by more than this fraction
+# of the motion they resist most.
+_HELD = 1e-9
+
+
+class Reduction(Protocol):
+    """What the problem asks of a reduction.
+
+    Attributes:
+        held: Own unknowns that supports hold (n,).
+        unit: For each support the values of the own unknowns at full amplitude (n,).
+        reacting: Own nodal components through which supports act (3 own nodes,).
+        modes: The six rigid modes of the whole model in own unknowns (6, n).
+    """
+
+    held: Bools
+    unit: list[Floats]
+    reacting: Bools
+    modes: Floats
+
+    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
+        """P^T K P."""
+
+    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
+        """P^T C."""
+
+    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
+        """P^T f."""
+
+    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
+        """P ũ."""
+
+
+def support_of_dofs(
+    scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
+) -> Ints:
+    """Support that holds each local dof, -1 where none does (3 per node, ghosts included).
+
+    Where supports on several bodies hold a node, the body of lowest number wins: it is the base of
+    that node (see `meshes.interfaces`).
+    """
+    index_map = space.dofmap.index_map
+    support = np.full(3 * (index_map.size_local + index_map.num_ghosts), -1, dtype=np.int64)
+    tags = cell_tags(tagged)
+    patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
+    for body in reversed(range(len(bodies.names))):
+        for s, (term, f) in enumerate(zip(scene.supports, patches, strict=True)):
+            mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
+            nodes = fem.locate_dofs_topological(space, 2, mine.astype(np.int32))
+            for c in np.flatnonzero(term.components):
+                support[3 * nodes + c] = s
+    return support
+
+
+def rigid_modes(x: Floats) -> Floats:
+    """Translations along and rotations about the axes at nodes x (n, 3) -> (n, 3, 6)."""
+    modes = np.zeros((len(x), 3, 6))
+    modes[:, :, :3] = np.eye(3)
+    for k in range(3):
+        modes[:, :, 3 + k] = np.cross(np.eye(3)[k], x)
+    return modes
+
+
+class AllFree:
+    """No rigid region: the unknowns are the nodal displacements."""
+
+    def __init__(self, scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> None:
+        """Read off what supports hold."""
+        owned = 3 * space.dofmap.index_map.size_local
+        own = support_of[:owned]
+        self.held = own >= 0
+        component = np.arange(owned) % 3
+        self.unit = [
+            np.where(own == s, np.array(t.values)[component], 0.0)
+            for s, t in enumerate(scene.supports)
+        ]
+        self.reacting = self.held
+        x = space.tabulate_dof_coordinates()[: owned // 3]
+        self.modes = rigid_modes(x).reshape(-1, 6).T
+
+    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
+        """K itself."""
+        return K
+
+    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
+        """C itself."""
+        return C
+
+    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
+        """A copy of f."""
+        return f.copy()
+
+    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
+        """A copy of u."""
+        return u.copy()
+
+
+class WithRigid:
+    """Rigid regions: six unknowns each, on rank 0, in place of their nodes."""
+
+    def __init__(
+        self, scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace, support_of: Ints
+    ) -> None:
+        """Build P; collective.
+
+        Raises:
+            InputError: Supports of a rigid region contradict each other.
+        """
+        comm = tagged.mesh.comm
+        nodes = space.dofmap.index_map.size_local
+        x = space.tabulate_dof_coordinates()[:nodes]
+        region = _region_of_nodes(scene, tagged, space)[:nodes]
+        free = np.flatnonzero(region < 0)
+        n_rigid = len(scene.rigid)
+        n = 3 * len(free) + (6 * n_rigid if comm.rank == 0 else 0)
+        start = comm.exscan(n) or 0
+        tail = comm.bcast(3 * len(free))
+        self.held, self.unit = np.zeros(n, dtype=bool), [np.zeros(n) for _ in scene.supports]
+        own = support_of[: 3 * nodes].reshape(-1, 3)
+        self.held[: 3 * len(free)] = (own[free] >= 0).ravel()
+        for s, term in enumerate(scene.supports):
+            given = np.where(own[free] == s, np.array(term.values), 0.0)
+            self.unit[s][: 3 * len(free)] = given.ravel()
+        self.reacting = (own >= 0) & (region < 0)[:, None]
+        self.modes = np.zeros((6, n))
+        self.modes[:, : 3 * len(free)] = rigid_modes(x[free]).reshape(-1, 6).T
+        columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
+        values = np.zeros((nodes, 3, 6))
+        columns[free, :, 0] = start + np.arange(3 * len(free)).reshape(-1, 3)
+        values[free, :, 0] = 1
+        for k, body in enumerate(scene.rigid):
+            here = np.flatnonzero(region == k)
+            everywhere = np.concatenate(comm.allgather(x[here]))
+            centre = everywhere.mean(axis=0)
+            scale = np.ptp(everywhere, axis=0).max() or 1.0
+            local = rigid_modes((x[here] - centre) / scale)
+            rows = np.concatenate(comm.allgather(local[own[here] >= 0]))
+            by = np.concatenate(comm.allgather(own[here][own[here] >= 0]))
+            component = np.concatenate(comm.allgather(np.nonzero(own[here] >= 0)[1]))
+            basis, rank, amounts = _held_motions(scene, body.region, rows, by, component)
+            place = tail + 6 * k
+            columns[here] = place + np.arange(6)
+            values[here] = local @ basis
+            self.reacting[here] |= rank > 0
+            if comm.rank == 0:
+                self.held[place : place + rank] = True
+                for s, amount in enumerate(amounts):
+                    self.unit[s][place : place + rank] = amount[:rank]
+                # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
+                whole = np.eye(6)
+                whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
+                whole[3:] *= scale
+                self.modes[:, place : place + 6] = (basis.T @ whole).T
+        self.reacting = self.reacting.ravel()
+        keep = columns.reshape(-1, 6) >= 0
+        pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
+        self._P = PETSc.Mat().createAIJ(
+            ((3 * nodes, None), (n, None)),
+            csr=(
+                pointer.astype(PETSc.IntType),
+                columns.reshape(-1, 6)[keep].astype(PETSc.IntType),
+                values.reshape(-1, 6)[keep],
+            ),
+            comm=comm,
+        )
+        self._P.assemble()
+
+    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
+        """P^T K P."""
+        return K.ptap(self._P)
+
+    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
+        """P^T C."""
+        return self._P.transposeMatMult(C)
+
+    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
+        """P^T f."""
+        out = self._P.createVecRight()
+        self._P.multTranspose(f, out)
+        return out
+
+    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
+        """P ũ."""
+        out = self._P.createVecLeft()
+        self._P.mult(u, out)
+        return out
+
+
+def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace) -> Ints:
+    """Number of the rigid region of each local node, -1 in elastic regions only; collective."""
+    tags = cell_tags(tagged)
+    owned = tagged.mesh.topology.index_map(3).size_local
+    mark = fem.Function(fem.functionspace(tagged.mesh, ("Lagrange", scene.order)))
+    result = np.full(len(mark.x.array), -1, dtype=np.int64)
+    dofs = mark.function_space.dofmap.list
+    for k, body in enumerate(scene.rigid):
+        mark.x.array[:] = 0
+        cells = np.flatnonzero(tags[:owned] == tagged.regions[body.region])
+        mark.x.array[np.unique(dofs[cells])] = 1
+        mark.x.petsc_vec.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        mark.x.scatter_forward()
+        result[mark.x.array > 0] = k
+    return result
+
+
+def _held_motions(
+    scene: Scene, region: str, rows: Floats, by: Ints, component: Ints
+) -> tuple[Floats, int, list[Floats]]:
+    """Basis (6, 6) of a body's motions, held ones first, their number, and their amounts.
+
+    Args:
+        scene: The scene.
+        region: Name of the rigid region.
+        rows: Displacement of each held component by the six motions (m, 6).
+        by: Support that holds it (m,).
+        component: Its axis (m,).
+    """
+    if not len(rows):
+        return np.eye(6), 0, [np.zeros(6) for _ in scene.supports]
+    _, singular, vt = np.linalg.svd(rows, full_matrices=True)
+    rank = int((singular > _HELD * singular[0]).sum())
+    basis = vt.T
+    inverse = np.linalg.pinv(rows, rcond=_HELD)
+    amounts = []
+    for s, term in enumerate(scene.supports):
+        wanted = np.where(by == s, np.array(term.values)[component], 0.0)
+        motion = inverse @ wanted
+        if np.abs(rows @ motion - wanted).max() > 1e-9 * max(np.abs(wanted).max(), 1.0):
+            raise InputError(
+                f"supports.{term.name}: a rigid region ('{region}') cannot take on these values "
+                "together with the other supports on it; allowed: a rigid motion"
+            )
+        amounts.append(basis.T @ motion)
+    return basis, rank, amounts
+
+
+def reduction_of(
+    scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace, support_of: Ints
+) -> Reduction:
+    """The reduction a scene needs; collective."""
+    if scene.rigid:
+        return WithRigid(scene, tagged, space, support_of)
+    return AllFree(scene, space, support_of)
+
+
+def near_null_space(comm: MPI.Comm, K: PETSc.Mat, modes: Floats) -> PETSc.NullSpace:
+    """The six rigid modes, orthonormal, for algebraic multigrid."""
+    vectors = []
+    for values in modes:
+        vector = K.createVecLeft()
+        vector.array[:] = values
+        for other in vectors:
+            vector.axpy(-vector.dot(other), other)
+        vector.normalize()
+        vectors.append(vector)
+    return PETSc.NullSpace().create(vectors=vectors, comm=comm)
