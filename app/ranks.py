@@ -20,7 +20,7 @@ import time
 from collections.abc import Mapping, MutableMapping, Sequence
 from typing import IO
 
-from app.errors import EnvironmentProblem, InputError
+from app.errors import EnvironmentProblem, InputError, StoppedError
 
 # Where the number of ranks is found, by the process manager that started this process.
 _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
@@ -118,8 +118,8 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         command: The program and its arguments.
 
     Returns:
-        The exit code of the first rank that failed, 0 if none did, 130 where the ranks were ended
-        before they could leave by themselves, 70 where one of them crashed.
+        The exit code of the first rank that failed, 0 if none did; 5 where they were stopped before
+        they listened to signals, 130 where they were ended by a second one, 70 where one crashed.
 
     Raises:
         EnvironmentProblem: There is no mpirun.
@@ -169,8 +169,9 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     code = child.wait()
     relay.join(timeout=2.0)
     if received and (code < 0 or code == 1 or code > 128):
-        _tell("stopped before the state was saved")
-        return 130
+        # The ranks did not listen yet, and there was nothing to save; or they were not let.
+        _tell("stopped" if len(received) == 1 else "stopped before the state was saved")
+        return StoppedError.exit_code if len(received) == 1 else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has told.
     return 70 if code < 0 or code > 128 else code
 
@@ -187,23 +188,23 @@ def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int
         received: Signals received so far; after one the end of a rank by a signal is no news.
     """
     block: list[bytes] = []
-    skip_empty = False
+    closing = False  # mpirun has begun to end the job; its banners leave blanks behind
     while line := source.readline():
         is_rule = line.rstrip() == _RULE
         if not block:
             if is_rule:
                 block = [line]
-            elif not (skip_empty and not line.strip()) and not _is_noise(line):
+            elif not (closing and not line.strip(b" \n\0")) and not _is_noise(line):
                 _write(target, line)
-            skip_empty = skip_empty and not line.strip()
             continue
         block.append(line)
         if len(block) == 2 and not line.startswith((b"prterun ", b"mpirun ", b"MPI_ABORT ")):
             _write(target, b"".join(block))  # a table of the application's
             block = []
         elif is_rule:
-            skip_empty = _repeats(b"".join(block), bool(received))
-            if not skip_empty:
+            if _repeats(b"".join(block), bool(received)):
+                closing = True
+            else:
                 _write(target, b"".join(block))
             block = []
     _write(target, b"".join(block))

@@ -228,6 +228,23 @@ def test_ranks_have_time_to_save_their_state(number: signal.Signals, tmp_path: P
 
 
 @pytest.mark.parallel
+def test_a_signal_before_the_ranks_listen_is_a_stop_too() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", LAUNCH, "2", "sh", "-c", "echo ready; exec sleep 30"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    os.killpg(process.pid, signal.SIGINT)
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 5
+    assert message.splitlines()[-1] == "mantle: stopped"
+
+
+@pytest.mark.parallel
 def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
     process = subprocess.Popen(
         on_ranks(2, tmp_path, "wait", "60"),

@@ -122,6 +122,6 @@ def test_the_end_of_an_abort_is_left_out() -> None:
         + RULE
         + 'prterun has exited due to process rank 1 with PID 0 on node host calling\n"abort".\n'
         + RULE
-        + " "
+        + "\n\0"
     )
     assert filtered("mantle: internal error\n" + abort) == "mantle: internal error\n"
