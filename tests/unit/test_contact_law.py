@@ -1,0 +1,353 @@
+"""The contact law of a point: what UFL derives from eq. 65 against what the conditions say.
+
+The numpy side of these tests is written from the conditions (distances to convex sets, Signorini,
+Coulomb), not from the form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import basix.ufl
+import numpy as np
+import pytest
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import create_mesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from ufl.algorithms import expand_derivatives
+
+from app import points
+from app.points import PointLaw, gap_vectors
+from forms.contact import OPEN, SLIP, STICK, contact_law
+
+Floats = NDArray[np.float64]
+
+ALL = [(faces, friction) for faces in (1, 2, 3) for friction in (False, True)]
+KINDS = pytest.mark.parametrize(
+    ("faces", "friction"),
+    [pytest.param(m, k, id=f"{m} faces, {'friction' if k else 'smooth'}") for m, k in ALL],
+)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Random contact points: what the law takes, n of them."""
+
+    F: Floats
+    jump: Floats
+    gap: Floats
+    old: Floats
+    normals: Floats
+    μ: Floats
+    r: Floats
+
+    @property
+    def S(self) -> Floats:
+        """Trial force with the whole gap."""
+        return self.F + self.r[:, None] * (self.jump + self.gap)
+
+    @property
+    def dS(self) -> Floats:
+        """Trial force with the change of the jump: its tangential part counts."""
+        return self.F + self.r[:, None] * (self.jump - self.old)
+
+    @property
+    def faces(self) -> int:
+        return self.normals.shape[1]
+
+
+def sample(n: int, faces: int, seed: int = 1) -> Points:
+    """Random points with an old state that does not penetrate, as a committed one does not."""
+    rng = np.random.default_rng(seed)
+    normals = unit(rng.normal(size=(n, 1, 3)))
+    while normals.shape[1] < faces:
+        # Independent and more than 30 degrees apart, as faces are.
+        new = unit(rng.normal(size=(150, 3)))
+        rows = []
+        for k in range(n):
+            c = np.abs(new @ normals[k].T).max(axis=1)
+            trial = np.concatenate(
+                [np.repeat(normals[k][None], len(new), 0), new[:, None]], axis=1
+            )
+            good = (c < 0.85) & (np.linalg.det(trial @ trial.transpose(0, 2, 1)) > 0.1)
+            rows.append(new[rng.choice(np.flatnonzero(good))])
+        normals = np.concatenate([normals, np.array(rows)[:, None]], axis=1)
+    μ = rng.uniform(0.05, 1.5, n)
+    r = 10 ** rng.uniform(0, 4, n)
+    jump, old = rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
+    padded = np.zeros((n, 3, 3))
+    padded[:, :faces] = normals
+    # Gap vector such that the old state touches or is open on every face; often it touches.
+    before = np.maximum(rng.normal(size=(n, faces)), 0)
+    g = solve_gram(normals, before - np.einsum("nki,ni->nk", normals, old))
+    F = rng.normal(size=(n, 3)) * r[:, None]
+    return Points(F, jump, g, old, normals, μ, r)
+
+
+def unit(v: Floats) -> Floats:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def solve_gram(normals: Floats, b: Floats) -> Floats:
+    """The vector in the span of the normals with the given components along them."""
+    gram = normals @ normals.transpose(0, 2, 1)
+    return np.einsum("nk,nki->ni", np.linalg.solve(gram, b[:, :, None])[:, :, 0], normals)
+
+
+class Derived:
+    """A law at n points and its derivatives by F and D, each compiled when it is asked for."""
+
+    def __init__(self, p: Points, friction: bool) -> None:
+        n = len(p.μ)
+        self._mesh = create_mesh(
+            MPI.COMM_SELF,
+            np.arange(2 * n, dtype=np.int64).reshape(-1, 2),
+            np.arange(2 * n, dtype=np.float64).reshape(-1, 1),
+            ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,))),
+        )
+        self._order = self._mesh.topology.original_cell_index
+        F, D = ufl.variable(self._put(p.F)), ufl.variable(self._put(p.jump))
+        gap, r = self._put(p.gap), self._put(p.r)
+        star = self._put(np.zeros((n, 3)))
+        normals = [self._put(p.normals[:, k]) for k in range(p.faces)]
+        μ = self._put(p.μ) if friction else None
+        law = contact_law(F, D, gap, self._put(p.old), star, normals, μ, r)
+        self._F, self._D, self._law = F, D, law
+        self._frozen = {star: F + r * (D + gap)}
+
+    def _put(self, values: Floats) -> fem.Function:
+        shape = values.shape[1:]
+        f = fem.Function(fem.functionspace(self._mesh, ("DG", 0, shape) if shape else ("DG", 0)))
+        f.x.array[:] = values[self._order].ravel()
+        return f
+
+    def _evaluate(self, e: ufl.core.expr.Expr) -> Floats:
+        """At all points; the starred force takes its value after all derivatives."""
+        e = ufl.replace(expand_derivatives(e), self._frozen)
+        expression = fem.Expression(e, np.array([[0.5]]), comm=MPI.COMM_SELF)
+        n = len(self._order)
+        values = expression.eval(self._mesh, np.arange(n, dtype=np.int32)).reshape(n, -1)
+        out = np.empty_like(values)
+        out[self._order] = values
+        return out
+
+    def energy(self) -> Floats:
+        return self._evaluate(self._law.energy)[:, 0]
+
+    def by_D(self) -> Floats:
+        return self._evaluate(ufl.diff(self._law.energy, self._D))
+
+    def by_F(self) -> Floats:
+        return self._evaluate(ufl.diff(self._law.energy, self._F))
+
+
+def law_of(p: Points, friction: bool) -> PointLaw:
+    """The compiled law, as the application uses it."""
+    n = len(p.μ)
+    normals = np.zeros((n, 3, 3))
+    normals[:, : p.faces] = p.normals
+    faces = np.full(n, p.faces)
+    return PointLaw(MPI.COMM_SELF, normals, faces, p.μ, np.full(n, friction))
+
+
+def force_of(law: PointLaw, p: Points, F: Floats | None = None) -> points.PointForces:
+    return law.evaluate(p.F if F is None else F, p.jump, p.gap, p.old, p.r)
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("ni,ni->n", a, b))
+
+
+@pytest.mark.parametrize("friction", [False, True], ids=["smooth", "friction"])
+def test_one_face_is_eq_65_with_distances(friction: bool) -> None:
+    """Π = F·D + r/2 |D|² - dist²(S_n, R_-)/2r - dist²(S_T, C(P_{R-} S_n*))/2r, and its gradients.
+
+    D has the whole gap along the normal and the change of the jump across it. The gradients are
+    those of E8: the projected force by D, (P(S) - F)/r by F.
+    """
+    p = sample(400, 1)
+    d = Derived(p, friction)
+    n = p.normals[:, 0]
+    D_n = dot(p.jump + p.gap, n)
+    change = p.jump - p.old
+    D_T = change - dot(change, n)[:, None] * n
+    D = D_n[:, None] * n + D_T
+    S = p.F + p.r[:, None] * D
+    S_n = dot(S, n)
+    S_T = S - S_n[:, None] * n
+    size = np.linalg.norm(S_T, axis=1)
+    pressure = np.maximum(-S_n, 0)
+    radius = p.μ * pressure if friction else np.zeros_like(pressure)
+    dist_n = np.maximum(S_n, 0)
+    dist_T = np.maximum(size - radius, 0)
+    Π = dot(p.F, D) + (p.r * dot(D, D) - (dist_n**2 + dist_T**2) / p.r) / 2
+    P = -pressure[:, None] * n + np.minimum(1, radius / size)[:, None] * S_T
+    scale = np.linalg.norm(S, axis=1).max()
+    np.testing.assert_allclose(d.energy(), Π, rtol=1e-10, atol=1e-9 * np.abs(Π).max())
+    assert np.abs(d.by_D() - P).max() < 1e-11 * scale
+    assert np.abs(p.r[:, None] * d.by_F() - (P - p.F)).max() < 1e-11 * scale
+    out = force_of(law_of(p, friction), p)
+    assert np.abs(out.force - P).max() < 1e-11 * scale
+    assert np.abs(out.pressures[:, 0] - pressure).max() < 1e-11 * scale
+    state = np.where(pressure == 0, OPEN, np.where(size <= radius, STICK, SLIP))
+    assert (out.status == state).all()
+
+
+@KINDS
+def test_gradient_identities(faces: int, friction: bool) -> None:
+    """∂Π/∂D = P(S) and ∂Π/∂F = (P(S) - F)/r, whatever the number of faces."""
+    p = sample(300, faces, seed=2)
+    d = Derived(p, friction)
+    P = force_of(law_of(p, friction), p).force
+    scale = np.linalg.norm(p.S, axis=1).max()
+    assert np.abs(d.by_D() - P).max() < 1e-11 * scale
+    assert np.abs(p.r[:, None] * d.by_F() - (P - p.F)).max() < 1e-11 * scale
+
+
+@pytest.mark.parametrize("faces", [1, 2, 3])
+def test_without_friction_it_projects_on_the_cone_of_the_normals(faces: int) -> None:
+    """P(S) is the point nearest to S of the cone spanned by -n_k, and 2 r Π = |P(S)|² - |F|²."""
+    p = sample(400, faces, seed=3)
+    # Without friction no history: the whole gap counts in all directions.
+    p = Points(p.F, p.jump, p.gap, -p.gap, p.normals, p.μ, p.r)
+    P = force_of(law_of(p, False), p).force
+    for k in range(len(p.μ)):
+        a, _ = nnls(-p.normals[k].T, p.S[k])
+        nearest = -a @ p.normals[k]
+        assert np.abs(P[k] - nearest).max() < 1e-9 * np.abs(p.S[k]).max()
+    energy = Derived(p, False).energy()
+    exact = (dot(P, P) - dot(p.F, p.F)) / (2 * p.r)
+    np.testing.assert_allclose(energy, exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+
+
+@KINDS
+def test_generalized_jacobian(faces: int, friction: bool) -> None:
+    """Taylor: P(S + h δ) = P(S) + h P' δ + O(h²) where no state changes on the way."""
+    p = sample(600, faces, seed=4)
+    law = law_of(p, friction)
+    rng = np.random.default_rng(5)
+    base = force_of(law, p)
+    size = np.linalg.norm(p.S, axis=1)
+    direction = unit(rng.normal(size=(len(size), 3))) * size[:, None]
+    steps = [0.04, 0.02, 0.01]
+    remainders = []
+    smooth = np.ones(len(size), dtype=bool)
+    for h in steps:
+        after = force_of(law, p, p.F + h * direction)
+        smooth &= (after.status == base.status) & (
+            (after.pressures > 0) == (base.pressures > 0)
+        ).all(axis=1)
+        linear = np.einsum("nij,nj->ni", base.jacobian, h * direction)
+        remainders.append(np.linalg.norm(after.force - base.force - linear, axis=1) / size)
+    assert smooth.mean() > 0.5
+    first, second, third = (r[smooth] for r in remainders)
+    # Linear where the point is open, sticks or has no friction; quadratic where it slips.
+    slips = (base.status[smooth] == SLIP) & friction
+    assert (third[~slips] < 1e-10).all()
+    if slips.any() and faces == 1:
+        curved = slips & (third > 1e-7)
+        assert curved.sum() > 20
+        orders = np.log2(first[curved] / third[curved]) / 2
+        assert np.median(orders) == pytest.approx(2, abs=0.1)
+        assert orders.min() > 1.5
+    # First-order errors would leave some per cent; the second-order remainder is bounded.
+    assert np.quantile(third / 0.01, 0.9) < 0.05
+    # And the Jacobian is what it is because of its arguments: another point's does not fit.
+    if not friction and faces == 1:
+        wrong = np.einsum("nij,nj->ni", np.roll(base.jacobian, 1, axis=0), direction)
+        right = np.einsum("nij,nj->ni", base.jacobian, direction)
+        assert np.abs(wrong - right).max() > 0.1 * size.max()
+
+
+def conditions(p: Points, friction: bool, out: points.PointForces) -> dict[str, Floats]:
+    """By how much the pair F = P(S), D = (S - F)/r breaks the conditions, over |S|."""
+    P, faces = out.force, p.faces
+    size = np.linalg.norm(p.S, axis=1) + np.linalg.norm(p.dS, axis=1)
+    gap = np.einsum("nki,ni->nk", p.normals, p.S - P)  # times r
+    slip = p.dS - P  # times r
+    pressure = out.pressures[:, :faces]
+    T = P + np.einsum("nk,nki->ni", pressure, p.normals)
+    broken = {
+        "penetration": np.maximum(-gap, 0).max(axis=1),
+        "tension": np.maximum(-pressure, 0).max(axis=1),
+        "pressure across a gap": np.minimum(np.abs(pressure), np.abs(gap)).max(axis=1),
+    }
+    touches = pressure > 1e-9 * size[:, None]
+    # Motion and friction along what the touching faces leave free.
+    free = np.array(
+        [
+            np.eye(3) - (np.linalg.pinv(n[t]) @ n[t] if t.any() else 0)
+            for n, t in zip(p.normals, touches, strict=True)
+        ]
+    )
+    along = np.einsum("nij,nj->ni", free, slip)
+    broken["friction into a face"] = np.linalg.norm(
+        T - np.einsum("nij,nj->ni", free, T), axis=1
+    )
+    limit = (p.μ if friction else 0) * pressure.sum(axis=1)
+    shear = np.linalg.norm(T, axis=1)
+    broken["friction beyond the cone"] = np.maximum(shear - limit, 0)
+    motion = np.linalg.norm(along, axis=1)
+    # Friction is conjugate to the slip: it points along it, at the limit, wherever it moves.
+    opposes = np.abs(T * motion[:, None] - limit[:, None] * along).max(axis=1) / size
+    broken["friction not against the slip"] = np.where(touches.any(axis=1), opposes, 0)
+    return {name: value / size for name, value in broken.items()}
+
+
+@KINDS
+def test_law_solves_signorini_and_coulomb(faces: int, friction: bool) -> None:
+    """For any S the pair F = P(S), D = (S - F)/r satisfies all conditions on all faces."""
+    p = sample(1500, faces, seed=6)
+    out = force_of(law_of(p, friction), p)
+    for name, value in conditions(p, friction, out).items():
+        worst = int(np.argmax(value))
+        assert value[worst] < 1e-8, (name, (value > 1e-8).sum(), worst, p.S[worst], p.normals[worst])
+    touching = (out.pressures > 0).sum(axis=1)
+    # All sets of faces occur, and all states.
+    assert set(range(faces + 1)) == set(touching.tolist())
+    if friction:
+        assert (out.status == STICK).sum() > 30 and (out.status == SLIP).sum() > 30
+    assert (out.status[touching == 0] == OPEN).all()
+
+
+EDGE = sample(1, 2, seed=7)
+EDGE_LAW: list[PointLaw] = []
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
+    st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
+    st.floats(0, 2),
+)
+def test_edge_points_for_any_force(F: list[float], slip: list[float], gap: float) -> None:
+    """An edge that touched on one face and was open on the other, pushed anyhow."""
+    n = EDGE.normals
+    before = solve_gram(n, np.array([[0.0, gap]]))
+    old = np.array([[0.3, -0.2, 0.1]])
+    p = Points(np.array([F]), old + [slip], before - old, old, n, EDGE.μ, np.ones(1))
+    if not EDGE_LAW:
+        EDGE_LAW.append(law_of(p, True))
+    size = np.linalg.norm(p.S) + np.linalg.norm(p.dS)
+    if size < 1e-6:
+        return
+    for name, value in conditions(p, True, force_of(EDGE_LAW[0], p)).items():
+        assert value[0] < 1e-8, name
+
+
+def test_gap_vectors_open_every_face() -> None:
+    p = sample(50, 3, seed=8)
+    for faces in (0, 1, 2, 3):
+        normals = np.zeros((50, 3, 3))
+        normals[:, :faces] = p.normals[:, :faces]
+        gap = np.linspace(-1, 1, 50)
+        g = gap_vectors(normals, np.full(50, faces), gap)
+        opened = np.einsum("nki,ni->nk", normals[:, :faces], g)
+        assert np.abs(opened - gap[:, None]).max(initial=0) < 1e-12
+        assert faces or not g.any()
