@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from app.errors import GeometryError, MantleError
 
+from .curving import untangle
 from .data import Floats, Ints
 
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
@@ -92,13 +93,10 @@ def generate(gmsh: Any, curved: bool = False) -> None:
     gmsh.model.mesh.generate(3)
     if curved:
         gmsh.model.mesh.setOrder(2)
-        # setOrder alone leaves a few inverted elements next to strongly curved faces.
-        gmsh.model.mesh.optimize("HighOrderFastCurving")
-        gmsh.model.mesh.optimize("HighOrder")
 
 
 def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
-    """Read the tetrahedra of the model.
+    """Read the tetrahedra of the model; curved ones are untangled.
 
     Returns:
         Nodes (n, 3), cells (m, 4 or 10) and the volume entity of each cell (m,).
@@ -117,4 +115,7 @@ def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
             entities.append(np.full(len(block), volume, dtype=np.int64))
     if not cells:
         raise GeometryError("the mesh has no tetrahedra")
-    return coordinates.reshape(-1, 3), np.concatenate(cells), np.concatenate(entities)
+    points, connectivity = coordinates.reshape(-1, 3), np.concatenate(cells)
+    if connectivity.shape[1] == 10:
+        points = untangle(points, connectivity)
+    return points, connectivity, np.concatenate(entities)

@@ -1,0 +1,39 @@
+"""Curved cells that are bent too far, straightened until they are sound."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .data import EDGES, Floats, Ints
+from .quality import POOR, sicn
+
+STEPS = 8  # halvings; what is still bad then is made straight
+
+
+def untangle(points: Floats, cells: Ints) -> Floats:
+    """Move the middle nodes of bad quadratic cells towards the middles of their straight edges.
+
+    Putting middle nodes on a curved surface inverts some cells beside it. gmsh's cures were
+    measured on a femur of 31 k cells: its elastic optimiser took over eight minutes, its fast
+    curving four minutes and a torrent on stdout; halving the bend of a fifth of the curved edges
+    took two seconds and left no cell below 0.1.
+
+    Args:
+        points: Nodes, shape (n, 3).
+        cells: Quadratic tetrahedra, shape (m, 10).
+
+    Returns:
+        The points; vertices are unchanged.
+    """
+    first, second = np.array(EDGES).T
+    straight = points.copy()
+    straight[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
+    least = np.minimum(POOR, 0.5 * sicn(points, cells[:, :4]))
+    bend = np.ones((len(points), 1))
+    for step in range(STEPS):
+        current = straight + bend * (points - straight)
+        bad = sicn(current, cells) < least
+        if not bad.any():
+            break
+        bend[np.unique(cells[bad, 4:])] *= 0.5 if step < STEPS - 1 else 0.0
+    return straight + bend * (points - straight)
