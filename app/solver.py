@@ -31,14 +31,14 @@ NEWTON: Options = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
     "snes_linesearch_order": 1,
-    "snes_max_linear_solve_fail": 10,
+    "snes_max_linear_solve_fail": 3,
     "snes_ksp_ew": True,
     "snes_ksp_ew_version": 2,
     "snes_ksp_ew_rtol0": 1e-2,
     "snes_ksp_ew_rtolmax": 1e-2,
     "ksp_type": "fgmres",
-    "ksp_max_it": 400,
-    "ksp_gmres_restart": 120,
+    "ksp_max_it": 200,
+    "ksp_gmres_restart": 200,
 }
 SPLIT: Options = {
     "pc_type": "fieldsplit",
@@ -193,7 +193,11 @@ class Solver:
         self._residuals, self._flips = [], []
         self._block.forget()
         with self._timing.phase("solve"):
-            self.snes.solve(None, self.x)
+            try:
+                self.snes.solve(None, self.x)
+            except PETSc.Error as error:
+                # What a callback raised comes back wrapped.
+                raise error.__cause__ or error from None
         reason = self.snes.getConvergedReason()
         if reason <= 0:
             self.x.copy(self.failed)

@@ -22,18 +22,35 @@ the law is F = P(S), and the derivative of P, star included, its generalized Jac
 A point on an edge of an interface has up to three faces, each with its normal, but one jump and one
 force. "Normal" is then the span of the normals of the faces that touch, and their friction acts in
 what that span leaves: along the edge where two touch, nowhere where three do. Which faces touch
-follows from their pressures (not negative) and from the gaps of the others (not negative).
+follows from their pressures (not negative) and from the gaps of the others (not negative). Where no
+set of faces passes both, because friction on one face holds the point against another, all faces
+touch: nothing penetrates, and friction carries what pressures cannot.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from dataclasses import replace as replace_state
 from itertools import combinations
 from typing import Any
 
-from ufl import And, Coefficient, as_vector, conditional, diff, dot, ge, inner, le, replace, sqrt
-from ufl import variable
+from ufl import (
+    And,
+    Coefficient,
+    as_ufl,
+    as_vector,
+    conditional,
+    diff,
+    dot,
+    ge,
+    inner,
+    le,
+    max_value,
+    replace,
+    sqrt,
+    variable,
+)
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
@@ -42,6 +59,7 @@ from ufl.core.expr import Expr
 ROUNDING = 1e-9
 
 OPEN, STICK, SLIP = 0, 1, 2
+_ONE = as_ufl(1.0)
 
 
 @dataclass(frozen=True)
@@ -65,14 +83,26 @@ class ContactLaw:
 
 @dataclass(frozen=True)
 class _Touching:
-    """What a point does while a given set of its faces touches."""
+    """What a point does while a given set of its faces touches; open if there is none."""
 
     faces: tuple[int, ...]
     pressures: list[Expr]
     tangential: Expr
     radius: Any
     sticks: Expr | None
-    condition: Expr
+    condition: Expr | None
+
+    def pressure(self, face: int) -> Any:
+        """Pressure of a face, zero where it is open [MPa]."""
+        return self.pressures[self.faces.index(face)] if face in self.faces else 0 * _ONE
+
+    def status(self) -> Any:
+        """OPEN, STICK or SLIP; three touching faces always stick, without friction all slip."""
+        if not self.faces:
+            return OPEN * _ONE
+        if len(self.faces) == 3:
+            return STICK * _ONE
+        return SLIP * _ONE if self.sticks is None else conditional(self.sticks, STICK, SLIP)
 
 
 def contact_law(
@@ -102,26 +132,62 @@ def contact_law(
     d = variable(jump)
     S = f + r * (d + gap)
     dS = f + r * (d - jump_old)
-    live = [_touching(A, S, dS, normals, μ) for A in _sets(len(normals))]
-    frozen = [_touching(A, S_star, dS, normals, μ) for A in _sets(len(normals))]
+    live = _states(S, dS, normals, μ)
+    frozen = _states(S_star, dS, normals, μ)
 
-    square: Any = 0 * inner(S, S)
-    for t, star in zip(reversed(live), reversed(frozen), strict=True):
-        normal = _combine(t.pressures, [normals[k] for k in t.faces])
-        touching = inner(normal, normal) + _square_in_disc(t, star.radius)
-        square = conditional(t.condition, touching, square)
+    def carried(k: int) -> Any:
+        """Square of the part of S that the point carries in its state k."""
+        t = live[k]
+        normal = _combine(_components(S, [normals[f] for f in t.faces]), t.faces, normals)
+        return inner(normal, normal) + _square_in_disc(t, frozen[k].radius)
+
+    square = _choose(live, carried)
     energy = (square - inner(f, f)) / (2 * r)
 
     force = replace(expand_derivatives(diff(energy, d)), {S_star: S})
     jacobian = diff(force, f)
     return ContactLaw(
-        energy, force, jacobian, _pressures(live, len(normals)), _status(live, len(normals))
+        energy=energy,
+        force=force,
+        jacobian=jacobian,
+        pressures=as_vector(
+            [
+                _choose(live, lambda k, f=f: live[k].pressure(f))  # type: ignore[misc]
+                for f in range(len(normals))
+            ]
+        ),
+        status=_choose(live, lambda k: live[k].status()),
     )
 
 
-def _sets(faces: int) -> list[tuple[int, ...]]:
-    """The sets of faces that may touch, single faces first: friction then belongs to one face."""
-    return [A for size in range(1, faces + 1) for A in combinations(range(faces), size)]
+def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[_Touching]:
+    """What a point may do, in order of preference; the last state takes what is left.
+
+    Single faces come first: friction then belongs to one face.
+    """
+    faces = range(len(normals))
+    sets = [A for size in range(1, len(normals) + 1) for A in combinations(faces, size)]
+    states = [_touching(A, S, dS, normals, μ) for A in sets]
+    nothing = _Touching((), [], 0 * S, None, None, None)
+    if len(normals) == 1:
+        return [*states, nothing]
+    apart = ge(dot(S, normals[0]), 0)
+    for n in normals[1:]:
+        apart = And(apart, ge(dot(S, n), 0))
+    last = states[-1]
+    p = [max_value(value, 0) for value in last.pressures]
+    radius = None if μ is None else μ * sum(p[1:], p[0])
+    sticks = None if μ is None else le(inner(last.tangential, last.tangential), radius**2)
+    jammed = replace_state(last, pressures=p, radius=radius, sticks=sticks, condition=None)
+    return [*states, replace_state(nothing, condition=apart), jammed]
+
+
+def _choose(states: Sequence[_Touching], value: Callable[[int], Any]) -> Any:
+    """The value of the first state whose condition holds."""
+    chosen = value(len(states) - 1)
+    for k in reversed(range(len(states) - 1)):
+        chosen = conditional(states[k].condition, value(k), chosen)
+    return chosen
 
 
 def _touching(
@@ -130,7 +196,7 @@ def _touching(
     """Pressures, tangential force and validity of the set A of touching faces."""
     n = [normals[k] for k in A]
     p = [-a for a in _components(S, n)]
-    S_T = dS - _combine(_components(dS, n), n)
+    S_T = dS - _combine(_components(dS, n), A, normals)
     radius = None if μ is None else μ * sum(p[1:], p[0])
     sticks = None if μ is None else le(inner(S_T, S_T), radius**2)
     condition = ge(p[0], 0)
@@ -140,7 +206,7 @@ def _touching(
     if others:
         # r times the gap vector these faces leave: what was open before, plus the slip.
         before = S - dS
-        kept = before - _combine(_components(before, n), n)
+        kept = before - _combine(_components(before, n), A, normals)
         if μ is None:
             kept = kept + S_T
         else:
@@ -154,37 +220,16 @@ def _touching(
 def _square_in_disc(t: _Touching, radius: Any) -> Any:
     r""":math:`|S_T|^2 - dist^2(S_T, C)`; without friction the disc is a point and this is zero."""
     if t.sticks is None:
-        return 0
+        return 0 * _ONE
     square = inner(t.tangential, t.tangential)
     size = sqrt(conditional(t.sticks, 1, square))
     return conditional(t.sticks, square, 2 * radius * size - radius**2)
 
 
-def _pressures(live: Sequence[_Touching], faces: int) -> Expr:
-    """Pressure of each face, zero where it is open."""
-    values: list[Any] = []
-    for k in range(faces):
-        p: Any = 0 * live[0].pressures[0]
-        for t in reversed(live):
-            here = t.pressures[t.faces.index(k)] if k in t.faces else 0
-            p = conditional(t.condition, here, p)
-        values.append(p)
-    return as_vector(values)
-
-
-def _status(live: Sequence[_Touching], faces: int) -> Expr:
-    """OPEN, STICK or SLIP; three touching faces always stick, no friction always slips."""
-    status: Any = OPEN
-    for t in reversed(live):
-        here: Any = SLIP if t.sticks is None else conditional(t.sticks, STICK, SLIP)
-        status = conditional(t.condition, STICK if len(t.faces) == 3 else here, status)
-    return status
-
-
 def _components(S: Expr, normals: Sequence[Expr]) -> list[Any]:
     """Coefficients a of the projection of S on the span of the normals (Cramer's rule)."""
     b = [dot(S, n) for n in normals]
-    if len(b) == 1:
+    if len(b) < 2:
         return b
     g = [[dot(n, m) for m in normals] for n in normals]
     det = _determinant(g)
@@ -207,7 +252,9 @@ def _determinant(m: list[list[Any]]) -> Any:
     )
 
 
-def _combine(a: Sequence[Any], normals: Sequence[Expr]) -> Expr:
-    """The vector a_k n_k, summed over the faces."""
-    terms = [c * n for c, n in zip(a, normals, strict=True)]
-    return sum(terms[1:], terms[0])
+def _combine(a: Sequence[Any], faces: Sequence[int], normals: Sequence[Expr]) -> Expr:
+    """The vector a_k n_k, summed over the given faces."""
+    total = 0 * normals[0]
+    for c, k in zip(a, faces, strict=True):
+        total = total + c * normals[k]
+    return total
