@@ -1,0 +1,354 @@
+"""Rules of ``meshes.interfaces``: normals, edges, bodies that meet on a line, held components."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from meshes.interfaces import (
+    ContactPoints,
+    Entries,
+    Holds,
+    InterfaceFacets,
+    contact_points,
+    sorted_facets,
+)
+from tests import support
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
+
+
+def facets_of(
+    triangles: Sequence[Floats],
+    interface: Sequence[int],
+    master: Sequence[int],
+    slave: Sequence[int],
+    inside: Sequence[Floats],
+) -> tuple[InterfaceFacets, Floats]:
+    """Facets from triangles by coordinates, and the coordinates of the vertices they share."""
+    corners = np.array(triangles)
+    x, number = np.unique(corners.reshape(-1, 3).round(9), axis=0, return_inverse=True)
+    vertices = number.reshape(-1, 3).astype(np.int64)
+    n = len(corners)
+    return (
+        sorted_facets(
+            MPI.COMM_SELF,
+            np.array(interface, np.int64),
+            vertices,
+            np.array(master, np.int64),
+            np.array(slave, np.int64),
+            vertices.copy(),
+            np.zeros((n, 0), np.int64),
+            corners,
+            np.array(inside, dtype=float),
+        ),
+        x,
+    )
+
+
+def patch(origin: Sequence[float], a: Sequence[float], b: Sequence[float], n: int) -> list[Floats]:
+    """A parallelogram as 2 n² triangles."""
+    o, a, b = (np.array(v, dtype=float) for v in (origin, a, b))
+    out = []
+    for i in range(n):
+        for j in range(n):
+            p = [o + a * (i + k) / n + b * (j + m) / n for k, m in ((0, 0), (1, 0), (1, 1), (0, 1))]
+            out += [np.array([p[0], p[1], p[2]]), np.array([p[0], p[2], p[3]])]
+    return out
+
+
+def box_in_a_box(n: int = 3) -> tuple[InterfaceFacets, Floats]:
+    """The unit cube (body 1, the slave) in its container (body 0)."""
+    triangles = []
+    for k in range(3):
+        a, b = np.eye(3)[(k + 1) % 3], np.eye(3)[(k + 2) % 3]
+        triangles += patch([0, 0, 0], a, b, n) + patch(np.eye(3)[k], a, b, n)
+    m = len(triangles)
+    return facets_of(triangles, [0] * m, [0] * m, [1] * m, [np.full(3, 0.5)] * m)
+
+
+def test_box_in_a_box_has_edges_and_corners() -> None:
+    """One face inside a side, two on its edges, three at its corners, each with its own normal."""
+    facets, x = box_in_a_box()
+    points, _ = contact_points(facets, NOTHING_HELD, 1)
+    np.testing.assert_allclose(points.x, x[points.vertex], atol=1e-8)
+    walls = (np.abs(points.x) < 1e-9) | (np.abs(points.x - 1) < 1e-9)
+    np.testing.assert_array_equal(points.faces, walls.sum(axis=1))
+    assert set(points.faces.tolist()) == {1, 2, 3}
+    for p in range(len(points.x)):
+        # From the container to the cube: inwards.
+        inward = {tuple(np.eye(3)[k] * np.sign(0.5 - points.x[p, k])) for k in range(3) if walls[p, k]}
+        found = {tuple(v.round(12) + 0.0) for v in points.normals[p, : points.faces[p]]}
+        assert found == {tuple(np.array(v) + 0.0) for v in inward}
+        assert not points.normals[p, points.faces[p] :].any()
+    assert points.weight.sum() == pytest.approx(6.0, abs=1e-12)
+    np.testing.assert_allclose(points.areas.sum(axis=1), points.weight)
+    # Each side of the box has its unit area, edges and corners shared out.
+    for direction in (*np.eye(3), *-np.eye(3)):
+        share = np.abs(np.einsum("pki,i->pk", points.normals, direction) - 1) < 1e-9
+        assert points.areas[share].sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("angle", "faces"), [(10, 1), (29, 1), (31, 2), (60, 2), (90, 2)])
+def test_facets_split_above_30_degrees(angle: float, faces: int) -> None:
+    """Two half planes that meet at an angle: one averaged normal below 30 degrees, two above."""
+    t = np.deg2rad(angle)
+    up = np.array([-np.cos(t), 0.0, -np.sin(t)])
+    triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0], 2) + patch([0, 0, 0], up, [0, 1, 0], 2)
+    m = len(triangles)
+    facets, _ = facets_of(triangles, [0] * m, [0] * m, [1] * m, [np.array([0, 0.5, 1.0])] * m)
+    points, _ = contact_points(facets, NOTHING_HELD, 1)
+    ridge = np.abs(points.x[:, 0]) + np.abs(points.x[:, 2]) < 1e-9
+    assert (points.faces[ridge] == faces).all()
+    assert (points.faces[~ridge] == 1).all()
+    n = points.normals[ridge]
+    if faces == 1:
+        half = t / 2
+        exact = np.array([-np.sin(half), 0, np.cos(half)])
+        assert np.abs(n[:, 0] - exact).max() < 1e-12
+    else:
+        cosines = np.einsum("pi,pi->p", n[:, 0], n[:, 1])
+        np.testing.assert_allclose(cosines, np.cos(t), atol=1e-12)
+
+
+def test_at_most_three_faces() -> None:
+    """The tip of a pyramid has four: the closest are merged, and all the area is kept."""
+    rim = [np.array([np.cos(a), np.sin(a), 0]) for a in np.pi / 2 * np.arange(4)]
+    tip = np.array([0, 0, 1.0])
+    triangles = [np.array([tip, rim[k], rim[(k + 1) % 4]]) for k in range(4)]
+    facets, _ = facets_of(triangles, [0] * 4, [0] * 4, [1] * 4, [np.zeros(3)] * 4)
+    points, _ = contact_points(facets, NOTHING_HELD, 1)
+    at = np.abs(points.x - tip).max(axis=1) < 1e-9
+    assert points.faces[at] == [3]
+    assert points.weight[at] == pytest.approx(facets.area.sum() / 3)
+    n = points.normals[at][0]
+    np.testing.assert_allclose(np.linalg.norm(n, axis=1), 1)
+    assert np.linalg.det(n @ n.T) > 0.05
+
+
+# Motion of bodies with jumps
+
+def moves(entries: Entries, dof: int, bodies: int, jumps: int) -> Floats:
+    """Matrix (3 bodies, 3 jumps): what the jumps add to each body at a vertex."""
+    B = np.zeros((3 * bodies, 3 * jumps))
+    here = entries.row // 3 == dof
+    for body, row, column, value in zip(
+        *(v[here] for v in (entries.body, entries.row, entries.column, entries.value)), strict=True
+    ):
+        B[3 * body + row % 3, column] += value
+    return B
+
+
+def check_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
+    """At every vertex the slave minus the master moves by exactly the jump of the point."""
+    n = len(points.x)
+    for p in range(n):
+        B = moves(entries, int(points.dof[p]), bodies, n).reshape(bodies, 3, 3 * n)
+        master, slave = points.bodies[p]
+        jump = np.zeros((3, 3 * n))
+        jump[:, 3 * p : 3 * p + 3] = np.eye(3)
+        free = ~points.held[p]
+        np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-14)
+
+
+def three_on_a_line() -> tuple[InterfaceFacets, Floats]:
+    """Three bodies around the z axis, each in a third of space; three interfaces meet on it."""
+    triangles, interface, master, slave, inside = [], [], [], [], []
+    for k, (m, s) in enumerate([(0, 1), (1, 2), (0, 2)]):
+        a = 2 * np.pi / 3 * (k + 1)
+        new = patch([0, 0, 0], [np.cos(a), np.sin(a), 0], [0, 0, 1], 2)
+        middle = (2 * s + 1) * np.pi / 3
+        triangles += new
+        interface += [k] * len(new)
+        master += [m] * len(new)
+        slave += [s] * len(new)
+        inside += [np.array([np.cos(middle), np.sin(middle), 0.5])] * len(new)
+    return facets_of(triangles, interface, master, slave, inside)
+
+
+def test_three_bodies_on_a_line_have_two_jumps() -> None:
+    """Bodies minus one; the last interface in the order of the case file is the one left out."""
+    facets, x = three_on_a_line()
+    points, entries = contact_points(facets, NOTHING_HELD, 3)
+    line = np.flatnonzero(np.hypot(x[:, 0], x[:, 1]) < 1e-9)
+    assert points.unenforced == len(line) == 3
+    for v in range(len(x)):
+        here = points.vertex == v
+        assert here.sum() == (2 if v in line else 1)
+        if v in line:
+            assert sorted(points.interface[here]) == [0, 1]
+            B = moves(entries, int(points.dof[here][0]), 3, len(points.x))
+            # With u itself all three bodies move freely of each other.
+            with_u = np.column_stack([np.tile(np.eye(3), (3, 1)), B])
+            assert np.linalg.matrix_rank(with_u) == 9
+    check_jumps(points, entries, 3)
+    # Facets on the line that lack a point are left out of the sampled penetration.
+    assert all((t >= 0).all() for t in points.triangles)
+
+
+def hold(x: Floats, where: Callable[[Floats], NDArray], body: int, components: Sequence[int]) -> Holds:
+    """Support 0 holds some components of a body at some vertices."""
+    vertex = np.flatnonzero(where(x)).astype(np.int64)
+    support = np.full((len(vertex), 3), -1, dtype=np.int64)
+    support[:, list(components)] = 0
+    return Holds(vertex, np.full(len(vertex), body, dtype=np.int64), support)
+
+
+def flat() -> tuple[InterfaceFacets, Floats]:
+    """A plane interface: body 1, the slave, on top of body 0."""
+    triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0], 2)
+    m = len(triangles)
+    return facets_of(triangles, [0] * m, [0] * m, [1] * m, [np.array([0.5, 0.5, 1])] * m)
+
+
+def test_slave_held_alone_is_the_base() -> None:
+    """Where only the slave is held it is the field u itself, and the master moves by minus q."""
+    facets, x = flat()
+    holds = hold(x, lambda x: x[:, 0] < 1e-9, 1, [0])
+    points, entries = contact_points(facets, holds, 1)
+    assert not points.held.any()
+    assert (points.faces == 1).all()
+    for p in range(len(points.x)):
+        B = moves(entries, int(points.dof[p]), 2, len(points.x))[:, 3 * p : 3 * p + 3]
+        base = 1.0 if points.x[p, 0] < 1e-9 else 0.0
+        np.testing.assert_array_equal(B[:3], -np.diag([base, 0, 0]))
+        np.testing.assert_array_equal(B[3:], np.diag([1 - base, 1, 1]))
+    check_jumps(points, entries, 2)
+
+
+def test_both_sides_held_give_the_jump() -> None:
+    """The jump of a component that both sides hold is given, and normals drop the component."""
+    triangles = patch([0, 0, 0], [1, 0, 0], [0, 1, 0.2], 2)
+    m = len(triangles)
+    facets, x = facets_of(triangles, [0] * m, [0] * m, [1] * m, [np.array([0.5, 0.5, 1])] * m)
+    sides = [hold(x, lambda x: x[:, 1] < 1e-9, body, [1]) for body in (0, 1)]
+    holds = Holds(*(np.concatenate([getattr(s, k) for s in sides]) for k in vars(sides[0])))
+    points, _ = contact_points(facets, holds, 1)
+    held = points.x[:, 1] < 1e-9
+    np.testing.assert_array_equal(points.held, np.outer(held, [False, True, False]))
+    assert (points.given[held, 1] == 0).all()
+    exact = np.where(held[:, None], [0, 0, 1], np.array([0, -0.2, 1]) / np.hypot(0.2, 1))
+    np.testing.assert_allclose(points.normals[:, 0], exact, atol=1e-12)
+    assert points.weight.sum() == pytest.approx(facets.area.sum())
+
+
+def test_held_along_the_normal_leaves_no_face() -> None:
+    """Both sides held along the normal: the contact law has nothing to say there."""
+    facets, x = flat()
+    sides = [hold(x, lambda x: x[:, 1] < 1e-9, body, [2]) for body in (0, 1)]
+    holds = Holds(*(np.concatenate([getattr(s, k) for s in sides]) for k in vars(sides[0])))
+    points, _ = contact_points(facets, holds, 1)
+    held = points.x[:, 1] < 1e-9
+    np.testing.assert_array_equal(points.faces, np.where(held, 0, 1))
+    assert points.weight.sum() == pytest.approx(1.0)
+
+
+def test_chain_between_two_held_bodies() -> None:
+    """On a line of three bodies whose outer two are held, both jumps of that component are given."""
+    facets, x = three_on_a_line()
+    sides = [hold(x, lambda x: np.hypot(x[:, 0], x[:, 1]) < 1e-9, body, [2]) for body in (0, 2)]
+    holds = Holds(*(np.concatenate([getattr(s, k) for s in sides]) for k in vars(sides[0])))
+    points, entries = contact_points(facets, holds, 3)
+    line = np.hypot(points.x[:, 0], points.x[:, 1]) < 1e-9
+    np.testing.assert_array_equal(points.held, np.outer(line, [False, False, True]))
+    check_jumps(points, entries, 3)
+
+
+# On real meshes
+
+CYLINDERS = """
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 3 mm
+  bone_thickness: 4 mm
+  length: 8 mm
+  taper: {taper} deg
+  sector: {sector}
+mesh: {{size: {size} mm, far_size: 4 mm}}
+regions:
+  stem: {{youngs_modulus: 110 GPa, poisson_ratio: 0.3}}
+  cement: {{youngs_modulus: 2200 MPa, poisson_ratio: 0.3}}
+  bone: {{youngs_modulus: 17 GPa, poisson_ratio: 0.3}}
+interfaces:
+  stem_cement: {{kind: contact, friction_coefficient: 0}}
+  cement_bone: {{kind: contact, friction_coefficient: 0}}
+supports:
+  outer: {{kind: fixed, boundary: bone_surface}}
+"""
+
+
+def cylinder_points(**values: object) -> ContactPoints:
+    case = support.case(CYLINDERS.format(**values))
+    problem, _ = support.assemble(case)
+    (jumps,) = problem.jumps
+    return jumps.points
+
+
+def test_normals_of_a_tapered_cylinder_converge() -> None:
+    """Averaged normals tend to the cone's, from the stiffer to the softer side."""
+    sizes, errors = [3.0, 1.5, 0.75], []
+    slope = np.tan(np.deg2rad(3.0))
+    for size in sizes:
+        points = cylinder_points(size=size, taper=3, sector="quarter")
+        assert (points.faces == 1).all()
+        radial = points.x[:, :2] / np.linalg.norm(points.x[:, :2], axis=1, keepdims=True)
+        n = np.column_stack([radial, np.full(len(radial), -slope)]) / np.hypot(1, slope)
+        # Stem to cement is outwards, bone to cement inwards.
+        n[points.interface == 1] *= -1
+        error = np.linalg.norm(points.normals[:, 0] - n, axis=1)
+        errors.append(float(np.sqrt(np.average(error**2, weights=points.weight))))
+        for i, radius in enumerate((7.0, 10.0)):
+            exact = np.pi / 2 * radius * 8 / np.cos(np.deg2rad(3.0))
+            assert points.weight[points.interface == i].sum() == pytest.approx(exact, rel=0.05)
+    assert support.fitted_order(sizes, errors) > 0.8
+    assert errors[-1] < 0.03
+
+
+SAVE = """
+import sys
+import numpy as np
+from mpi4py import MPI
+sys.path.insert(0, {root!r})
+from tests.unit.test_interfaces import cylinder_points
+p = cylinder_points(size=2.5, taper=2, sector="half")
+names = ("interface", "vertex", "x", "bodies", "faces", "normals", "areas", "weight", "given")
+arrays = {{name: getattr(p, name) for name in names}}
+arrays |= {{f"triangles{{i}}": t for i, t in enumerate(p.triangles)}}
+everywhere = MPI.COMM_WORLD.allgather({{k: v.tobytes() for k, v in arrays.items()}})
+assert all(other == everywhere[0] for other in everywhere), "ranks differ"
+if MPI.COMM_WORLD.rank == 0:
+    np.savez({path!r}, **arrays)
+"""
+
+
+@pytest.mark.parallel
+def test_points_do_not_depend_on_the_partition(tmp_path: Path) -> None:
+    """The replicated arrays are the same, bit by bit, on all ranks of 1, 2 and 3."""
+    results = []
+    for ranks in (1, 2, 3):
+        path = tmp_path / f"{ranks}.npz"
+        program = tmp_path / f"{ranks}.py"
+        program.write_text(SAVE.format(root=str(support.ROOT), path=str(path)))
+        subprocess.run(
+            support.mpirun(ranks, program),
+            env=support.environment(),
+            check=True,
+            capture_output=True,
+            timeout=300,
+        )
+        results.append(dict(np.load(path)))
+    for other in results[1:]:
+        assert results[0].keys() == other.keys()
+        for name, values in results[0].items():
+            np.testing.assert_array_equal(values, other[name], err_msg=name)

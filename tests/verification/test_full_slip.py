@@ -1,0 +1,130 @@
+"""Interfaces that slip everywhere carry friction at its limit; the penalty law on a bar."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forms.contact import SLIP, STICK
+from tests import support
+
+# A straight stem and its mantle, both too large for their holes, then pushed down or pulled up by
+# more than the bodies can stretch. Springs under the mantle let it lag behind the stem, so that both
+# interfaces slip everywhere. No support gives a jump along z.
+PUSH = """
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 3 mm
+  bone_thickness: 4 mm
+  length: 10 mm
+  taper: {taper} deg
+  sector: quarter
+mesh: {{size: 1.8 mm, far_size: 3 mm}}
+regions:
+  stem: {{youngs_modulus: 110 GPa, poisson_ratio: 0.3}}
+  cement: {{youngs_modulus: 2200 MPa, poisson_ratio: 0.3}}
+  bone: {{youngs_modulus: 2300 MPa, poisson_ratio: 0.3}}
+interfaces:
+  stem_cement: {{{law}, friction_coefficient: 0.4, gap: -0.02 mm, gap_history: [1, 1]}}
+  cement_bone: {{kind: contact, friction_coefficient: 0.2, gap: -0.05 mm, gap_history: [1, 1]}}
+supports:
+  symmetry_x: {{kind: roller, boundary: symmetry_x, axis: x}}
+  symmetry_y: {{kind: roller, boundary: symmetry_y, axis: y}}
+  table: {{kind: roller, boundary: bone_bottom, axis: z}}
+  springs: {{kind: foundation, boundary: cement_bottom, stiffness: [0 MPa/mm, 0 MPa/mm, 100 MPa/mm]}}
+  push: {{kind: displacement, boundary: stem_top, z: {push} mm, history: [0, 1]}}
+stages:
+  - {{name: fit}}
+  - {{name: push, increments: 2}}
+"""
+
+FRICTION = (0.4, 0.2)
+AUGMENTED = "kind: contact"
+PENALTY = "kind: penalty, penalty: 2.0e4 MPa/mm"
+
+
+@pytest.mark.parametrize(
+    ("push", "taper", "law"),
+    [
+        pytest.param(-0.09, 0, AUGMENTED, id="push_in"),
+        pytest.param(0.09, 0, AUGMENTED, id="pull_out"),
+        pytest.param(-0.09, 0.3, AUGMENTED, id="push_in_tapered"),
+        pytest.param(-0.09, 0, PENALTY, id="push_in_penalty"),
+    ],
+)
+def test_full_slip_gives_the_friction_coefficient(push: float, taper: float, law: str) -> None:
+    """|shear| / pressure = μ at every slipping point, and the shear resists the motion."""
+    result = support.solve(PUSH.format(push=push, taper=taper, law=law), balances=True)
+    s = result.last
+    down = np.sign(push)
+    for i, μ in enumerate(FRICTION):
+        on = s.interface == i
+        slipping = on & (s.status == SLIP)
+        assert s.weight[slipping].sum() > 0.999 * s.weight[on].sum(), (i, slipping.sum(), on.sum())
+        ratio = s.shear[slipping] / s.pressure[slipping]
+        assert np.abs(ratio / μ - 1).max() < 1e-6
+        q = result.interfaces["stem_cement" if i == 0 else "cement_bone"]
+        # Slave over master: the cement is carried along by the stem, the bone holds it back.
+        carried = 1.0 if i == 0 else -1.0
+        assert np.sign(q["force"][2]) == carried * down
+        if taper == 0:
+            normal = float((s.weight * s.pressure)[on].sum())
+            # Friction is vertical but for what the bulging under the push turns sideways.
+            assert abs(q["force"][2]) == pytest.approx(μ * normal, rel=0.02)
+        assert q["slip_max"] > 0.01 and q["dissipation"] > 0
+    assert result.balances.max() < 1e-8
+
+
+# A bar pressed against a rigid wall: E A / L over A = 220 MPa/mm, end moved by 0.01 mm.
+BAR = """
+geometry:
+  kind: blocks
+  blocks:
+    - {{name: wall, size: [2 mm, 2 mm, 2 mm]}}
+    - {{name: bar, size: [2 mm, 2 mm, 10 mm]}}
+mesh: {{size: 1 mm, far_size: 2 mm}}
+regions:
+  wall: {{rigid: true}}
+  bar: {{youngs_modulus: 2200 MPa, poisson_ratio: 0}}
+interfaces:
+  wall_bar: {{{law}, friction_coefficient: {friction}}}
+supports:
+  wall: {{kind: fixed, boundary: bottom}}
+  end: {{kind: displacement, boundary: top, x: 0 mm, y: 0 mm, z: -0.01 mm}}
+solver: {{tolerance: 1.0e-13}}
+"""
+K, MOTION = 220.0, 0.01
+# Physics reference 5.14.
+PENETRATIONS = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.200e-6}
+
+
+def bar(law: str, friction: float = 0.3) -> support.Solved:
+    return support.solve(BAR.format(law=law, friction=friction))
+
+
+@pytest.mark.parametrize("r", PENETRATIONS)
+def test_penalty_bar_penetrates_by_its_formula(r: float) -> None:
+    """Springs in series: penetration K u / (K + r), pressure r times that."""
+    exact = K * MOTION / (K + r)
+    assert exact == pytest.approx(PENETRATIONS[r], rel=3e-4)
+    result = bar(f"kind: penalty, penalty: {r} MPa/mm")
+    s = result.last
+    assert np.abs(-s.gap[:, 0] / exact - 1).max() < 1e-6
+    assert np.abs(s.pressure / (r * exact) - 1).max() < 1e-6
+    assert result.interfaces["wall_bar"]["penetration_max"] == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize("r", [1.0, 1e2, 1e4, 1e6])
+def test_augmented_bar_is_exact_for_any_augmentation(r: float) -> None:
+    result = bar(f"kind: contact, augmentation: {r} MPa/mm")
+    s = result.last
+    assert np.abs(s.gap).max() < 1e-10 * MOTION
+    assert np.abs(s.pressure / (K * MOTION) - 1).max() < 1e-10
+    assert (s.status == STICK).all()
+
+
+@pytest.mark.parametrize("law", [AUGMENTED, PENALTY])
+def test_no_friction_no_shear(law: str) -> None:
+    s = bar(law, friction=0).last
+    assert np.abs(s.shear).max() < 1e-12

@@ -1,0 +1,169 @@
+r"""Patch tests: interfaces that carry a homogeneous stress exactly, on any mesh.
+
+Strong form: div σ = 0 in each block, contact with friction between them. The exact solutions are
+affine in each block, so that every mesh and every order has to give them to rounding.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from forms.contact import OPEN, SLIP, STICK
+from tests import support
+
+TOLERANCE = 1e-9
+STIFFNESS_RATIOS = [1.0, 50.0, 1000.0]
+
+PRESSURE = 2.0
+ν = 0.3
+
+# Three blocks in a smooth box: σ_zz = -p, σ_xx = σ_yy = ν/(1-ν) σ_zz, in each block
+# u = (0, 0, -p z/M + const) with M = E (1-ν)/((1+ν)(1-2ν)).
+BOX = """
+geometry:
+  kind: blocks
+  blocks:
+    - {{name: lower, size: [10 mm, 8 mm, 4 mm]}}
+    - {{name: middle, size: [10 mm, 8 mm, 3 mm]}}
+    - {{name: upper, size: [10 mm, 8 mm, 5 mm]}}
+mesh: {{size: 2.5 mm, far_size: 2.5 mm, order: {order}}}
+regions:
+  lower: {{youngs_modulus: {stiff} MPa, poisson_ratio: 0.3}}
+  middle: {{youngs_modulus: 100 MPa, poisson_ratio: 0.3}}
+  upper: {{youngs_modulus: {stiff} MPa, poisson_ratio: 0.3}}
+interfaces:
+  lower_middle: {{kind: contact, friction_coefficient: 0.4}}
+  middle_upper: {{kind: contact, friction_coefficient: {friction}}}
+supports:
+  floor: {{kind: roller, boundary: bottom, axis: z}}
+  left: {{kind: roller, boundary: x_min, axis: x}}
+  right: {{kind: roller, boundary: x_max, axis: x}}
+  front: {{kind: roller, boundary: y_min, axis: y}}
+  back: {{kind: roller, boundary: y_max, axis: y}}
+loads:
+  press: {{kind: pressure, boundary: top, pressure: 2 MPa}}
+solver: {{tolerance: 1.0e-13}}
+"""
+
+
+def confined(E: float) -> float:
+    return E * (1 - ν) / ((1 + ν) * (1 - 2 * ν))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("ratio", STIFFNESS_RATIOS)
+def test_blocks_in_a_smooth_box(ratio: float, order: int) -> None:
+    result = support.solve(BOX.format(order=order, stiff=100 * ratio, friction=0))
+    moduli = {"lower": 100 * ratio, "middle": 100.0, "upper": 100 * ratio}
+    floors = {"lower": 0.0, "middle": 4.0, "upper": 7.0}
+    start = 0.0
+    for (name, E), height in zip(moduli.items(), (4, 3, 5), strict=True):
+        x, u = result.displacement(name)
+        exact = np.zeros_like(u)
+        exact[:, 2] = start - PRESSURE / confined(E) * (x[:, 2] - floors[name])
+        start -= PRESSURE / confined(E) * height
+        assert np.abs(u - exact).max() < TOLERANCE * PRESSURE * 12 / confined(100.0), name
+        σ = -PRESSURE * np.diag([ν / (1 - ν), ν / (1 - ν), 1.0])
+        assert np.abs(result.stress(name) - σ).max() < TOLERANCE * PRESSURE, name
+    s = result.last
+    assert np.abs(s.pressure - PRESSURE).max() < TOLERANCE * PRESSURE
+    assert np.abs(s.gap).max() < TOLERANCE * 1e-3
+    assert np.abs(s.shear).max() < TOLERANCE * PRESSURE
+    assert (s.status[s.interface == 0] == STICK).all()
+    # Without friction there is nothing to stick with.
+    assert (s.status[s.interface == 1] == SLIP).all()
+    for q in result.interfaces.values():
+        assert q["area"] == pytest.approx(80.0)
+        assert q["open_fraction"] == 0
+
+
+# Two blocks with a tilted interface, plane strain, free sideways: σ_zz = -p, σ_xx = 0. The tangential
+# strain in the interface, ε_zz sin² + ε_xx cos² with ε_xx = -ν/(1-ν) ε_zz, vanishes for ν = sin² of
+# the tilt, so that blocks of any stiffness fit without slip; the upper one turns rigidly about y by
+# the difference of the shear strains. The interface carries p cos² of pressure and p sin cos of shear.
+TILT = 20.0
+TILTED = """
+geometry:
+  kind: blocks
+  blocks:
+    - {{name: lower, size: [8 mm, 5 mm, 6 mm]}}
+    - {{name: upper, size: [8 mm, 5 mm, 6 mm]}}
+  tilt: {tilt} deg
+mesh: {{size: 2 mm, far_size: 3 mm, order: {order}}}
+regions:
+  lower: {{youngs_modulus: {stiff} MPa, poisson_ratio: {ratio}}}
+  upper: {{youngs_modulus: 100 MPa, poisson_ratio: {ratio}}}
+interfaces:
+  lower_upper: {{kind: contact, friction_coefficient: {friction}}}
+supports:
+  floor: {{kind: roller, boundary: bottom, axis: z}}
+  left: {{kind: roller, boundary: lower_x_min, axis: x}}
+  front: {{kind: roller, boundary: y_min, axis: y}}
+  back: {{kind: roller, boundary: y_max, axis: y}}
+loads:
+  press: {{kind: pressure, boundary: top, pressure: 2 MPa}}
+solver: {{tolerance: 1.0e-13}}
+"""
+
+
+def tilted(order: int, ratio: float, friction: float) -> dict[str, Any]:
+    θ = np.deg2rad(TILT)
+    return {
+        "order": order,
+        "stiff": 100 * ratio,
+        "tilt": TILT,
+        "ratio": f"{np.sin(θ) ** 2:.17g}",
+        "friction": friction,
+    }
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("ratio", STIFFNESS_RATIOS)
+def test_tilted_interface_within_the_friction_cone(ratio: float, order: int) -> None:
+    θ = np.deg2rad(TILT)
+    result = support.solve(TILTED.format(**tilted(order, ratio, 1.2 * np.tan(θ))))
+    ν = np.sin(θ) ** 2
+    σ = np.diag([0, -ν, -1.0]) * PRESSURE
+
+    def gradient(E: float) -> support.Floats:
+        return ((1 + ν) * σ - ν * np.trace(σ) * np.eye(3)) / E
+
+    for name in ("lower", "upper"):
+        assert np.abs(result.stress(name) - σ).max() < TOLERANCE * PRESSURE, name
+    G, H = gradient(100 * ratio), gradient(100.0)
+    t = np.array([np.cos(θ), 0, np.sin(θ)])
+    n = np.array([-np.sin(θ), 0, np.cos(θ)])
+    # The upper block turns so that its gradient along the interface is the lower one's.
+    assert t @ (G - H) @ t == pytest.approx(0, abs=1e-15)
+    turn = n @ (G - H) @ t
+    H = H + turn * (np.outer(n, t) - np.outer(t, n))
+    centre = np.array([4.0, 0, 6.0])
+    for name, gradient_ in (("lower", G), ("upper", H)):
+        x, u = result.displacement(name)
+        exact = G @ centre + (x - centre) @ gradient_.T
+        assert np.abs(u - exact).max() < TOLERANCE * np.abs(exact).max(), name
+    s = result.last
+    assert np.abs(s.pressure - PRESSURE * np.cos(θ) ** 2).max() < TOLERANCE
+    assert np.abs(s.shear - PRESSURE * np.sin(θ) * np.cos(θ)).max() < TOLERANCE
+    assert (s.status == STICK).all()
+
+
+def test_tilted_interface_beyond_the_friction_cone_slips() -> None:
+    """What the patch test sees: with less friction than the tilt the upper block slides away."""
+    θ = np.deg2rad(TILT)
+    text = TILTED.format(**tilted(1, 1.0, 0.8 * np.tan(θ)))
+    # Springs catch it: on the side that it slides towards and against turning.
+    text = text.replace(
+        "loads:",
+        "  catch: {kind: foundation, boundary: upper_x_min, stiffness: [1 MPa/mm, 0 MPa/mm, 0 MPa/mm]}\nloads:",
+    )
+    result = support.solve(text)
+    s = result.last
+    assert not (s.status == STICK).any()
+    slipping = s.status == SLIP
+    limit = 0.8 * np.tan(θ) * s.pressure[slipping]
+    np.testing.assert_allclose(s.shear[slipping], limit, rtol=1e-9)
+    assert (s.status == OPEN).mean() < 0.5
