@@ -1,0 +1,396 @@
+"""``mantle run``: what a run leaves on disk, and how it fails."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI  # noqa: F401  (h5py built for MPI needs it initialised)
+
+import h5py
+import numpy as np
+import pytest
+
+from app import config
+from tests import support
+
+FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}
+INTERFACE = {
+    *("gap_max", "gap_p99", "gap_max_at", "slip_max", "slip_p99", "slip_max_at"),
+    *("pressure_max", "pressure_p99", "shear_max", "shear_p99"),
+    *("penetration_max", "penetration_sampled"),
+    *("open_fraction", "stick_fraction", "slip_fraction"),
+    *("area", "area_slip_over_30um", "area_gap_over_30um", "force", "dissipation"),
+}
+REGION = {
+    *("von_mises_p99", "hoop_p99", "principal_max", "principal_p99"),
+    *("mean_stress_min", "mean_stress_max", "volume", "volume_over_5_8_10_MPa"),
+}
+KEYS: dict[str, set[str]] = {
+    "stem": {"subsidence", "retroversion", "varus"},
+    "balance": {"force", "moment", "energy"},
+    "solver": {"dofs", "steps", "newton_iterations", "ranks"},
+    "timing": {"mesh", "compile", "assemble", "solve", "output", "total"},
+}
+FIELDS = ("gap", "slip", "pressure", "shear", "status")
+
+STEM = """
+title: A small stem
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 3 mm
+  bone_thickness: 4 mm
+  length: 12 mm
+  sector: quarter
+mesh: {size: 3 mm, far_size: 4 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.4, gap: -0.01 mm, gap_history: [1, 1]}
+  cement_bone: {kind: contact, friction_coefficient: 1.0}
+supports:
+  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
+  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
+  table: {kind: roller, boundary: bone_bottom, axis: z}
+loads:
+  push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -20 N], history: [0, 1]}
+stages:
+  - {name: fit}
+  - {name: push, increments: 2}
+"""
+
+# Pressed down, then pushed sideways beyond friction: 0.3 * 1 MPa * 36 mm2 = 10.8 N.
+SLIDING = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [6 mm, 6 mm, 3 mm]}
+    - {name: upper, size: [6 mm, 6 mm, 3 mm]}
+mesh: {size: 2 mm, far_size: 2 mm}
+regions:
+  lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 500 MPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 1 MPa}
+  push: {kind: force, boundary: upper_x_min, force: [20 N, 0 N, 0 N], history: [0, 1]}
+stages:
+  - {name: press}
+  - {name: push, increments: 2, max_cut_backs: 2}
+"""
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """``mantle run`` in a process of its own, in series."""
+    return subprocess.run(
+        [sys.executable, "-m", "app", "run", *map(str, arguments)],
+        env=support.environment(),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def read(folder: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return summary
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """A finished run: its case, its folder, what it said."""
+    folder = tmp_path_factory.mktemp("run")
+    case, output = folder / "small.yaml", folder / "out"
+    case.write_text(STEM)
+    result = run(case, "-o", output, "--set", "interfaces.cement_bone.friction_coefficient=0.8")
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    return case, output, result.stdout
+
+
+def test_all_files_are_there_and_no_others(done: tuple[Path, Path, str]) -> None:
+    assert {p.name for p in done[1].iterdir()} == FILES
+
+
+def test_summary_has_every_key(done: tuple[Path, Path, str]) -> None:
+    summary = read(done[1])
+    assert summary["status"] == "converged"
+    assert summary["units"]["length"] == "mm" and summary["units"]["stress"] == "MPa"
+    assert summary["interfaces"].keys() == {"stem_cement", "cement_bone"}
+    for q in summary["interfaces"].values():
+        assert q.keys() >= INTERFACE
+        assert len(q["gap_max_at"]) == len(q["slip_max_at"]) == len(q["force"]) == 3
+        total = q["open_fraction"] + q["stick_fraction"] + q["slip_fraction"]
+        assert total == pytest.approx(1)
+    assert summary["regions"].keys() == {"stem", "cement", "bone"}
+    for q in summary["regions"].values():
+        assert q.keys() >= REGION
+        assert len(q["volume_over_5_8_10_MPa"]) == 3
+    for section, keys in KEYS.items():
+        assert summary[section].keys() >= keys
+    numbers = flat(summary)
+    assert len(numbers) > 60 and np.isfinite(numbers).all()
+    assert max(summary["balance"].values()) < 1e-8
+    assert summary["solver"]["steps"] == 3
+
+
+def flat(value: Any) -> list[float]:
+    """All numbers of a nested table."""
+    if isinstance(value, dict | list):
+        inside = value.values() if isinstance(value, dict) else value
+        return [x for v in inside for x in flat(v)]
+    return [float(value)] if isinstance(value, int | float) else []
+
+
+def test_summary_means_what_it_says(done: tuple[Path, Path, str]) -> None:
+    """Interfaces carry the load to the table, and the stem goes down."""
+    summary = read(done[1])
+    # Friction on the stem bears the push; the cement hands it on, as its slave role has it.
+    assert summary["interfaces"]["stem_cement"]["force"][2] == pytest.approx(-20, rel=1e-6)
+    assert summary["interfaces"]["cement_bone"]["force"][2] == pytest.approx(20, rel=1e-6)
+    assert summary["stem"]["subsidence"] > 0
+    quarter = np.pi / 4 * 12
+    for name, (a, b) in {"stem": (0, 7), "cement": (7, 10), "bone": (10, 14)}.items():
+        volume = summary["regions"][name]["volume"]
+        assert volume == pytest.approx(quarter * (b**2 - a**2), rel=0.1)
+    for name, radius in {"stem_cement": 7, "cement_bone": 10}.items():
+        area = summary["interfaces"][name]["area"]
+        assert area == pytest.approx(np.pi / 2 * radius * 12, rel=0.03)
+    # The press fit squeezes stem and cement, and stretches the bone around them.
+    assert summary["regions"]["stem"]["hoop_p99"] < 0 < summary["regions"]["bone"]["hoop_p99"]
+
+
+def test_history_has_a_row_per_step(done: tuple[Path, Path, str]) -> None:
+    with (done[1] / "history.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(r["time [-]"]) for r in rows] == [1.0, 1.5, 2.0]
+    summary = read(done[1])
+    last = rows[-1]
+    for name, q in summary["interfaces"].items():
+        for key, unit in (("gap_max", "mm"), ("pressure_max", "MPa"), ("slip_fraction", "-")):
+            assert float(last[f"{name} {key} [{unit}]"]) == pytest.approx(q[key], rel=1e-12)
+    assert sum(int(r["newton [-]"]) for r in rows) == summary["solver"]["newton_iterations"]
+
+
+def test_provenance_and_resolved_case(done: tuple[Path, Path, str]) -> None:
+    case, output, _ = done
+    record = json.loads((output / "provenance.json").read_text())
+    assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]
+    assert record["packages"]["fenics-dolfinx"].startswith("0.9")
+    assert record["ranks"] == 1 and record["case"].endswith("small.yaml")
+    resolved = config.load(output / "case.yaml")
+    assert resolved == config.load(case, record["overrides"])
+
+
+def test_terminal_has_a_line_per_step_and_a_verdict(done: tuple[Path, Path, str]) -> None:
+    lines = done[2].splitlines()
+    assert sum(line.lstrip()[:1] in "123" and line.rstrip().endswith("s") for line in lines) >= 3
+    assert "exact to rounding" in done[2]
+    assert str(done[1]) in lines[-1]
+
+
+def test_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
+    """Every field, with a node per body at the interfaces, against the summary."""
+    summary = read(done[1])
+    with h5py.File(done[1] / "fields.vtkhdf") as file:
+        grid = file["VTKHDF"]
+        assert grid.attrs["Type"] == b"UnstructuredGrid"
+        times = grid["Steps/Values"][:]
+        np.testing.assert_allclose(times, [1.0, 1.5, 2.0])
+        assert grid["Steps"].attrs["NSteps"] == 3
+        points = grid["Points"][:]
+        cells = grid["Connectivity"][:].reshape(-1, 4)
+        region = grid["CellData/region"][:]
+        expected = {f"{i}_{f}" for i in summary["interfaces"] for f in FIELDS} | {"displacement"}
+        assert set(grid["PointData"]) == expected
+        assert set(grid["CellData"]) == {"region", "stress"}
+        n, m = len(points), len(cells)
+
+        def last(kind: str, name: str, count: int) -> np.ndarray:
+            offset = grid[f"Steps/{kind}Offsets/{name}"][-1]
+            return np.asarray(grid[f"{kind}/{name}"][offset : offset + count])
+
+        for name, q in summary["interfaces"].items():
+            for key in ("gap", "slip", "pressure", "shear"):
+                values = last("PointData", f"{name}_{key}", n)
+                assert values.max() == pytest.approx(q[f"{key}_max"], rel=1e-9, abs=1e-12), key
+            status = last("PointData", f"{name}_status", n)
+            assert set(status) <= {-1.0, 0.0, 1.0, 2.0} and (status >= 0).any()
+            # Both sides of the interface have their own nodes, at the same places.
+            on = np.flatnonzero(status >= 0)
+            radius = np.hypot(*points[on, :2].T)
+            assert np.abs(radius - (7 if name == "stem_cement" else 10)).max() < 1e-6
+            unique = np.unique(points[on].round(9), axis=0)
+            assert len(on) == 2 * len(unique)
+        u = last("PointData", "displacement", n)
+        σ = last("CellData", "stress", m).reshape(-1, 3, 3)
+    assert np.isfinite(u).all() and np.abs(u).max() > 1e-3
+    np.testing.assert_allclose(σ, σ.transpose(0, 2, 1), atol=1e-9)
+    x = points[cells]
+    volume = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6
+    for tag, name in enumerate(("stem", "cement", "bone"), start=1):
+        here = region == tag
+        assert volume[here].sum() == pytest.approx(summary["regions"][name]["volume"])
+        mean = np.trace(σ[here], axis1=1, axis2=2) / 3
+        assert mean.max() == pytest.approx(summary["regions"][name]["mean_stress_max"])
+        # The stress is that of the displacement beside it: E times the stretch of a cell.
+        assert_stress(σ[here], x[here], u[cells[here]], *MATERIALS[name])
+
+
+MATERIALS = {"stem": (110e3, 0.3), "cement": (2200.0, 0.3), "bone": (17e3, 0.3)}
+
+
+def assert_stress(σ: np.ndarray, x: np.ndarray, u: np.ndarray, E: float, ν: float) -> None:
+    """Hooke's law on linear tetrahedra, from the nodes' displacements."""
+    G = np.linalg.solve(x[:, 1:] - x[:, :1], u[:, 1:] - u[:, :1])
+    ε = (G + G.transpose(0, 2, 1)) / 2
+    λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+    trace = np.trace(ε, axis1=1, axis2=2)
+    exact = λ * trace[:, None, None] * np.eye(3) + 2 * μ * ε
+    assert np.abs(σ - exact).max() < 1e-9 * np.abs(exact).max()
+
+
+def test_results_are_not_overwritten(done: tuple[Path, Path, str]) -> None:
+    case, output, _ = done
+    before = {p.name: p.stat().st_mtime_ns for p in output.iterdir()}
+    result = run(case, "-o", output)
+    assert result.returncode == 2
+    assert len(result.stderr.splitlines()) == 1 and "--force" in result.stderr
+    assert {p.name: p.stat().st_mtime_ns for p in output.iterdir()} == before
+
+
+def test_force_replaces_results(done: tuple[Path, Path, str], tmp_path: Path) -> None:
+    case = done[0]
+    output = tmp_path / "out"
+    output.mkdir()
+    (output / "DONE").write_text("old")
+    (output / "notes.txt").write_text("mine")
+    more = ("--set", "output.fields=false", "--force")
+    result = run(case, "-o", output, *more)
+    assert result.returncode == 0, result.stderr
+    assert {p.name for p in output.iterdir()} == (FILES - {"fields.vtkhdf"}) | {"notes.txt"}
+    assert (output / "DONE").read_text() == ""
+
+
+def test_petsc_options_reach_the_solver(tmp_path: Path) -> None:
+    case = tmp_path / "case.yaml"
+    case.write_text(SLIDING)
+    result = run(
+        case, "-o", tmp_path / "out", "--set", "loads.push.force=[5 N, 0 N, 0 N]", "--",
+        "-snes_monitor", "-ksp_type", "gmres",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert "SNES Function norm" in result.stdout
+
+
+def test_diverging_case_leaves_its_last_state(tmp_path: Path) -> None:
+    """Exit code 4, one message that names the free body, the last converged state on disk."""
+    case, output = tmp_path / "sliding.yaml", tmp_path / "out"
+    case.write_text(SLIDING)
+    result = run(case, "-o", output)
+    assert result.returncode == 4
+    message = result.stderr
+    assert "Traceback" not in message and message.count("no convergence") == 1
+    assert "nothing holds body 'upper': it is free to move along x" in message
+    for part in ("stage 'push'", "interface 'lower_upper'", "tried:", "what to change:"):
+        assert part in message, message
+    assert f"last converged state: time 1.5 (step 2) in {output}" in message
+    assert not (output / "DONE").exists()
+    assert not list(output.glob("*.partial"))
+    summary = read(output)
+    assert summary["status"] == "not converged"
+    # 10 N of 10.8 N were reached: the state is that one, not the failed one.
+    assert summary["time"] == 1.5
+    assert summary["interfaces"]["lower_upper"]["force"][0] == pytest.approx(-10, rel=1e-6)
+    assert max(summary["balance"].values()) < 1e-8
+    with h5py.File(output / "fields.vtkhdf") as file:
+        np.testing.assert_allclose(file["VTKHDF/Steps/Values"][:], [1.0, 1.5])
+    with (output / "history.csv").open() as table:
+        assert [float(r["time [-]"]) for r in csv.DictReader(table)] == [1.0, 1.5]
+
+
+def test_nothing_converged_leaves_no_state(tmp_path: Path) -> None:
+    """The first step fails: no summary, and the message says that nothing is there."""
+    case, output = tmp_path / "sliding.yaml", tmp_path / "out"
+    case.write_text(SLIDING.replace("history: [0, 1]", "history: [1, 1]"))
+    result = run(case, "-o", output, "--set", "stages=[{name: a, adaptive: false}, {name: b}]")
+    assert result.returncode == 4, result.stderr
+    assert "no step has converged: nothing is on disk" in result.stderr
+    assert not (output / "summary.json").exists() and not (output / "DONE").exists()
+
+
+# Shipped configurations, coarsened, with numbers that have to come out.
+
+COARSE: dict[str, list[str]] = {
+    "blocks.yaml": ["mesh.size=3 mm"],
+    "cylinders.yaml": ["mesh.size=2.5 mm", "mesh.far_size=5 mm"],
+    "stance.yaml": ["mesh.size=4 mm"],
+    "stance_cocr.yaml": ["mesh.size=4 mm"],
+}
+
+
+def check_blocks(s: dict[str, Any]) -> None:
+    """2 MPa everywhere; the confined stack's laterals are ν/(1-ν) of it."""
+    for q in s["interfaces"].values():
+        assert q["pressure_max"] == pytest.approx(2, rel=1e-9)
+        assert q["stick_fraction"] == 1
+    mean = -2 * (1 + 2 * 0.3 / 0.7) / 3
+    for r in s["regions"].values():
+        assert r["mean_stress_min"] == pytest.approx(mean, rel=1e-8)
+        assert r["mean_stress_max"] == pytest.approx(mean, rel=1e-8)
+
+
+def check_cylinders(s: dict[str, Any]) -> None:
+    """The whole stem slips at the friction coefficient; the push is what the table bears."""
+    q = s["interfaces"]["stem_cement"]
+    assert q["slip_fraction"] == 1
+    assert q["shear_max"] / q["pressure_max"] == pytest.approx(0.4, rel=1e-6)
+    # Regression, on this coarse mesh.
+    assert q["force"][2] == pytest.approx(-1041.5, rel=0.01)
+    assert s["stem"]["subsidence"] == pytest.approx(0.0907, rel=0.01)
+
+
+HIP = (-399.5, -159.9, -1747.8)
+
+
+def check_stance(s: dict[str, Any], subsidence: float) -> None:
+    """Both interfaces hand on the hip force as it is: the cement bears no other load."""
+    assert s["interfaces"]["stem_cement"]["force"] == pytest.approx(HIP, rel=1e-6)
+    opposite = tuple(-f for f in HIP)
+    assert s["interfaces"]["cement_bone"]["force"] == pytest.approx(opposite, rel=1e-6)
+    # Regression, on this coarse mesh.
+    assert s["stem"]["subsidence"] == pytest.approx(subsidence, rel=0.02)
+
+
+CHECKS = {
+    "blocks.yaml": check_blocks,
+    "cylinders.yaml": check_cylinders,
+    "stance.yaml": lambda s: check_stance(s, 0.1308),
+    "stance_cocr.yaml": lambda s: check_stance(s, 0.1020),
+}
+
+
+def test_every_shipped_configuration_is_run() -> None:
+    assert {p.name for p in support.CONFIGS.glob("*.yaml")} == COARSE.keys() == CHECKS.keys()
+
+
+@pytest.mark.parametrize("name", COARSE)
+def test_shipped_configuration(name: str, tmp_path: Path) -> None:
+    overrides = [word for o in COARSE[name] for word in ("--set", o)]
+    result = run(support.CONFIGS / name, "-o", tmp_path / "out", *overrides)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "out" / "DONE").exists()
+    summary = read(tmp_path / "out")
+    assert max(summary["balance"].values()) < 1e-8
+    assert all(q["penetration_max"] < 1e-9 for q in summary["interfaces"].values())
+    CHECKS[name](summary)
