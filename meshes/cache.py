@@ -54,7 +54,8 @@ def key(geometry: Any, mesh: Any) -> str:
 def load(path: Path) -> MeshData | None:
     """Read a cached mesh; None when there is none or it cannot be read (it is then rebuilt)."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # Opened here: np.load leaves a damaged file open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             names = json.loads(str(stored["names"]))
             arrays = {
                 k: stored[k] for k in ("points", "cells", "cell_tags", "facets", "facet_tags")

@@ -1,0 +1,336 @@
+"""Meshes of blocks, cylinders and files: names, sizes, quality, cache, order, pictures."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gmsh
+import numpy as np
+import pytest
+
+import meshes
+from app.errors import GeometryError
+from app.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
+from meshes import cache, quality
+from meshes.data import (
+    MeshData,
+    boundary_areas,
+    cell_volumes,
+    components,
+    exterior_facets,
+    face_neighbours,
+    facet_areas,
+    interface_facets,
+    region_volumes,
+)
+from meshes.imported import MILLIMETRES
+from meshes.picture import cut, picture
+from meshes.tags import assemble
+from tests import support
+
+STACK = Blocks(
+    blocks=(
+        Block(name="low", size=["10 mm", "8 mm", "5 mm"]),
+        Block(name="mid", size=["10 mm", "8 mm", "4 mm"]),
+        Block(name="high", size=["10 mm", "8 mm", "3 mm"]),
+    ),
+    tilt="5 deg",
+)
+ROD = Cylinders(
+    stem_radius="7 mm",
+    cement_thickness="4 mm",
+    bone_thickness="6 mm",
+    length="20 mm",
+    taper="1 deg",
+)
+
+
+def options(size: float, **more: Any) -> MeshOptions:
+    return MeshOptions(size=f"{size} mm", **more)
+
+
+def mesh(geometry: Any, size: float, **more: Any) -> MeshData:
+    return meshes.build(geometry, options(size, **more))
+
+
+@pytest.fixture(scope="module")
+def rod() -> MeshData:
+    return mesh(ROD, 2.0)
+
+
+def test_a_package_that_only_checks_input_loads_neither_gmsh_nor_dolfinx() -> None:
+    program = "import sys, meshes; assert not {'gmsh', 'dolfinx', 'mpi4py'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=support.ROOT)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_blocks_have_exact_volumes_areas_and_all_names(curved: bool) -> None:
+    data = mesh(STACK, 2.0, curved=curved)
+    assert data.cells.shape[1] == (10 if curved else 4)
+    assert region_volumes(data) == pytest.approx({"low": 400.0, "mid": 320.0, "high": 240.0})
+    areas = boundary_areas(data)
+    assert set(areas) == set(STACK.boundary_names)
+    assert areas["x_min"] == pytest.approx(96.0)
+    assert areas["bottom"] == pytest.approx(80.0)
+    assert areas["low_x_min"] == pytest.approx(8.0 * (5.0 - 5.0 * math.tan(STACK.tilt)))
+    assert areas["mid_y_max"] == pytest.approx(40.0)
+    for name in STACK.interface_sides:
+        facets, inner, outer = interface_facets(data, name)
+        area = facet_areas(data.points, facets).sum()
+        assert area == pytest.approx(80.0 / math.cos(STACK.tilt)), name
+        normal = np.cross(*(data.points[facets[:, k]] - data.points[facets[:, 0]] for k in (1, 2)))
+        assert np.all(normal[:, 2] > 0)  # from the first side to the second
+        assert set(data.cell_tags[inner]) == {data.regions[name.split("_")[0]]}
+        assert set(data.cell_tags[outer]) == {data.regions[name.split("_")[1]]}
+
+
+def test_one_block_has_no_interface_and_a_uniform_mesh() -> None:
+    data = mesh(Blocks(blocks=(Block(name="only", size=["4 mm"] * 3),)), 1.0)
+    assert dict(data.interfaces) == {}
+    assert np.cbrt(8.5 * cell_volumes(data.points, data.cells)).max() < 2.0
+
+
+def test_planes_that_cross_are_refused() -> None:
+    steep = STACK.model_copy(update={"tilt": math.radians(40.0)})
+    with pytest.raises(GeometryError, match=r"tilt.*40 deg.*thinnest block 3 mm"):
+        mesh(steep, 2.0)
+
+
+@pytest.mark.parametrize(("sector", "part"), [("full", 1.0), ("half", 0.5), ("quarter", 0.25)])
+def test_cylinders_are_concentric_conforming_and_named(sector: str, part: float) -> None:
+    geometry = ROD.model_copy(update={"sector": sector})
+    data = mesh(geometry, 1.5)
+    assert data.notes["quality"]["sicn_min"] >= 0.25
+    areas = boundary_areas(data)
+    assert set(areas) == set(geometry.boundary_names)
+    assert areas["top"] == pytest.approx(sum(areas[f"{r}_top"] for r in data.regions))
+    assert areas["bone_surface"] == pytest.approx(part * 2 * math.pi * 17 * 20, rel=0.02)
+    for plane in ("symmetry_x", "symmetry_y"):
+        if plane in areas:
+            sides = 2 if sector == "half" else 1  # the plane y = 0 on either side of the axis
+            assert areas[plane] == pytest.approx(sides * 17 * 20)
+    rise = 10 * math.tan(ROD.taper)
+    for name, tag in (("stem_bottom", 7.0 - rise), ("stem_top", 7.0 + rise)):
+        assert areas[name] == pytest.approx(part * math.pi * tag**2, rel=0.02)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_volume_of_cylinders_converges(curved: bool) -> None:
+    """Straight facets lose volume as h^2, quadratic ones as h^4."""
+    sizes = [4.0, 2.0]
+    straight = ROD.model_copy(update={"taper": 0.0, "length": 8.0})
+    exact = math.pi * 49.0 * 8.0
+    errors = [
+        region_volumes(mesh(straight, h, far_size=f"{h} mm", curved=curved))["stem"] / exact - 1
+        for h in sizes
+    ]
+    assert support.fitted_order(sizes, errors) > (3.0 if curved else 1.6)
+
+
+def test_impossible_tapers_are_refused() -> None:
+    closed = ROD.model_copy(update={"taper": math.radians(44.0), "stem_radius": 2.0})
+    with pytest.raises(GeometryError, match="closes the stem"):
+        mesh(closed, 2.0)
+    wide = ROD.model_copy(update={"taper": math.radians(34.0), "bone_thickness": 5.0})
+    with pytest.raises(GeometryError, match="leaves the bone"):
+        mesh(wide, 2.0)
+
+
+def test_same_input_same_mesh_in_another_process(rod: MeshData) -> None:
+    program = f"""
+import hashlib, sys; sys.path.insert(0, {str(support.ROOT)!r})
+from tests.unit.test_meshes import ROD, mesh
+d = mesh(ROD, 2.0)
+print(hashlib.sha256(d.points.tobytes() + d.cells.tobytes() + d.facets.tobytes()).hexdigest())
+"""
+    import hashlib
+
+    run = [sys.executable, "-c", program]
+    other = subprocess.run(run, check=True, capture_output=True, text=True).stdout.strip()
+    own = hashlib.sha256(rod.points.tobytes() + rod.cells.tobytes() + rod.facets.tobytes())
+    assert own.hexdigest() == other
+
+
+def test_order_is_canonical_and_no_node_is_unused(rod: MeshData) -> None:
+    assert np.array_equal(np.unique(rod.cells), np.arange(len(rod.points)))
+    assert np.array_equal(np.lexsort(rod.points.round(9).T), np.arange(len(rod.points)))
+    assert np.all(np.diff(rod.cell_tags) >= 0)
+    assert np.all(cell_volumes(rod.points, rod.cells) > 0)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+def test_quality_is_that_of_gmsh(tmp_path: Path, curved: bool) -> None:
+    data = mesh(ROD, 3.0, curved=curved)
+    meshes.write_msh(data, tmp_path / "a.msh")
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(tmp_path / "a.msh"))
+        _, tags, _ = gmsh.model.mesh.getElements(3)
+        theirs = gmsh.model.mesh.getElementQualities(np.concatenate(tags), "minSICN")
+    finally:
+        gmsh.finalize()
+    ours = quality.sicn(data.points, data.cells)
+    assert np.sort(ours) == pytest.approx(np.sort(theirs), abs=1e-10)
+
+
+def test_the_gate_names_region_place_and_value(rod: MeshData) -> None:
+    points = rod.points.copy()
+    # Flatten one cell of the cement: its last vertex into the plane of the others.
+    cell = rod.cells[np.flatnonzero(rod.cell_tags == rod.regions["cement"])[100]]
+    points[cell[3]] = points[cell[:3]].mean(axis=0)
+    with pytest.raises(GeometryError, match=r"cement at \(-?\d+\.\d\d, .*\) mm: -?0\.\d{4}"):
+        quality.gate(replace(rod, points=points))
+    quality.gate(rod)
+
+
+def test_cache_returns_the_same_and_survives_damage(tmp_path: Path, rod: MeshData) -> None:
+    first = meshes.build(ROD, options(2.0), tmp_path)
+    (file,) = tmp_path.glob("*.npz")
+    second = meshes.build(ROD, options(2.0, order=2), tmp_path)  # the order is not the mesh's
+    assert list(tmp_path.iterdir()) == [file]
+    for data in (first, second):
+        for name in ("points", "cells", "cell_tags", "facets", "facet_tags"):
+            assert np.array_equal(getattr(data, name), getattr(rod, name)), name
+        assert data.boundaries == rod.boundaries
+        assert data.interfaces == rod.interfaces
+        assert data.notes == rod.notes
+    file.write_bytes(file.read_bytes()[:1000])
+    assert cache.load(file) is None
+    third = meshes.build(ROD, options(2.0), tmp_path)
+    assert np.array_equal(third.cells, rod.cells)
+    assert cache.load(file) is not None
+
+
+def test_cache_tells_cases_apart() -> None:
+    keys = {
+        cache.key(geometry, o)
+        for geometry in (ROD, ROD.model_copy(update={"length": 21.0}), STACK)
+        for o in (options(2.0), options(2.0, far_size="3 mm"), options(2.0, curved=True))
+    }
+    assert len(keys) == 9
+
+
+def test_names_may_overlap_and_patches_do_not() -> None:
+    points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)], dtype=float)
+    cells = np.array([(0, 1, 2, 3), (1, 2, 3, 4)])
+    facets, _ = exterior_facets(cells)
+    low = points[facets].mean(axis=1)[:, 2] < 0.3
+    data = assemble(
+        points,
+        cells,
+        np.array([1, 1], dtype=np.int32),
+        {"a": 1},
+        {},
+        {"all": np.ones(6, bool), "low": low, "none": np.zeros(6, bool)},
+    )
+    assert set(data.boundaries["low"]) < set(data.boundaries["all"])
+    assert data.boundaries["none"] == ()
+    assert len(data.facet_tags) == 6
+    counted, _ = components(face_neighbours(cells), data.cell_tags)
+    assert counted == 1
+    counted, _ = components(face_neighbours(cells), np.array([1, 2], dtype=np.int32))
+    assert counted == 2
+
+
+@pytest.mark.parametrize("unit", ["mm", "cm"])
+@pytest.mark.parametrize("curved", [False, True])
+def test_written_files_are_read_back(tmp_path: Path, unit: str, curved: bool) -> None:
+    data = mesh(ROD, 3.0, curved=curved)
+    path = tmp_path / "rod.msh"
+    meshes.write_msh(data, path)
+    sides = {name: tuple(map(tuple, sides)) for name, sides in data.interfaces.items()}
+    back = meshes.build(MeshFile(path=path, unit=unit, interfaces=sides), options(1.0))
+    scale = MILLIMETRES[unit]
+    assert len(back.cells) == len(data.cells)
+    for name, volume in region_volumes(data).items():
+        assert region_volumes(back)[name] == pytest.approx(scale**3 * volume)
+    for name, area in boundary_areas(data).items():
+        assert boundary_areas(back)[name] == pytest.approx(scale**2 * area), name
+    assert back.notes["cells_without_region"] == 0
+
+
+def old_format(tmp_path: Path, data: MeshData) -> Path:
+    """The same mesh in format 2.2, ASCII."""
+    path = tmp_path / "old.msh"
+    meshes.write_msh(data, tmp_path / "new.msh")
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(tmp_path / "new.msh"))
+        gmsh.option.setNumber("Mesh.MshFileVersion", 2.2)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    return path
+
+
+def test_old_files_are_read_and_mirrored_cells_turned(tmp_path: Path) -> None:
+    data = mesh(STACK, 3.0)
+    path = old_format(tmp_path, data)
+    back = meshes.build(MeshFile(path=path), options(1.0))
+    assert region_volumes(back) == pytest.approx(region_volumes(data))
+    mirrored = replace(data, points=data.points * [-1, 1, 1])
+    meshes.write_msh(mirrored, path)
+    back = meshes.build(MeshFile(path=path), options(1.0))
+    assert region_volumes(back) == pytest.approx(region_volumes(data))
+
+
+def test_files_without_names_or_regions_say_what_was_found(tmp_path: Path) -> None:
+    data = mesh(STACK, 3.0)
+    path = tmp_path / "a.msh"
+    meshes.write_msh(data, path)
+    wrong = MeshFile.model_construct(path=path, interfaces={"i": (("low",), ("bone",))})
+    with pytest.raises(GeometryError, match=r"physical volumes: .*low.*need the volumes bone"):
+        meshes.build(wrong, options(1.0))
+    apart = MeshFile.model_construct(path=path, interfaces={"i": (("low",), ("high",))})
+    with pytest.raises(GeometryError, match=r"no interface i .*no facet between low and high"):
+        meshes.build(apart, options(1.0))
+    text = path.read_bytes()
+    start, end = text.index(b"$PhysicalNames"), text.index(b"$EndPhysicalNames\n")
+    path.write_bytes(text[:start] + text[end + len(b"$EndPhysicalNames\n") :])
+    with pytest.raises(GeometryError, match=r"physical volumes: \(unnamed\)"):
+        meshes.build(MeshFile.model_construct(path=path, interfaces={}), options(1.0))
+    path.write_text("$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\nnonsense\n")
+    with pytest.raises(GeometryError):
+        meshes.build(MeshFile.model_construct(path=path, interfaces={}), options(1.0))
+
+
+def test_interior_surfaces_of_a_file_are_no_boundaries(tmp_path: Path) -> None:
+    data = mesh(STACK, 3.0)
+    facets, _, _ = interface_facets(data, "low_mid")
+    tag = int(data.facet_tags.max()) + 1
+    more = replace(
+        data,
+        facets=np.concatenate([data.facets, facets]),
+        facet_tags=np.append(data.facet_tags, np.full(len(facets), tag, np.int32)),
+        boundaries={**data.boundaries, "between": (tag,)},
+    )
+    path = tmp_path / "a.msh"
+    meshes.write_msh(more, path)
+    back = meshes.build(MeshFile(path=path), options(1.0))
+    assert "between" not in back.boundaries
+    assert back.notes["interior_surfaces"] == ["between"]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_sections_of_a_block_have_exact_areas(axis: int) -> None:
+    data = mesh(STACK, 2.0)
+    size = np.array([10.0, 8.0, 12.0])
+    at = float(size[axis]) * 0.3
+    area = 0.0
+    for corners, _ in cut(data.points, data.cells, axis, at):
+        fan = corners[:, 1:] - corners[:, :1]
+        area += 0.5 * np.linalg.norm(np.cross(fan[:, :-1], fan[:, 1:]), axis=2).sum()
+        assert np.allclose(corners[..., axis], at)
+    assert area == pytest.approx(size.prod() / size[axis])
+
+
+def test_picture_is_a_png(tmp_path: Path, rod: MeshData) -> None:
+    picture(rod, tmp_path / "rod.png")
+    assert (tmp_path / "rod.png").read_bytes().startswith(b"\x89PNG")

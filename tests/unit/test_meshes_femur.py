@@ -1,0 +1,97 @@
+"""Parts of the femur that need no mesh: sections, offsets, clearance, the film."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import meshes
+from app.errors import GeometryError
+from app.geometries import Femur, MeshOptions
+from meshes import femur_bone, femur_mantle, femur_stem
+
+GEOMETRY = Femur()
+TURN = np.linspace(-np.pi, np.pi, 361)
+
+
+def outline(shape: femur_stem.Body, z: float) -> np.ndarray:
+    r = shape.radius(TURN, np.full_like(TURN, z))
+    return np.column_stack([r * np.cos(TURN), r * np.sin(TURN)])
+
+
+def test_sections_of_the_stem_are_rounded_rectangles() -> None:
+    shape = femur_stem.body(GEOMETRY)
+    a, b, r = shape.section(15.0)
+    assert (a, b, r) == pytest.approx((8.5, 5.0, 3.0))
+    assert shape.section(-118.0) == pytest.approx((3.0, 3.0, 2.1))
+    x, y = np.abs(outline(shape, 15.0)).T
+    over = np.hypot(np.maximum(x - (a - r), 0), np.maximum(y - (b - r), 0))
+    assert over == pytest.approx(np.full(len(x), r), abs=1e-12)  # on the rounded outline
+    assert x.max() == pytest.approx(a)
+    assert y.max() == pytest.approx(b)
+
+
+@pytest.mark.parametrize("thickness", [1.0, 4.0, 8.0])
+def test_the_offset_is_at_the_prescribed_distance(thickness: float) -> None:
+    """Flats exactly (in the normal's direction), corners within a thousandth."""
+    shape = femur_stem.body(GEOMETRY)
+    far = shape.offset(thickness)
+    a, _, _ = shape.section(0.0)
+    slope = shape.slope[0]
+    # A point of the offset flank, and its distance from the plane x = a + slope z.
+    assert (far.section(0.0)[0] - a) / np.hypot(1, slope) == pytest.approx(thickness, rel=1e-12)
+    near, grown = outline(shape, 0.0), outline(far, 0.0)
+    gap = np.min(np.linalg.norm(grown[:, None] - near[None], axis=2), axis=1)
+    assert gap == pytest.approx(np.full(len(gap), thickness), rel=0.01)
+
+
+def test_the_canal_has_the_widths_of_its_source_and_lies_in_the_bone() -> None:
+    canal, outer = femur_bone.canal(-200.0, 0.0), femur_bone.outer(-200.0)
+    for z, width in ((20, 43.7), (10, 35.0), (0, 28.7), (-10, 24.0), (-20, 20.6), (-80, 13.5)):
+        ends = canal.radius(np.array([0.0, np.pi]), np.array([z, z], dtype=float))
+        assert ends.sum() == pytest.approx(width, abs=0.05)
+    theta, z = np.meshgrid(TURN, np.linspace(-200.0, canal.top, 300))
+    cortex = outer.radius(theta, z) - canal.radius(theta, z)
+    assert cortex.min() > 1.5
+    assert canal.contains(np.array([(0.0, 0.0, 0.0), (0.0, 30.0, 0.0)])).tolist() == [True, False]
+
+
+def test_muscles_insert_near_their_places_and_apart() -> None:
+    places = femur_bone.insertions(femur_bone.outer(-200.0))
+    assert set(places) < set(GEOMETRY.boundary_names)
+    for name, place in places.items():
+        assert np.linalg.norm(place - femur_bone.MUSCLES[name]) < 9.0, name
+    names = list(places)
+    for i, one in enumerate(names):
+        for other in names[:i]:
+            between = np.linalg.norm(places[one] - places[other])
+            assert between > 2 * femur_bone.PATCH_RADIUS, (one, other)
+        angle = np.arctan2(places[one][1], places[one][0])
+        reach = femur_bone.PATCH_RADIUS / np.hypot(*places[one][:2])
+        for seam in femur_bone.SEAMS:
+            assert abs(np.angle(np.exp(1j * (angle - seam)))) > reach, (one, seam)
+
+
+def test_a_stem_wider_than_the_canal_is_refused_with_the_place() -> None:
+    wide = GEOMETRY.model_copy(update={"stem_half_width": 12.0})
+    with pytest.raises(GeometryError, match=r"leaves -?\d.*at z = -\d+ mm, laterally.*widen"):
+        meshes.build(wide, MeshOptions(size="3 mm"))
+
+
+def test_the_distance_from_a_triangle() -> None:
+    a, b, c = np.array([[0.0, 0, 0]]), np.array([[2.0, 0, 0]]), np.array([[0.0, 2, 0]])
+    for point, distance in (
+        ((0.5, 0.5, 3.0), 3.0),  # above the inside
+        ((3.0, 0.0, 0.0), 1.0),  # beyond a corner
+        ((1.0, -2.0, 0.0), 2.0),  # beside an edge
+        ((2.0, 2.0, 0.0), np.sqrt(2.0)),  # beside the slanted edge
+    ):
+        p = np.array([point])
+        assert femur_mantle._to_triangle(p, a, b, c)[0] == pytest.approx(distance)
+
+
+def test_pinched_edges_are_found() -> None:
+    """Two tetrahedra that share an edge only."""
+    cells = np.array([(0, 1, 2, 3), (0, 1, 4, 5)])
+    assert femur_mantle._pinched_edges(cells, np.array([True, True])).tolist() == [[0, 1]]
+    assert len(femur_mantle._pinched_edges(cells, np.array([True, False]))) == 0

@@ -1,0 +1,205 @@
+"""The femur against its definition, and distributed meshes against the serial one."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import meshes
+from app.geometries import Femur, MeshOptions
+from meshes import femur_bone, femur_mantle, femur_stem
+from meshes.data import (
+    MeshData,
+    boundary_areas,
+    cell_volumes,
+    facet_areas,
+    interface_facets,
+    region_volumes,
+)
+from tests import support
+
+SIZE = 3.0
+
+
+@cache
+def femur(thickness: float, size: float = SIZE) -> MeshData:
+    return meshes.build(Femur(cement_thickness=f"{thickness} mm"), MeshOptions(size=f"{size} mm"))
+
+
+THICKNESSES = [
+    4.0,
+    *(pytest.param(t, marks=pytest.mark.slow) for t in (1.0, 2.0, 3.0, 5.0, 7.0, 8.0)),
+]
+
+
+@pytest.mark.parametrize("thickness", THICKNESSES)
+def test_regions_are_whole_and_touch_where_they_should(thickness: float) -> None:
+    data = femur(thickness)
+    regions = data.regions
+    assert data.notes["quality"]["sicn_min"] > 0.01
+    assert data.notes["pinched_edges"] == 0
+    assert set(data.boundaries) == set(Femur().boundary_names)
+    assert all(area > 0 for area in boundary_areas(data).values())
+    # The stem touches bone nowhere, not even at a node.
+    stem = np.unique(data.cells[data.cell_tags == regions["stem"]])
+    bone = [regions["cortical_bone"], regions["cancellous_bone"]]
+    assert len(np.intersect1d(stem, data.cells[np.isin(data.cell_tags, bone)])) == 0
+    # Pieces of cancellous bone are large: no crumbs between mantle and cortex.
+    assert min(data.notes["cancellous_pieces_mm3"]) >= femur_mantle.ISLAND
+
+
+@pytest.mark.parametrize("thickness", THICKNESSES)
+def test_the_mantle_ends_at_the_offset_or_at_the_endosteum(thickness: float) -> None:
+    check_mantle(thickness, SIZE)
+
+
+def check_mantle(thickness: float, size: float) -> None:
+    """Every node of the mantle's outer face is on one of the two, whichever is nearer.
+
+    Where the two are closer to each other than the film (0.6 mm) it may be on either, or on the
+    ramp between; the volume is that of the exact clip.
+    """
+    geometry = Femur(cement_thickness=f"{thickness} mm")
+    data = femur(thickness, size)
+    offset = femur_stem.body(geometry).offset(thickness)
+    canal = femur_bone.canal(geometry.distal_cut_z, 0.0)
+    facets, _, _ = interface_facets(data, "cement_bone")
+    x, y, z = data.points[np.unique(facets)].T
+    beside = (z > geometry.stem_tip_z) & (z < geometry.resection_height)
+    theta, r, z = np.arctan2(y, x)[beside], np.hypot(x, y)[beside], z[beside]
+    ideal = np.minimum(offset.radius(theta, z), canal.radius(theta, z))
+    film = data.notes["film_mm"]
+    assert np.abs(r - ideal).max() < film + 0.15  # and the error of the surfaces
+    assert np.mean(np.abs(r - ideal) < 0.15) > 0.75
+    low, high = geometry.stem_tip_z - geometry.plug_length, 0.0
+    angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 721)[:-1], np.linspace(low, high, 800))
+    clipped = np.minimum(offset.radius(angles, levels), canal.radius(angles, levels))
+    exact = 0.5 * (clipped**2).mean() * 2 * np.pi * (high - low)
+    inside = np.isin(data.cell_tags, [data.regions["cement"], data.regions["stem"]])
+    centre = data.points[data.cells[:, :4]].mean(axis=1)[:, 2]
+    found = cell_volumes(data.points, data.cells)[inside & (centre < high)].sum()
+    # Chords of length h in a circle of radius R lose h^2 / 6 R^2 of its area.
+    assert found == pytest.approx(exact, rel=0.01 + size**2 / (6 * 7.0**2))
+
+
+def test_thickness_is_reported() -> None:
+    notes = femur(4.0).notes
+    thickness = notes["thickness_mm"]
+    assert thickness["prescribed"] == 4.0
+    assert 1.2 < thickness["min"] < thickness["median"] < 4.0 < thickness["max"] < 4.7
+    assert 0.6 < notes["clipped_fraction"] < 0.7
+    assert notes["head_centre"] == [43.0, 0.0, 54.0]
+    volume = region_volumes(femur(4.0))["cement"]
+    assert notes["cement_volume_mm3"] == pytest.approx(volume)
+    json.dumps(notes)
+
+
+def test_patches_are_discs_on_the_bone_and_the_trunnion_is_at_the_head() -> None:
+    data = femur(4.0)
+    areas = boundary_areas(data)
+    for name, place in femur_bone.insertions(femur_bone.outer(-200.0)).items():
+        assert areas[name] == pytest.approx(np.pi * femur_bone.PATCH_RADIUS**2, rel=0.1), name
+        own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
+        centre = data.points[own].mean(axis=(0, 1))
+        assert np.linalg.norm(centre - place) < 2.0, name
+        assert set(data.boundaries[name]) <= set(data.boundaries["bone_surface"])
+    disc = data.facets[np.isin(data.facet_tags, data.boundaries["stem_trunnion"])]
+    weights = facet_areas(data.points, disc)
+    centre = np.average(data.points[disc].mean(axis=1), axis=0, weights=weights)
+    assert centre == pytest.approx([43.0, 0.0, 54.0], abs=0.3)
+    assert areas["stem_trunnion"] == pytest.approx(36 * np.pi, rel=0.13)
+
+
+def test_the_same_femur_is_the_same_mesh() -> None:
+    first = femur(4.0)
+    again = meshes.build(Femur(), MeshOptions(size=f"{SIZE} mm"))
+    assert np.array_equal(first.points, again.points)
+    assert np.array_equal(first.cells, again.cells)
+    assert np.array_equal(first.cell_tags, again.cell_tags)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("thickness", [2.0, 3.0, 4.0, 5.0, 7.0])
+def test_the_default_size_meshes_every_thickness_of_the_paper(thickness: float) -> None:
+    data = femur(thickness, 1.5)
+    assert 60_000 < len(data.cells) < 120_000
+    assert data.notes["quality"]["sicn_min"] > 0.03
+    assert data.notes["pinched_edges"] == 0
+    check_mantle(thickness, 1.5)
+
+
+@pytest.mark.slow
+def test_a_curved_femur_has_no_bad_cell() -> None:
+    data = meshes.build(Femur(), MeshOptions(size="2.5 mm", curved=True))
+    assert data.notes["quality"]["sicn_min"] > 0.05
+    assert boundary_areas(data)["stem_trunnion"] == pytest.approx(36 * np.pi, rel=2e-3)
+
+
+PROGRAM = """
+import json, sys
+sys.path.insert(0, {root!r})
+from pathlib import Path
+from mpi4py import MPI
+import dolfinx, numpy as np, ufl
+from meshes import cache
+from meshes.distribute import distribute
+
+comm = MPI.COMM_WORLD
+data = cache.load(Path({mesh!r})) if comm.rank == 0 else None
+tagged = distribute(data, comm)
+mesh = tagged.mesh
+one = dolfinx.fem.Constant(mesh, 1.0)
+dx = ufl.Measure("dx", mesh, subdomain_data=tagged.cell_tags, metadata={{"quadrature_degree": 3}})
+ds = ufl.Measure("ds", mesh, subdomain_data=tagged.facet_tags, metadata={{"quadrature_degree": 5}})
+
+def total(measure):
+    local = dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure))
+    return comm.allreduce(local, MPI.SUM)
+
+volumes = {{name: total(dx(tag)) for name, tag in tagged.regions.items()}}
+areas = {{name: total(ds(tags)) for name, tags in tagged.boundaries.items()}}
+cells = mesh.topology.index_map(3)
+assert len(tagged.cell_tags.indices) == cells.size_local + cells.num_ghosts
+assert len(np.unique(tagged.facet_tags.indices)) == len(tagged.facet_tags.indices)
+if comm.size > 1:
+    assert comm.allreduce(cells.num_ghosts) > 0
+points = comm.bcast(data.points if comm.rank == 0 else None)
+assert np.array_equal(mesh.geometry.x, points[mesh.geometry.input_global_indices])
+if comm.rank == 0:
+    Path({out!r}).write_text(json.dumps([volumes, areas]))
+"""
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("kind", ["straight", "curved", "femur"])
+def test_distributed_volumes_and_areas_are_the_serial_ones(tmp_path: Path, kind: str) -> None:
+    from app.geometries import Cylinders
+    from meshes import cache as stored
+
+    if kind == "femur":
+        data = femur(4.0)
+    else:
+        rod = Cylinders(
+            stem_radius="7 mm", cement_thickness="4 mm", bone_thickness="6 mm", length="20 mm"
+        )
+        data = meshes.build(rod, MeshOptions(size="3 mm", curved=kind == "curved"))
+    mesh, program = tmp_path / "mesh.npz", tmp_path / "program.py"
+    stored.store(data, mesh)
+    for ranks in (1, 2, 3):
+        out = tmp_path / f"{ranks}.json"
+        program.write_text(PROGRAM.format(root=str(support.ROOT), mesh=str(mesh), out=str(out)))
+        subprocess.run(
+            support.mpirun(ranks, program),
+            env=support.environment(),
+            check=True,
+            capture_output=True,
+            timeout=300,
+        )
+        volumes, areas = json.loads(out.read_text())
+        assert volumes == pytest.approx(region_volumes(data), rel=1e-10)
+        assert areas == pytest.approx(boundary_areas(data), rel=1e-6)
