@@ -19,8 +19,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from mpi4py import MPI
+
+import numpy as np
 from numpy.typing import NDArray
 
 from app import __version__
@@ -28,7 +29,7 @@ from app.bodies import cell_tags
 from app.errors import StoppedError
 from app.problem import Problem
 from app.quantities import Samples, Stresses
-from app.vtkhdf import GridFile
+from app.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
@@ -45,7 +46,6 @@ UNITS = {
     "temperature": "degC",
 }
 RESULTS = ("DONE", "summary.json", "provenance.json", "history.csv", "fields.vtkhdf")
-TETRAHEDRON, QUADRATIC_TETRAHEDRON = 10, 24
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], T], what: str) -> T:
@@ -158,8 +158,8 @@ class _Fields:
         pairs, cells = np.unique(node, return_inverse=True)
         self._body, self._dof = np.divmod(pairs, int(dofs.max(initial=0)) + 1)
         cells = cells.reshape(dofs.shape)
-        if quadratic:  # basix edges 23 13 12 03 02 01; VTK 01 12 02 03 13 23
-            cells = cells[:, [0, 1, 2, 3, 9, 6, 8, 7, 5, 4]]
+        if quadratic:
+            cells = cells[:, QUADRATIC_NODES]
         self._tags = tags
         self._orders = {r: np.argsort(c) for r, c in stresses.cells.items()}
         self._point_of = self._contact_rows()
@@ -174,7 +174,7 @@ class _Fields:
 
     def _contact_rows(self) -> dict[int, NDArray[np.int64]]:
         """For each interface, the contact point of each node of the grid, -1 elsewhere."""
-        rows = {}
+        rows: dict[int, NDArray[np.int64]] = {}
         index_map = self._problem.space.dofmap.index_map
         numbers = index_map.local_to_global(self._dof.astype(np.int32))
         for j in self._problem.jumps:

@@ -17,7 +17,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from mpi4py import MPI  # before h5py, which may be built for MPI
@@ -25,19 +24,13 @@ from mpi4py import MPI  # before h5py, which may be built for MPI
 import h5py
 import numpy as np
 import numpy.typing as npt
-from dolfinx import cpp, fem
-from dolfinx.mesh import CellType, Mesh
 
 Array = npt.NDArray[Any]
 
-TRIANGLE = 5
-"""VTK's number of the triangle with three nodes."""
-_VTK_CELLS = {
-    (CellType.triangle, 1): TRIANGLE,
-    (CellType.triangle, 2): 22,
-    (CellType.tetrahedron, 1): 10,
-    (CellType.tetrahedron, 2): 24,
-}
+# VTK's numbers of these cell types.
+TETRAHEDRON, QUADRATIC_TETRAHEDRON = 10, 24
+# The place in basix's order (edges 23 13 12 03 02 01) of each node in VTK's (01 12 02 03 13 23).
+QUADRATIC_NODES = (0, 1, 2, 3, 9, 6, 8, 7, 5, 4)
 # Bytes of HDF5's own beside an array's: 168 kB measured for the first offsets of 50 fields.
 _METADATA = 1 << 20
 
@@ -149,106 +142,6 @@ class GridFile:
         error = self.comm.bcast(error)
         if error is not None:
             raise error
-
-
-class FieldFile:
-    """Lagrange fields and cellwise constants of a mesh in time."""
-
-    def __init__(self, path: Path, mesh: Mesh, order: int, cell_data: Mapping[str, Array]) -> None:
-        """Write the geometry: the nodes of the Lagrange space of an order (collective).
-
-        Args:
-            path: The file, replaced if it exists.
-            mesh: Triangles or tetrahedra.
-            order: Order of the Lagrange space, 1 or 2.
-            cell_data: Constant values in this rank's cells, those of ghosts (last) being ignored.
-
-        Raises:
-            OSError: The file cannot be written (on every rank).
-        """
-        space = fem.functionspace(mesh, ("Lagrange", order))
-        index_map = space.dofmap.index_map
-        cell_type = mesh.topology.cell_type
-        self._dofs = space.dofmap.list
-        self._points = index_map.size_local
-        self._cells = mesh.topology.index_map(mesh.topology.dim).size_local
-        to_vtk = np.argsort(cpp.io.perm_vtk(cell_type, self._dofs.shape[1]))
-        self._file = GridFile(
-            mesh.comm,
-            path,
-            space.tabulate_dof_coordinates()[: self._points],
-            self._dofs[: self._cells, to_vtk],
-            _VTK_CELLS[cell_type, order],
-            {name: values[: self._cells] for name, values in cell_data.items()},
-            index_map.ghosts,
-        )
-
-    def write(
-        self,
-        time: float,
-        point: Mapping[str, fem.Function],
-        cell: Mapping[str, fem.Function | Array],
-    ) -> None:
-        """Add one step (collective); see `GridFile.write`.
-
-        Args:
-            time: Time of the step in s, later than the last.
-            point: Functions in Lagrange spaces (scalar, vector, tensor) of the file's order.
-            cell: Piecewise constant functions (scalar, vector, tensor), or values in this rank's
-                cells, shape (m,) or (m, components).
-
-        Raises:
-            OSError: The file cannot be written (on every rank).
-            ValueError: A function is not of such a space, or the fields differ from the first
-                step's.
-        """
-        self._file.write(
-            time,
-            {name: self._nodal(name, values) for name, values in point.items()},
-            {name: self._cellwise(name, values) for name, values in cell.items()},
-        )
-
-    def close(self) -> None:
-        """Nothing to do: the file is closed between the steps."""
-
-    def __enter__(self) -> FieldFile:
-        """Return the file."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the file."""
-        self.close()
-
-    def _nodal(self, name: str, function: fem.Function) -> Array:
-        """Values of a function at this rank's own points."""
-        dofmap = function.function_space.dofmap
-        # All spaces of one element on one mesh number their nodes alike: no search for the nodes.
-        if not np.array_equal(dofmap.list, self._dofs):
-            raise ValueError(f"{name}: not a Lagrange function of the order of {self._file.path}")
-        return _components(function, function.x.array.reshape(-1, dofmap.bs)[: self._points])
-
-    def _cellwise(self, name: str, values: fem.Function | Array) -> Array:
-        """Values in this rank's own cells."""
-        if not isinstance(values, fem.Function):
-            return values[: self._cells]
-        dofmap = values.function_space.dofmap
-        if dofmap.list.shape[1] != 1:
-            raise ValueError(f"{name}: not constant in each cell")
-        dofs = dofmap.list[: self._cells, 0]
-        return _components(values, values.x.array.reshape(-1, dofmap.bs)[dofs])
-
-
-def _components(function: fem.Function, values: Array) -> Array:
-    """One number, three or nine for scalars, vectors and tensors: in the plane, with zeros."""
-    shape = function.function_space.value_shape
-    padding = [(0, 1 if size == 2 else 0) for size in shape]
-    padded = np.pad(values.reshape(-1, *shape), [(0, 0), *padding])
-    return padded.reshape(len(padded), -1) if shape else padded
 
 
 def _create(path: Path, points: int, cells: int, nodes: int, cell_type: int) -> None:
