@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 import numpy as np
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
-from petsc4py import PETSc
 
 from app.problem import Problem, Trial
 from app.terms import Elastic, amplitude
@@ -42,9 +43,7 @@ class Balance:
             if (e := mechanics.body_energy(b, U, dx)) != 0
         ]
         self._energy = [mechanics.form(e) for e, _ in energy]
-        self._internal = [
-            mechanics.form(ufl.derivative(e, U, v)) for e, U in energy
-        ]
+        self._internal = [mechanics.form(ufl.derivative(e, U, v)) for e, U in energy]
         self._strain_work = [
             (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
             for e in scene.elastic
@@ -60,7 +59,9 @@ class Balance:
         x = ufl.SpatialCoordinate(problem.tagged.mesh)
         arm = [x[i] - float(about[i]) for i in range(3)]
         self._spring_moments = [
-            mechanics.form((arm[(i + 1) % 3] * t[(i + 2) % 3] - arm[(i + 2) % 3] * t[(i + 1) % 3]) * ds)
+            mechanics.form(
+                (arm[(i + 1) % 3] * t[(i + 2) % 3] - arm[(i + 2) % 3] * t[(i + 1) % 3]) * ds
+            )
             for f, k in zip(scene.foundations, mechanics.springs, strict=True)
             for b, U in enumerate(displacements)
             if (ds := mechanics.ds(f.boundary, b)) is not None
@@ -73,7 +74,7 @@ class Balance:
         low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
         self._diagonal = float(np.linalg.norm(high - low))
         self._work = self._scale = 0.0
-        self._last = self._measure(None)
+        self._last = self._measure(problem.K.createVecLeft(), None)
         self.force = self.moment = self.energy = 0.0
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
@@ -86,7 +87,7 @@ class Balance:
         work = loads.mechanical_work(σ, elasticity.eigenstrain(components))
         return -work * dx(mechanics.tag(e.region))
 
-    def _measure(self, state: tuple[PETSc.Vec, PETSc.Vec | None, Trial | None] | None) -> dict:
+    def _measure(self, u: PETSc.Vec, trial: Trial | None) -> dict:
         """Everything that enters the balances at the current time and state."""
         problem = self._problem
         total = PETSc.Vec().createMPI((len(problem.reduction.reacting), None), comm=problem.comm)
@@ -96,8 +97,10 @@ class Balance:
             total.array[:] += part.array[: len(total.array)]
         loads_u, loads_q = problem.applied()
         reaction = np.where(problem.reduction.reacting, total.array - loads_u, 0.0)
-        scalar = lambda f: float(problem.comm.allreduce(fem.assemble_scalar(f), MPI.SUM))  # noqa: E731
-        u, q, trial = state or (problem.K.createVecLeft(), None, None)
+
+        def scalar(form: fem.Form) -> float:
+            return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
+
         held_q = np.zeros(0)
         jump = np.zeros(0)
         for j in problem.jumps:
@@ -122,7 +125,7 @@ class Balance:
 
     def update(self, u: PETSc.Vec, q: PETSc.Vec | None, trial: Trial | None) -> None:
         """Take in a committed step, whose displacements have been spread; collective."""
-        old, new = self._last, self._measure((u, q, trial))
+        old, new = self._last, self._measure(u, trial)
         self._last = new
         problem, comm = self._problem, self._problem.comm
 
@@ -159,7 +162,7 @@ class Balance:
                 np.cross(self._arm, reaction).sum(axis=0),
             )
         ]
-        scale = sum(np.linalg.norm(r) for r in self._problem.resultants())
+        scale = float(sum(np.linalg.norm(r) for r in self._problem.resultants()))
         scale = scale or float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
         self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
         moment = sums[2] + sums[3] - new["spring_moments"]

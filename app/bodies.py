@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import basix
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from app.errors import InputError
@@ -72,9 +73,8 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Contact]) -> Bodies:
     tags = cell_tags(tagged)
     names = {tag: name for name, tag in tagged.regions.items()}
     _, first, second = _interior(tagged)
-    pairs = {
-        (min(a, b), max(a, b)) for a, b in zip(tags[first], tags[second], strict=True) if a != b
-    }
+    low, high = np.minimum(tags[first], tags[second]), np.maximum(tags[first], tags[second])
+    pairs = {(int(a), int(b)) for a, b in zip(low, high, strict=True) if a != b}
     pairs = set().union(*tagged.mesh.comm.allgather(pairs))
     separated = {
         frozenset((tagged.regions[a], tagged.regions[b]))
@@ -197,7 +197,7 @@ def _facet_nodes(
         flat = np.ascontiguousarray(local, dtype=np.int32).ravel()
         return index_map.local_to_global(flat).reshape(local.shape).astype(np.int64)
 
-    edge_dofs = np.zeros((len(f.cells), 0), dtype=np.int64)
+    edge_dofs: Ints = np.zeros((len(f.cells), 0), dtype=np.int64)
     if layout.num_entity_dofs(1):
         edge_local = np.array([layout.entity_dofs(1, e)[0] for e in range(6)])
         edges = np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
@@ -220,10 +220,10 @@ def held_vertices(
     tags = cell_tags(tagged)
     for s, support in enumerate(supports):
         f = boundary_facets(tagged, support.boundary)
-        number = _facet_nodes(tagged, space, f)[0].ravel()
-        body = np.repeat(bodies.of_tag[tags[f.cells]], 3)
-        near = np.isin(number, vertices)
-        found.append((number[near], body[near], np.full(int(near.sum()), s)))
+        corners = _facet_nodes(tagged, space, f)[0].ravel()
+        owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)
+        near = np.isin(corners, vertices)
+        found.append((corners[near], owners[near], np.full(int(near.sum()), s)))
     columns = [np.concatenate([f[k] for f in found]) for k in range(3)]
     number, body, support_of = gather(tagged.mesh.comm, *columns)
     keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)

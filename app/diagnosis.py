@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from mpi4py import MPI
+
+import numpy as np
 from numpy.typing import NDArray
 
 from app.jumps import Jumps
@@ -69,7 +70,8 @@ class Explanation:
 def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
     """Say why the last solve failed; collective."""
     x = solver.failed
-    where, free = "", ()
+    where = ""
+    free: tuple[str, ...] = ()
     u, q = solver.parts(x)
     if q is not None:
         (j,) = problem.jumps
@@ -127,13 +129,13 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
         R[:, :, 3 + c] = np.cross(np.eye(3)[c], x)
     K = j.weight[:, None, None] * (R.transpose(0, 2, 1) @ S @ R)
     sides = j.points.bodies[j.mine]
-    for (m, s), k in zip(sides, K, strict=True):
+    for m, s, k in zip(sides[:, 0], sides[:, 1], K, strict=True):
         for a, b, sign in ((m, m, 1), (s, s, 1), (m, s, -1), (s, m, -1)):
             A[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] += sign * k
     A = problem.comm.allreduce(A, MPI.SUM)
     total = float(np.sum(j.points.weight)) or 1.0
-    for b in held:
-        A[6 * b : 6 * b + 6, 6 * b : 6 * b + 6] += total * np.eye(6)
+    for body in held:
+        A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     found = []
     for value, vector in zip(values, vectors.T, strict=True):
@@ -146,8 +148,6 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
 
 def held_bodies(problem: Problem) -> set[int]:
     """Bodies with a support or a foundation."""
-    bodies = set()
-    scene = problem.scene
-    for term in (*scene.supports, *scene.foundations):
-        bodies |= problem.bodies_at(term.boundary)
-    return bodies
+    boundaries = [s.boundary for s in problem.scene.supports]
+    boundaries += [f.boundary for f in problem.scene.foundations]
+    return {body for name in boundaries for body in problem.bodies_at(name)}

@@ -24,7 +24,8 @@ class InputError(MantleError):
         """Keep the list of defects.
 
         Args:
-            messages: One line per defect, ``file:line:column: key: what is wrong; what is allowed``.
+            messages: One line per defect,
+                ``file:line:column: key: what is wrong; what is allowed``.
         """
         self.messages = [messages] if isinstance(messages, str) else list(messages)
         super().__init__("\n".join(self.messages))

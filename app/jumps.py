@@ -18,11 +18,15 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
-from mpi4py import MPI
+from dolfinx import fem
 from numpy.typing import NDArray
-from petsc4py import PETSc
 from scipy.sparse import coo_array
 
 from app.bodies import Bodies, contact_facets, held_vertices
@@ -32,7 +36,7 @@ from app.reduction import Reduction
 from app.terms import Scene, amplitude
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
-from meshes.interfaces import ContactPoints, Entries, InterfaceFacets, contact_points
+from meshes.interfaces import Entries, InterfaceFacets, contact_points
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -105,9 +109,7 @@ class Jumps:
         self._friction = np.array([c.friction for c in scene.contacts])[self.interface]
         frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
         with timing.phase("compile"):
-            self._law = PointLaw(
-                self.comm, self.normals, self.faces, self._friction, frictional
-            )
+            self._law = PointLaw(self.comm, self.normals, self.faces, self._friction, frictional)
         self.default_stiffness = self._default_stiffness(augmentation_factor)
         self.stiffness = self.default_stiffness.copy()
         full = np.zeros(n)
@@ -122,9 +124,9 @@ class Jumps:
 
     # Construction
 
-    def _distribute(self, space: object) -> tuple[Ints, Ints]:
+    def _distribute(self, space: fem.FunctionSpace) -> tuple[Ints, Ints]:
         """Give each point to the rank that owns its vertex dof, and number the jumps."""
-        index_map = space.dofmap.index_map  # type: ignore[attr-defined]
+        index_map = space.dofmap.index_map
         ends = np.array(self.comm.allgather(index_map.local_range[1]))
         owner = np.searchsorted(ends, self.points.dof, side="right")
         order = np.argsort(owner, kind="stable")
@@ -150,9 +152,10 @@ class Jumps:
         start, end = (3 * k for k in index_map.local_range)
         n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
         self.moves: dict[int, PETSc.Mat] = {}
-        C = D = None
+        C: list[PETSc.Mat] = []
+        D: list[PETSc.Mat] = []
         ghosts = index_map.ghosts
-        for body in np.unique(entries.body).tolist():
+        for body in map(int, np.unique(entries.body)):
             here = entries.body == body
             row, column, value = entries.row[here], entries.column[here], entries.value[here]
             column = 3 * place[column // 3] + column % 3
@@ -166,10 +169,9 @@ class Jumps:
             )
             marked[index_map.size_local :] = np.isin(ghosts, nodes)
             KB = mechanics.strip_stiffness(body, marked).matMult(B)
-            D_b = B.transposeMatMult(KB)
-            C = KB if C is None else C + KB
-            D = D_b if D is None else D + D_b
-        self.C, self.D = reduction.rows(C), D
+            C.append(KB)
+            D.append(B.transposeMatMult(KB))
+        self.C, self.D = reduction.rows(reduce(add, C)), reduce(add, D)
         self.Ct = self.C.copy().transpose()
 
     # State in time
@@ -194,7 +196,7 @@ class Jumps:
     # Residual and Jacobian
 
     def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
-        """e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
+        """Equilibrium e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
         self.Ct.mult(u, self._work)
         self.D.multAdd(q, self._work, self._work)
         return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
@@ -212,7 +214,7 @@ class Jumps:
         )
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
-        """e + W P at own points (n, 3) [N]; the given jumps where supports hold."""
+        """Residual e + W P at own points (n, 3) [N]; the given jumps where supports hold."""
         r = e + self.weight[:, None] * law.force
         return np.where(self.held, self._scale[:, None] * (q - self.given), r)
 

@@ -10,14 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.petsc import assemble_matrix, create_vector
-from mpi4py import MPI
 from numpy.typing import NDArray
-from petsc4py import PETSc
 
 from app.bodies import Bodies, boundary_facets, cell_tags
 from app.errors import InputError
@@ -48,9 +49,7 @@ class Mechanics:
         volume: Name of each region -> its cells' measure.
     """
 
-    def __init__(
-        self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing
-    ) -> None:
+    def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
         """Set up the forms; nothing is compiled yet.
 
         Raises:
@@ -85,12 +84,12 @@ class Mechanics:
         scene = self._scene
         used = {t.boundary for t in scene.foundations}
         used |= {t.boundary for t in scene.loads if isinstance(t, Force | Pressure)}
-        domains = []
+        domains: list[tuple[int, NDArray[np.int32]]] = []
         for name in sorted(used):
             f = boundary_facets(self._tagged, name)
             body = self._bodies.of_tag[self._tags[f.cells]]
-            present = self.comm.allgather(set(body.tolist()))
-            for b in sorted(set().union(*present)):
+            present = {int(b) for b in np.unique(body)}
+            for b in sorted(set().union(*self.comm.allgather(present))):
                 self._patches[name, b] = len(domains) + 1
                 entities = compute_integration_domains(
                     IntegralType.exterior_facet,
@@ -215,25 +214,22 @@ class Mechanics:
 
     def stiffness(self) -> PETSc.Mat:
         """Stiffness of all bodies moving with u, supports not yet applied."""
-        u, v, w = self.u, *self._arguments()
         dx = self.cells()
-        energy = sum(self.body_energy(b, u, dx) for b in range(len(self._bodies.names)))
-        form = self.form(ufl.derivative(ufl.derivative(energy, u, v), u, w))
-        matrix = assemble_matrix(form)
-        matrix.assemble()
-        return matrix
+        bodies = range(len(self._bodies.names))
+        return self._second_derivative(sum(self.body_energy(b, self.u, dx) for b in bodies))
 
     def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> PETSc.Mat:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
         near = dofs[self.space.dofmap.list].any(axis=1)
-        u, v, w = self.u, *self._arguments()
-        energy = self.body_energy(body, u, self.cells(near))
-        matrix = assemble_matrix(self.form(ufl.derivative(ufl.derivative(energy, u, v), u, w)))
+        return self._second_derivative(self.body_energy(body, self.u, self.cells(near)))
+
+    def _second_derivative(self, energy: Any) -> PETSc.Mat:
+        """Matrix of an energy that is quadratic in u."""
+        v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
+        form = ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w)
+        matrix = assemble_matrix(self.form(form))
         matrix.assemble()
         return matrix
-
-    def _arguments(self) -> tuple[Any, Any]:
-        return ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
 
     def form(self, form: Any) -> fem.Form:
         """Compile a form, counting the time."""

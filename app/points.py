@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mpi4py import MPI
+
 import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import create_mesh
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from forms.contact import contact_law

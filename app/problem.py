@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 import numpy as np
 import ufl
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
-from petsc4py import PETSc
 
 from app.bodies import bodies_of, boundary_facets, cell_tags
 from app.jumps import Jumps
@@ -160,7 +161,7 @@ class Problem:
     def bodies_at(self, boundary: str) -> set[int]:
         """Bodies that have facets on a boundary; collective."""
         f = boundary_facets(self.tagged, boundary)
-        here = set(self.bodies.of_tag[cell_tags(self.tagged)[f.cells]].tolist())
+        here = {int(b) for b in np.unique(self.bodies.of_tag[cell_tags(self.tagged)[f.cells]])}
         return set().union(*self.comm.allgather(here))
 
     # State in time

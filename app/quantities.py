@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from mpi4py import MPI
+
 import basix
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
 
 from app.bodies import cell_tags
@@ -153,14 +154,13 @@ def _sampled_penetration(problem: Problem, s: Samples, i: int) -> float:
     triangles = s.points.triangles[i]
     if not len(triangles):
         return 0.0
-    (j,) = problem.jumps
     x = s.x[triangles]
     flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     normals = s.points.normals[triangles]
     # At each corner the face of the point that this facet belongs to.
     face = np.argmax(np.abs(np.einsum("fi,fcki->fck", flat, normals)), axis=2)
     n = np.take_along_axis(normals, face[:, :, None, None], axis=2)[:, :, 0]
-    points, _ = basix.make_quadrature(basix.CellType.triangle, 4)
+    points = np.asarray(basix.make_quadrature(basix.CellType.triangle, 4)[0])
     N = np.column_stack([1 - points.sum(axis=1), points])
     d = np.einsum("qc,fci->fqi", N, s.jump[triangles])
     n = np.einsum("qc,fci->fqi", N, n)
@@ -176,7 +176,8 @@ class Stresses:
         """Compile the stress of each region; collective."""
         self._problem, self._timing = problem, timing
         degree = 2 * (problem.scene.order - 1)
-        self._points, self._weights = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        self._points, self._weights = (np.asarray(a) for a in quadrature)
         tags = cell_tags(problem.tagged)
         owned = problem.tagged.mesh.topology.index_map(3).size_local
         self.cells = {
@@ -298,7 +299,7 @@ def _rigid_fit(problem: Problem, regions: list[str]) -> tuple[Floats, Floats, Fl
         ws.append(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6)
     x, u, w = np.concatenate(xs), np.concatenate(us), np.concatenate(ws)
 
-    def total(values: Floats) -> Floats:
+    def total(values: NDArray[np.floating[Any]]) -> Floats:
         return np.asarray(comm.allreduce(np.einsum("p,p...->...", w, values), MPI.SUM))
 
     volume = total(np.ones(len(w)))

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from mpi4py import MPI
+from petsc4py import PETSc
+
 import numpy as np
 from dolfinx import fem
-from mpi4py import MPI
 from numpy.typing import NDArray
-from petsc4py import PETSc
 
 from app.bodies import Bodies, boundary_facets, cell_tags
 from app.errors import InputError
@@ -94,15 +95,15 @@ class AllFree:
         """Read off what supports hold."""
         owned = 3 * space.dofmap.index_map.size_local
         own = support_of[:owned]
-        self.held = own >= 0
+        self.held: Bools = own >= 0
         component = np.arange(owned) % 3
-        self.unit = [
+        self.unit: list[Floats] = [
             np.where(own == s, np.array(t.values)[component], 0.0)
             for s, t in enumerate(scene.supports)
         ]
-        self.reacting = self.held
+        self.reacting: Bools = self.held
         x = space.tabulate_dof_coordinates()[: owned // 3]
-        self.modes = rigid_modes(x).reshape(-1, 6).T
+        self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """K itself."""
@@ -141,14 +142,15 @@ class WithRigid:
         n = 3 * len(free) + (6 * n_rigid if comm.rank == 0 else 0)
         start = comm.exscan(n) or 0
         tail = comm.bcast(3 * len(free))
-        self.held, self.unit = np.zeros(n, dtype=bool), [np.zeros(n) for _ in scene.supports]
+        self.held: Bools = np.zeros(n, dtype=bool)
+        self.unit: list[Floats] = [np.zeros(n) for _ in scene.supports]
         own = support_of[: 3 * nodes].reshape(-1, 3)
         self.held[: 3 * len(free)] = (own[free] >= 0).ravel()
         for s, term in enumerate(scene.supports):
             given = np.where(own[free] == s, np.array(term.values), 0.0)
             self.unit[s][: 3 * len(free)] = given.ravel()
-        self.reacting = (own >= 0) & (region < 0)[:, None]
-        self.modes = np.zeros((6, n))
+        reacting = (own >= 0) & (region < 0)[:, None]
+        self.modes: Floats = np.zeros((6, n))
         self.modes[:, : 3 * len(free)] = rigid_modes(x[free]).reshape(-1, 6).T
         columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
         values = np.zeros((nodes, 3, 6))
@@ -167,7 +169,7 @@ class WithRigid:
             place = tail + 6 * k
             columns[here] = place + np.arange(6)
             values[here] = local @ basis
-            self.reacting[here] |= rank > 0
+            reacting[here] |= rank > 0
             if comm.rank == 0:
                 self.held[place : place + rank] = True
                 for s, amount in enumerate(amounts):
@@ -177,7 +179,7 @@ class WithRigid:
                 whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
                 whole[3:] *= scale
                 self.modes[:, place : place + 6] = (basis.T @ whole).T
-        self.reacting = self.reacting.ravel()
+        self.reacting: Bools = reacting.ravel()
         keep = columns.reshape(-1, 6) >= 0
         pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
         self._P = PETSc.Mat().createAIJ(
@@ -271,7 +273,7 @@ def reduction_of(
 
 def near_null_space(comm: MPI.Comm, K: PETSc.Mat, modes: Floats) -> PETSc.NullSpace:
     """The six rigid modes, orthonormal, for algebraic multigrid."""
-    vectors = []
+    vectors: list[PETSc.Vec] = []
     for values in modes:
         vector = K.createVecLeft()
         vector.array[:] = values

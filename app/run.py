@@ -12,8 +12,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
 
-import numpy as np
 from mpi4py import MPI
+
+import numpy as np
 
 import meshes
 from app import config, folders, quantities, scene, stepping

@@ -86,13 +86,13 @@ def _region(name: str, region: config.Region, stages: int) -> Elastic | RigidBod
 
 
 def _eigenstrains(strains: tuple[config.Eigenstrain, ...], stages: int) -> tuple[Eigenstrain, ...]:
-    return tuple(Eigenstrain(tuple(s.strain), _history(s.history, stages)) for s in strains)
+    return tuple(Eigenstrain(s.strain, _history(s.history, stages)) for s in strains)
 
 
 def _foundation(support: config.Support) -> tuple[Foundation, ...]:
     match support:
         case config.Foundation():
-            return (Foundation(support.boundary, tuple(support.stiffness)),)
+            return (Foundation(support.boundary, support.stiffness),)
         case _:
             return ()
 
@@ -103,16 +103,16 @@ def _support(name: str, support: config.Support, stages: int) -> tuple[Support, 
         case config.Fixed():
             return (Support(name, support.boundary, (True, True, True), zero, always),)
         case config.Roller():
-            held = tuple(axis == support.axis for axis in "xyz")
+            held = (support.axis == "x", support.axis == "y", support.axis == "z")
             return (Support(name, support.boundary, held, zero, always),)
         case config.Displacement():
-            given = (support.x, support.y, support.z)
+            x, y, z = support.x, support.y, support.z
             return (
                 Support(
                     name,
                     support.boundary,
-                    tuple(v is not None for v in given),
-                    tuple(v or 0.0 for v in given),
+                    (x is not None, y is not None, z is not None),
+                    (x or 0.0, y or 0.0, z or 0.0),
                     _history(support.history, stages),
                 ),
             )

@@ -7,19 +7,19 @@ preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, displacement
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
 from mpi4py import MPI
-from numpy.typing import NDArray
 from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
 
 from app.errors import StoppedError
 from app.jumps import Jumps
 from app.problem import Problem, Trial
 from app.timing import Timing
-from forms.contact import OPEN, SLIP, STICK
 
 Options = Mapping[str, str | int | float | bool]
 
@@ -359,15 +359,10 @@ def _fill(A: PETSc.Mat, blocks: NDArray[np.float64]) -> None:
 def _csr(comm: MPI.Comm, blocks: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
     """Rows of a block diagonal matrix in compressed form."""
     n = len(blocks)
-    start = comm.exscan(3 * n) or 0
+    start = comm.exscan(3 * n) or 0  # type: ignore[attr-defined]  # mpi4py's stubs lack it
     columns = start + np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n)
     return (
         (3 * np.arange(3 * n + 1)).astype(PETSc.IntType),
         columns.astype(PETSc.IntType),
         np.ascontiguousarray(blocks).ravel(),
     )
-
-
-def states(status: NDArray[np.int64], weight: NDArray[np.float64]) -> Sequence[float]:
-    """Area in each state: open, stick, slip [mm2]."""
-    return [float(weight[status == s].sum()) for s in (OPEN, STICK, SLIP)]

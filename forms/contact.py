@@ -176,8 +176,7 @@ def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[
         apart = And(apart, ge(dot(S, n), 0))
     last = states[-1]
     p = [max_value(value, 0) for value in last.pressures]
-    radius = None if μ is None else μ * sum(p[1:], p[0])
-    sticks = None if μ is None else le(inner(last.tangential, last.tangential), radius**2)
+    radius, sticks = _friction(μ, p, last.tangential)
     jammed = replace_state(last, pressures=p, radius=radius, sticks=sticks, condition=None)
     return [*states, replace_state(nothing, condition=apart), jammed]
 
@@ -197,8 +196,7 @@ def _touching(
     n = [normals[k] for k in A]
     p = [-a for a in _components(S, n)]
     S_T = dS - _combine(_components(dS, n), A, normals)
-    radius = None if μ is None else μ * sum(p[1:], p[0])
-    sticks = None if μ is None else le(inner(S_T, S_T), radius**2)
+    radius, sticks = _friction(μ, p, S_T)
     condition = ge(p[0], 0)
     for value in p[1:]:
         condition = And(condition, ge(value, 0))
@@ -215,6 +213,14 @@ def _touching(
         for m in others:
             condition = And(condition, ge(dot(kept, m), -ROUNDING * sqrt(inner(S, S))))
     return _Touching(A, p, S_T, radius, sticks, condition)
+
+
+def _friction(μ: Any | None, p: Sequence[Any], S_T: Any) -> tuple[Any, Any]:
+    """Radius of the friction disc and whether the point sticks; None without friction."""
+    if μ is None:
+        return None, None
+    radius = μ * sum(p[1:], p[0])
+    return radius, le(inner(S_T, S_T), radius**2)
 
 
 def _square_in_disc(t: _Touching, radius: Any) -> Any:

@@ -9,8 +9,8 @@ Rules where things meet, for each displacement component of a vertex:
 
 * The displacement of one body, the base, is the continuous field u itself; every other body there
   adds jumps to it. The base is a body that a support holds in this component, otherwise the master.
-* A vertex with k bodies has k - 1 jumps: interfaces are taken in the order of the case file, and one
-  that would close a cycle is not enforced at that vertex.
+* A vertex with k bodies has k - 1 jumps: interfaces are taken in the order of the case file, and
+  one that would close a cycle is not enforced at that vertex.
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
   reported force in that component; the normals drop it.
 
@@ -20,11 +20,11 @@ the mesh file, so that the result does not depend on the partition. They are few
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from mpi4py import MPI
+
+import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -282,18 +282,15 @@ def _jumps_at_vertices(
     n = len(vertex)
     # The support that holds each side of each point, component by component.
     table = {
-        (int(v), int(b)): s
-        for v, b, s in zip(holds.vertex, holds.body, holds.support, strict=True)
+        (int(v), int(b)): s for v, b, s in zip(holds.vertex, holds.body, holds.support, strict=True)
     }
-    free = np.full(3, -1)
-    side = np.array(
-        [[table.get((int(v), int(b)), free) for b in pair] for v, pair in zip(vertex, sides)]
-        if table
-        else np.full((n, 2, 3), -1),
-        dtype=np.int64,
-    ).reshape(n, 2, 3)
+    rows_of_side = np.full((2 * n, 3), -1, dtype=np.int64)
+    if table:
+        for row, v, b in zip(rows_of_side, np.repeat(vertex, 2), sides.ravel(), strict=True):
+            row[:] = table.get((int(v), int(b)), -1)
+    side = rows_of_side.reshape(n, 2, 3)
     held = side >= 0
-    given = np.where(held.all(axis=1)[:, None], side, -1)
+    given = np.where(held.all(axis=1, keepdims=True), side, -1)
     # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
     # base: it alone is held, or both are and it comes first.
     slave_is_base = held[:, 1] & (~held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
@@ -365,7 +362,9 @@ def _at_edges(
     """The jump is linear along an edge: its middle node takes half of either end."""
     body, where, column, value = at_vertex
     # Every (edge, body) of the interfaces once, with both ends.
-    ends = np.stack([facets.vertices[:, [1, 2]], facets.vertices[:, [0, 2]], facets.vertices[:, [0, 1]]], 1)
+    ends = np.stack(
+        [facets.vertices[:, [1, 2]], facets.vertices[:, [0, 2]], facets.vertices[:, [0, 1]]], 1
+    )
     rows = np.concatenate(
         [
             np.column_stack([facets.edge_dofs.ravel(), np.repeat(side, 3), ends.reshape(-1, 2)])
@@ -425,7 +424,7 @@ def _faces(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Floats
     )
     group = group.reshape(-1)
     facet = np.repeat(np.arange(f), 3)[used]
-    area = np.bincount(group, facets.area[facet] / 3, len(groups))
+    area = np.asarray(np.bincount(group, facets.area[facet] / 3, len(groups)), dtype=np.float64)
     sums = np.stack(
         [
             np.bincount(group, facets.area[facet] * facets.normal[facet, i], len(groups))
@@ -452,10 +451,8 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     f = len(facets.area)
     local = np.array([[1, 2], [0, 2], [0, 1]])
     edges = facets.vertices[:, local].reshape(-1, 2)
-    side = np.repeat(
-        np.stack([facets.interface, facets.master, facets.slave], axis=1), 3, axis=0
-    )
-    key, edge, count = np.unique(
+    side = np.repeat(np.stack([facets.interface, facets.master, facets.slave], axis=1), 3, axis=0)
+    _, edge, count = np.unique(
         np.column_stack([side, edges]), axis=0, return_inverse=True, return_counts=True
     )
     edge = edge.reshape(-1)
@@ -479,9 +476,7 @@ def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:
     sizes: list[float] = []
     for n, area in zip(normals[order], areas[order], strict=True):
         candidate = np.array([*ns, n])
-        if not ns or (
-            len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT
-        ):
+        if not ns or (len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT):
             ns.append(n)
             sums.append(area * n)
             sizes.append(area)
