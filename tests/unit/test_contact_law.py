@@ -265,19 +265,28 @@ def test_generalized_jacobian(faces: int, friction: bool) -> None:
         assert np.abs(wrong - right).max() > 0.1 * size.max()
 
 
-def conditions(p: Points, friction: bool, out: points.PointForces) -> dict[str, Floats]:
-    """By how much the pair F = P(S), D = (S - F)/r breaks the conditions, over |S|."""
+@dataclass(frozen=True)
+class Broken:
+    """By how much the pair F = P(S), D = (S - F)/r breaks the conditions, over |S|.
+
+    Attributes:
+        always: What has to hold at every point.
+        coulomb: What has to hold where friction acts in what the touching faces leave free.
+        jammed: Points whose faces all touch, where friction carries what pressures cannot.
+    """
+
+    always: dict[str, Floats]
+    coulomb: dict[str, Floats]
+    jammed: NDArray[np.bool_]
+
+
+def conditions(p: Points, friction: bool, out: points.PointForces) -> Broken:
     P, faces = out.force, p.faces
     size = np.linalg.norm(p.S, axis=1) + np.linalg.norm(p.dS, axis=1)
     gap = np.einsum("nki,ni->nk", p.normals, p.S - P)  # times r
     slip = p.dS - P  # times r
     pressure = out.pressures[:, :faces]
     T = P + np.einsum("nk,nki->ni", pressure, p.normals)
-    broken = {
-        "penetration": np.maximum(-gap, 0).max(axis=1),
-        "tension": np.maximum(-pressure, 0).max(axis=1),
-        "pressure across a gap": np.minimum(np.abs(pressure), np.abs(gap)).max(axis=1),
-    }
     touches = pressure > 1e-9 * size[:, None]
     # Motion and friction along what the touching faces leave free.
     free = np.array(
@@ -287,27 +296,67 @@ def conditions(p: Points, friction: bool, out: points.PointForces) -> dict[str, 
         ]
     )
     along = np.einsum("nij,nj->ni", free, slip)
-    broken["friction into a face"] = np.linalg.norm(
-        T - np.einsum("nij,nj->ni", free, T), axis=1
-    )
+    into = np.linalg.norm(T - np.einsum("nij,nj->ni", free, T), axis=1)
+    closed = (np.abs(gap) < 1e-9 * size[:, None]).all(axis=1)
+    jammed = closed & (into > 1e-9 * size)
     limit = (p.μ if friction else 0) * pressure.sum(axis=1)
     shear = np.linalg.norm(T, axis=1)
-    broken["friction beyond the cone"] = np.maximum(shear - limit, 0)
     motion = np.linalg.norm(along, axis=1)
     # Friction is conjugate to the slip: it points along it, at the limit, wherever it moves.
     opposes = np.abs(T * motion[:, None] - limit[:, None] * along).max(axis=1) / size
-    broken["friction not against the slip"] = np.where(touches.any(axis=1), opposes, 0)
-    return {name: value / size for name, value in broken.items()}
+    always = {
+        "penetration": np.maximum(-gap, 0).max(axis=1),
+        "tension": np.maximum(-pressure, 0).max(axis=1),
+        "pressure across a gap": np.minimum(np.abs(pressure), np.abs(gap)).max(axis=1),
+    }
+    coulomb = {
+        "force without pressure": np.where(touches.any(axis=1), 0, np.linalg.norm(P, axis=1)),
+        "friction into a face": into,
+        "friction beyond the cone": np.maximum(shear - limit, 0),
+        "friction not against the slip": np.where(touches.any(axis=1), opposes, 0),
+    }
+    return Broken(
+        {name: value / size for name, value in always.items()},
+        {name: np.where(jammed, 0, value / size) for name, value in coulomb.items()},
+        jammed,
+    )
+
+
+def within_the_friction_cones(force: Floats, normals: Floats, μ: float) -> bool:
+    """Whether a force is a sum of forces within the friction cones of the faces, to 1 %."""
+    edges = []
+    for n in normals:
+        a = unit(np.cross(n, np.eye(3)[np.argmin(np.abs(n))]))
+        b = np.cross(n, a)
+        angles = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+        edges += [-n + μ * (np.cos(φ) * a + np.sin(φ) * b) for φ in angles]
+    _, distance = nnls(np.array(edges).T, force)
+    return bool(distance < 0.01 * np.linalg.norm(force))
 
 
 @KINDS
 def test_law_solves_signorini_and_coulomb(faces: int, friction: bool) -> None:
-    """For any S the pair F = P(S), D = (S - F)/r satisfies all conditions on all faces."""
+    """For any S the pair F = P(S), D = (S - F)/r satisfies all conditions on all faces.
+
+    With friction on an edge no such force may exist while friction acts across what the touching
+    faces leave free. The point is then held by all its faces, and friction acts between them.
+    """
     p = sample(1500, faces, seed=6)
     out = force_of(law_of(p, friction), p)
-    for name, value in conditions(p, friction, out).items():
+    broken = conditions(p, friction, out)
+    for name, value in (broken.always | broken.coulomb).items():
         worst = int(np.argmax(value))
-        assert value[worst] < 1e-8, (name, (value > 1e-8).sum(), worst, p.S[worst], p.normals[worst])
+        assert value[worst] < 1e-8, (name, (value > 1e-8).sum(), p.S[worst], p.normals[worst])
+    jammed = broken.jammed
+    if faces == 1 or not friction:
+        assert not jammed.any()
+    else:
+        assert jammed.mean() < 0.15
+        held = [
+            within_the_friction_cones(out.force[k], p.normals[k], p.μ[k])
+            for k in np.flatnonzero(jammed)
+        ]
+        assert np.mean(held) > 0.9
     touching = (out.pressures > 0).sum(axis=1)
     # All sets of faces occur, and all states.
     assert set(range(faces + 1)) == set(touching.tolist())
@@ -337,7 +386,8 @@ def test_edge_points_for_any_force(F: list[float], slip: list[float], gap: float
     size = np.linalg.norm(p.S) + np.linalg.norm(p.dS)
     if size < 1e-6:
         return
-    for name, value in conditions(p, True, force_of(EDGE_LAW[0], p)).items():
+    broken = conditions(p, True, force_of(EDGE_LAW[0], p))
+    for name, value in (broken.always | broken.coulomb).items():
         assert value[0] < 1e-8, name
 
 
