@@ -297,10 +297,11 @@ def conditions(p: Points, friction: bool, out: points.PointForces) -> Broken:
     )
     along = np.einsum("nij,nj->ni", free, slip)
     into = np.linalg.norm(T - np.einsum("nij,nj->ni", free, T), axis=1)
-    closed = (np.abs(gap) < 1e-9 * size[:, None]).all(axis=1)
-    jammed = closed & (into > 1e-9 * size)
-    limit = (p.μ if friction else 0) * pressure.sum(axis=1)
     shear = np.linalg.norm(T, axis=1)
+    closed = (np.abs(gap) < 1e-9 * size[:, None]).all(axis=1)
+    alone = ~touches.any(axis=1) & (shear > 1e-9 * size)
+    jammed = closed & ((into > 1e-9 * size) | alone)
+    limit = (p.μ if friction else 0) * pressure.sum(axis=1)
     motion = np.linalg.norm(along, axis=1)
     # Friction is conjugate to the slip: it points along it, at the limit, wherever it moves.
     opposes = np.abs(T * motion[:, None] - limit[:, None] * along).max(axis=1) / size
