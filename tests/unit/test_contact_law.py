@@ -363,7 +363,7 @@ def test_law_solves_signorini_and_coulomb(faces: int, friction: bool) -> None:
     assert set(range(faces + 1)) == set(touching.tolist())
     if friction:
         assert (out.status == STICK).sum() > 30 and (out.status == SLIP).sum() > 30
-    assert (out.status[touching == 0] == OPEN).all()
+    assert (out.status[(touching == 0) & ~jammed] == OPEN).all()
 
 
 EDGE = sample(1, 2, seed=7)
