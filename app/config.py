@@ -127,7 +127,7 @@ class SolverOptions(Model):
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
-    augmentation_factor: PositiveNumber = 0.2
+    augmentation_factor: PositiveNumber = 0.5
     """r = factor * (modulus of the softer side) / h where an interface does not give its own."""
 
 

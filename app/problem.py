@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
-ROUNDING = 8.0
+ROUNDING = 2.0
 
 
 @dataclass(frozen=True)

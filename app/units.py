@@ -75,17 +75,23 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
         raise LookupError(unit) from error
     target = ureg.parse_units(internal)
     # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
-    angle = "radian" in str(target) and not re.search("radian|degree|arc|turn|grade", str(source))
+    angles = "radian|degree|arc|turn|grade"
+    angle = "radian" in _names(target) and not re.search(angles, _names(source))
     if source.dimensionality != target.dimensionality or angle:
         raise ValueError(_dimension(source))
     offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
     return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
 
 
+def _names(unit: Any) -> str:
+    """The names in a unit; pint cannot print powers in rational arithmetic (Python 3.13)."""
+    return " ".join(unit._units)
+
+
 def _dimension(unit: Any) -> str:
     """What a unit measures, in words."""
     if unit.dimensionless:
-        return "an angle" if re.search("radian|degree|arc|turn", str(unit)) else "a plain number"
+        return "an angle" if re.search("radian|degree|arc|turn", _names(unit)) else "a plain number"
     exponents = dict(unit.dimensionality)
     base = ("[length]", "[mass]", "[time]", "[temperature]")
     known = DIMENSIONS.get(tuple(exponents.pop(name, 0) for name in base))
