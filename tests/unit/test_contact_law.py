@@ -72,9 +72,7 @@ def sample(n: int, faces: int, seed: int = 1) -> Points:
         rows = []
         for k in range(n):
             c = np.abs(new @ normals[k].T).max(axis=1)
-            trial = np.concatenate(
-                [np.repeat(normals[k][None], len(new), 0), new[:, None]], axis=1
-            )
+            trial = np.concatenate([np.repeat(normals[k][None], len(new), 0), new[:, None]], axis=1)
             good = (c < 0.85) & (np.linalg.det(trial @ trial.transpose(0, 2, 1)) > 0.1)
             rows.append(new[rng.choice(np.flatnonzero(good))])
         normals = np.concatenate([normals, np.array(rows)[:, None]], axis=1)
@@ -246,7 +244,7 @@ def test_generalized_jacobian(faces: int, friction: bool) -> None:
         linear = np.einsum("nij,nj->ni", base.jacobian, h * direction)
         remainders.append(np.linalg.norm(after.force - base.force - linear, axis=1) / size)
     assert smooth.mean() > 0.5
-    first, second, third = (r[smooth] for r in remainders)
+    first, _, third = (r[smooth] for r in remainders)
     # Linear where the point is open, sticks or has no friction; quadratic where it slips.
     slips = (base.status[smooth] == SLIP) & friction
     assert (third[~slips] < 1e-10).all()
@@ -381,7 +379,7 @@ def test_edge_points_for_any_force(F: list[float], slip: list[float], gap: float
     n = EDGE.normals
     before = solve_gram(n, np.array([[0.0, gap]]))
     old = np.array([[0.3, -0.2, 0.1]])
-    p = Points(np.array([F]), old + [slip], before - old, old, n, EDGE.μ, np.ones(1))
+    p = Points(np.array([F]), old + np.array([slip]), before - old, old, n, EDGE.μ, np.ones(1))
     if not EDGE_LAW:
         EDGE_LAW.append(law_of(p, True))
     size = np.linalg.norm(p.S) + np.linalg.norm(p.dS)

@@ -87,7 +87,9 @@ def test_box_in_a_box_has_edges_and_corners() -> None:
     assert set(points.faces.tolist()) == {1, 2, 3}
     for p in range(len(points.x)):
         # From the container to the cube: inwards.
-        inward = {tuple(np.eye(3)[k] * np.sign(0.5 - points.x[p, k])) for k in range(3) if walls[p, k]}
+        inward = {
+            tuple(np.eye(3)[k] * np.sign(0.5 - points.x[p, k])) for k in range(3) if walls[p, k]
+        }
         found = {tuple(v.round(12) + 0.0) for v in points.normals[p, : points.faces[p]]}
         assert found == {tuple(np.array(v) + 0.0) for v in inward}
         assert not points.normals[p, points.faces[p] :].any()
@@ -137,6 +139,7 @@ def test_at_most_three_faces() -> None:
 
 
 # Motion of bodies with jumps
+
 
 def moves(entries: Entries, dof: int, bodies: int, jumps: int) -> Floats:
     """Matrix (3 bodies, 3 jumps): what the jumps add to each body at a vertex."""
@@ -196,7 +199,9 @@ def test_three_bodies_on_a_line_have_two_jumps() -> None:
     assert all((t >= 0).all() for t in points.triangles)
 
 
-def hold(x: Floats, where: Callable[[Floats], NDArray], body: int, components: Sequence[int]) -> Holds:
+def hold(
+    x: Floats, where: Callable[[Floats], NDArray], body: int, components: Sequence[int]
+) -> Holds:
     """Support 0 holds some components of a body at some vertices."""
     vertex = np.flatnonzero(where(x)).astype(np.int64)
     support = np.full((len(vertex), 3), -1, dtype=np.int64)
@@ -254,7 +259,7 @@ def test_held_along_the_normal_leaves_no_face() -> None:
 
 
 def test_chain_between_two_held_bodies() -> None:
-    """On a line of three bodies whose outer two are held, both jumps of that component are given."""
+    """On a line of three bodies, the outer two held: both jumps in that direction are given."""
     facets, x = three_on_a_line()
     sides = [hold(x, lambda x: np.hypot(x[:, 0], x[:, 1]) < 1e-9, body, [2]) for body in (0, 2)]
     holds = Holds(*(np.concatenate([getattr(s, k) for s in sides]) for k in vars(sides[0])))

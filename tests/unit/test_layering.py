@@ -70,7 +70,9 @@ def test_only_the_command_line_prints(path: Path) -> None:
     calls = [
         node.lineno
         for node in ast.walk(tree(path))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "print"
     ]
     assert not calls or named(path) == "app/cli.py"
 
@@ -93,7 +95,15 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
         assert len(config_patterns(path)) > 8
         return
     assert config_patterns(path) == []
-    chosen = {"Bonded", "Contact", "Penalty", "Isotropic", "TransverselyIsotropic", "Roller", "Fixed"}
+    chosen = {
+        "Bonded",
+        "Contact",
+        "Penalty",
+        "Isotropic",
+        "TransverselyIsotropic",
+        "Roller",
+        "Fixed",
+    }
     # The solver's side of the program does not even see the configuration's classes.
     solving = ("terms", "mechanics", "bodies", "jumps", "points", "problem", "solver", "stepping")
     if path.stem in (*solving, "balance", "quantities", "diagnosis"):

@@ -9,8 +9,8 @@ from forms.contact import SLIP, STICK
 from tests import support
 
 # A straight stem and its mantle, both too large for their holes, then pushed down or pulled up by
-# more than the bodies can stretch. Springs under the mantle let it lag behind the stem, so that both
-# interfaces slip everywhere. No support gives a jump along z.
+# more than the bodies can stretch. Springs under the mantle let it lag behind the stem, so that
+# both interfaces slip everywhere. No support gives a jump along z.
 PUSH = """
 geometry:
   kind: cylinders
@@ -32,7 +32,8 @@ supports:
   symmetry_x: {{kind: roller, boundary: symmetry_x, axis: x}}
   symmetry_y: {{kind: roller, boundary: symmetry_y, axis: y}}
   table: {{kind: roller, boundary: bone_bottom, axis: z}}
-  springs: {{kind: foundation, boundary: cement_bottom, stiffness: [0 MPa/mm, 0 MPa/mm, 100 MPa/mm]}}
+  springs:
+    {{kind: foundation, boundary: cement_bottom, stiffness: [0 MPa/mm, 0 MPa/mm, 100 MPa/mm]}}
   push: {{kind: displacement, boundary: stem_top, z: {push} mm, history: [0, 1]}}
 stages:
   - {{name: fit}}

@@ -115,13 +115,15 @@ def test_results_scale_with_the_load(reference: Solved, factor: float) -> None:
 
 def test_units_do_not_matter(reference: Solved) -> None:
     """The same case said in metres and pascals."""
-    text = STEM.replace("2200 MPa", "2.2e9 Pa").replace("7 mm", "0.7 cm").replace("-900 N", "-0.9 kN")
+    text = (
+        STEM.replace("2200 MPa", "2.2e9 Pa").replace("7 mm", "0.7 cm").replace("-900 N", "-0.9 kN")
+    )
     other = support.solve(text)
     assert_same(reference, other)
 
 
 def test_results_turn_with_the_load() -> None:
-    """Turning the lateral force by a quarter turns the results: the mesh differs, so only nearly."""
+    """A lateral force a quarter turn on turns the results; nearly, as the mesh does not."""
     text = STEM.replace("mesh: {size: 3.5 mm", "mesh: {size: 2.2 mm")
     x, y = (
         support.solve(text, f"loads.lateral.force={force}", "solver.tolerance=1e-10")
@@ -156,7 +158,8 @@ regions:
     eigenstrains:
       - {strain: 0.001, history: [1, 0.5]}
 interfaces:
-  lower_upper: {kind: KIND, friction_coefficient: 0.3, gap: -0.002 * (1 + x / 8), gap_history: [1, 1]}
+  lower_upper:
+    {kind: KIND, friction_coefficient: 0.3, gap: -0.002 * (1 + x / 8), gap_history: [1, 1]}
 supports:
   floor: {kind: foundation, boundary: bottom, stiffness: [200 MPa/mm, 300 MPa/mm, 500 MPa/mm]}
   lid: {kind: displacement, boundary: top, x: 0.01 mm, z: -0.01 mm, history: [0.3, 1]}
@@ -164,7 +167,12 @@ supports:
 loads:
   press: {kind: pressure, boundary: upper_x_max, pressure: 3 MPa, history: [0.5, 1]}
   weight: {kind: body_force, density: [0 N/mm^3, 0.02 N/mm^3, -0.05 N/mm^3]}
-  pull: {kind: force, boundary: lower_x_min, force: [10 N, 5 N, 2 N], at: [0 mm, 3 mm, 5 mm], history: [0, 1]}
+  pull:
+    kind: force
+    boundary: lower_x_min
+    force: [10 N, 5 N, 2 N]
+    at: [0 mm, 3 mm, 5 mm]
+    history: [0, 1]
 stages:
   - {name: one, increments: 2}
   - {name: two, increments: 2}

@@ -80,10 +80,10 @@ def test_blocks_in_a_smooth_box(ratio: float, order: int) -> None:
         assert q["open_fraction"] == 0
 
 
-# Two blocks with a tilted interface, plane strain, free sideways: σ_zz = -p, σ_xx = 0. The tangential
-# strain in the interface, ε_zz sin² + ε_xx cos² with ε_xx = -ν/(1-ν) ε_zz, vanishes for ν = sin² of
-# the tilt, so that blocks of any stiffness fit without slip; the upper one turns rigidly about y by
-# the difference of the shear strains. The interface carries p cos² of pressure and p sin cos of shear.
+# Two blocks with a tilted interface, plane strain, free sideways: σ_zz = -p, σ_xx = 0. The strain
+# along the interface, ε_zz sin² + ε_xx cos² with ε_xx = -ν/(1-ν) ε_zz, vanishes for ν = sin² of the
+# tilt, so that blocks of any stiffness fit without slip; the upper one turns rigidly about y by the
+# difference of the shear strains. The interface carries p cos² of pressure, p sin cos of shear.
 TILT = 20.0
 TILTED = """
 geometry:
@@ -156,10 +156,9 @@ def test_tilted_interface_beyond_the_friction_cone_slips() -> None:
     θ = np.deg2rad(TILT)
     text = TILTED.format(**tilted(1, 1.0, 0.8 * np.tan(θ)))
     # Springs catch it: on the side that it slides towards and against turning.
-    text = text.replace(
-        "loads:",
-        "  catch: {kind: foundation, boundary: upper_x_min, stiffness: [1 MPa/mm, 0 MPa/mm, 0 MPa/mm]}\nloads:",
-    )
+    springs = "stiffness: [1 MPa/mm, 0 MPa/mm, 0 MPa/mm]"
+    catch = f"  catch: {{kind: foundation, boundary: upper_x_min, {springs}}}\n"
+    text = text.replace("loads:", catch + "loads:")
     result = support.solve(text)
     s = result.last
     assert not (s.status == STICK).any()

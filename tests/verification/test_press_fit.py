@@ -38,7 +38,9 @@ supports:
 """
 
 
-def lame(δ: float, b: float, c: float, inner: tuple[float, float], outer: tuple[float, float]) -> float:
+def lame(
+    δ: float, b: float, c: float, inner: tuple[float, float], outer: tuple[float, float]
+) -> float:
     (E_i, ν_i), (E_o, ν_o) = inner, outer
     ring = (1 + ν_o) / E_o * ((1 - 2 * ν_o) * b**2 + c**2) / (c**2 - b**2)
     return (δ / b) / (ring + (1 + ν_i) * (1 - 2 * ν_i) / E_i)
