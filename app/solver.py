@@ -25,7 +25,7 @@ Options = Mapping[str, str | int | float | bool]
 
 PREFIX = "mantle_"
 # Unknowns above which the displacement block is solved by algebraic multigrid.
-DIRECT_LIMIT = 150_000
+DIRECT_LIMIT = 30_000
 
 NEWTON: Options = {
     "snes_type": "newtonls",
