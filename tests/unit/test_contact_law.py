@@ -20,7 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import nnls
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import expand_derivatives, strip_variables
 
 from app import points
 from app.points import PointLaw, gap_vectors
@@ -127,7 +127,8 @@ class Derived:
 
     def _evaluate(self, e: ufl.core.expr.Expr) -> Floats:
         """At all points; the starred force takes its value after all derivatives."""
-        e = ufl.replace(expand_derivatives(e), self._frozen)
+        # Without labels of variables, whose numbers would make each compilation a new one.
+        e = strip_variables(ufl.replace(expand_derivatives(e), self._frozen))
         expression = fem.Expression(e, np.array([[0.5]]), comm=MPI.COMM_SELF)
         n = len(self._order)
         values = expression.eval(self._mesh, np.arange(n, dtype=np.int32)).reshape(n, -1)
