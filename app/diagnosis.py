@@ -102,7 +102,7 @@ def _largest(problem: Problem, j: Jumps, trial: Trial) -> str:
         state = ("open", "sticking", "slipping")[trial.law.status[k]]
         text = (
             f"{size:.2e} N on interface '{name}' at "
-            f"({x[0]:.2f}, {x[1]:.2f}, {x[2]:.2f}) mm, a {state} point"
+            f"({x[0]:.2f}, {x[1]:.2f}, {x[2]:.2f}) mm, {state}"
         )
     return str(problem.comm.bcast(text, root=rank))
 

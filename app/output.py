@@ -13,7 +13,8 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -66,6 +67,15 @@ def on_root(comm: MPI.Comm, action: Callable[[], T], what: str) -> T:
     return result  # type: ignore[return-value]
 
 
+@contextmanager
+def _full_disk(what: str) -> Iterator[None]:
+    """Turn a failed write, which is raised on every rank, into a stop."""
+    try:
+        yield
+    except OSError as error:
+        raise StoppedError(f"cannot write {what}: {error.strerror or error}") from error
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file under another name, flush it to disk and rename it."""
     temporary = path.with_name(path.name + ".partial")
@@ -104,9 +114,10 @@ class Writer:
             write_text(folder / "case.yaml", resolved)
 
         on_root(self._comm, start, str(folder))
-        self._grids: tuple[_Fields, ...] = (
-            (_Fields(problem, stresses, folder / "fields.vtkhdf"),) if fields else ()
-        )
+        with _full_disk("fields.vtkhdf"):
+            self._grids: tuple[_Fields, ...] = (
+                (_Fields(problem, stresses, folder / "fields.vtkhdf"),) if fields else ()
+            )
 
     def fields(self, time: float, samples: Samples | None) -> None:
         """Append a step to the field file; collective.
@@ -114,11 +125,9 @@ class Writer:
         Raises:
             StoppedError: The disk is full; earlier steps stay readable.
         """
-        try:
+        with _full_disk("fields.vtkhdf"):
             for grid in self._grids:
                 grid.write(time, samples)
-        except OSError as error:
-            raise StoppedError(f"cannot write fields.vtkhdf: {error.strerror or error}") from error
 
     def history(self, row: dict[str, Any]) -> None:
         """Add a row to history.csv; collective."""

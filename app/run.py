@@ -209,8 +209,8 @@ class _Recorder:
         }
 
     def _fields(self) -> None:
+        self._written = self._steps  # a step that does not fit the disk is not tried again
         self._writer.fields(self._time, self._samples)
-        self._written = self._steps
 
     def flush(self) -> None:
         """Write the fields of the last step, unless they are."""
@@ -258,11 +258,14 @@ class _Recorder:
         """Leave the last converged state on disk, as far as the disk allows; collective."""
         if not self._steps:
             return
-        try:
-            self.flush()
-            self._writer.finish(self.summary(status, None), {}, done=False)
-        except StoppedError as error:
-            log.warning("%s", error)
+        for write in (
+            self.flush,
+            lambda: self._writer.finish(self.summary(status, None), {}, done=False),
+        ):
+            try:
+                write()
+            except StoppedError as error:
+                log.warning("%s", error)
 
     def last_state(self) -> str:
         """Where the last converged state is."""
