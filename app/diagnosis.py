@@ -51,7 +51,7 @@ class Explanation:
         """The whole message for the user."""
         lines = [
             f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}",
-            *(f"  {line}" for line in self.free),
+            *(f"  {line}" for line in self.free if line != self.short),
         ]
         if self.where:
             lines.append(f"  largest residual: {self.where}")

@@ -90,7 +90,13 @@ class Writer:
     """Writes a run directory step by step."""
 
     def __init__(
-        self, problem: Problem, stresses: Stresses, folder: Path, resolved: str, fields: bool
+        self,
+        problem: Problem,
+        stresses: Stresses,
+        folder: Path,
+        resolved: str,
+        fields: bool,
+        record: Callable[[], dict[str, Any]],
     ) -> None:
         """Create the directory and the field file; collective.
 
@@ -100,12 +106,13 @@ class Writer:
             folder: The run directory; exists.
             resolved: The resolved configuration, as YAML.
             fields: Whether fields are written.
+            record: Gives the provenance when the run ends.
 
         Raises:
             StoppedError: The directory cannot be written.
         """
         self._problem, self._stresses, self.folder = problem, stresses, folder
-        self._comm = problem.comm
+        self._comm, self._record = problem.comm, record
         self._rows: list[dict[str, Any]] = []
 
         def start() -> None:
@@ -139,11 +146,11 @@ class Writer:
         path = self.folder / "history.csv"
         on_root(self._comm, lambda: write_text(path, text.getvalue()), str(path))
 
-    def finish(self, summary: dict[str, Any], provenance: dict[str, Any], done: bool) -> None:
+    def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
 
         def write() -> None:
-            for name, content in (("summary", summary), ("provenance", provenance)):
+            for name, content in (("summary", summary), ("provenance", self._record())):
                 text = json.dumps(content, indent=1, ensure_ascii=False)
                 write_text(self.folder / f"{name}.json", text + "\n")
             if done:

@@ -90,7 +90,14 @@ def run(
         ", ".join(f"{n} {name}" for name, n in solver.block_sizes.items()),
         comm.size,
     )
-    writer = Writer(problem, stresses, output, config.dump(case), case.output.fields)
+    writer = Writer(
+        problem,
+        stresses,
+        output,
+        config.dump(case),
+        case.output.fields,
+        lambda: provenance(problem, case_path, overrides, mesh_hash, started),
+    )
     recorder = _Recorder(case, problem, solver, stresses, balance, writer, timing, begin)
     log.info("%s", text.step_header())
     try:
@@ -102,8 +109,7 @@ def run(
         raise type(error)(f"{error}\n{recorder.last_state()}") from error
     recorder.flush()
     summary = recorder.summary("converged", total)
-    record = provenance(problem, case_path, overrides, mesh_hash, started)
-    writer.finish(summary, record, done=True)
+    writer.finish(summary, done=True)
     log.info("%s", text.closing_table(summary))
     log.info("results in %s", output)
     return 0
@@ -260,7 +266,7 @@ class _Recorder:
             return
         for write in (
             self.flush,
-            lambda: self._writer.finish(self.summary(status, None), {}, done=False),
+            lambda: self._writer.finish(self.summary(status, None), done=False),
         ):
             try:
                 write()

@@ -51,7 +51,7 @@ from ufl import (
     sqrt,
     variable,
 )
-from ufl.algorithms import expand_derivatives
+from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
 # A face counts as open when the gap it keeps exceeds minus this fraction of |S|/r, so that the sign
@@ -145,19 +145,16 @@ def contact_law(
     energy = (square - inner(f, f)) / (2 * r)
 
     force = replace(expand_derivatives(diff(energy, d)), {S_star: S})
-    jacobian = diff(force, f)
-    return ContactLaw(
-        energy=energy,
-        force=force,
-        jacobian=jacobian,
-        pressures=as_vector(
-            [
-                _choose(live, lambda k, f=f: live[k].pressure(f))  # type: ignore[misc]
-                for f in range(len(normals))
-            ]
-        ),
-        status=_choose(live, lambda k: live[k].status()),
+    jacobian = expand_derivatives(diff(force, f))
+    pressures = as_vector(
+        [
+            _choose(live, lambda k, f=f: live[k].pressure(f))  # type: ignore[misc]
+            for f in range(len(normals))
+        ]
     )
+    status = _choose(live, lambda k: live[k].status())
+    # The labels of variables differ from run to run; without them compiled laws are found again.
+    return ContactLaw(*map(strip_variables, (energy, force, jacobian, pressures, status)))
 
 
 def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[_Touching]:
