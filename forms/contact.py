@@ -154,7 +154,7 @@ def contact_law(
     )
     status = _choose(live, lambda k: live[k].status())
     # The labels of variables differ from run to run; without them compiled laws are found again.
-    return ContactLaw(*map(strip_variables, (energy, force, jacobian, pressures, status)))
+    return ContactLaw(energy, *map(strip_variables, (force, jacobian, pressures, status)))
 
 
 def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[_Touching]:
