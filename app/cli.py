@@ -128,6 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(line_buffering=True)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    ranks.keep_quiet()
     try:
         return _dispatch(list(sys.argv[1:] if arguments is None else arguments))
     except MantleError as error:

@@ -17,10 +17,10 @@ from mpi4py import MPI
 import numpy as np
 
 import meshes
-from app import config, folders, quantities, scene, stepping
+from app import config, folders, quantities, ranks, scene, stepping
 from app import log as text
 from app.balance import Balance
-from app.errors import ConvergenceError, MantleError, StoppedError
+from app.errors import ConvergenceError, EnvironmentProblem, MantleError, StoppedError
 from app.output import UNITS, Writer, provenance
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
@@ -59,6 +59,12 @@ def run(
         MantleError: With the last converged state on disk where there is one.
     """
     comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
+    expected = ranks.world_size()
+    if expected and expected != comm.size:
+        raise EnvironmentProblem(
+            f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
+            "another MPI; use this one's, or mantle run -n"
+        )
     timing = Timing()
     stop = _watch_signals()
     with timing.phase("mesh"):
