@@ -1,0 +1,145 @@
+"""Loads have the resultant and moment they are given; rigid regions are the limit of stiff ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.errors import InputError
+from tests import support
+
+CYLINDERS = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+           length: 30 mm, taper: 1.5 deg}
+mesh: {size: 4 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.4}
+  cement_bone: {kind: contact, friction_coefficient: 1.0}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+loads:
+  hip: {kind: force, boundary: stem_top, force: [150 N, -80 N, -900 N]}
+"""
+
+
+def nodal_moment(solved: support.Solved, about: tuple[float, float, float]) -> np.ndarray:
+    """Moment of the applied nodal forces about a point [N mm]."""
+    x = solved.problem.space.tabulate_dof_coordinates()
+    forces = solved.problem.applied()[0].reshape(-1, 3)
+    return np.cross(x[: len(forces)] - np.array(about), forces).sum(axis=0)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_force_at_a_point_has_its_resultant_and_moment(order: int) -> None:
+    """A linear traction over the patch: resultant F, no moment about the point it acts through."""
+    at = (40.0, 5.0, 60.0)
+    solved = support.solve(
+        CYLINDERS,
+        f"mesh.order={order}",
+        f"loads.hip.at=[{at[0]} mm, {at[1]} mm, {at[2]} mm]",
+        "interfaces={}",
+    )
+    force = np.array([150.0, -80.0, -900.0])
+    np.testing.assert_allclose(solved.problem.resultants()[0], force, rtol=1e-12)
+    scale = np.linalg.norm(force) * np.linalg.norm(at)
+    assert np.abs(nodal_moment(solved, at)).max() < 1e-12 * scale
+
+
+def test_even_force_acts_through_the_centroid() -> None:
+    """Without a point the traction is uniform: no moment about the centroid of the patch."""
+    solved = support.solve(CYLINDERS, "interfaces={}")
+    moment = nodal_moment(solved, tuple(solved.problem.mechanics.patches["stem_top"].centroid))
+    assert np.abs(moment).max() < 1e-12 * 900 * 30
+
+
+def test_pressure_and_body_force_have_their_resultants() -> None:
+    """p times the area, b times the volume."""
+    solved = support.solve(
+        CYLINDERS,
+        "interfaces={}",
+        "loads={p: {kind: pressure, boundary: top, pressure: 2 MPa}, "
+        "g: {kind: body_force, regions: [bone], density: [0 N/mm^3, 1e-3 N/mm^3, 0 N/mm^3]}}",
+    )
+    pressure, weight = solved.problem.resultants()
+    data = solved.tagged.mesh.geometry
+    cells = solved.tagged.cell_tags.find(solved.tagged.regions["bone"])
+    x = data.x[data.dofmap[cells]]
+    volume = np.abs(np.linalg.det(x[:, 1:] - x[:, :1])).sum() / 6
+    np.testing.assert_allclose(weight, [0, 1e-3 * volume, 0], atol=1e-12 * volume)
+    top = 16.0**2 * np.sin(2 * np.pi / 40) * 20  # between the inscribed and the full circle
+    assert pressure[2] == pytest.approx(-2 * top, rel=0.03)
+    assert np.abs(pressure[:2]).max() < 1e-9 * abs(pressure[2])
+
+
+def test_rigid_region_is_the_limit_of_a_stiff_one() -> None:
+    """Gap, slip and pressure approach those of a rigid stem in proportion to 1/E."""
+
+    def fields(stem: str) -> list[np.ndarray]:
+        last = support.solve(CYLINDERS, f"regions.stem={stem}").last
+        return [last.gap, last.slip, last.pressure]
+
+    rigid = fields("{rigid: true}")
+    errors = []
+    for modulus in ("1e7 MPa", "1e8 MPa"):
+        stiff = fields(f"{{youngs_modulus: {modulus}, poisson_ratio: 0.3}}")
+        errors.append(
+            [np.abs(a - b).max() / np.abs(b).max() for a, b in zip(stiff, rigid, strict=True)]
+        )
+    assert max(errors[1]) < 1e-3
+    np.testing.assert_allclose(np.array(errors[0]) / np.array(errors[1]), 10, rtol=0.1)
+
+
+def test_rigid_region_takes_given_motion() -> None:
+    """A rigid stem pushed by its top moves by just that, and pushes with what holds it."""
+    solved = support.solve(
+        CYLINDERS,
+        "regions.stem={rigid: true}",
+        "loads={}",
+        "supports.push={kind: displacement, boundary: stem_top, x: 0 mm, y: 0 mm, z: -0.05 mm}",
+        balances=True,
+    )
+    _, u = solved.displacement("stem")
+    np.testing.assert_allclose(u, np.broadcast_to([0, 0, -0.05], u.shape), atol=1e-12)
+    assert solved.balances.max() < 1e-8
+
+
+def test_impossible_motion_of_a_rigid_region_is_refused() -> None:
+    """Its two ends cannot be pulled apart."""
+    with pytest.raises(InputError, match="rigid motion"):
+        support.solve(
+            CYLINDERS,
+            "regions.stem={rigid: true}",
+            "loads={}",
+            "supports.up={kind: displacement, boundary: stem_top, z: 0.05 mm}",
+            "supports.down={kind: displacement, boundary: stem_bottom, z: -0.05 mm}",
+        )
+
+
+def test_press_fit_by_eigenstrain_equals_press_fit_by_gap() -> None:
+    """A stem that wants to swell evenly by ε is one that interferes by ε r, up to its stiffness.
+
+    Plane strain, straight and frictionless: with a rigid-like stem the eigenstrain (ε, ε, 0) of the
+    radius r and the interference ε r are the same problem.
+    """
+    base = (
+        "geometry.taper=0 deg",
+        "geometry.sector=quarter",
+        "interfaces={stem_cement: {kind: contact, friction_coefficient: 0}}",
+        "loads={}",
+        "regions.stem.youngs_modulus=1e8 MPa",
+        "supports={x: {kind: roller, boundary: symmetry_x, axis: x}, "
+        "y: {kind: roller, boundary: symmetry_y, axis: y}, "
+        "b: {kind: roller, boundary: bottom, axis: z}, t: {kind: roller, boundary: top, axis: z}}",
+    )
+    fit = support.solve(CYLINDERS, *base, "interfaces.stem_cement.gap=-0.007 mm")
+    swell = support.solve(
+        CYLINDERS, *base, "regions.stem.eigenstrains=[{strain: [1e-3, 1e-3, 0, 0, 0, 0]}]"
+    )
+    a, b = fit.interfaces["stem_cement"], swell.interfaces["stem_cement"]
+    # The faceted circle swells by ε r at its nodes; normals of the facets differ from the radius.
+    assert b["pressure_p99"] == pytest.approx(a["pressure_p99"], rel=0.01)
+    assert a["pressure_p99"] > 1.0
