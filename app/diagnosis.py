@@ -26,6 +26,8 @@ _MODES = (
 )
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
 _FREE = 1e-10
+# Fraction of the size of the interfaces beyond which a jump is no small displacement.
+RUNAWAY = 0.05
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,23 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
         k = int(np.argmax(np.abs(vector)))
         found.append(f"nothing holds body '{names[k // 6]}': it is free to {_MODES[k % 6]}")
     return sorted(set(found))
+
+
+def runaway(problem: Problem, trial: Trial) -> str:
+    """A sentence if an interface moved further than small displacements allow; collective."""
+    (j,) = problem.jumps
+    size = float(np.linalg.norm(np.ptp(j.points.x, axis=0)))
+    moved = np.linalg.norm(trial.jump, axis=1)
+    for i, contact in enumerate(problem.scene.contacts):
+        local = float(moved[j.interface == i].max(initial=0.0))
+        largest = problem.comm.allreduce(local, MPI.MAX)
+        if largest > RUNAWAY * size:
+            return (
+                f"the sides of interface '{contact.name}' moved {largest:.3g} mm apart or along "
+                f"each other, {100 * largest / size:.0f} % of the interface's size: "
+                "nothing holds them but the facets of the mesh"
+            )
+    return ""
 
 
 def held_bodies(problem: Problem) -> set[int]:

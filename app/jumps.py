@@ -70,6 +70,7 @@ class Jumps:
         points: All contact points, replicated.
         facets: All interface facets, replicated.
         mine: Rows of ``points`` that this rank owns (n,).
+        edge_lengths: Mean edge of the facets of each interface [mm].
         stiffness: Augmentation or penalty of each own point (n,) [MPa/mm].
     """
 
@@ -110,6 +111,10 @@ class Jumps:
         frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
         with timing.phase("compile"):
             self._law = PointLaw(self.comm, self.normals, self.faces, self._friction, frictional)
+        edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
+        self.edge_lengths = [
+            float(edges[self.facets.interface == i].mean()) for i in range(len(scene.contacts))
+        ]
         self.default_stiffness = self._default_stiffness(augmentation_factor)
         self.stiffness = self.default_stiffness.copy()
         full = np.zeros(n)
@@ -136,11 +141,9 @@ class Jumps:
 
     def _default_stiffness(self, factor: float) -> Floats:
         """Stiffness of each own point: given, else factor E_soft / h with h the mean edge."""
-        f = self.facets
-        edges = np.linalg.norm(f.x - np.roll(f.x, 1, axis=1), axis=2)
         values = [
-            c.stiffness or factor * c.modulus / edges[f.interface == i].mean()
-            for i, c in enumerate(self._contacts)
+            c.stiffness or factor * c.modulus / h
+            for c, h in zip(self._contacts, self.edge_lengths, strict=True)
         ]
         return np.array(values)[self.interface]
 

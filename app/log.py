@@ -85,12 +85,22 @@ def verdict(summary: dict[str, Any]) -> str:
     b, solver, t = summary["balance"], summary["solver"], summary["timing"]
     worst = max(b.values())
     penetration = max((q["penetration_max"] for q in summary["interfaces"].values()), default=0.0)
-    exact = (
-        "exact to rounding" if worst < 1e-8 and penetration < 1e-9 else "NOT balanced: do not use"
+    balanced = "equilibrium exact to rounding" if worst < 1e-8 else "NOT balanced: do not use"
+    contact = (
+        "contact exact to rounding"
+        if penetration < 1e-9
+        else f"the bodies penetrate by {1e3 * penetration:.2g} um"
+    )
+    far = [n for n, q in summary["interfaces"].items() if q["slip_max"] > q["facet_size"]]
+    beyond = (
+        f"; slip on {' and '.join(far)} exceeds the size of its facets: "
+        "beyond small displacements, do not use"
+        if far
+        else ""
     )
     return (
         f"converged: {solver['dofs']} unknowns, {solver['steps']} steps, "
         f"{solver['newton_iterations']} Newton iterations on {solver['ranks']} rank(s) in "
-        f"{t['total']:.1f} s; equilibrium and contact {exact} "
-        f"(mesh error not included)"
+        f"{t['total']:.1f} s; {balanced}, {contact} "
+        f"(mesh error not included){beyond}"
     )

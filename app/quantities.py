@@ -142,6 +142,7 @@ def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
         "stick_fraction": fraction(STICK),
         "slip_fraction": fraction(SLIP),
         "area": total,
+        "facet_size": problem.jumps[0].edge_lengths[i],
         "area_slip_over_30um": float(area[faces & (slip > MICROMOTION)].sum()),
         "area_gap_over_30um": float(area[faces & (gap > MICROMOTION)].sum()),
         "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],

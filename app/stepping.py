@@ -12,7 +12,7 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from app.diagnosis import explain
+from app.diagnosis import explain, runaway
 from app.errors import ConvergenceError
 from app.problem import Problem, Trial
 from app.solver import Outcome, Solver
@@ -73,7 +73,7 @@ def run(
         on_trouble: Told in plain words what is tried when a step fails.
 
     Raises:
-        ConvergenceError: A step cannot be made smaller or may not be.
+        ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
     """
     number = newton = krylov = rejected = 0
     level = 0
@@ -112,6 +112,11 @@ def run(
             number += 1
             u, q = solver.parts()
             trial = problem.trial(u, q) if q is not None else None
+            if trial is not None and (away := runaway(problem, trial)):
+                raise ConvergenceError(
+                    f"stage '{stage.name}' at {100 * reach:.3g} % of it: {away}\n"
+                    "  what to change: hold the body (a support, friction, an elastic foundation)"
+                )
             problem.spread(u, q)
             problem.commit(trial)
             on_step(
