@@ -270,6 +270,7 @@ class _Recorder:
         """Leave the last converged state on disk, as far as the disk allows; collective."""
         if not self._steps:
             return
+        self._problem.set_time(self._time)  # the loads of the step that failed are not this state's
         for write in (
             self.flush,
             lambda: self._writer.finish(self.summary(status, None), done=False),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from app.errors import StoppedError
 from app.jumps import Jumps
-from app.problem import Problem, Trial
+from app.problem import Problem
 from app.timing import Timing
 
 Options = Mapping[str, str | int | float | bool]
@@ -69,7 +69,6 @@ class Outcome:
 
     Attributes:
         converged: Whether the residual met its tolerance.
-        reason: SNES's converged reason.
         iterations: Newton iterations.
         linear_iterations: Krylov iterations.
         residuals: Residual norm at each iteration, relative to the force scale.
@@ -78,7 +77,6 @@ class Outcome:
     """
 
     converged: bool
-    reason: int
     iterations: int
     linear_iterations: int
     residuals: tuple[float, ...]
@@ -127,7 +125,6 @@ class Solver:
         self.failed = self._block.vector()
         self._residuals: list[float] = []
         self._flips: list[int] = []
-        self._status: NDArray[np.int64] | None = None
         self._scale = 0.0
         self.snes = PETSc.SNES().create(problem.comm)
         self.snes.setOptionsPrefix(PREFIX)
@@ -203,7 +200,6 @@ class Solver:
             self.x.copy(self.failed)
         return Outcome(
             converged=reason > 0,
-            reason=reason,
             iterations=self.snes.getIterationNumber(),
             linear_iterations=self.snes.getLinearSolveIterations(),
             residuals=tuple(self._residuals),
@@ -273,11 +269,9 @@ class _Contact:
         self._rows = _block_diagonal(j)
         self._A_qu = self._rows.matMult(j.Ct)
         self._A_qq = self._rows.matMult(j.D)
-        self._D_rows = self._rows.matMult(j.D)
         self._added = _block_diagonal(j)
         self._A = PETSc.Mat().createNest([[problem.K, C], [self._A_qu, self._A_qq]])
         self._A.assemble()
-        self._trial: Trial | None = None
         self._last: NDArray[np.int64] | None = None
         self._changed = 0
 
@@ -314,7 +308,6 @@ class _Contact:
         f_u, f_q = self.parts(f)
         self._problem.residual_u(u, q, f_u)
         trial = self._problem.trial(u, q)
-        self._trial = trial
         f_q.array[:] = self._jumps.residual(trial.equilibrium, trial.jump, trial.law).ravel()
 
     def jacobian(self, x: PETSc.Vec) -> None:

@@ -102,7 +102,6 @@ def run(
                 # A smaller step does not hold a body that nothing holds: one is tried, no more.
                 hopeless = bool(why.free) and cuts > 0
                 if not stage.adaptive or cuts == stage.max_cut_backs or hopeless:
-                    problem.set_time(k + done)
                     raise ConvergenceError(why.text(stage.name, reach, cuts))
                 cuts += 1
                 level = 0
