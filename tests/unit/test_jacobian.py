@@ -1,0 +1,78 @@
+"""The assembled Jacobian is the derivative of the residual, away from kinks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests import support
+
+STEM = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+           length: 20 mm, taper: 1.5 deg}
+mesh: {size: 5 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.4}
+  cement_bone: {kind: contact, friction_coefficient: 1.0}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+loads:
+  hip: {kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("order", "law"),
+    [
+        (1, "{kind: contact, friction_coefficient: 0.4}"),
+        (2, "{kind: contact, friction_coefficient: 0.4}"),
+        (1, "{kind: penalty, friction_coefficient: 0.4, penalty: 500 MPa/mm}"),
+        (1, "{kind: contact, friction_coefficient: 0}"),
+    ],
+)
+def test_taylor_remainder_is_of_second_order(order: int, law: str) -> None:
+    """|R(x + ε v) - R(x) - ε J v| falls with ε^2 at a solution with open, stick and slip points."""
+    solved = support.solve(STEM, f"mesh.order={order}", f"interfaces.stem_cement={law}")
+    snes = solved.solver.snes
+    x, J = solved.solver.x, snes.getJacobian()[0]
+    # Off the solution, where the points have some force: on it many sit exactly on their cone.
+    rng = np.random.default_rng(1)
+    u, q = solved.solver.parts()
+    free = ~solved.problem.held
+    u.array[free] += 1e-5 * rng.standard_normal(int(free.sum()))
+    q.array[:] += 1e-5 * rng.standard_normal(q.array.size)
+    base, moved, linear = (x.duplicate() for _ in range(3))
+    step, there = x.duplicate(), x.duplicate()
+    du, dq = solved.solver.parts(step)
+    du.array[:] = np.where(free, rng.standard_normal(free.size), 0.0)
+    dq.array[:] = rng.standard_normal(dq.array.size)
+    snes.computeFunction(x, base)
+    snes.computeJacobian(x, J)
+    J.mult(step, linear)
+    remainders = []
+    for ε in (4e-9, 2e-9, 1e-9):
+        x.copy(there)
+        there.axpy(ε, step)
+        snes.computeFunction(there, moved)
+        moved.axpy(-1.0, base)
+        moved.axpy(-ε, linear)
+        remainders.append(moved.norm() / (ε * linear.norm()))
+    # The relative remainder falls with ε, down to rounding; a wrong entry would leave it constant.
+    assert remainders[-1] < 1e-4
+    assert remainders[0] < 1e-6 or remainders[-1] < 0.6 * remainders[0]
+
+
+def test_jacobian_changes_with_friction() -> None:
+    """At the same state another friction coefficient gives another Jacobian."""
+    norms = []
+    for μ in (0.1, 0.4):
+        solved = support.solve(STEM, f"interfaces.stem_cement.friction_coefficient={μ}")
+        snes = solved.solver.snes
+        J = snes.getJacobian()[0]
+        snes.computeJacobian(solved.solver.x, J)
+        norms.append(J.getNestSubMatrix(1, 1).norm())
+    assert abs(norms[0] - norms[1]) > 1e-6 * norms[0]
