@@ -103,14 +103,13 @@ class Jumps:
         self.weight = self.points.weight[self.mine]
         self.normals = self.points.normals[self.mine]
         self.faces = self.points.faces[self.mine]
-        self.areas = self.points.areas[self.mine]
         self.held = self.points.held[self.mine]
         self.interface = self.points.interface[self.mine]
         self._augmented = np.array([c.augmented for c in scene.contacts])[self.interface]
-        self._friction = np.array([c.friction for c in scene.contacts])[self.interface]
+        friction = np.array([c.friction for c in scene.contacts])[self.interface]
         frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
         with timing.phase("compile"):
-            self._law = PointLaw(self.comm, self.normals, self.faces, self._friction, frictional)
+            self._law = PointLaw(self.comm, self.normals, self.faces, friction, frictional)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [
             float(edges[self.facets.interface == i].mean()) for i in range(len(scene.contacts))
@@ -150,7 +149,7 @@ class Jumps:
     def _couple(
         self, mechanics: Mechanics, reduction: Reduction, entries: Entries, place: Ints
     ) -> None:
-        """Assemble C, its transpose and D, and the loads on moved bodies."""
+        """Assemble C, its transpose and D."""
         index_map = mechanics.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
         n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
