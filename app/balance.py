@@ -49,23 +49,21 @@ class Balance:
             for e in scene.elastic
             for s in e.eigenstrains
         ]
-        self._springs = [
-            mechanics.form(k[i] * U[i] * ds)
+        # The traction k_i U_i of each bed of springs on each body.
+        beds = [
+            ([k[i] * U[i] for i in range(3)], ds)
             for f, k in zip(scene.foundations, mechanics.springs, strict=True)
             for b, U in enumerate(displacements)
             if (ds := mechanics.ds(f.boundary, b)) is not None
-            for i in range(3)
         ]
+        self._springs = [mechanics.form(t[i] * ds) for t, ds in beds for i in range(3)]
         x = ufl.SpatialCoordinate(problem.tagged.mesh)
         arm = [x[i] - float(about[i]) for i in range(3)]
         self._spring_moments = [
             mechanics.form(
                 (arm[(i + 1) % 3] * t[(i + 2) % 3] - arm[(i + 2) % 3] * t[(i + 1) % 3]) * ds
             )
-            for f, k in zip(scene.foundations, mechanics.springs, strict=True)
-            for b, U in enumerate(displacements)
-            if (ds := mechanics.ds(f.boundary, b)) is not None
-            for t in [[k[i] * U[i] for i in range(3)]]
+            for t, ds in beds
             for i in range(3)
         ]
         nodes = problem.space.tabulate_dof_coordinates()[: len(problem.reduction.reacting) // 3]
@@ -123,7 +121,7 @@ class Balance:
             .sum(axis=0),
         }
 
-    def update(self, u: PETSc.Vec, q: PETSc.Vec | None, trial: Trial | None) -> None:
+    def update(self, u: PETSc.Vec, trial: Trial | None) -> None:
         """Take in a committed step, whose displacements have been spread; collective."""
         old, new = self._last, self._measure(u, trial)
         self._last = new

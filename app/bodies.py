@@ -42,10 +42,6 @@ class Bodies:
     of_region: dict[str, int]
     of_tag: Ints
 
-    def regions(self, body: int) -> list[str]:
-        """Names of the regions of a body."""
-        return [r for r, b in self.of_region.items() if b == body]
-
 
 @dataclass(frozen=True)
 class FacetCells:
@@ -113,7 +109,8 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
     mesh = tagged.mesh
     facets = np.concatenate([tagged.facet_tags.find(t) for t in tagged.boundaries[boundary]])
     facets = np.unique(facets[facets < mesh.topology.index_map(2).size_local]).astype(np.int64)
-    cells = np.array([mesh.topology.connectivity(2, 3).links(f)[0] for f in facets], dtype=np.int64)
+    link = mesh.topology.connectivity(2, 3)
+    cells = link.array[link.offsets[facets]].astype(np.int64)
     return FacetCells(facets, cells, _local_numbers(tagged, facets, cells))
 
 

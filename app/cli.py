@@ -210,7 +210,7 @@ def _run(
     with _stack():
         from app.run import run
 
-    return run(case, options.case, output, petsc_options, options.overrides, options.force)
+    return run(case, options.case, output, petsc_options, options.overrides)
 
 
 def _check(options: argparse.Namespace) -> int:

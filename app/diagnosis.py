@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from app.jumps import Jumps
 from app.problem import Problem, Trial
+from app.reduction import rigid_modes
 from app.solver import Outcome, Solver
 from forms.contact import OPEN
 
@@ -43,7 +44,6 @@ class Explanation:
         free: Sentences on bodies that nothing holds.
         history: Residuals, relative to the force scale.
         flips: State changes per iteration.
-        tried: What was tried.
     """
 
     short: str
@@ -128,10 +128,7 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
     x = (j.points.x[j.mine] - centre) / size
     B = trial.law.jacobian
     S = np.where((trial.law.status == OPEN)[:, None, None], 0.0, (B + B.transpose(0, 2, 1)) / 2)
-    R = np.zeros((len(x), 3, 6))
-    R[:, :, :3] = np.eye(3)
-    for c in range(3):
-        R[:, :, 3 + c] = np.cross(np.eye(3)[c], x)
+    R = rigid_modes(x)
     K = j.weight[:, None, None] * (R.transpose(0, 2, 1) @ S @ R)
     sides = j.points.bodies[j.mine]
     for m, s, k in zip(sides[:, 0], sides[:, 1], K, strict=True):

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from app import __version__
 from app.bodies import cell_tags
-from app.errors import StoppedError
+from app.errors import MantleError, StoppedError
 from app.problem import Problem
 from app.quantities import Samples, Stresses
 from app.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
@@ -49,31 +49,47 @@ UNITS = {
 RESULTS = ("DONE", "summary.json", "provenance.json", "history.csv", "fields.vtkhdf")
 
 
-def on_root(comm: MPI.Comm, action: Callable[[], T], what: str) -> T:
-    """Do something on rank 0 and share the result; a failed write stops every rank.
+def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
+    """Do something on rank 0; its errors are raised on every rank, so that none waits.
 
-    Raises:
-        StoppedError: The disk is full or the folder cannot be written.
+    Args:
+        comm: Communicator.
+        action: What rank 0 does.
+        share: Whether the result goes to the other ranks, else None does.
     """
-    result, problem = None, None
+    result, error = None, None
     if comm.rank == 0:
         try:
             result = action()
-        except OSError as error:
-            problem = f"cannot write {what}: {error.strerror or error}"
-    result, problem = comm.bcast((result, problem))
-    if problem:
-        raise StoppedError(problem)
-    return result  # type: ignore[return-value]
+        except MantleError as caught:
+            error = caught
+    error = comm.bcast(error)
+    if error is not None:
+        raise error
+    return comm.bcast(result) if share else result
 
 
 @contextmanager
 def _full_disk(what: str) -> Iterator[None]:
-    """Turn a failed write, which is raised on every rank, into a stop."""
+    """Turn a failed write into a stop."""
     try:
         yield
     except OSError as error:
         raise StoppedError(f"cannot write {what}: {error.strerror or error}") from error
+
+
+def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
+    """Write something on rank 0; a failure stops every rank.
+
+    Raises:
+        StoppedError: The disk is full or the folder cannot be written.
+    """
+
+    def guarded() -> None:
+        with _full_disk(what):
+            action()
+
+    on_root(comm, guarded, share=False)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -120,7 +136,7 @@ class Writer:
                 (folder / name).unlink(missing_ok=True)
             write_text(folder / "case.yaml", resolved)
 
-        on_root(self._comm, start, str(folder))
+        _write(self._comm, start, str(folder))
         with _full_disk("fields.vtkhdf"):
             self._grids: tuple[_Fields, ...] = (
                 (_Fields(problem, stresses, folder / "fields.vtkhdf"),) if fields else ()
@@ -144,7 +160,7 @@ class Writer:
         table.writeheader()
         table.writerows(self._rows)
         path = self.folder / "history.csv"
-        on_root(self._comm, lambda: write_text(path, text.getvalue()), str(path))
+        _write(self._comm, lambda: write_text(path, text.getvalue()), str(path))
 
     def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
@@ -156,7 +172,7 @@ class Writer:
             if done:
                 write_text(self.folder / "DONE", "")
 
-        on_root(self._comm, write, str(self.folder))
+        _write(self._comm, write, str(self.folder))
 
 
 class _Fields:
@@ -177,7 +193,6 @@ class _Fields:
         if quadratic:
             cells = cells[:, QUADRATIC_NODES]
         self._tags = tags
-        self._orders = {r: np.argsort(c) for r, c in stresses.cells.items()}
         self._point_of = self._contact_rows()
         self._grid = GridFile(
             problem.comm,

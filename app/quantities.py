@@ -179,16 +179,8 @@ class Stresses:
         degree = 2 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         self._points, self._weights = (np.asarray(a) for a in quadrature)
-        tags = cell_tags(problem.tagged)
-        owned = problem.tagged.mesh.topology.index_map(3).size_local
-        self.cells = {
-            e.region: np.flatnonzero(tags[:owned] == problem.tagged.regions[e.region]).astype(
-                np.int32
-            )
-            for e in problem.scene.elastic
-        }
+        self.cells = {e.region: _own_cells(problem, e.region) for e in problem.scene.elastic}
         self._expressions = {e.region: self._expression(e) for e in problem.scene.elastic}
-        self.volumes = {r: self._cell_volumes(c) for r, c in self.cells.items()}
 
     def _expression(self, e: Elastic) -> fem.Expression:
         problem, mechanics = self._problem, self._problem.mechanics
@@ -197,12 +189,6 @@ class Stresses:
         σ = elasticity.stress(lambda strain: mechanics.energy_density(e, strain), ε)
         with self._timing.phase("compile"):
             return fem.Expression(σ, self._points, comm=problem.comm)
-
-    def _cell_volumes(self, cells: NDArray[np.int32]) -> Floats:
-        geometry = self._problem.tagged.mesh.geometry
-        x = geometry.x[geometry.dofmap[cells][:, :4]]
-        edges = x[:, 1:] - x[:, :1]
-        return np.abs(np.linalg.det(edges)) / 6
 
     def evaluate(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
@@ -216,8 +202,8 @@ class Stresses:
         """Published stresses of a region; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
         share = self._weights / self._weights.sum()
-        volume = np.outer(self.volumes[region], share).ravel()
-        x = self._centres(region)
+        volumes, x = _volumes_and_centres(self._problem, self.cells[region])
+        volume = np.outer(volumes, share).ravel()
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
         local = np.column_stack(
@@ -248,9 +234,19 @@ class Stresses:
             }
         return dict(self._problem.comm.bcast(result))
 
-    def _centres(self, region: str) -> Floats:
-        geometry = self._problem.tagged.mesh.geometry
-        return geometry.x[geometry.dofmap[self.cells[region]][:, :4]].mean(axis=1)
+
+def _own_cells(problem: Problem, region: str) -> NDArray[np.int32]:
+    """Cells of a region that this rank owns."""
+    owned = problem.tagged.mesh.topology.index_map(3).size_local
+    tags = cell_tags(problem.tagged)[:owned]
+    return np.flatnonzero(tags == problem.tagged.regions[region]).astype(np.int32)
+
+
+def _volumes_and_centres(problem: Problem, cells: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Volume (c,) [mm3] and centroid (c, 3) [mm] of cells, from their vertices."""
+    geometry = problem.tagged.mesh.geometry
+    x = geometry.x[geometry.dofmap[cells][:, :4]]
+    return np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6, x.mean(axis=1)
 
 
 def _hoop(σ: Floats, x: Floats) -> Floats:
@@ -284,20 +280,19 @@ def stem_motion(problem: Problem) -> dict[str, float]:
 
 def _rigid_fit(problem: Problem, regions: list[str]) -> tuple[Floats, Floats, Floats]:
     """Least-squares rigid motion of regions, weighted by volume: translation, rotation, centre."""
-    mesh, comm = problem.tagged.mesh, problem.comm
-    tags = cell_tags(problem.tagged)
-    owned = mesh.topology.index_map(3).size_local
-    displacements = problem.displacements()
-    xs, us, ws = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)]
+    comm, displacements = problem.comm, problem.displacements()
+    xs: list[Floats] = []
+    us: list[Floats] = []
+    ws: list[Floats] = []
     layout = problem.space.dofmap.dof_layout
     corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
     for r in regions:
-        cells = np.flatnonzero(tags[:owned] == problem.tagged.regions[r])
-        x = mesh.geometry.x[mesh.geometry.dofmap[cells][:, :4]]
+        cells = _own_cells(problem, r)
+        volumes, centres = _volumes_and_centres(problem, cells)
         v = displacements[problem.bodies.of_region[r]].x.array.reshape(-1, 3)
         us.append(v[problem.space.dofmap.list[cells][:, corner]].mean(axis=1))
-        xs.append(x.mean(axis=1))
-        ws.append(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6)
+        xs.append(centres)
+        ws.append(volumes)
     x, u, w = np.concatenate(xs), np.concatenate(us), np.concatenate(ws)
 
     def total(values: NDArray[np.floating[Any]]) -> Floats:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
-from typing import Any, TypeVar
+from typing import Any
 
 from mpi4py import MPI
 
@@ -20,8 +20,8 @@ import meshes
 from app import config, folders, quantities, ranks, scene, stepping
 from app import log as text
 from app.balance import Balance
-from app.errors import ConvergenceError, EnvironmentProblem, MantleError, StoppedError
-from app.output import UNITS, Writer, provenance
+from app.errors import ConvergenceError, EnvironmentProblem, StoppedError
+from app.output import UNITS, Writer, on_root, provenance
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
 from app.solver import Solver
@@ -30,7 +30,6 @@ from forms.contact import OPEN, SLIP
 from meshes.data import MeshData
 from meshes.distribute import distribute
 
-T = TypeVar("T")
 log = logging.getLogger("mantle")
 
 
@@ -40,7 +39,6 @@ def run(
     output: Path,
     petsc_options: list[str],
     overrides: list[str],
-    force: bool,
 ) -> int:
     """Solve a case and write its run directory; collective.
 
@@ -50,7 +48,6 @@ def run(
         output: The run directory.
         petsc_options: Raw PETSc options from the command line.
         overrides: ``--set`` options, for the record.
-        force: Whether an earlier result in the directory may be replaced.
 
     Returns:
         0.
@@ -151,7 +148,7 @@ class _Recorder:
 
     def _step(self, step: stepping.Step, trial: Trial | None) -> None:
         problem = self._problem
-        self._balance.update(*self._solver.parts(), trial)
+        self._balance.update(self._solver.parts()[0], trial)
         self._samples = Samples(problem, trial) if trial is not None else None
         interfaces = self._interfaces()
         self._time, self._steps = step.time, step.number
@@ -288,26 +285,6 @@ class _Recorder:
             f"last converged state: time {self._time:.4g} (step {self._steps}) "
             f"in {self._writer.folder}"
         )
-
-
-def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
-    """Do something on rank 0; its errors are raised on every rank, so that none waits.
-
-    Args:
-        comm: Communicator.
-        action: What rank 0 does.
-        share: Whether the result goes to the other ranks, else None does.
-    """
-    result, error = None, None
-    if comm.rank == 0:
-        try:
-            result = action()
-        except MantleError as caught:
-            error = caught
-    error = comm.bcast(error)
-    if error is not None:
-        raise error
-    return comm.bcast(result) if share else result
 
 
 def raw_options(arguments: list[str]) -> dict[str, str]:

@@ -139,7 +139,7 @@ def solve(
         if trial is not None:
             samples.append(Samples(problem, trial))
         if balance is not None:
-            balance.update(*solver.parts(), trial)
+            balance.update(solver.parts()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
     stepping.run(problem, solver, problem.scene.stages, on_step, print)
