@@ -1,9 +1,9 @@
-"""The command line: ``mantle run | check | mesh | schema | doctor``.
+"""The command line: ``mantle run | check | mesh | study | verify | schema | doctor``.
 
 The one module that prints to standard output. It imports what a command needs when it needs it, so
 that ``check`` works without MPI and starts at once.
 
-Exit codes: 0 ok, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped, 69 environment,
+Exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped, 69 environment,
 70 internal.
 """
 
@@ -24,6 +24,7 @@ from app.errors import EnvironmentProblem, InputError, MantleError
 
 INTERNAL_ERROR = 70
 STOPPED = 5
+CHECK_FAILED = 1
 GRACE = 1.0
 # The rank of this process, by whatever started it; MPI itself is not up yet when input is checked.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
@@ -58,7 +59,7 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(
         prog="mantle",
         description="Thermomechanics of cemented joint replacements.",
-        epilog="exit codes: 0 ok, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped with the "
+        epilog="exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped with the "
         "state saved, 69 environment, 70 internal error",
         allow_abbrev=False,
     )
@@ -86,13 +87,19 @@ def parser() -> argparse.ArgumentParser:
     run = add(
         "run",
         "solve a case",
-        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force] [-- PETSC OPTIONS]",
+        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force] [--error] "
+        "[-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
     )
     add_case(run)
     run.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>")
     run.add_argument("-n", metavar="N", help="number of MPI ranks (default 1)")
     run.add_argument("--force", action="store_true", help="replace results in the output folder")
+    run.add_argument(
+        "--error",
+        action="store_true",
+        help="estimate the error of each number by coarser companions (as output.error: true)",
+    )
     run.add_argument(
         "--log-level",
         choices=("debug", "info", "warning", "error"),
@@ -111,6 +118,19 @@ def parser() -> argparse.ArgumentParser:
         metavar="PATH",
         help="a folder, or a file name ending in .msh (default: out/<name of CASE>.msh)",
     )
+    study = add("study", "error against run time of a case, by its study section")
+    add_case(study)
+    study.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>-study"
+    )
+    verify = add("verify", "solve the verification problems and compare with what is known")
+    verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these problems")
+    verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
+    verify.add_argument("--fine", action="store_true", help="finer meshes too, for the orders")
+    for command in (study, verify):
+        command.add_argument(
+            "--cores", type=int, default=os.cpu_count() or 1, metavar="N", help="cores to use"
+        )
     add("schema", "print the JSON schema of case files, for editors")
     add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
     return top
@@ -183,6 +203,10 @@ def _dispatch(arguments: list[str]) -> int:
             return _check(options)
         case "mesh":
             return _mesh(options)
+        case "study":
+            return _study(options)
+        case "verify":
+            return _verify(options)
         case "schema":
             return _schema()
         case _:
@@ -197,6 +221,7 @@ def _run(
     # The input is checked before ranks are started: its errors come at once, and once.
     from app import config
 
+    options.overrides += ["output.error=true"] if options.error else []
     case = config.load(options.case, options.overrides)
     output = options.output or Path("out") / options.case.stem
     from app import folders
@@ -277,6 +302,25 @@ def _build(case: Any) -> Any:
     from app import folders
 
     return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+
+
+def _study(options: argparse.Namespace) -> int:
+    """Error against run time of a case."""
+    _configure_log("info")
+    from app import study
+
+    output = options.output or Path("out") / f"{options.case.stem}-study"
+    study.run(options.case, options.overrides, output, options.cores)
+    return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    """Compare with what is known; 1 if a problem fails."""
+    _configure_log("info")
+    from app import verify
+
+    passed = verify.run(options.pattern, options.output, options.fine, options.cores)
+    return 0 if passed else CHECK_FAILED
 
 
 def _schema() -> int:

@@ -138,6 +138,8 @@ class OutputOptions(Model):
     """Whether field files are written."""
     every: PositiveInteger = 1
     """Steps between two field outputs; the last step is always written."""
+    error: Truth = False
+    """Whether the error of each number is estimated, by coarser companions of the run."""
 
 
 class Case(Model):

@@ -115,6 +115,9 @@ def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
     def p99(values: Floats) -> float:
         return percentile(values[area > 0], area[area > 0])
 
+    def mean(values: Floats) -> float:
+        return float(np.average(values[area > 0], weights=area[area > 0]))
+
     gap, slip = np.maximum(s.gap[at], 0.0), s.slip[at]
     pressure, shear = s.pressure[at], s.shear[at]
     gap_max, gap_at = largest(gap)
@@ -127,15 +130,19 @@ def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
     return {
         "gap_max": gap_max,
         "gap_p99": p99(gap),
+        "gap_mean": mean(gap),
         "gap_max_at": gap_at,
         "slip_max": slip_max,
         "slip_p99": p99(slip),
+        "slip_mean": mean(slip),
         "slip_max_at": slip_at,
         "slip_accumulated_max": float(s.accumulated[at].max(initial=0.0)),
         "pressure_max": float(pressure.max(initial=0.0)),
         "pressure_p99": percentile(pressure, weight),
+        "pressure_mean": float(np.average(pressure, weights=weight)),
         "shear_max": float(shear.max(initial=0.0)),
         "shear_p99": percentile(shear, weight),
+        "shear_mean": float(np.average(shear, weights=weight)),
         "penetration_max": float(np.maximum(-s.gap[at][faces], 0.0).max(initial=0.0)),
         "penetration_sampled": _sampled_penetration(problem, s, i),
         "open_fraction": fraction(OPEN),
