@@ -48,9 +48,19 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
         GeometryError: The geometry cannot be built, a boundary, interface or region is empty or
             in pieces, or the worst elements (named) are not good enough.
     """
-    path = None if cache is None else Path(cache) / f"mesh-{_cache.key(geometry, mesh)}.npz"
-    if path is not None and (stored := _cache.load(path)) is not None:
-        return stored
+    if cache is None:
+        return _make(geometry, mesh)
+    path = Path(cache) / f"mesh-{_cache.key(geometry, mesh)}.npz"
+    with _cache.lock(path):
+        data = _cache.load(path)
+        if data is None:
+            data = _make(geometry, mesh)
+            _cache.store(data, path)
+    return data
+
+
+def _make(geometry: Any, mesh: Any) -> MeshData:
+    """Mesh a geometry, check the mesh and describe it."""
     data = canonical(_generate(geometry, mesh))
     _quality.gate(data)
     _check_parts(data, () if geometry.kind == "file" else set(data.regions) - DIVISIBLE)
@@ -64,10 +74,7 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
             for name in data.interfaces
         },
     }
-    data = replace(data, notes=notes)
-    if path is not None:
-        _cache.store(data, path)
-    return data
+    return replace(data, notes=notes)
 
 
 def write_msh(data: MeshData, path: Path) -> None:

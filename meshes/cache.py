@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -71,9 +74,17 @@ def load(path: Path) -> MeshData | None:
     )
 
 
+@contextmanager
+def lock(path: Path) -> Iterator[None]:
+    """Keep others from making the same mesh meanwhile: many runs at once often need one mesh."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_suffix(".lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def store(data: MeshData, path: Path) -> None:
     """Write the mesh under another name and rename it: readers see all of it or nothing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     names = {
         "regions": dict(data.regions),
         "boundaries": dict(data.boundaries),

@@ -1,0 +1,418 @@
+"""One engine for many runs: Snakemake over subprocesses of ``mantle run``.
+
+A run lives in a directory named by its content, so that a finished one is never done twice, and a
+failed or a changed one is::
+
+    folder/cases/<id>.yaml      the resolved case
+    folder/runs/<id>/           its run directory, complete once it holds DONE
+    folder/runs/<id>.log        what it said
+    folder/runs/<id>.status     its exit code, and when it began and ended
+    folder/snakemake.log        what Snakemake said
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import hashlib
+import importlib.util
+import json
+import logging
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import IO, Any
+
+from app import __version__, config
+from app.errors import EnvironmentProblem, InputError, StoppedError
+
+log = logging.getLogger("mantle")
+
+MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "app", "run")
+SNAKEFILE = Path(__file__).with_name("Snakefile")
+ROOT = Path(__file__).resolve().parents[1]
+# Modules that no run imports: changing them leaves finished runs valid.
+OUTSIDE = re.compile(r"app/(batch|cli|doctor|preview|results|study\w*|verify\w*)\.py")
+# Snakemake sets these to the cores of the job; ranks have one thread each.
+THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL", "VECLIB", "NUMEXPR")
+LOG_LINES = 12
+POLL = 0.1  # s
+SAME_SIGNAL = 1.0  # s
+PATIENCE = 10.0  # s
+_PR_SET_PDEATHSIG = 1
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that is wanted.
+
+    Attributes:
+        name: For people; several jobs may have the same.
+        case: The case file.
+        overrides: ``key=value`` each, as after ``--set``.
+        ranks: Number of MPI ranks.
+        alone: Whether nothing else runs beside it, so that its time can be compared.
+    """
+
+    name: str
+    case: Path
+    overrides: tuple[str, ...] = ()
+    ranks: int = 1
+    alone: bool = False
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a job.
+
+    Attributes:
+        job: The job.
+        folder: Its run directory.
+        exit_code: 0 if it is done, else that of ``mantle run``.
+        seconds: Wall time of the process.
+        summary: ``summary.json``; empty unless the run is done.
+        message: Why it failed: the last lines of its log; empty if it is done.
+    """
+
+    job: Job
+    folder: Path
+    exit_code: int
+    seconds: float
+    summary: dict[str, Any]
+    message: str
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A run directory and what goes into it; several jobs may share it."""
+
+    id: str
+    name: str
+    text: str
+    ranks: int
+    alone: bool
+
+
+def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
+    """Run what is not done yet.
+
+    Args:
+        jobs: What is wanted.
+        folder: Where everything goes; used by one batch at a time.
+        cores: How many cores to use at most.
+
+    Returns:
+        A result for each job, in their order. A failed job is a result too.
+
+    Raises:
+        InputError: Any job is wrong: all their defects at once, before anything runs. Or the
+            folder cannot be written or is in use.
+        StoppedError: Interrupted; the same call goes on from there.
+        EnvironmentProblem: Snakemake is missing or failed.
+    """
+    cases = _resolve(jobs)
+    with _folder(folder) as lock:
+        ids, runs = _runs(jobs, cases, folder)
+        pending = [r for r in runs.values() if _summary(folder, r.id) is None]
+        log.info("%d runs: %d done already, in %s", len(runs), len(runs) - len(pending), folder)
+        if pending:
+            _write(pending, folder, cores)
+            _execute(pending, len(runs), folder, cores, lock)
+        return [_result(job, folder, id) for job, id in zip(jobs, ids, strict=True)]
+
+
+def _resolve(jobs: Sequence[Job]) -> list[config.Case]:
+    """The configuration of each job.
+
+    Raises:
+        InputError: All that is wrong with any of them.
+    """
+    cases, messages = [], []
+    for job in jobs:
+        try:
+            case = config.load(job.case, job.overrides)
+            cases.append(case)
+        except InputError as error:
+            messages += [f"{job.name}: {m}" if m.startswith("--set") else m for m in error.messages]
+        if job.ranks < 1:
+            messages.append(f"{job.name}: {job.ranks} is not a number of ranks; allowed: 1, 2, ...")
+    if messages:
+        raise InputError(list(dict.fromkeys(messages)))
+    return cases
+
+
+def _runs(
+    jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path
+) -> tuple[list[str], dict[str, _Run]]:
+    """The id of each job, and the runs by id: one for all jobs of the same content."""
+    found = {path.name[-10:]: path.name for path in (folder / "runs").glob("*/")}
+    ids: list[str] = []
+    runs: dict[str, _Run] = {}
+    for job, case in zip(jobs, cases, strict=True):
+        text = config.dump(case)
+        digest = _digest(case, text, job.ranks)
+        name = re.sub(r"[^A-Za-z0-9_.-]", "_", job.name)
+        # The name of a run is not its content: a renamed one is still the same.
+        id = found.setdefault(digest, f"{name}-{digest}")
+        ids.append(id)
+        alone = job.alone or (id in runs and runs[id].alone)
+        runs[id] = _Run(id, job.name, text, job.ranks, alone)
+    return ids, runs
+
+
+def _digest(case: config.Case, text: str, ranks: int) -> str:
+    """Ten hexadecimal digits of everything the result depends on."""
+    parts = [text, str(ranks), _program()]
+    if isinstance(case.geometry, config.MeshFile):
+        parts.append(hashlib.sha256(case.geometry.path.read_bytes()).hexdigest())
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:10]
+
+
+@lru_cache(maxsize=1)
+def _program() -> str:
+    """The version and a hash of the sources, which change more often."""
+    digest = hashlib.sha256()
+    for package in ("app", "forms", "meshes"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            name = path.relative_to(ROOT).as_posix()
+            if not OUTSIDE.fullmatch(name):
+                digest.update(f"{name}\0".encode() + path.read_bytes())
+    return f"{__version__} {digest.hexdigest()}"
+
+
+@contextmanager
+def _folder(folder: Path) -> Iterator[IO[str]]:
+    """Make the folder and lock it.
+
+    Raises:
+        InputError: It cannot be written, or another batch uses it.
+    """
+    try:
+        for name in ("cases", "runs"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+        file = (folder / ".lock").open("w")
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"-o {folder}: another batch is running in it") from None
+        yield file
+
+
+def _write(pending: Iterable[_Run], folder: Path, cores: int) -> None:
+    """Write the cases and what Snakemake is to do; forget how earlier tries ended.
+
+    Raises:
+        InputError: The folder cannot be written.
+    """
+    jobs = {}
+    try:
+        for r in pending:
+            case, output = folder / "cases" / f"{r.id}.yaml", folder / "runs" / r.id
+            case.write_text(r.text, encoding="utf-8")
+            for old in (output / "DONE", _status_file(folder, r.id)):
+                old.unlink(missing_ok=True)
+            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--force"]
+            command += ["-n", r.ranks] if r.ranks > 1 else []
+            one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
+            jobs[r.id] = {
+                "command": shlex.join(map(str, ["env", *one_thread, *command])),
+                "threads": cores if r.alone else min(r.ranks, cores),
+            }
+        (folder / "jobs.json").write_text(json.dumps(jobs, indent=1), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
+
+
+def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock: IO[str]) -> None:
+    """Have Snakemake run the pending runs, and tell how it goes.
+
+    Raises:
+        StoppedError: Interrupted.
+        EnvironmentProblem: Snakemake is missing or failed.
+    """
+    if importlib.util.find_spec("snakemake") is None:
+        raise EnvironmentProblem("many runs need Snakemake (Debian: snakemake)")
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--cores", cores]
+    command += ["--keep-going", "--nolock", "--rerun-incomplete", "--scheduler", "greedy"]
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    libc = ctypes.CDLL(None)
+    said = folder / "snakemake.log"
+    progress = _Progress(pending, total, folder)
+    with _interruptible(), said.open("w") as output:
+        child = subprocess.Popen(
+            list(map(str, command)),
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": path},
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            # Ctrl-C is for this process, which passes it on once.
+            start_new_session=True,
+            # Should this process be killed, Snakemake starts nothing more, and the folder stays
+            # locked until what runs has ended.
+            preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
+            pass_fds=(lock.fileno(),),
+        )
+        try:
+            while child.poll() is None:
+                time.sleep(POLL)
+                progress.tell()
+        except KeyboardInterrupt:
+            log.info("stopping; running cases save their state first (once more: stop at once)")
+            _end(child)
+            progress.tell()
+            raise StoppedError(
+                f"stopped after {progress.count} of {total} runs; "
+                f"the same command goes on from there (in {folder})"
+            ) from None
+    progress.tell()
+    if progress.open:
+        lines = _tail(said)
+        raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{lines}")
+
+
+class _Progress:
+    """Tells of each run that has ended."""
+
+    def __init__(self, pending: Sequence[_Run], total: int, folder: Path) -> None:
+        self.open = {r.id: r.name for r in pending}
+        self._total, self._folder = total, folder
+        self._begin, self._new, self._failed = time.monotonic(), 0, 0
+
+    @property
+    def count(self) -> int:
+        """Runs that have ended, those of earlier calls included."""
+        return self._total - len(self.open)
+
+    def tell(self) -> None:
+        """Look for runs that have ended since the last time."""
+        for id, name in list(self.open.items()):
+            if (status := _status(self._folder, id)) is None:
+                continue
+            code, seconds = status
+            del self.open[id]
+            self._new += 1
+            self._failed += code != 0
+            notes = [f"{self._failed} failed"] if self._failed else []
+            if self.open:
+                left = (time.monotonic() - self._begin) / self._new * len(self.open)
+                notes.append(f"about {duration(left)} left")
+            log.info(
+                "[%d/%d] %s %s%s",
+                self.count,
+                self._total,
+                name,
+                f"done in {duration(seconds)}" if code == 0 else f"failed with exit code {code}",
+                f" ({', '.join(notes)})" if notes else "",
+            )
+
+
+def duration(seconds: float) -> str:
+    """Seconds for people: 12.3 s, 40 s, 5 min, 1.5 h."""
+    if seconds < 20:
+        return f"{seconds:.1f} s"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Have SIGTERM and SIGHUP end the block as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    before = {n: signal.signal(n, signal.default_int_handler) for n in numbers}
+    try:
+        yield
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """Pass an interruption on to Snakemake and its jobs, and wait for them; kill at the second."""
+    begin = time.monotonic()
+    _send(child.pid, signal.SIGINT)
+    while True:
+        try:
+            child.wait()
+            deadline = time.monotonic() + PATIENCE
+            while _send(child.pid, 0) and time.monotonic() < deadline:
+                time.sleep(POLL)
+            _send(child.pid, signal.SIGKILL)
+            return
+        except KeyboardInterrupt:
+            # One Ctrl-C may arrive twice: from the terminal and from whatever started this.
+            if time.monotonic() > begin + SAME_SIGNAL:
+                _send(child.pid, signal.SIGKILL)
+
+
+def _send(group: int, number: int) -> bool:
+    """Send a signal to a process group; whether there was anybody."""
+    try:
+        os.killpg(group, number)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def _status_file(folder: Path, id: str) -> Path:
+    return folder / "runs" / f"{id}.status"
+
+
+def _status(folder: Path, id: str) -> tuple[int, float] | None:
+    """Exit code and seconds of a run; None while there are none."""
+    try:
+        code, begin, end = _status_file(folder, id).read_text().split()
+        return int(code), float(end) - float(begin)
+    except (OSError, ValueError):
+        return None
+
+
+def _summary(folder: Path, id: str) -> dict[str, Any] | None:
+    """The summary of a run that is done; None if it is not."""
+    path = folder / "runs" / id
+    try:
+        return (
+            dict(json.loads((path / "summary.json").read_text(encoding="utf-8")))
+            if (path / "DONE").exists()
+            else None
+        )
+    except (OSError, ValueError):
+        return None
+
+
+def _result(job: Job, folder: Path, id: str) -> Result:
+    """How a run has ended."""
+    code, seconds = _status(folder, id) or (0, 0.0)
+    path, summary = folder / "runs" / id, _summary(folder, id)
+    if summary is not None:
+        return Result(job, path, 0, seconds, summary, "")
+    message = _tail(folder / "runs" / f"{id}.log")
+    if code > 128 and code - 128 in set(signal.Signals):
+        message += f"\nkilled by {signal.Signals(code - 128).name}"
+    return Result(job, path, code or 70, seconds, {}, message.strip())
+
+
+def _tail(path: Path) -> str:
+    """The last lines of a log."""
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return ""
+    return "\n".join([line for line in lines if line.strip()][-LOG_LINES:])
