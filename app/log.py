@@ -38,46 +38,61 @@ def step_line(
 
 def closing_table(summary: dict[str, Any]) -> str:
     """Interfaces in µm and MPa, regions in MPa, balances, and a plain verdict."""
+    wide = 21 if "error" in summary else 15
     lines = []
     if summary["interfaces"]:
-        lines.append(
-            f"{'interface':<14} {'gap max/p99':>15} {'slip max/p99':>15} {'pressure max/p99':>17} "
-            f"{'shear max/p99':>15} {'open/stick/slip':>18}"
-        )
-        lines.append(f"{'':<14} {'um':>15} {'um':>15} {'MPa':>17} {'MPa':>15} {'% of area':>18}")
+        titles = "".join(f" {q + ' max/p99':>{wide}}" for q in ("gap", "slip"))
+        titles += "".join(f" {q + ' max/p99':>{wide + 2}}" for q in ("pressure", "shear"))
+        lines.append(f"{'interface':<14}{titles} {'open/stick/slip':>18}")
+        units = "".join(f" {u:>{w}}" for u, w in (("um", wide), ("MPa", wide + 2)) for _ in "ab")
+        lines.append(f"{'':<14}{units} {'% of area':>18}")
     for name, q in summary["interfaces"].items():
-        pairs = [
-            f"{1e3 * q['gap_max']:.1f} / {1e3 * q['gap_p99']:.1f}",
-            f"{1e3 * q['slip_max']:.1f} / {1e3 * q['slip_p99']:.1f}",
-            f"{q['pressure_max']:.2f} / {q['pressure_p99']:.2f}",
-            f"{q['shear_max']:.2f} / {q['shear_p99']:.2f}",
-            " / ".join(f"{100 * q[f'{s}_fraction']:.0f}" for s in ("open", "stick", "slip")),
-        ]
+        gap, slip = (_pair(q, k, 1e3, 1) for k in ("gap", "slip"))
+        pressure, shear = (_pair(q, k, 1.0, 2) for k in ("pressure", "shear"))
+        states = " / ".join(f"{100 * q[f'{s}_fraction']:.0f}" for s in ("open", "stick", "slip"))
         lines.append(
-            f"{name:<14} {pairs[0]:>15} {pairs[1]:>15} {pairs[2]:>17} {pairs[3]:>15} {pairs[4]:>18}"
+            f"{name:<14} {gap:>{wide}} {slip:>{wide}} {pressure:>{wide + 2}} "
+            f"{shear:>{wide + 2}} {states:>18}"
         )
     lines.append(
-        f"{'region':<16} {'von Mises p99':>14} {'tension max/p99':>18} {'mean stress':>17}"
+        f"{'region':<16} {'von Mises p99':>{wide}} {'tension max/p99':>{wide + 4}} "
+        f"{'mean stress':>18}"
     )
-    lines.append(f"{'':<16} {'MPa':>14} {'MPa':>18} {'MPa':>17}")
+    lines.append(f"{'':<16} {'MPa':>{wide}} {'MPa':>{wide + 4}} {'MPa':>18}")
     for name, r in summary["regions"].items():
+        tension = _pair(r, "principal", 1.0, 2)
+        mean = f"{r['mean_stress_min']:.2f} .. {r['mean_stress_max']:.2f}"
         lines.append(
-            f"{name:<16} {r['von_mises_p99']:>14.2f} "
-            f"{r['principal_max']:>9.2f} / {r['principal_p99']:<6.2f} "
-            f"{r['mean_stress_min']:>8.2f} .. {r['mean_stress_max']:<6.2f}"
+            f"{name:<16} {with_error(r, 'von_mises_p99', 1.0, 2):>{wide}} {tension:>{wide + 4}} "
+            f"{mean:>18}"
         )
-    if summary["stem"]:
-        s = summary["stem"]
+    if s := summary["stem"]:
         lines.append(
-            f"stem against bone: subsidence {1e3 * s['subsidence']:.1f} um, "
-            f"retroversion {s['retroversion']:.3f} deg, varus {s['varus']:.3f} deg"
+            f"stem against bone: subsidence {with_error(s, 'subsidence', 1e3, 1)} um, "
+            f"retroversion {with_error(s, 'retroversion', 1.0, 3)} deg, "
+            f"varus {with_error(s, 'varus', 1.0, 3)} deg"
         )
     b = summary["balance"]
     lines.append(
         f"balance of force {b['force']:.1e}, moment {b['moment']:.1e}, energy {b['energy']:.1e}"
     )
+    if unsettled := summary.get("error", {}).get("unsettled"):
+        lines.append(f"peaks that do not converge with the mesh: {', '.join(unsettled)}")
     lines.append(verdict(summary))
     return "\n".join(lines)
+
+
+def _pair(numbers: dict[str, Any], key: str, scale: float, digits: int) -> str:
+    """Maximum and percentile of a quantity."""
+    peak = f"{scale * numbers[f'{key}_max']:.{digits}f}"
+    return f"{peak} / {with_error(numbers, f'{key}_p99', scale, digits)}"
+
+
+def with_error(numbers: dict[str, Any], key: str, scale: float, digits: int) -> str:
+    """A number as people write it, ``41.3 ± 1.8`` where its error is known."""
+    text = f"{scale * numbers[key]:.{digits}f}"
+    error = numbers.get(f"{key}_error")
+    return text if error is None else f"{text} ± {scale * error:.{digits}f}"
 
 
 def verdict(summary: dict[str, Any]) -> str:
@@ -98,9 +113,18 @@ def verdict(summary: dict[str, Any]) -> str:
         if far
         else ""
     )
+    error = (
+        "± is the estimated error of mesh and step"
+        if any(k.endswith("_error") for q in _published(summary) for k in q)
+        else "error of mesh and step not estimated (--error)"
+    )
     return (
         f"converged: {solver['dofs']} unknowns, {solver['steps']} steps, "
         f"{solver['newton_iterations']} Newton iterations on {solver['ranks']} rank(s) in "
-        f"{t['total']:.1f} s; {balanced}, {contact} "
-        f"(mesh error not included){beyond}"
+        f"{t['total']:.1f} s; {balanced}, {contact}; {error}{beyond}"
     )
+
+
+def _published(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """The mappings of numbers of a summary."""
+    return [*summary["interfaces"].values(), *summary["regions"].values(), summary["stem"]]

@@ -82,6 +82,8 @@ class Problem:
         self.K = self.reduction.matrix(nodal)
         self._lifts = [self._lift(unit) for unit in self.reduction.unit]
         self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        held = PETSc.IS().createGeneral(self.supported_rows(), comm=self.comm)
+        self._reaction_rows = [self.K.createSubMatrix(held)]
         self.K.zeroRowsColumns(self.supported_rows(), diag=_typical(self.K))
         self._diagonal = self.K.getDiagonal()
         self.K.setBlockSize(3)
@@ -102,6 +104,7 @@ class Problem:
             if scene.contacts
             else ()
         )
+        self._reaction_rows += [j.C.createSubMatrix(held) for j in self.jumps]
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for j in self.jumps
@@ -175,6 +178,7 @@ class Problem:
             a = amplitude(action.history, time)
             self.f.axpy(a, action.reduced)
             self.f_q += a * action.jump
+        self._load_size = float(self.f.norm())
         self._given = np.zeros(len(self.held))
         for support, unit, lift in zip(
             self.scene.supports, self.reduction.unit, self._lifts, strict=True
@@ -218,14 +222,21 @@ class Problem:
         start = self.K.getOwnershipRange()[0]
         return (start + np.flatnonzero(self.held)).astype(np.int32)
 
-    def force_scale(self) -> float:
-        """Size of the forces now acting: loads, and interface forces so far [N]."""
-        scale = self.f.norm()
-        for j in self.jumps:
-            local = float(np.sum((j.weight[:, None] * j.history.force) ** 2))
-            scale += float(np.sqrt(self.comm.allreduce(local, MPI.SUM)))
-            scale += float(np.sqrt(self.comm.allreduce(float(np.sum(self.f_q**2)), MPI.SUM)))
-        return scale
+    def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
+        """Size of the forces in a state: loads, reactions and interface forces [N].
+
+        Not what supports would have to push a model with that holds still: on a fine mesh that is
+        far more than any force there is.
+        """
+        reaction = self._reaction_rows[0].createVecLeft()
+        self._reaction_rows[0].mult(u, reaction)
+        scale = self._load_size
+        for j, rows in zip(self.jumps, self._reaction_rows[1:], strict=True):
+            rows.multAdd(q, reaction, reaction)
+            e = j.equilibrium(u, q, self.f_q)
+            for forces in (np.where(j.held, 0.0, e), self.f_q):
+                scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
+        return scale + float(reaction.norm())
 
     def rounding(self, u: PETSc.Vec) -> float:
         """Residual that rounding alone leaves at a displacement: a stiff body that moves [N]."""

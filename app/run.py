@@ -17,10 +17,10 @@ from mpi4py import MPI
 import numpy as np
 
 import meshes
-from app import config, folders, quantities, ranks, scene, stepping
+from app import config, error, folders, quantities, ranks, scene, stepping
 from app import log as text
 from app.balance import Balance
-from app.errors import ConvergenceError, EnvironmentProblem, StoppedError
+from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
 from app.output import UNITS, Writer, on_root, provenance
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
@@ -63,59 +63,140 @@ def run(
             "another MPI; use this one's, or mantle run -n"
         )
     timing = Timing()
-    stop = _watch_signals()
-    with timing.phase("mesh"):
-        data = on_root(
-            comm,
-            lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
-            share=False,
-        )
-        tagged = distribute(data, comm)
-        mesh_hash = comm.bcast(_mesh_hash(data) if data is not None else "")
-        del data
+    model = _Model(case, raw_options(petsc_options), timing, _watch_signals())
+    problem, solver = model.problem, model.solver
     with timing.phase("assemble"):
-        problem = Problem(scene.build(case), tagged, case.solver.augmentation_factor, timing)
-        solver = Solver(
-            problem,
-            case.solver.tolerance,
-            case.solver.max_iterations,
-            case.solver.linear,
-            dict(case.solver.petsc) | raw_options(petsc_options),
-            timing,
-            stop,
-        )
-        stresses = Stresses(problem, timing)
         balance = Balance(problem, np.array(getattr(case.geometry, "head_centre", (0.0, 0.0, 0.0))))
     log.info(
         "%s: %d cells, unknowns %s, %d rank(s)",
         case.title or case_path.stem,
-        tagged.mesh.topology.index_map(3).size_global,
+        problem.tagged.mesh.topology.index_map(3).size_global,
         ", ".join(f"{n} {name}" for name, n in solver.block_sizes.items()),
         comm.size,
     )
     writer = Writer(
         problem,
-        stresses,
+        model.stresses,
         output,
         config.dump(case),
         case.output.fields,
-        lambda: provenance(problem, case_path, overrides, mesh_hash, started),
+        lambda: provenance(problem, case_path, overrides, model.mesh_hash, started),
     )
-    recorder = _Recorder(case, problem, solver, stresses, balance, writer, timing, begin)
+    recorder = _Recorder(case, model, balance, writer, timing, begin)
     log.info("%s", text.step_header())
     try:
         total = stepping.run(
             problem, solver, problem.scene.stages, recorder.step, lambda s: log.info("     %s", s)
         )
-    except (ConvergenceError, StoppedError) as error:
-        recorder.close("stopped" if isinstance(error, StoppedError) else "not converged")
-        raise type(error)(f"{error}\n{recorder.last_state()}") from error
+    except (ConvergenceError, StoppedError) as failure:
+        recorder.close("stopped" if isinstance(failure, StoppedError) else "not converged")
+        raise type(failure)(f"{failure}\n{recorder.last_state()}") from failure
     recorder.flush()
     summary = recorder.summary("converged", total)
+    for found in _errors(case, model, summary, timing):
+        # The numbers are safe before their errors are looked for.
+        writer.finish(summary, done=False)
+        summary |= {"error": found()}
+        summary["timing"] = recorder.seconds()
     writer.finish(summary, done=True)
     log.info("%s", text.closing_table(summary))
     log.info("results in %s", output)
     return 0
+
+
+class _Model:
+    """A case made ready to be solved."""
+
+    def __init__(
+        self, case: config.Case, options: dict[str, str], timing: Timing, stop: Callable[[], str]
+    ) -> None:
+        """Mesh, assemble and set the solver up; collective."""
+        comm = MPI.COMM_WORLD
+        self.options, self.stop = options, stop
+        with timing.phase("mesh"):
+            data = on_root(
+                comm,
+                lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
+                share=False,
+            )
+            tagged = distribute(data, comm)
+            self.mesh_hash = comm.bcast(_mesh_hash(data) if data is not None else "")
+        with timing.phase("assemble"):
+            self.problem = Problem(
+                scene.build(case), tagged, case.solver.augmentation_factor, timing
+            )
+            self.solver = Solver(
+                self.problem,
+                case.solver.tolerance,
+                case.solver.max_iterations,
+                case.solver.linear,
+                dict(case.solver.petsc) | options,
+                timing,
+                stop,
+            )
+            self.stresses = Stresses(self.problem, timing)
+
+    def numbers(self, samples: Samples | None) -> dict[str, Any]:
+        """What is published of the state last committed; collective."""
+        return {
+            "interfaces": self.interfaces(samples),
+            "regions": {
+                e.region: self.stresses.region(e.region) for e in self.problem.scene.elastic
+            },
+            "stem": quantities.stem_motion(self.problem),
+        }
+
+    def interfaces(self, samples: Samples | None) -> dict[str, dict[str, Any]]:
+        """What is published of the interfaces; collective."""
+        if samples is None:
+            return {}
+        return {
+            c.name: quantities.interface(self.problem, samples, i)
+            for i, c in enumerate(self.problem.scene.contacts)
+        }
+
+    def relative(self, case: config.Case) -> dict[str, Any]:
+        """Solve another case in the same way, for its numbers only; collective."""
+        other = _Model(case, self.options, Timing(), self.stop)
+        last: list[Samples | None] = [None]
+
+        def keep(step: stepping.Step, trial: Trial | None) -> None:
+            if step.time == len(other.problem.scene.stages):
+                last[0] = Samples(other.problem, trial) if trial is not None else None
+
+        stages = other.problem.scene.stages
+        stepping.run(other.problem, other.solver, stages, keep, lambda s: log.debug("     %s", s))
+        return other.numbers(last[0])
+
+
+def _errors(
+    case: config.Case, model: _Model, summary: dict[str, Any], timing: Timing
+) -> tuple[Callable[[], dict[str, Any]], ...]:
+    """What finds the errors of the numbers and puts them into the summary, if they are wanted."""
+    companions = error.companions(case)
+
+    def find() -> dict[str, Any]:
+        solved, failed = [], []
+        with timing.phase("error"):
+            for companion in companions:
+                begin = clock.perf_counter()
+                try:
+                    numbers = model.relative(companion.case)
+                except (ConvergenceError, GeometryError) as failure:
+                    log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
+                    failed.append(str(companion))
+                    continue
+                solved.append((companion, numbers))
+                seconds = clock.perf_counter() - begin
+                log.info("     error: companion on %s in %.1f s", companion, seconds)
+        unsettled = error.estimate(summary, case.mesh.order, solved)
+        return {
+            "companions": [str(c) for c, _ in solved],
+            "failed": failed,
+            "unsettled": unsettled,
+        }
+
+    return (find,) if companions else ()
 
 
 class _Recorder:
@@ -124,16 +205,15 @@ class _Recorder:
     def __init__(
         self,
         case: config.Case,
-        problem: Problem,
-        solver: Solver,
-        stresses: Stresses,
+        model: _Model,
         balance: Balance,
         writer: Writer,
         timing: Timing,
         begin: float,
     ) -> None:
-        self._case, self._problem, self._solver = case, problem, solver
-        self._stresses, self._balance, self._writer = stresses, balance, writer
+        self._case, self._model = case, model
+        self._problem, self._solver = model.problem, model.solver
+        self._balance, self._writer = balance, writer
         self._timing, self._begin = timing, begin
         self._samples: Samples | None = None
         self._time = 0.0
@@ -150,7 +230,7 @@ class _Recorder:
         problem = self._problem
         self._balance.update(self._solver.parts()[0], trial)
         self._samples = Samples(problem, trial) if trial is not None else None
-        interfaces = self._interfaces()
+        interfaces = self._model.interfaces(self._samples)
         self._time, self._steps = step.time, step.number
         self._newton += step.outcome.iterations
         wall = clock.perf_counter() - self._begin
@@ -196,6 +276,8 @@ class _Recorder:
             "stick_fraction": "-",
             "slip_fraction": "-",
             "dissipation": "N mm",
+            "dissipation_min": "N mm",
+            "contact_work": "N mm",
         }
         for name, q in interfaces.items():
             row |= {f"{name} {key} [{unit}]": q[key] for key, unit in columns.items()}
@@ -209,14 +291,6 @@ class _Recorder:
             return 0.0
         return float(s.weight[s.status == status].sum() / s.weight.sum())
 
-    def _interfaces(self) -> dict[str, dict[str, Any]]:
-        if self._samples is None:
-            return {}
-        return {
-            c.name: quantities.interface(self._problem, self._samples, i)
-            for i, c in enumerate(self._problem.scene.contacts)
-        }
-
     def _fields(self) -> None:
         self._written = self._steps  # a step that does not fit the disk is not tried again
         self._writer.fields(self._time, self._samples)
@@ -229,18 +303,13 @@ class _Recorder:
     def summary(self, status: str, total: stepping.Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         problem, solver = self._problem, self._solver
-        regions = {e.region: self._stresses.region(e.region) for e in problem.scene.elastic}
-        interfaces = self._interfaces()
-        stem = quantities.stem_motion(problem)
         sizes = solver.block_sizes
         result = {
             "status": status,
             "title": self._case.title,
             "units": UNITS,
             "time": self._time,
-            "interfaces": interfaces,
-            "regions": regions,
-            "stem": stem,
+            **self._model.numbers(self._samples),
             "balance": {
                 "force": self._balance.force,
                 "moment": self._balance.moment,
@@ -257,11 +326,15 @@ class _Recorder:
                 "ranks": problem.comm.size,
             },
         }
+        result["timing"] = self.seconds()
+        return result
+
+    def seconds(self) -> dict[str, float]:
+        """Wall seconds so far, by phase."""
         seconds = {k: 0.0 for k in ("mesh", "compile", "assemble", "solve", "output")}
         seconds |= self._timing.seconds
         seconds["total"] = clock.perf_counter() - self._begin
-        result["timing"] = {k: round(v, 3) for k, v in seconds.items()}
-        return result
+        return {k: round(v, 3) for k, v in seconds.items()}
 
     def close(self, status: str) -> None:
         """Leave the last converged state on disk, as far as the disk allows; collective."""

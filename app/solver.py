@@ -166,27 +166,30 @@ class Solver:
         names = [name for name in self.problem.comm.allgather(self._stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
-        self._residuals.append(norm / self._scale if self._scale else norm)
+        scale = self._scale_at(snes.getSolution())
+        self._residuals.append(norm / scale if scale else norm)
         self._flips.append(self._block.flips())
 
     def _converged(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
         """Residual below its tolerance, or below what rounding leaves of it."""
-        limit = max(self._tolerance * self._scale, self._block.rounding(snes.getSolution()))
+        x = snes.getSolution()
+        limit = max(self._tolerance * self._scale_at(x), self._block.rounding(x))
         reasons = PETSc.SNES.ConvergedReason
         if not np.isfinite(norms[2]):
             return reasons.DIVERGED_FUNCTION_NANORINF
         return reasons.CONVERGED_FNORM_ABS if norms[2] <= limit else reasons.ITERATING
+
+    def _scale_at(self, x: PETSc.Vec) -> float:
+        """Size of the forces, of this state or of the converged ones before it [N]."""
+        return max(self._scale, self.problem.force_scale(*self._block.parts(x)))
 
     # Solve
 
     def solve(self) -> Outcome:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._block.impose(self.x)
-        f = self._block.vector()
-        self._block.residual(self.x, f)
-        self._scale = max(self._scale, self.problem.force_scale(), f.norm())
         self._residuals, self._flips = [], []
         self._block.forget()
         with self._timing.phase("solve"):
@@ -196,7 +199,9 @@ class Solver:
                 # What a callback raised comes back wrapped.
                 raise error.__cause__ or error from None
         reason = self.snes.getConvergedReason()
-        if reason <= 0:
+        if reason > 0:
+            self._scale = self._scale_at(self.x)
+        else:
             self.x.copy(self.failed)
         return Outcome(
             converged=reason > 0,

@@ -31,7 +31,11 @@ INTERFACES = {
 FILM = 0.6  # mm of cancellous bone below which the cement reaches the cortex
 LEAST_MANTLE = 0.4  # mm of cement that the canal must leave room for before the film is added
 # Tried in turn when elements come out flat: factors of the film and of the sizes, and the mesher.
-ATTEMPTS = ((1.0, 1.0, 10), (1.0, 0.96, 10), (1.15, 1.0, 10), (1.0, 1.04, 1), (0.85, 0.93, 10))
+# Facets much larger than the film cut through each other: the last ones are as coarse as can be.
+ATTEMPTS = (
+    *((1.0, 1.0, 10), (1.0, 0.96, 10), (1.15, 1.0, 10), (1.0, 1.04, 1), (0.85, 0.93, 10)),
+    *((1.0, 0.8, 10), (1.0, 0.65, 10), (1.0, 0.5, 10)),
+)
 BIG = 400.0
 
 
