@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, ValidationInfo, model_validator
 
-from app import expressions
+from app.expressions import Varying
 from app.fields import ITEMS, Kinds, Model, Name, Word, fail, show
 from app.materials import History
 from app.units import (
-    NUMBER,
     Dimension,
-    ForceDensityVector,
     ForceVector,
     Length,
     NonNegativeNumber,
@@ -23,50 +21,10 @@ from app.units import (
     spread_unit,
 )
 
-GAP = Dimension("mm", "a length", "0.05 mm")
-
-
-def _gap(value: object) -> float | str:
-    """A length, or an expression in the coordinates (checked, kept as text)."""
-    if isinstance(value, str):
-        # "0.02 mm" is a length and "0.02" one without its unit; "0.02 * x" is an expression.
-        if (match := NUMBER.fullmatch(value)) and (not match[2] or match[2][0].isalpha()):
-            return GAP.read(value)
-        try:
-            expressions.parse(value)
-        except ValueError as error:
-            fail(f"{error}; expected a length such as '0.05 mm' or an expression in x, y, z in mm")
-        return value
-    return GAP.read(value)
-
-
-def _gap_as_text(value: float | str) -> str:
-    return value if isinstance(value, str) else GAP.write(value)
-
-
-class GapType:
-    """Pydantic's view of a gap: `float` (mm) or an expression in x, y, z that gives mm."""
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: object, handler: Any) -> Any:
-        """Read by `_gap`, write so that it reads back."""
-        from pydantic_core import core_schema
-
-        return core_schema.no_info_plain_validator_function(
-            _gap, serialization=core_schema.plain_serializer_function_ser_schema(_gap_as_text)
-        )
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: object, handler: object) -> dict[str, Any]:
-        """Text."""
-        return {
-            "type": "string",
-            "description": "length with a unit, or an expression in x, y, z (mm)",
-            "examples": ["0.05 mm", "-0.02 * (1 - z / 50)"],
-        }
-
-
-Gap = Annotated[float | str, GapType]
+LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
+ForceDensityField = Annotated[
+    float | str, Varying(Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3"))
+]
 
 
 class Bonded(Model):
@@ -81,7 +39,7 @@ class Contact(Model):
     kind: Literal["contact"] = "contact"
     friction_coefficient: NonNegativeNumber
     """Coulomb's coefficient; 0 for none."""
-    gap: Gap = 0.0
+    gap: LengthField = 0.0
     """Initial gap: positive open, negative an interference (press fit)."""
     gap_history: History = None
     """Multiplier of the gap at the end of each stage, from 0; all ones by default."""
@@ -97,7 +55,7 @@ class Penalty(Model):
     """Coulomb's coefficient; 0 for none."""
     penalty: PositiveStiffness
     """Pressure per penetration."""
-    gap: Gap = 0.0
+    gap: LengthField = 0.0
     """Initial gap: positive open, negative an interference (press fit)."""
     gap_history: History = None
     """Multiplier of the gap at the end of each stage, from 0; all ones by default."""
@@ -140,11 +98,11 @@ class Displacement(Model):
     kind: Literal["displacement"] = "displacement"
     boundary: Name
     """Boundary of the geometry."""
-    x: Length | None = None
+    x: LengthField | None = None
     """Displacement along x; free if absent."""
-    y: Length | None = None
+    y: LengthField | None = None
     """Displacement along y; free if absent."""
-    z: Length | None = None
+    z: LengthField | None = None
     """Displacement along z; free if absent."""
     history: History = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
@@ -239,8 +197,11 @@ class BodyForce(Model):
     kind: Literal["body_force"] = "body_force"
     regions: Annotated[tuple[Name, ...], ITEMS] | None = None
     """Regions it acts on; all by default."""
-    density: ForceDensityVector
-    """Force per volume."""
+    density: Annotated[
+        tuple[ForceDensityField, ForceDensityField, ForceDensityField],
+        Triple("[0 N/mm^3, 0 N/mm^3, -1e-5 N/mm^3]"),
+    ]
+    """Force per volume along x, y, z; each may vary in space."""
     history: History = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 

@@ -156,7 +156,8 @@ def runaway(problem: Problem, trial: Trial) -> str:
     """
     (j,) = problem.jumps
     forces = sum(float(np.linalg.norm(r)) for r in problem.resultants())
-    if not forces or any(any(s.values) for s in problem.scene.supports):
+    pushed = any(unit.any() for unit in problem.reduction.unit)
+    if problem.comm.allreduce(pushed, MPI.LOR) or not forces:
         return ""  # where supports move the model, they may move it far
     size = float(np.linalg.norm(np.ptp(j.points.x, axis=0)))
     moved = np.linalg.norm(trial.jump, axis=1)

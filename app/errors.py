@@ -6,7 +6,10 @@ on rank 0, and leaves with its ``exit_code``. Anything else is an internal error
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 class MantleError(Exception):
@@ -53,3 +56,21 @@ class EnvironmentProblem(MantleError):
     """A package, a compiler or MPI is missing or unusable."""
 
     exit_code = 69
+
+
+def everywhere(comm: Any, action: Callable[[], T]) -> T:
+    """Do something on every rank; an error on one is raised on all, so that none waits.
+
+    Args:
+        comm: Communicator.
+        action: What every rank does; not collective.
+    """
+    error = None
+    try:
+        result = action()
+    except MantleError as caught:
+        error = caught
+    for found in comm.allgather(error):
+        if found is not None:
+            raise found
+    return result

@@ -1,4 +1,4 @@
-"""The small language of gaps that vary in space: arithmetic in x, y, z.
+"""The small language of values that vary in space: arithmetic in x, y, z.
 
 An expression such as ``-0.02 * (1 - z / 50)`` is parsed with Python's grammar and evaluated node by
 node: nothing but the operators, names and functions listed here can be reached.
@@ -8,10 +8,15 @@ from __future__ import annotations
 
 import ast
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import core_schema
+
 from app.errors import InputError
-from app.fields import did_you_mean
+from app.fields import did_you_mean, fail
+from app.units import NUMBER, Dimension
 
 if TYPE_CHECKING:
     import numpy as np
@@ -110,7 +115,7 @@ def evaluate(expression: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
     """The values of an expression at points.
 
     Args:
-        expression: Text in the language of this module; coordinates and result in mm.
+        expression: Text in the language of this module, in coordinates in mm.
         x: Points, shape (n, 3), in mm.
 
     Returns:
@@ -159,3 +164,59 @@ def _value(node: ast.expr, names: dict[str, Any]) -> Any:
                 result = function(result, _value(argument, names))
             return result
     raise AssertionError("the tree was not checked")
+
+
+@dataclass(frozen=True)
+class Varying:
+    """Marks a field that is a dimensional value, or an expression in x, y, z that gives it.
+
+    Attributes:
+        constant: The value where it does not vary.
+    """
+
+    constant: Dimension
+
+    def read(self, value: object) -> float | str:
+        """The value in the internal unit, or the checked text of an expression.
+
+        Raises:
+            PydanticCustomError: Neither.
+        """
+        # "0.02 mm" is a length and "0.02" one without its unit; "0.02 * x" is an expression.
+        if not isinstance(value, str) or (
+            (match := NUMBER.fullmatch(value)) and (not match[2] or match[2][0].isalpha())
+        ):
+            return self.constant.read(value)
+        try:
+            parse(value)
+        except ValueError as error:
+            kind = self.constant
+            fail(
+                f"{error}; expected {kind.what} such as '{kind.example}' or an expression in "
+                f"x, y, z (mm) that gives {kind.unit}"
+            )
+        return value
+
+    def write(self, value: float | str) -> str:
+        """The value as text that reads back to the same."""
+        return value if isinstance(value, str) else self.constant.write(value)
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Replace pydantic's union by `read` and `write`."""
+        return core_schema.no_info_plain_validator_function(
+            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.write)
+        )
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Text."""
+        kind = self.constant
+        return {
+            "type": "string",
+            "description": f"{kind.what} with a unit, or an expression in x, y, z (mm) that gives "
+            f"{kind.unit}",
+            "examples": [kind.example, f"{kind.example.split()[0]} * (1 - z / 50)"],
+        }

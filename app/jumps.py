@@ -116,10 +116,13 @@ class Jumps:
         ]
         self.default_stiffness = self._default_stiffness(augmentation_factor)
         self.stiffness = self.default_stiffness.copy()
-        full = np.zeros(n)
+        full = np.zeros(len(self.points.weight))
         for i, c in enumerate(scene.contacts):
-            full[self.interface == i] = c.gap(self.points.x[self.mine][self.interface == i])
-        self._full_gap = full
+            # On every rank at all points, so that an error is raised on every rank.
+            here = self.points.interface == i
+            full[here] = c.gap(self.points.x[here])
+        self._full_gap = full[self.mine]
+        self._given = [self._given_by(s) for s in range(len(scene.supports))]
         zero = np.zeros((n, 3))
         self.history = History(zero, zero, zero, zero, np.zeros(n), np.zeros(n))
         self._couple(mechanics, reduction, entries, place)
@@ -145,6 +148,15 @@ class Jumps:
             for c, h in zip(self._contacts, self.edge_lengths, strict=True)
         ]
         return np.array(values)[self.interface]
+
+    def _given_by(self, s: int) -> Floats:
+        """Own jumps (n, 3) that a support gives at full amplitude [mm]."""
+        master, slave = self.points.given[:, :, 0] == s, self.points.given[:, :, 1] == s
+        sign = slave.astype(float) - master
+        rows = np.flatnonzero(sign.any(axis=1))
+        jump = np.zeros(sign.shape)
+        jump[rows] = sign[rows] * self._supports[s].values(self.points.x[rows])
+        return jump[self.mine]
 
     def _couple(
         self, mechanics: Mechanics, reduction: Reduction, entries: Entries, place: Ints
@@ -182,13 +194,9 @@ class Jumps:
         """Set gaps and given jumps to a time."""
         gap = np.array([amplitude(c.history, time) for c in self._contacts])
         self.gap = gap_vectors(self.normals, self.faces, self._full_gap * gap[self.interface])
-        given = self.points.given[self.mine]
-        values = np.zeros((len(self._supports) + 1, 3))
-        for k, s in enumerate(self._supports):
-            values[k] = np.array(s.values) * amplitude(s.history, time)
-        component = np.arange(3)[None, :]
-        jump = values[given[:, :, 1], component] - values[given[:, :, 0], component]
-        self.given = np.where(self.held, jump, 0.0)
+        self.given = np.zeros(self.held.shape)
+        for support, jump in zip(self._supports, self._given, strict=True):
+            self.given += amplitude(support.history, time) * jump
 
     def scale_augmentation(self, factor: float) -> None:
         """Set the augmentation to a multiple of its default; penalties stay."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from app import __version__
 from app.bodies import cell_tags
-from app.errors import MantleError, StoppedError
+from app.errors import StoppedError, everywhere
 from app.problem import Problem
 from app.quantities import Samples, Stresses
 from app.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
@@ -57,15 +57,7 @@ def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | 
         action: What rank 0 does.
         share: Whether the result goes to the other ranks, else None does.
     """
-    result, error = None, None
-    if comm.rank == 0:
-        try:
-            result = action()
-        except MantleError as caught:
-            error = caught
-    error = comm.bcast(error)
-    if error is not None:
-        raise error
+    result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
     return comm.bcast(result) if share else result
 
 

@@ -128,7 +128,7 @@ def _plain(value: object) -> str:
     if isinstance(value, list | tuple):
         items = [_plain(v) for v in value]
         units = {text.partition(" ")[2] for text in items}
-        if len(units) == 1 and (unit := units.pop()) and len(items) > 1:
+        if len(units) == 1 and (unit := units.pop())[:1].isalpha() and len(items) > 1:
             return f"[{', '.join(text.partition(' ')[0] for text in items)}] {unit}"
         return f"[{', '.join(items)}]"
     if isinstance(value, bool):

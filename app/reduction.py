@@ -17,9 +17,10 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.bodies import Bodies, boundary_facets, cell_tags
-from app.errors import InputError
+from app.errors import InputError, everywhere
 from app.terms import Scene
 from meshes.distribute import TaggedMesh
+from meshes.interfaces import gather
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -79,6 +80,23 @@ def support_of_dofs(
     return support
 
 
+def given_values(scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> list[Floats]:
+    """What each support gives own nodes at full amplitude (n, 3) [mm], else zero; collective."""
+    x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local]
+    own = support_of[: 3 * len(x)].reshape(-1, 3)
+
+    def values() -> list[Floats]:
+        result: list[Floats] = []
+        for s, term in enumerate(scene.supports):
+            rows = np.flatnonzero((own == s).any(axis=1))
+            given = np.zeros((len(x), 3))
+            given[rows] = np.where(own[rows] == s, term.values(x[rows]), 0.0)
+            result.append(given)
+        return result
+
+    return everywhere(space.mesh.comm, values)
+
+
 def rigid_modes(x: Floats) -> Floats:
     """Translations along and rotations about the axes at nodes x (n, 3) -> (n, 3, 6)."""
     modes = np.zeros((len(x), 3, 6))
@@ -96,11 +114,7 @@ class AllFree:
         owned = 3 * space.dofmap.index_map.size_local
         own = support_of[:owned]
         self.held: Bools = own >= 0
-        component = np.arange(owned) % 3
-        self.unit: list[Floats] = [
-            np.where(own == s, np.array(t.values)[component], 0.0)
-            for s, t in enumerate(scene.supports)
-        ]
+        self.unit: list[Floats] = [g.ravel() for g in given_values(scene, space, support_of)]
         self.reacting: Bools = self.held
         x = space.tabulate_dof_coordinates()[: owned // 3]
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
@@ -146,29 +160,28 @@ class WithRigid:
         self.unit: list[Floats] = [np.zeros(n) for _ in scene.supports]
         own = support_of[: 3 * nodes].reshape(-1, 3)
         self.held[: 3 * len(free)] = (own[free] >= 0).ravel()
-        for s, term in enumerate(scene.supports):
-            given = np.where(own[free] == s, np.array(term.values), 0.0)
-            self.unit[s][: 3 * len(free)] = given.ravel()
+        given = given_values(scene, space, support_of)
+        for unit, values in zip(self.unit, given, strict=True):
+            unit[: 3 * len(free)] = values[free].ravel()
         reacting = (own >= 0) & (region < 0)[:, None]
         self.modes: Floats = np.zeros((6, n))
         self.modes[:, : 3 * len(free)] = rigid_modes(x[free]).reshape(-1, 6).T
         columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
-        values = np.zeros((nodes, 3, 6))
+        entries = np.zeros((nodes, 3, 6))
         columns[free, :, 0] = start + np.arange(3 * len(free)).reshape(-1, 3)
-        values[free, :, 0] = 1
+        entries[free, :, 0] = 1
         for k, body in enumerate(scene.rigid):
             here = np.flatnonzero(region == k)
-            everywhere = np.concatenate(comm.allgather(x[here]))
-            centre = everywhere.mean(axis=0)
-            scale = np.ptp(everywhere, axis=0).max() or 1.0
+            (nodes_of,) = gather(comm, x[here])
+            centre = nodes_of.mean(axis=0)
+            scale = np.ptp(nodes_of, axis=0).max() or 1.0
             local = rigid_modes((x[here] - centre) / scale)
-            rows = np.concatenate(comm.allgather(local[own[here] >= 0]))
-            by = np.concatenate(comm.allgather(own[here][own[here] >= 0]))
-            component = np.concatenate(comm.allgather(np.nonzero(own[here] >= 0)[1]))
-            basis, rank, amounts = _held_motions(scene, body.region, rows, by, component)
+            held = own[here] >= 0
+            rows, *wanted = gather(comm, local[held], *(values[here][held] for values in given))
+            basis, rank, amounts = _held_motions(scene, body.region, rows, wanted)
             place = tail + 6 * k
             columns[here] = place + np.arange(6)
-            values[here] = local @ basis
+            entries[here] = local @ basis
             reacting[here] |= rank > 0
             if comm.rank == 0:
                 self.held[place : place + rank] = True
@@ -187,7 +200,7 @@ class WithRigid:
             csr=(
                 pointer.astype(PETSc.IntType),
                 columns.reshape(-1, 6)[keep].astype(PETSc.IntType),
-                values.reshape(-1, 6)[keep],
+                entries.reshape(-1, 6)[keep],
             ),
             comm=comm,
         )
@@ -232,7 +245,7 @@ def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace)
 
 
 def _held_motions(
-    scene: Scene, region: str, rows: Floats, by: Ints, component: Ints
+    scene: Scene, region: str, rows: Floats, wanted: list[Floats]
 ) -> tuple[Floats, int, list[Floats]]:
     """Basis (6, 6) of a body's motions, held ones first, their number, and their amounts.
 
@@ -240,8 +253,10 @@ def _held_motions(
         scene: The scene.
         region: Name of the rigid region.
         rows: Displacement of each held component by the six motions (m, 6).
-        by: Support that holds it (m,).
-        component: Its axis (m,).
+        wanted: What each support wants of it at full amplitude (m,).
+
+    Raises:
+        InputError: What they want is no rigid motion.
     """
     if not len(rows):
         return np.eye(6), 0, [np.zeros(6) for _ in scene.supports]
@@ -249,16 +264,19 @@ def _held_motions(
     rank = int((singular > _HELD * singular[0]).sum())
     basis = vt.T
     inverse = np.linalg.pinv(rows, rcond=_HELD)
-    amounts = []
-    for s, term in enumerate(scene.supports):
-        wanted = np.where(by == s, np.array(term.values)[component], 0.0)
-        motion = inverse @ wanted
-        if np.abs(rows @ motion - wanted).max() > 1e-9 * max(np.abs(wanted).max(), 1.0):
+    amounts: list[Floats] = [np.zeros(6) for _ in scene.supports]
+    # Supports that change alike are one: only together do they have to be a rigid motion.
+    for history in dict.fromkeys(s.history for s in scene.supports):
+        alike = [s for s, term in enumerate(scene.supports) if term.history == history]
+        whole = np.sum([wanted[s] for s in alike], axis=0)
+        motion = inverse @ whole
+        if np.abs(rows @ motion - whole).max() > 1e-9 * max(np.abs(whole).max(), 1.0):
+            names = ", ".join(scene.supports[s].name for s in alike if wanted[s].any())
             raise InputError(
-                f"supports.{term.name}: a rigid region ('{region}') cannot take on these values "
+                f"supports.{names}: a rigid region ('{region}') cannot take on these values "
                 "together with the other supports on it; allowed: a rigid motion"
             )
-        amounts.append(basis.T @ motion)
+        amounts[alike[0]] = basis.T @ motion
     return basis, rank, amounts
 
 

@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app import config
+from app.errors import InputError
 from app.terms import (
     BodyForce,
     Contact,
     Eigenstrain,
     Elastic,
+    Field,
     Force,
     Foundation,
     Load,
@@ -98,26 +100,20 @@ def _foundation(support: config.Support) -> tuple[Foundation, ...]:
 
 
 def _support(name: str, support: config.Support, stages: int) -> tuple[Support, ...]:
-    zero, always = (0.0, 0.0, 0.0), (1.0,) * stages
     match support:
         case config.Fixed():
-            return (Support(name, support.boundary, (True, True, True), zero, always),)
+            given: tuple[float | str | None, ...] = (0.0, 0.0, 0.0)
+            history = None
         case config.Roller():
-            held = (support.axis == "x", support.axis == "y", support.axis == "z")
-            return (Support(name, support.boundary, held, zero, always),)
+            given = tuple(0.0 if axis == support.axis else None for axis in "xyz")
+            history = None
         case config.Displacement():
-            x, y, z = support.x, support.y, support.z
-            return (
-                Support(
-                    name,
-                    support.boundary,
-                    (x is not None, y is not None, z is not None),
-                    (x or 0.0, y or 0.0, z or 0.0),
-                    _history(support.history, stages),
-                ),
-            )
+            given, history = (support.x, support.y, support.z), support.history
         case _:
             return ()
+    x, y, z = (value is not None for value in given)
+    values = _vector(f"supports.{name}", dict(zip("xyz", given, strict=True)))
+    return (Support(name, support.boundary, (x, y, z), values, _history(history, stages)),)
 
 
 def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int) -> Load:
@@ -129,7 +125,8 @@ def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int
             return Pressure(name, load.boundary, load.pressure, history)
         case config.BodyForce():
             regions = tuple(moduli) if load.regions is None else tuple(load.regions)
-            return BodyForce(name, regions, load.density, history)
+            density = {f"density[{i}]": value for i, value in enumerate(load.density)}
+            return BodyForce(name, regions, _vector(f"loads.{name}", density), history)
 
 
 def _contact(
@@ -150,7 +147,6 @@ def _contact(
     # The softer side carries the jump; a rigid side is stiffer than any.
     stiff = [max(moduli.get(r, np.inf) for r in side) for side in sides]
     master, slave = sides if stiff[0] >= stiff[1] else sides[::-1]
-    gap = law.gap
     return (
         Contact(
             name=name,
@@ -161,13 +157,27 @@ def _contact(
             augmented=augmented,
             stiffness=stiffness,
             modulus=min(stiff),
-            gap=lambda x: _gap(gap, x),
+            gap=_field(f"interfaces.{name}.gap", law.gap),
             history=_history(law.gap_history, stages),
         ),
     )
 
 
-def _gap(gap: float | str, x: Floats) -> Floats:
-    if isinstance(gap, str):
-        return np.asarray(config.evaluate(gap, x))
-    return np.full(len(x), gap)
+def _field(key: str, value: float | str) -> Field:
+    """A value or an expression as a function of points (n, 3): shape (n,)."""
+
+    def at(x: Floats) -> Floats:
+        if not isinstance(value, str):
+            return np.full(len(x), value)
+        try:
+            return config.evaluate(value, x)
+        except InputError as error:
+            raise InputError(f"{key}: {error}") from error
+
+    return at
+
+
+def _vector(key: str, components: Mapping[str, float | str | None]) -> Field:
+    """Three of them as one: shape (n, 3), zero where there is none."""
+    fields = [_field(f"{key}.{name}", value or 0.0) for name, value in components.items()]
+    return lambda x: np.stack([field(x) for field in fields], axis=1)

@@ -18,6 +18,8 @@ from ufl.core.expr import Expr
 from forms import elasticity, loads
 
 Floats = NDArray[np.float64]
+# Values at points (n, 3) [mm].
+Field = Callable[[Floats], Floats]
 
 
 def amplitude(history: Sequence[float], time: float) -> float:
@@ -85,14 +87,14 @@ class Support:
         name: Name in the case file.
         boundary: Boundary name.
         components: Which of x, y, z are given.
-        values: Their values at full amplitude [mm].
+        values: Their values (n, 3) at points at full amplitude [mm].
         history: Amplitudes at the ends of the stages.
     """
 
     name: str
     boundary: str
     components: tuple[bool, bool, bool]
-    values: tuple[float, float, float]
+    values: Field
     history: tuple[float, ...]
 
 
@@ -119,11 +121,11 @@ class Pressure:
 
 @dataclass(frozen=True)
 class BodyForce:
-    """A force density [N/mm3] in regions."""
+    """A force density (n, 3) [N/mm3] at points in regions."""
 
     name: str
     regions: tuple[str, ...]
-    density: tuple[float, float, float]
+    density: Field
     history: tuple[float, ...]
 
 
@@ -143,7 +145,7 @@ class Contact:
         augmented: Augmented Lagrangian (eq. 65), else penalty (eq. 57).
         stiffness: Augmentation or penalty [MPa/mm]; 0 asks for the default augmentation.
         modulus: Modulus of the softer side [MPa], which scales the default augmentation.
-        gap: Initial gap [mm] at points (n, 3), negative where the bodies interfere.
+        gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
         history: Amplitudes of the gap at the ends of the stages.
     """
 
@@ -155,7 +157,7 @@ class Contact:
     augmented: bool
     stiffness: float
     modulus: float
-    gap: Callable[[Floats], Floats]
+    gap: Field
     history: tuple[float, ...]
 
 

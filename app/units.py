@@ -262,14 +262,26 @@ class Plain:
         return kind | {k: v for k, v in bounds.items() if v is not None}
 
 
-VECTOR = re.compile(r"\s*\[([^\[\]]*)\]\s*(\S.*?)\s*", re.DOTALL)
+VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
 
 
 def spread_unit(value: object) -> object:
     """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
     if isinstance(value, str) and (match := VECTOR.fullmatch(value)):
-        return [f"{entry.strip()} {match.group(2)}" for entry in match.group(1).split(",")]
+        return [f"{entry.strip()} {match[2].strip()}".strip() for entry in _entries(match[1])]
     return value
+
+
+def _entries(text: str) -> list[str]:
+    """The parts between commas, but for those that divide the arguments of a function."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
 
 
 @dataclass(frozen=True)
@@ -327,7 +339,6 @@ Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]
 Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
 PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
 Newton = Annotated[float, Dimension("N", "a force", "1800 N")]
-ForceDensity = Annotated[float, Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3")]
 
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]
@@ -336,9 +347,6 @@ PositiveInteger = Annotated[int, Plain(integer=True, at_least=1)]
 NonNegativeInteger = Annotated[int, Plain(integer=True, at_least=0)]
 
 ForceVector = Annotated[tuple[Newton, Newton, Newton], Triple("[0 N, 0 N, -1800 N]")]
-ForceDensityVector = Annotated[
-    tuple[ForceDensity, ForceDensity, ForceDensity], Triple("[0 N/mm^3, 0 N/mm^3, -1e-5 N/mm^3]")
-]
 SizeVector = Annotated[
     tuple[PositiveLength, PositiveLength, PositiveLength], Triple("[10 mm, 10 mm, 5 mm]")
 ]

@@ -384,6 +384,25 @@ TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [("gap: -0.01 mm", "gap: 0.01 * w")],
         ["26:5: interfaces.stem_cement.gap: 'w' is not one of x, y, z, pi"],
     ),
+    "displacement that is no expression": (
+        [("kind: fixed,", "kind: displacement, z: 0 mm, x: 0.01 * w,")],
+        [
+            "29:39: supports.base.x: 'w' is not one of x, y, z, pi; expected a length such as "
+            "'0.05 mm' or an expression in x, y, z (mm) that gives mm"
+        ],
+    ),
+    "displacement without unit": (
+        [("kind: fixed,", "kind: displacement, z: '0.1',")],
+        ["29:30: supports.base.z: '0.1' needs a unit, e.g. '0.1 mm'"],
+    ),
+    "force density that is no expression": (
+        [("loads:\n", "loads:\n  g: {kind: body_force, density: [0 N/mm^3, x +, z]}\n")],
+        ["31:45: loads.g.density[1]: 'x +' is not an expression in x, y, z: invalid syntax"],
+    ),
+    "force densities in one text": (
+        [("loads:\n", "loads:\n  g: {kind: body_force, density: '[x, hypot(x, y), 0]'}\n")],
+        ["31:25: loads.g.density[2]: '0' needs a unit, e.g. '0 N/mm^3'"],
+    ),
     "two rigid regions in contact": (
         [
             ("    youngs_modulus: 110 GPa\n    poisson_ratio: 0.3\n", "    rigid: true\n"),

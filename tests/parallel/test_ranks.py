@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,9 +31,10 @@ interfaces:
   stem_cement: {kind: contact, friction_coefficient: 0.3, gap: -0.002 mm, gap_history: [1, 1]}
   cement_bone: {kind: contact, friction_coefficient: 0.5}
 supports:
-  outer: {kind: fixed, boundary: bone_surface}
+  outer: {kind: displacement, boundary: bone_surface, x: 1e-5 * z, y: 0 mm, z: -1e-5 * x}
 loads:
   push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], history: [0, 1]}
+  pull: {kind: body_force, regions: [cement], density: ["1e-3 * x", 0 N/mm^3, "-1e-4 * z"]}
   lateral: {kind: force, boundary: stem_top, force: [600 N, 200 N, 0 N], history: [0, 1]}
 stages:
   - {name: fit, adaptive: false}
@@ -93,6 +95,7 @@ def test_results_do_not_depend_on_the_number_of_ranks(
             "pressure": expected["pressure_max"],
             "shear": expected["pressure_max"],
             "penetration": expected["gap_max"],
+            "dissipation": expected["dissipation"],
         }
         for key, values in numbers(expected).items():
             for a, b in zip(numbers(actual)[key], values, strict=True):
@@ -123,3 +126,24 @@ def test_balances_close_on_any_number_of_ranks(summaries: dict[int, dict[str, An
         assert max(summary["balance"].values()) < 1e-8
         for q in summary["interfaces"].values():
             assert q["penetration_max"] < 1e-9
+
+
+@pytest.mark.parallel
+def test_an_error_on_one_rank_is_told_once_and_ends_all(tmp_path: Path) -> None:
+    """An expression that is not finite at a few nodes, which one of the ranks has."""
+    case = tmp_path / "case.yaml"
+    case.write_text(CASE)
+    for key, value in (
+        ("supports.outer.x", "sqrt(z - 1e-3)"),
+        ("loads.pull.density[1]", "log(z - 0.5)"),
+    ):
+        run = ("-m", "app", "run", case, "-o", tmp_path / "out", "--force")
+        done = subprocess.run(
+            support.mpirun(3, *run, "--set", f"{key}={value}"),
+            env=support.environment(),
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert done.returncode == 2, done.stderr
+        assert done.stderr.count(f"{key}: expression '{value}' is not finite at (") == 1

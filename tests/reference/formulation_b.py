@@ -330,7 +330,7 @@ def _supports(case: config.Case, tagged: TaggedMesh, bodies: dict[str, Part]) ->
                 values, history = {"xyz".index(support.axis): 0.0}, None
             case config.Displacement():
                 given = (support.x, support.y, support.z)
-                values = {c: v for c, v in enumerate(given) if v is not None}
+                values = {c: v for c, v in enumerate(given) if isinstance(v, float)}
                 history = support.history
             case _:
                 raise NotImplementedError(support.kind)

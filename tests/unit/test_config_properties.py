@@ -201,10 +201,11 @@ def cases(draw: st.DrawFn) -> dict[str, Any]:
             )
         },
     )
+    expressions = st.sampled_from(["0.01 * x", "-min(x, y) / (1 + z)", "-x", "3*max(x, 1e-3*z)"])
     contact = st.fixed_dictionaries(
         {"kind": st.just("contact"), "friction_coefficient": st.floats(0.0, 5.0)},
         optional={
-            "gap": quantity("um") | st.sampled_from(["0.01 * x", "-min(x, y) / (1 + z)"]),
+            "gap": quantity("um") | expressions,
             "gap_history": history,
             "augmentation": quantity("MPa/mm", positive),
         },
@@ -213,10 +214,17 @@ def cases(draw: st.DrawFn) -> dict[str, Any]:
     support = st.fixed_dictionaries(
         {"kind": st.just("displacement"), "boundary": st.just("x_min")},
         optional={"history": history},
-    ).flatmap(lambda d: quantity("mm").map(lambda q: d | {"x": q}))
+    ).flatmap(lambda d: (quantity("mm") | expressions).map(lambda q: d | {"x": q}))
     force = st.fixed_dictionaries(
         {"kind": st.just("force"), "boundary": st.just("top"), "force": vector("kN")},
         optional={"at": vector("mm"), "history": history},
+    )
+    density = st.lists(quantity("MN/m^3") | expressions, min_size=3, max_size=3)
+    volume = st.fixed_dictionaries(
+        {
+            "kind": st.just("body_force"),
+            "density": density | density.map(lambda d: f"[{', '.join(d)}]"),
+        }
     )
     scalars = st.integers() | finite | st.booleans() | st.text(max_size=8)
     return {
@@ -229,7 +237,7 @@ def cases(draw: st.DrawFn) -> dict[str, Any]:
         "regions": {n: draw(elastic) for n in blocks},
         "interfaces": {f"{a}_{b}": draw(laws) for a, b in pairwise(blocks)},
         "supports": {"base": {"kind": "fixed", "boundary": "bottom"}, "side": draw(support)},
-        "loads": {draw(names): draw(force)},
+        "loads": {draw(names): draw(force | volume)},
         "stages": [{"name": n, "increments": draw(st.integers(1, 99))} for n in stages],
         "solver": {"petsc": draw(st.dictionaries(names, scalars, max_size=3))},
     }

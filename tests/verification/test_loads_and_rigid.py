@@ -75,6 +75,43 @@ def test_pressure_and_body_force_have_their_resultants() -> None:
     assert np.abs(pressure[:2]).max() < 1e-9 * abs(pressure[2])
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_varying_body_force_has_its_resultant_and_moment(order: int) -> None:
+    """Polynomials of second degree on a box: integrals by hand."""
+    text = """
+geometry: {kind: blocks, blocks: [{name: low, size: [4 mm, 3 mm, 2 mm]},
+                                  {name: high, size: [4 mm, 3 mm, 2 mm]}]}
+mesh: {size: 2 mm, far_size: 2 mm}
+regions:
+  low: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
+  high: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
+supports: {base: {kind: fixed, boundary: bottom}}
+loads:
+  b: {kind: body_force, regions: [high], density: "[x * y, z**2, 2e-2 N/mm^3]", history: [2]}
+"""
+    solved = support.solve(text, f"mesh.order={order}", balances=True)
+    # Over 0..4, 0..3, 2..4, twice.
+    exact = 2 * np.array([8 * 4.5 * 2, 12 * 56 / 3, 24 * 0.02])
+    np.testing.assert_allclose(solved.problem.resultants()[0], exact, rtol=1e-12)
+    m_x = 2 * (12 * 1.5 * 0.04 - 12 * (4**4 - 2**4) / 4)
+    m_y = 2 * (8 * 4.5 * 6 - 3 * 8 * 2 * 0.02)
+    m_z = 2 * (8 * 3 * 56 / 3 - 8 * 9 * 2)
+    moment = nodal_moment(solved, (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(moment, [m_x, m_y, m_z], rtol=1e-12)
+    assert solved.balances.max() < 1e-9
+
+
+def test_varying_load_is_not_evaluated_outside_its_regions() -> None:
+    """Finite in the bone alone, that is enough; in the stem it is told, with the key."""
+    density = "density: ['log(hypot(x, y) - 10)', 0 N/mm^3, 0 N/mm^3]"
+    bone = f"loads.hip={{kind: body_force, regions: [bone], {density}}}"
+    problem, _ = support.assemble(support.case(CYLINDERS, "geometry.taper=0 deg", bone))
+    # The middle of the bone's cells is beyond 10 mm, its inner surface at 11 mm.
+    assert np.isfinite(problem.resultants()[0]).all()
+    with pytest.raises(InputError, match=r"loads\.hip\.density\[0\]: .*not finite at"):
+        support.assemble(support.case(CYLINDERS, bone.replace("[bone]", "[stem]")))
+
+
 def test_rigid_region_is_the_limit_of_a_stiff_one() -> None:
     """Gap, slip and pressure approach those of a rigid stem in proportion to 1/E."""
 
@@ -107,16 +144,34 @@ def test_rigid_region_takes_given_motion() -> None:
     assert solved.balances.max() < 1e-8
 
 
+def test_rigid_region_takes_a_given_rotation() -> None:
+    """Both ends of a stem turned about x by one angle, and lifted, by two supports."""
+    angle = 1e-3
+    turn = f"x: 0 mm, y: '{-angle} * z', z: '0.02 + {angle} * y'"
+    solved = support.solve(
+        CYLINDERS,
+        "regions.stem={rigid: true}",
+        "loads={}",
+        f"supports.top={{kind: displacement, boundary: stem_top, {turn}}}",
+        f"supports.bottom={{kind: displacement, boundary: stem_bottom, {turn}}}",
+        balances=True,
+    )
+    x, u = solved.displacement("stem")
+    exact = np.stack([0 * x[:, 0], -angle * x[:, 2], 0.02 + angle * x[:, 1]], axis=1)
+    np.testing.assert_allclose(u, exact, atol=1e-12)
+    assert solved.balances.max() < 1e-8
+
+
 def test_impossible_motion_of_a_rigid_region_is_refused() -> None:
-    """Its two ends cannot be pulled apart."""
-    with pytest.raises(InputError, match="rigid motion"):
+    """Its two ends cannot be pulled apart, and one end cannot bend."""
+    stem = (CYLINDERS, "regions.stem={rigid: true}", "loads={}")
+    up = "supports.up={kind: displacement, boundary: stem_top, z: 0.05 mm}"
+    with pytest.raises(InputError, match=r"supports\.up, down: .*rigid motion"):
         support.solve(
-            CYLINDERS,
-            "regions.stem={rigid: true}",
-            "loads={}",
-            "supports.up={kind: displacement, boundary: stem_top, z: 0.05 mm}",
-            "supports.down={kind: displacement, boundary: stem_bottom, z: -0.05 mm}",
+            *stem, up, "supports.down={kind: displacement, boundary: stem_bottom, z: -0.05 mm}"
         )
+    with pytest.raises(InputError, match=r"supports\.up: .*rigid motion"):
+        support.solve(*stem, up.replace("0.05 mm", "1e-3 * x**2"))
 
 
 def test_press_fit_by_eigenstrain_equals_press_fit_by_gap() -> None:

@@ -166,3 +166,64 @@ def test_tilted_interface_beyond_the_friction_cone_slips() -> None:
     limit = 0.8 * np.tan(θ) * s.pressure[slipping]
     np.testing.assert_allclose(s.shear[slipping], limit, rtol=1e-9)
     assert (s.status == OPEN).mean() < 0.5
+
+
+# Three blocks of one material whose whole surface is held by one affine displacement u = G x + c:
+# it is exact inside too, where G presses the interfaces together within the friction cone.
+GRADIENT = np.array([[2e-4, 1e-4, 2e-4], [-3e-4, 1e-4, -1e-4], [1e-4, 2e-4, -1e-3]])
+SHIFT = np.array([0.01, -0.02, 0.005])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("interfaces", ["{}", "bonded and contact", "contact"])
+def test_whole_boundary_held_by_an_affine_displacement(interfaces: str, order: int) -> None:
+    """Given on all sides by expressions, it is found inside, whether or not interfaces may open."""
+    rows = [
+        f"{axis}: '{' + '.join(f'{g} * {c}' for g, c in zip(row, 'xyz', strict=True))} + {shift}'"
+        for axis, row, shift in zip("xyz", GRADIENT, SHIFT, strict=True)
+    ]
+    sides = ("bottom", "top", "x_min", "x_max", "y_min", "y_max")
+    hold = f"kind: displacement, {', '.join(rows)}"
+    supports = ", ".join(f"{s}: {{{hold}, boundary: {s}}}" for s in sides)
+    change = {"{}": "interfaces={}", "bonded and contact": "interfaces.lower_middle={kind: bonded}"}
+    result = support.solve(
+        BOX.format(order=order, stiff=100, friction=2),
+        f"supports={{{supports}}}",
+        "loads={}",
+        change.get(interfaces, "interfaces.lower_middle.friction_coefficient=2"),
+        "stages=[{name: load, increments: 2}]",
+    )
+    σ = 100 / 1.3 * ((GRADIENT + GRADIENT.T) / 2 + 0.3 / 0.4 * np.trace(GRADIENT) * np.eye(3))
+    for name in ("lower", "middle", "upper"):
+        x, u = result.displacement(name)
+        exact = x @ GRADIENT.T + SHIFT
+        assert np.abs(u - exact).max() < 1e-12 * np.abs(exact).max(), name
+        assert np.abs(result.stress(name) - σ).max() < 1e-11 * np.abs(σ).max(), name
+    for s in result.samples[-1:]:
+        inside = s.pressure > 0  # at the sides supports hold both blocks
+        assert inside.sum() > 10
+        assert np.abs(s.pressure[inside] + σ[2, 2]).max() < 1e-9 * -σ[2, 2]
+        assert (s.status[inside] == STICK).all()
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_two_sides_of_an_interface_held_by_different_expressions(order: int) -> None:
+    """Where both blocks are held the jump is what their supports give, growing with the load."""
+    lower, upper = "1e-3 * (y - z)", "2e-3 * y + 1e-3 * z"
+    result = support.solve(
+        TILTED.format(**tilted(order, 1.0, 0)),
+        "geometry.tilt=0 deg",
+        "loads={}",
+        f"supports.left={{kind: displacement, boundary: lower_x_min, x: {lower}}}",
+        f"supports.more={{kind: displacement, boundary: upper_x_min, x: {upper}, history: [2]}}",
+        balances=True,
+    )
+    for name, exact in (
+        ("lower", lambda x: 1e-3 * (x[:, 1] - x[:, 2])),
+        ("upper", lambda x: 4e-3 * x[:, 1] + 2e-3 * x[:, 2]),
+    ):
+        x, u = result.displacement(name)
+        side = np.abs(x[:, 0]) < 1e-9
+        assert (np.abs(x[side, 2] - 6) < 1e-9).sum() > 2
+        np.testing.assert_allclose(u[side, 0], exact(x[side]), atol=1e-15)
+    assert result.balances.max() < 1e-9
