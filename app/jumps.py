@@ -41,6 +41,9 @@ from meshes.interfaces import Entries, InterfaceFacets, contact_points
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# A face is closed, when slip is told from opening, if its gap is below this fraction of the step.
+CLOSED = 1e-6
+
 
 @dataclass
 class History:
@@ -50,16 +53,22 @@ class History:
         jump: Jump (n, 3) [mm].
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Its part that friction carries (n, 3) [MPa].
+        opening: Jump with the initial gap (n, 3) [mm].
         accumulated: Sum of slip increments of each face (n, 3) [mm].
-        dissipation: Frictional work so far (n,) [N mm].
+        dissipation: Dissipated by friction so far (n,) [N mm].
+        least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening so far (n,) [N mm].
         work: Work of the whole interface force in the jump so far (n,) [N mm].
     """
 
     jump: Floats
     force: Floats
     friction: Floats
+    opening: Floats
     accumulated: Floats
     dissipation: Floats
+    least: Floats
+    contact_work: Floats
     work: Floats
 
 
@@ -107,9 +116,9 @@ class Jumps:
         self.interface = self.points.interface[self.mine]
         self._augmented = np.array([c.augmented for c in scene.contacts])[self.interface]
         friction = np.array([c.friction for c in scene.contacts])[self.interface]
-        frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
+        self._frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
         with timing.phase("compile"):
-            self._law = PointLaw(self.comm, self.normals, self.faces, friction, frictional)
+            self._law = PointLaw(self.comm, self.normals, self.faces, friction, self._frictional)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [
             float(edges[self.facets.interface == i].mean()) for i in range(len(scene.contacts))
@@ -124,7 +133,8 @@ class Jumps:
         self._full_gap = full[self.mine]
         self._given = [self._given_by(s) for s in range(len(scene.supports))]
         zero = np.zeros((n, 3))
-        self.history = History(zero, zero, zero, zero, np.zeros(n), np.zeros(n))
+        none = np.zeros(n)
+        self.history = History(zero, zero, zero, zero, zero, none, none, none, none)
         self._couple(mechanics, reduction, entries, place)
         self._work = self.Ct.createVecLeft()
         self.set_time(0.0)
@@ -246,22 +256,55 @@ class Jumps:
     # Commit
 
     def commit(self, e: Floats, q: Floats, law: PointForces) -> None:
-        """Make a converged state the history; work by the trapezoidal rule."""
+        """Make a converged state the history.
+
+        Dissipation is the implicit sum, new friction times the step's slip: what the incremental
+        potential (eq. 55) makes non-negative at each point, where the trapezoidal rule is negative
+        when friction reverses. Work is trapezoidal, so that the energy balance closes.
+
+        Contact without tension does no work in its total gap (jump and initial gap; a changing gap
+        does do work in the jump), so ``contact_work`` is what the load steps make of points that
+        close or open within a step. For a penalty it is the energy stored in its springs,
+        r/2 g^2 per area, which comes back when they let go; their tangential part is no slip and is
+        taken out of the dissipation.
+        """
         old = self.history
         step = q - old.jump
+        opening = q + self.gap
         F = self.forces(e)
-        friction = F + np.einsum("pk,pki->pi", law.pressures, self.normals)
+        normal = np.einsum("pk,pki->pi", law.pressures, self.normals)
+        friction = F + normal
         along = np.einsum("pi,pki->pk", step, self.normals)
         slip = np.linalg.norm(step[:, None, :] - along[:, :, None] * self.normals, axis=2)
-        rubbed = np.einsum("pi,pi->p", (friction + old.friction) / 2, step)
+        # The law's own friction: an open point has none, where equilibrium leaves a rounding error.
+        rubbing = law.force + normal
+        elastic = (rubbing - old.friction) / self.stiffness[:, None]
+        slipped = step - np.where(self._augmented[:, None], 0.0, elastic)
+        rubbed = np.einsum("pi,pi->p", rubbing, self._tangential(slipped, opening, law))
+        dissipated = self.weight * np.where(self._frictional, rubbed, 0.0)
+        pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
         self.history = History(
             jump=q.copy(),
             force=F,
             friction=friction,
+            opening=opening,
             accumulated=old.accumulated + np.where(law.pressures > 0, slip, 0.0),
-            dissipation=old.dissipation + self.weight * rubbed,
+            dissipation=old.dissipation + dissipated,
+            least=np.minimum(old.least, dissipated),
+            contact_work=old.contact_work + self.weight * pushed,
             work=old.work + self.weight * np.einsum("pi,pi->p", (F + old.force) / 2, step),
         )
+
+    def _tangential(self, step: Floats, opening: Floats, law: PointForces) -> Floats:
+        """What the closed faces of each point leave of a step (n, 3) [mm].
+
+        At an edge that is the part along it: the force of a point that friction on one face holds
+        against another acts across the edge too, but nothing slips there.
+        """
+        gap = np.einsum("pi,pki->pk", opening, self.normals)
+        closed = (law.pressures > 0) | (gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None])
+        n = np.where(closed[:, :, None], self.normals, 0.0)
+        return step - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, step)
 
 
 def _matrix(comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats) -> PETSc.Mat:

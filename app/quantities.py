@@ -58,7 +58,9 @@ class Samples:
         force: Force of the master on the slave per area (n, 3) [MPa].
         status: State (n,).
         jump: Jump with the initial gap (n, 3) [mm].
-        dissipation: Frictional work (n,) [N mm].
+        dissipation: Dissipated by friction (n,) [N mm].
+        least: Smallest dissipation of any step, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening (n,) [N mm].
     """
 
     def __init__(self, problem: Problem, trial: Trial) -> None:
@@ -82,6 +84,8 @@ class Samples:
             "status": np.where(j.faces > 0, trial.law.status, STICK),
             "jump": trial.jump + j.gap,
             "dissipation": history.dissipation,
+            "least": history.least,
+            "contact_work": history.contact_work,
         }
         pieces = problem.comm.allgather(local)
         whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
@@ -94,8 +98,11 @@ class Samples:
         self.gap, self.slip, self.accumulated, self.pressure = (
             whole[k][order] for k in ("gap", "slip", "accumulated", "pressure")
         )
-        self.shear, self.force, self.status, self.jump, self.dissipation = (
-            whole[k][order] for k in ("shear", "force", "status", "jump", "dissipation")
+        self.shear, self.force, self.status, self.jump = (
+            whole[k][order] for k in ("shear", "force", "status", "jump")
+        )
+        self.dissipation, self.least, self.contact_work = (
+            whole[k][order] for k in ("dissipation", "least", "contact_work")
         )
 
 
@@ -154,6 +161,8 @@ def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
         "area_gap_over_30um": float(area[faces & (gap > MICROMOTION)].sum()),
         "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],
         "dissipation": float(s.dissipation[at].sum()),
+        "dissipation_min": float(s.least[at].min()),
+        "contact_work": float(s.contact_work[at].sum()),
     }
 
 

@@ -239,15 +239,13 @@ def compare(a: State, b: State) -> dict[str, float]:
 
 
 def sums(steps: list[InterfaceState]) -> tuple[Floats, Floats]:
-    """Accumulated slip where the step ends in contact, and work of friction, by vertex number."""
+    """Accumulated slip where the step ends in contact, and dissipation, by vertex number."""
     slip = work = np.zeros(len(steps[0].vertex))
-    before = np.zeros((len(slip), 3))
     for s in steps:
         p = -np.sum(s.force * s.normal, axis=1)
         shear = s.force + p[:, None] * s.normal
         slip = slip + np.where(p > 1e-9 * p.max(), np.linalg.norm(s.slip, axis=1), 0)
-        work = work + s.area * np.sum((shear + before) / 2 * s.slip, axis=1)
-        before = shear
+        work = work + s.area * np.sum(shear * s.slip, axis=1)
     order = np.argsort(steps[0].vertex)
     return slip[order], work[order]
 

@@ -1,0 +1,330 @@
+r"""Second law (paper eq. 36): friction only dissipates, and contact without tension does no work.
+
+Strong form of what is tested, at every contact point: friction times slip rate is not negative, and
+the pressure times the rate of the gap is zero. In load steps the first holds for the implicit sum,
+the second up to points that close or open within a step.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gmsh
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from forms.contact import SLIP
+from tests import support
+from tests.support import Solved
+from tests.verification.test_full_slip import BAR
+
+Floats = NDArray[np.float64]
+
+# Of the largest increment.
+NEGATIVE = -1e-12
+
+AUGMENTED = "kind: contact"
+PENALTY = "kind: penalty, penalty: 600 MPa/mm"
+
+STEM = """
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 4 mm
+  bone_thickness: 5 mm
+  length: 16 mm
+  taper: 1.5 deg
+mesh: {{size: 4 mm, far_size: 5 mm}}
+regions:
+  stem: {{youngs_modulus: 110 GPa, poisson_ratio: 0.3}}
+  cement: {{youngs_modulus: 2200 MPa, poisson_ratio: 0.35}}
+  bone: {{youngs_modulus: 17 GPa, poisson_ratio: 0.3}}
+interfaces:
+  stem_cement: {{{law}, friction_coefficient: 0.4, gap: -2e-3 mm, gap_history: {gap}}}
+  cement_bone: {{{law}, friction_coefficient: 1.0}}
+supports:
+  outer: {{kind: fixed, boundary: bone_surface}}
+loads:
+  push: {{kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], history: {push}}}
+  x: {{kind: force, boundary: stem_top, force: [300 N, 0 N, 0 N], history: {x}}}
+  y: {{kind: force, boundary: stem_top, force: [0 N, 300 N, 0 N], history: {y}}}
+stages: {stages}
+"""
+
+BLOCKS = """
+geometry:
+  kind: blocks
+  blocks:
+    - {{name: lower, size: [8 mm, 6 mm, 3 mm]}}
+    - {{name: upper, size: [8 mm, 6 mm, 3 mm]}}
+mesh: {{size: 1.5 mm, far_size: 2 mm}}
+regions:
+  lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
+  upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.4}}
+interfaces:
+  lower_upper: {{{law}, friction_coefficient: 0.3, gap: 2e-3 * x, gap_history: {gap}}}
+supports:
+  floor: {{kind: fixed, boundary: bottom}}
+  down: {{kind: displacement, boundary: top, z: -0.03 mm, history: {push}}}
+  x: {{kind: displacement, boundary: top, x: 0.03 mm, history: {x}}}
+  y: {{kind: displacement, boundary: top, y: 0.03 mm, history: {y}}}
+stages: {stages}
+"""
+
+
+def random_path(text: str, law: str, seed: int, stages: int = 4) -> str:
+    """A case with random amplitudes at the ends of its stages, each in two or three increments."""
+    rng = np.random.default_rng(seed)
+
+    def amplitudes(low: float, high: float) -> str:
+        return str([round(float(a), 3) for a in rng.uniform(low, high, stages)])
+
+    listed = [f"{{name: s{k}, increments: {rng.integers(2, 4)}}}" for k in range(stages)]
+    return text.format(
+        law=law,
+        push=amplitudes(0.2, 1),
+        x=amplitudes(-1, 1),
+        y=amplitudes(-1, 1),
+        gap=amplitudes(0.5, 1),
+        stages=f"[{', '.join(listed)}]",
+    )
+
+
+def increments(solved: Solved, what: str) -> Floats:
+    """Increment of a sum of each point in each step (steps, n)."""
+    return np.diff([getattr(s, what) for s in solved.samples], axis=0, prepend=0)
+
+
+def assert_never_negative(solved: Solved) -> None:
+    """Every increment of the dissipation, as measured here and as reported."""
+    dissipated = increments(solved, "dissipation")
+    assert dissipated.min() >= NEGATIVE * dissipated.max()
+    for q in solved.interfaces.values():
+        assert 0 >= q["dissipation_min"] >= NEGATIVE * dissipated.max()
+        assert q["dissipation"] > 0
+    slips = [s.weight[s.status == SLIP].sum() / s.weight.sum() for s in solved.samples]
+    assert np.mean(slips) > 0.05, slips
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("law", [AUGMENTED, PENALTY], ids=["augmented", "penalty"])
+@pytest.mark.parametrize("text", [STEM, BLOCKS], ids=["stem", "blocks"])
+def test_friction_dissipates_at_every_point_in_every_step(text: str, law: str, seed: int) -> None:
+    """Random loads that turn round, with gaps that change on the way."""
+    solved = support.solve(random_path(text, law, seed), balances=True)
+    assert_never_negative(solved)
+    assert solved.balances.max() < 1e-8
+    if law == PENALTY:
+        return
+    # Friction times slip, from forces and jumps alone: the points have one face each.
+    j = solved.problem.jumps[0]
+    assert (j.points.faces[~j.points.held.any(axis=1)] == 1).all()
+    normals = j.points.normals[:, 0]
+
+    def tangential(v: Floats) -> Floats:
+        return v - np.einsum("sni,ni->sn", v, normals)[:, :, None] * normals
+
+    friction = tangential(np.array([-s.force for s in solved.samples]))
+    slip = tangential(increments(solved, "jump"))
+    expected = solved.last.weight * np.einsum("sni,sni->sn", friction, slip)
+    assert np.abs(increments(solved, "dissipation") - expected).max() < 1e-9 * expected.max()
+
+
+# A square peg in a square socket: points with one, two and three faces.
+PEG = """
+geometry:
+  kind: file
+  path: {path}
+  interfaces: {{peg_socket: [socket, peg]}}
+mesh: {{size: 1.5 mm}}
+regions:
+  socket: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
+  peg: {{youngs_modulus: 300 MPa, poisson_ratio: 0.3}}
+interfaces:
+  peg_socket: {{{law}, friction_coefficient: 0.4, gap: -2e-3 mm, gap_history: {gap}}}
+supports:
+  floor: {{kind: fixed, boundary: floor}}
+loads:
+  push: {{kind: force, boundary: head, force: [0 N, 0 N, -30 N], history: {push}}}
+  x: {{kind: force, boundary: head, force: [12 N, 0 N, 0 N], history: {x}}}
+  y: {{kind: force, boundary: head, force: [0 N, 12 N, 0 N], history: {y}}}
+stages: {stages}
+"""
+
+
+def peg(path: Path) -> None:
+    """Write a mesh of the peg, 4 x 4 x 5 mm, 3 mm deep in its socket."""
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        add = gmsh.model.occ
+        add.addBox(-4, -4, 0, 8, 8, 6, 1)
+        add.addBox(-2, -2, 3, 4, 4, 5, 2)
+        add.fragment([(3, 1)], [(3, 2)])
+        # The part of the peg within the socket and the part above it are two volumes.
+        add.synchronize()
+        low = {tag: gmsh.model.getBoundingBox(3, tag)[:3] for _, tag in gmsh.model.getEntities(3)}
+        inner = [tag for tag, (x, _, _) in low.items() if x > -3]
+        gmsh.model.addPhysicalGroup(3, [t for t in low if t not in inner], name="socket")
+        gmsh.model.addPhysicalGroup(3, inner, name="peg")
+        for name, z in (("floor", 0), ("head", 8)):
+            faces = gmsh.model.getEntitiesInBoundingBox(-9, -9, z - 0.1, 9, 9, z + 0.1, 2)
+            gmsh.model.addPhysicalGroup(2, [tag for _, tag in faces], name=name)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.5)
+        gmsh.model.mesh.generate(3)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+
+
+@pytest.mark.parametrize("law", [AUGMENTED, PENALTY], ids=["augmented", "penalty"])
+def test_edges_and_corners_dissipate_too(law: str, tmp_path: Path) -> None:
+    peg(tmp_path / "peg.msh")
+    text = random_path(PEG.replace("{path}", str(tmp_path / "peg.msh")), law, seed=3)
+    solved = support.solve(text, balances=True)
+    assert (np.bincount(solved.problem.jumps[0].points.faces)[1:] > 3).all()
+    assert_never_negative(solved)
+    assert solved.balances.max() < 1e-8
+
+
+# A block pressed on another and slid along it and back, further than the two can shear.
+SLIDE = """
+geometry:
+  kind: blocks
+  blocks:
+    - {{name: lower, size: [6 mm, 6 mm, 3 mm]}}
+    - {{name: upper, size: [6 mm, 6 mm, 3 mm]}}
+mesh: {{size: 1.5 mm, far_size: 2 mm}}
+regions:
+  lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
+  upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
+interfaces:
+  lower_upper: {{{law}, friction_coefficient: 0.3}}
+supports:
+  floor: {{kind: fixed, boundary: bottom}}
+  behind: {{kind: displacement, boundary: upper_x_min, x: 1 mm, history: {slide}}}
+  before: {{kind: displacement, boundary: upper_x_max, x: 1 mm, history: {slide}}}
+loads:
+  press: {{kind: pressure, boundary: top, pressure: 2 MPa, history: {press}}}
+stages: {stages}
+"""
+
+
+@pytest.mark.parametrize("law", [AUGMENTED, PENALTY], ids=["augmented", "penalty"])
+def test_full_slip_dissipates_friction_times_way(law: str) -> None:
+    """Steady sliding over a way s, there and back: each time μ p A s with p A the press.
+
+    Friction turns along the way, exponentially, only once the block slides.
+    """
+    slide = [0, 0.1, 0.16, 0.06, -0.01]
+    solved = support.solve(
+        SLIDE.format(
+            law=law,
+            slide=slide,
+            press=[1, 1, 1, 1, 1],
+            stages="[{name: a}, {name: b, increments: 3}, {name: c, increments: 3}, "
+            "{name: d, increments: 3}, {name: e, increments: 3}]",
+        )
+    )
+    total = dict(zip([s.time for s in solved.steps], solved.samples, strict=True))
+    for start, end in ((2, 3), (4, 5)):
+        assert (total[end].status == SLIP).all()
+        dissipated = total[end].dissipation.sum() - total[start].dissipation.sum()
+        way = abs(slide[end - 1] - slide[start - 1])
+        assert dissipated == pytest.approx(0.3 * 2 * 36 * way, rel=1e-4)
+
+
+def test_penalty_springs_dissipate_nothing_while_they_hold() -> None:
+    """Pushed sideways within the friction cone and back: tangential springs give all back."""
+    solved = support.solve(
+        SLIDE.format(
+            law=PENALTY,
+            slide=[0, 4e-4, -4e-4],
+            press=[1, 1, 1],
+            stages="[{name: a}, {name: b, increments: 2}, {name: c, increments: 3}]",
+        ),
+        "interfaces.lower_upper.friction_coefficient=5",
+    )
+    moved = float(solved.last.slip.max() * solved.last.shear.max()) * 36
+    assert moved > 1e-4
+    assert abs(solved.interfaces["lower_upper"]["dissipation"]) < 1e-12 * moved
+
+
+# A block pressed on another, then tilted to one side and to the other: contact opens and closes.
+TILT = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [12 mm, 6 mm, 4 mm]}
+    - {name: upper, size: [12 mm, 6 mm, 4 mm]}
+mesh: {size: 1.5 mm, far_size: 2 mm}
+regions:
+  lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 500 MPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: force, boundary: top, force: [0 N, 0 N, -150 N], history: [1, 1, 1]}
+  tilt:
+    {kind: force, boundary: top, force: [30 N, 0 N, 0 N], at: [6 mm, 3 mm, 24 mm],
+     history: [0, 1, -1]}
+stages: [{name: press}, {name: right}, {name: left}]
+"""
+
+
+def test_contact_without_tension_does_no_work_in_the_limit_of_small_steps() -> None:
+    r"""First order is what has to be; the second is what is found.
+
+    Where a point closes or opens within a step the trapezoidal rule pairs a pressure with a gap,
+    both of the first order in the step, and each point does so a fixed number of times.
+    """
+    numbers = [2, 4, 8, 16]
+    sums, tagged = [], None
+    for n in numbers:
+        stages = f"[{{name: a}}, {{name: b, increments: {n}}}, {{name: c, increments: {n}}}]"
+        solved = support.solve(TILT, f"stages={stages}", tagged=tagged)
+        tagged = solved.tagged
+        work = increments(solved, "contact_work")
+        # Of either sign: closing takes work, opening gives it.
+        sums.append(float(np.abs(work).sum()))
+        reported = solved.interfaces["lower_upper"]["contact_work"]
+        assert reported == pytest.approx(work.sum(), rel=1e-12)
+    assert support.fitted_order(numbers, sums) == pytest.approx(-2, abs=0.3), sums
+    assert max(a / b for a, b in zip(sums[1:], sums, strict=False)) < 0.5
+
+
+def test_work_of_a_growing_interference_is_not_contact_work() -> None:
+    """A press fit stores energy through the jump: all of it work against the changing gap."""
+    text = STEM.format(
+        law=AUGMENTED,
+        gap=[0.5, 1],
+        push=[0, 0],
+        x=[0, 0],
+        y=[0, 0],
+        stages="[{name: a}, {name: b}]",
+    )
+    solved = support.solve(text, balances=True)
+    (j,) = solved.problem.jumps
+    assert solved.balances.max() < 1e-8
+    work = abs(float(j.history.work.sum()))
+    assert work > 1e-3
+    assert np.abs(j.history.contact_work).sum() < 1e-10 * work
+
+
+def test_contact_work_of_a_penalty_is_the_energy_of_its_springs() -> None:
+    """Bar against a wall by a penalty: r/2 g^2 A with g = K u / (K + r), and nothing once back."""
+    K, u, r, A = 220.0, 0.01, 1e3, 4.0
+    energies = [
+        support.solve(
+            BAR.format(law=f"kind: penalty, penalty: {r} MPa/mm", friction=0.3),
+            f"supports.end.history={history}",
+            f"stages={[{'name': f's{k}', 'increments': 2} for k in range(len(history))]}",
+        ).interfaces["wall_bar"]["contact_work"]
+        for history in ([1], [1, 0])
+    ]
+    stored = r / 2 * (K * u / (K + r)) ** 2 * A
+    assert energies[0] == pytest.approx(stored, rel=1e-8)
+    assert abs(energies[1]) < 1e-9 * stored
