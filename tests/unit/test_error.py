@@ -1,0 +1,112 @@
+"""The estimate of a run's error: exact where the model of the error is, and what it costs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from app import config, error
+from tests import support
+
+STACK = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [4 mm, 4 mm, 2 mm]}
+    - {name: upper, size: [4 mm, 4 mm, 2 mm]}
+mesh: {size: 1 mm, order: 2}
+regions:
+  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 2 MPa}
+stages: [{name: press}]
+output: {error: true}
+"""
+
+
+def case(*overrides: str) -> config.Case:
+    return support.case(STACK, *overrides)
+
+
+def numbers(size: float, increments: float, order: float) -> dict[str, Any]:
+    """Numbers with an error of C h^p + C' / n, p as the estimate takes it."""
+
+    def wrong(by: float, p: float = order) -> float:
+        return by * (0.01 * size**p + 0.02 / increments)
+
+    return {
+        "interfaces": {
+            "lower_upper": {
+                "facet_size": 0.9 * size,
+                "slip_p99": 1 + wrong(1),
+                "slip_max": 1 + 0.2 * size,
+                "gap_max": 0.0 if size < 1.5 else 1e-3,
+                "force": [wrong(1), wrong(2), 0.0],
+            }
+        },
+        "regions": {},
+        "stem": {},
+    }
+
+
+def test_nothing_is_solved_that_nobody_asked_for() -> None:
+    assert error.companions(case("output.error=false")) == ()
+
+
+def test_companions_are_coarser_and_the_cheapest_has_other_steps() -> None:
+    one, two, steps = error.companions(case("stages.0.increments=8"))
+    assert [c.case.mesh.size for c in (one, two, steps)] == [2, 3, 3]
+    assert [c.case.mesh.far for c in (one, two, steps)] == [8, 12, 12]
+    assert [c.case.stages[0].increments for c in (one, two, steps)] == [8, 8, 4]
+    assert (one.steps, two.steps, steps.steps) == (1, 1, 0.5)
+
+
+def test_one_increment_is_compared_with_two() -> None:
+    *_, steps = error.companions(case())
+    assert steps.case.stages[0].increments == 2
+    assert steps.steps == 2
+
+
+def test_without_friction_the_path_does_not_matter() -> None:
+    frictionless = case("interfaces.lower_upper.friction_coefficient=0")
+    assert [c.steps for c in error.companions(frictionless)] == [1, 1]
+
+
+@pytest.mark.parametrize("increments", [1, 8])
+def test_the_estimate_is_exact_for_its_model(increments: int) -> None:
+    this = case(f"stages.0.increments={increments}")
+    p = error.ORDERS[2][0]
+    solved = [
+        (c, numbers(c.case.mesh.size, c.case.stages[0].increments, p))
+        for c in error.companions(this)
+    ]
+    run = numbers(1.0, increments, p)
+    unsettled = error.estimate(run, 2, solved)
+    q = run["interfaces"]["lower_upper"]
+    assert q["slip_p99_error"] == pytest.approx(q["slip_p99"] - 1)
+    assert q["force_error"] == pytest.approx(q["force"])
+    # The peak changes by 0.2 of 1.2, the gap by far less than any slip.
+    assert unsettled == ["lower_upper.slip_max"]
+    assert "slip_max_error" not in q
+
+
+def test_coarsening_is_measured_not_asked_for() -> None:
+    """A mesher that cannot make the mesh so coarse does not spoil the estimate."""
+    p = error.ORDERS[2][0]
+    first, second, _ = error.companions(case())
+    solved = [(first, numbers(1.6, 1, p)), (second, numbers(1.1, 1, p))]
+    run = numbers(1.0, 1, p)
+    error.estimate(run, 2, solved)
+    assert run["interfaces"]["lower_upper"]["slip_p99_error"] == pytest.approx(0.01)
+
+
+def test_no_companion_no_error() -> None:
+    run = numbers(1.0, 1, 1.8)
+    assert error.estimate(run, 2, []) == []
+    assert "slip_p99_error" not in run["interfaces"]["lower_upper"]
