@@ -1,0 +1,165 @@
+"""A run directory read back: summary, history, fields at every written step.
+
+Needs neither MPI nor dolfinx's meshes, so that what looks at many runs does not solve anything.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI  # noqa: F401  (before h5py, which may be built for MPI)
+
+import basix
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Vertices of the edges that carry the middle nodes of a quadratic tetrahedron, in VTK's order.
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
+
+
+class Run:
+    """A run directory.
+
+    Attributes:
+        folder: The directory.
+        points: Positions of the nodes (n, 3) [mm]; nodes on an interface are there once per body.
+        cells: Nodes of the cells (m, 4 or 10), in VTK's order.
+        region: Number of the region of each cell (m,), from 1.
+        times: Times of the written steps; stage k runs from k to k + 1.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Open a run that wrote fields.
+
+        Args:
+            folder: A run directory.
+
+        Raises:
+            OSError: It has no fields, or they cannot be read.
+        """
+        self.folder = folder
+        with h5py.File(folder / "fields.vtkhdf", "r") as file:
+            root = file["VTKHDF"]
+            self.points: Floats = root["Points"][:]
+            width = len(root["Connectivity"]) // len(root["Types"])
+            self.cells: Ints = root["Connectivity"][:].reshape(-1, width)
+            self.region: Ints = root["CellData/region"][:].astype(np.int64)
+            self.times: Floats = root["Steps/Values"][:]
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The content of summary.json."""
+        return dict(json.loads((self.folder / "summary.json").read_text(encoding="utf-8")))
+
+    @cached_property
+    def history(self) -> dict[str, Floats]:
+        """The columns of history.csv, by their titles (units and all)."""
+        with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+
+    def displacement(self, step: int = -1) -> Floats:
+        """Displacement of the nodes at a written step (n, 3) [mm]."""
+        return self._field("PointData/displacement", "Points", step)
+
+    def stress(self, step: int = -1) -> Floats:
+        """Mean stress of each cell at a written step (m, 3, 3) [MPa]."""
+        return self._field("CellData/stress", "Cells", step).reshape(-1, 3, 3)
+
+    def at_interface(self, name: str, quantity: str, step: int = -1) -> Floats:
+        """An interface quantity at every node (n,), as `on_interface` selects them.
+
+        Args:
+            name: The interface.
+            quantity: gap, slip [mm], pressure, shear [MPa] or status.
+            step: Which written step.
+        """
+        return self._field(f"PointData/{name}_{quantity}", "Points", step)
+
+    def on_interface(self, name: str) -> NDArray[np.bool_]:
+        """The nodes that are contact points of an interface (n,), those of both sides."""
+        return self.at_interface(name, "status", 0) >= 0
+
+    def areas(self, name: str) -> Floats:
+        """Area of an interface that belongs to each node (n,), half of it on each side [mm2].
+
+        A third of every facet whose corners are contact points of both bodies it lies between.
+        """
+        corners: Ints = self.cells[:, :4][:, FACES].reshape(-1, 3)
+        corners = corners[self.on_interface(name)[corners].all(axis=1)]
+        x = self.points[corners]
+        # Where an interface bends, a facet may have its corners on it and lie inside a body; facets
+        # of an interface come in pairs, one per body, at the same place.
+        centre = np.round(x.mean(axis=1), 9)
+        _, pair, count = np.unique(centre, axis=0, return_inverse=True, return_counts=True)
+        _, own = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
+        inside = np.bincount(own.ravel())[own.ravel()] > 1
+        keep = (count[pair.ravel()] == 2) & ~inside
+        x, corners = x[keep], corners[keep]
+        size = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
+        areas = np.zeros(len(self.points))
+        np.add.at(areas, corners, size[:, None] / 6)
+        return areas
+
+    def error(
+        self, exact: Callable[[Floats, Ints], Floats], degree: int = 6
+    ) -> tuple[float, float]:
+        """L2 norms of the error of the displacement and of the exact displacement.
+
+        Args:
+            exact: The exact displacement (n, 3) [mm] at points (n, 3), and their regions (n,).
+            degree: Of the quadrature.
+
+        Returns:
+            Norm of the difference and norm of the exact displacement [mm^(5/2)].
+        """
+        rule = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        points, weights = (np.asarray(a) for a in rule)
+        N, dN = shape_functions(points, self.cells.shape[1])
+        x, u = self.points[self.cells], self.displacement()[self.cells]
+        measure = np.abs(np.linalg.det(np.einsum("cni,qnj->cqij", x, dN))) * weights
+        place = np.einsum("qn,cni->cqi", N, x).reshape(-1, 3)
+        should = exact(place, np.repeat(self.region, len(weights))).reshape(*measure.shape, 3)
+        difference = np.einsum("qn,cni->cqi", N, u) - should
+
+        def norm(values: Floats) -> float:
+            return float(np.sqrt((measure * (values**2).sum(axis=2)).sum()))
+
+        return norm(difference), norm(should)
+
+    def _field(self, name: str, kind: str, step: int) -> Floats:
+        rows = len(self.points) if kind == "Points" else len(self.cells)
+        k = range(len(self.times))[step]
+        with h5py.File(self.folder / "fields.vtkhdf", "r") as file:
+            return np.asarray(file["VTKHDF"][name][k * rows : (k + 1) * rows])
+
+
+def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:
+    """Shape functions of a straight or quadratic tetrahedron in VTK's order of nodes.
+
+    Args:
+        points: Points of the reference tetrahedron (q, 3).
+        nodes: 4 or 10.
+
+    Returns:
+        Values (q, nodes) and derivatives (q, nodes, 3).
+    """
+    L = np.column_stack([1 - points.sum(axis=1), points])
+    dL = np.vstack([-np.ones(3), np.eye(3)])
+    if nodes == 4:
+        return L, np.broadcast_to(dL, (len(points), 4, 3))
+    i, j = np.array(EDGES).T
+    N = np.column_stack([L * (2 * L - 1), 4 * L[:, i] * L[:, j]])
+    corner = (4 * L - 1)[:, :, None] * dL
+    middle = 4 * (L[:, i, None] * dL[j] + L[:, j, None] * dL[i])
+    return N, np.concatenate([corner, middle], axis=1)

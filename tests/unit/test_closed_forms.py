@@ -1,0 +1,220 @@
+"""References of the verification suite, against the physics reference and their own equations.
+
+Displacement fields are differentiated numerically: nothing of their derivation is used twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from app import closed_forms as exact
+from app.expressions import evaluate
+
+CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
+CEMENT, STEM = (2200.0, 0.3), (110e3, 0.3)
+STEP = 1e-3
+
+Field = Callable[[np.ndarray], np.ndarray]
+
+
+def gradient(u: Field, x: np.ndarray, h: float = STEP) -> np.ndarray:
+    """Central differences (n, 3, 3), fourth order: row i is u_i."""
+    columns = []
+    for e in np.eye(3) * h:
+        near, far = u(x + e) - u(x - e), u(x + 2 * e) - u(x - 2 * e)
+        columns.append((8 * near - far) / (12 * h))
+    return np.stack(columns, axis=2)
+
+
+def stress(u: Field, material: tuple[float, float]) -> Field:
+    E, ν = material
+    λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+
+    def σ(x: np.ndarray) -> np.ndarray:
+        ε = gradient(u, x)
+        ε = (ε + ε.transpose(0, 2, 1)) / 2
+        trace = np.trace(ε, axis1=1, axis2=2)
+        return λ * trace[:, None, None] * np.eye(3) + 2 * μ * ε
+
+    return σ
+
+
+def divergence(σ: Field, x: np.ndarray, h: float = 10 * STEP) -> np.ndarray:
+    total = np.zeros_like(x)
+    for k, e in enumerate(np.eye(3) * h):
+        total += (8 * (σ(x + e) - σ(x - e)) - σ(x + 2 * e) + σ(x - 2 * e))[:, :, k] / (12 * h)
+    return total
+
+
+def support(case: str, name: str) -> Field:
+    """The displacement that a case prescribes, as a field."""
+    entry = YAML(typ="safe").load(CASES / case)["supports"][name]
+
+    def u(x: np.ndarray) -> np.ndarray:
+        return np.column_stack(
+            [evaluate(entry[axis], x) if axis in entry else 0 * x[:, 0] for axis in "xyz"]
+        )
+
+    return u
+
+
+def points(n: int, low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+    return np.random.default_rng(1).uniform(low, high, (n, 3))
+
+
+def test_compliance_of_a_fibrous_material() -> None:
+    bone = exact.Fibrous(17000, 11500, 0.31, 0.51, 3280)
+    σ = np.diag([0, 0, 10.0])
+    ε = np.diag([-0.31, -0.31, 1]) * 10 / 17000
+    np.testing.assert_allclose(bone.stress(ε, (0, 0, 1)), σ, atol=1e-11)
+    # Eigenvalues of the stiffness: physics reference E6.
+    np.testing.assert_allclose(
+        np.linalg.eigvalsh(np.linalg.inv(bone.compliance())),
+        [3280, 3280, 3807.9, 7615.9, 12861.9, 42224.1],
+        atol=0.06,
+    )
+    # An axial test along any fibre.
+    m = np.array([1, 1, 1]) / np.sqrt(3)
+    M = np.outer(m, m)
+    ε = 10 / 17000 * (M - 0.31 * (np.eye(3) - M))
+    np.testing.assert_allclose(bone.stress(ε, (1, 1, 1)), 10 * M, atol=1e-11)
+
+
+def test_isotropic_material_has_no_fibre() -> None:
+    E, ν = CEMENT
+    same = exact.Fibrous(E, E, ν, ν, E / (2 * (1 + ν)))
+    ε = points(2, (-1, -1, -1), (1, 1, 1))[0]
+    ε = np.outer(ε, ε)
+    np.testing.assert_allclose(same.stress(ε, (1, 2, 3)), same.stress(ε, (0, 0, 1)), rtol=1e-12)
+
+
+def test_lame_reference_values() -> None:
+    """Physics reference 5.2: titanium in 2 to 7 mm of cement."""
+    arguments = [(0.01, 7.0, 7.0 + t, STEM, CEMENT) for t in (2, 3, 4, 5, 7)]
+    np.testing.assert_allclose(
+        [exact.lame_pressure(*a) for a in arguments],
+        [0.76706, 1.02740, 1.23297, 1.39736, 1.63941],
+        atol=6e-6,
+    )
+    np.testing.assert_allclose(
+        [exact.lame_pressure_free(*a) for a in arguments],
+        [0.71812, 0.97135, 1.17485, 1.33991, 1.58677],
+        atol=6e-6,
+    )
+
+
+def test_oval_fit_satisfies_its_equations() -> None:
+    """Equilibrium in both bodies, free outer surface, equal tractions and the jump on r = b."""
+    fit = exact.OvalFit(7, 12, STEM, CEMENT, 0.01, 0.003)
+    θ = np.linspace(0.1, 6, 9)
+    n = np.column_stack([np.cos(θ), np.sin(θ), 0 * θ])
+
+    def core(x: np.ndarray) -> np.ndarray:
+        return fit.displacement(x, in_core=True)
+
+    def ring(x: np.ndarray) -> np.ndarray:
+        return fit.displacement(x, in_core=False)
+
+    for u, material, r in ((core, STEM, 4.0), (ring, CEMENT, 9.0)):
+        assert np.abs(divergence(stress(u, material), r * n)).max() < 1e-6
+    outer = np.einsum("nij,nj->ni", stress(ring, CEMENT)(12 * n), n)
+    assert np.abs(outer).max() < 1e-8
+    p = fit.pressure(7 * n)[:, None]
+    for u, material in ((core, STEM), (ring, CEMENT)):
+        traction = np.einsum("nij,nj->ni", stress(u, material)(7 * n), n)
+        np.testing.assert_allclose(traction, -p * n, atol=1e-8)
+    jump = np.einsum("ni,ni->n", ring(7 * n) - core(7 * n), n)
+    np.testing.assert_allclose(jump, 0.01 + 0.003 * np.cos(2 * θ), atol=1e-14)
+    assert p.min() > 1.3 and p.max() < 1.5
+
+
+def test_body_force_of_the_manufactured_solution() -> None:
+    """What the case prescribes is minus the divergence of the stress."""
+    case = YAML(typ="safe").load(CASES / "sine.yaml")
+    x = points(9, (0, 0, 0), (2, 2, 2))
+    given = np.column_stack([evaluate(b, x) for b in case["loads"]["weight"]["density"]])
+    σ = stress(lambda y: exact.sine(y, 0.01, 2.0), CEMENT)
+    np.testing.assert_allclose(given, -divergence(σ, x), atol=1e-5 * np.abs(given).max())
+
+
+def test_hertz_reference_values() -> None:
+    """Physics reference 5.3."""
+    modulus = exact.contact_modulus(CEMENT)
+    assert modulus == pytest.approx(2417.582, abs=1e-3)
+    line, ball = exact.hertz_line(100, 10, modulus), exact.hertz_point(100, 10, modulus)
+    assert (line.a, line.p0) == pytest.approx((0.725712, 87.7235), rel=1e-6)
+    assert (ball.a, ball.p0, ball.approach) == pytest.approx(
+        (0.676955, 104.1889, 0.0458268), rel=2e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("u", "case"), [(exact.flamant, "hertz_line.yaml"), (exact.boussinesq, "hertz_ball.yaml")]
+)
+def test_far_fields_are_those_of_a_loaded_half_space(u: Callable, case: str) -> None:
+    """Equilibrium, no traction on z = 0, the load below; the case prescribes the same field."""
+
+    def field(x: np.ndarray) -> np.ndarray:
+        return u(x, 100.0, CEMENT)
+
+    plane = u is exact.flamant
+    σ = stress(field, CEMENT)
+    x = points(9, (0.5, 0 if plane else 0.5, -3), (3, 0 if plane else 3, -1))
+    assert np.abs(divergence(σ, x)).max() < 1e-5
+    surface = np.array([[1.0, 0 if plane else 0.5, 0], [-2.0, 0, 0]])
+    surface[:, 2] = -1e-2  # differences need room: what is left vanishes with the depth
+    at_depth = np.abs(σ(surface)[:, :, 2]).max()
+    surface[:, 2] = -5e-3
+    assert np.abs(σ(surface)[:, :, 2]).max() < 0.51 * at_depth < 0.3
+    # The force through z = -1, by the midpoint rule on a stretched grid.
+    s = (np.arange(200) + 0.5) / 200 * math.pi - math.pi / 2
+    t, w = np.tan(s), math.pi / 200 / np.cos(s) ** 2
+    if plane:
+        y = np.column_stack([t, 0 * t, 0 * t - 1])
+        force = (σ(y)[:, 2, 2] * w).sum()
+    else:
+        r = np.abs(t)
+        y = np.column_stack([r, 0 * r, 0 * r - 1])
+        force = (σ(y)[:, 2, 2] * w * math.pi * r).sum()
+    assert force == pytest.approx(-100, rel=1e-3)
+    np.testing.assert_allclose(support(case, "far")(x), field(x), atol=1e-7 * 0.05)
+
+
+def test_cattaneo_mindlin_reference_value() -> None:
+    assert exact.stick_half_width(1.0, 0.5 * 0.3 * 50, 50, 0.3) == pytest.approx(math.sqrt(0.5))
+
+
+def test_foundation_bar_reference_values() -> None:
+    """Physics reference 5.5, and the work that the end does in a cycle."""
+    bar = exact.FoundationBar(500, 6, 1.1e6)
+    assert (bar.end, bar.residual, bar.cycle) == pytest.approx(
+        (0.01893939, 0.00946970, 1.578283), rel=1e-6
+    )
+    force = np.linspace(0, 500, 4001)
+    unloading = bar.end - (500 - force) ** 2 / (4 * 1.1e6 * 6)
+    loading = bar.residual + force**2 / (4 * 1.1e6 * 6)
+    assert np.trapezoid(unloading - loading, force) == pytest.approx(bar.cycle, rel=1e-6)
+
+
+def test_incline_and_penalty_reference_values() -> None:
+    assert exact.push_up(0.1, 0.3) == pytest.approx(0.412371, abs=1e-6)
+    values = {1e2: 6.875e-3, 1e3: 1.803e-3, 1e4: 2.153e-4, 1e5: 2.195e-5, 1e6: 2.2e-6, 1e8: 2.2e-8}
+    for r, value in values.items():
+        assert exact.penalty_penetration(220, 0.01, r) == pytest.approx(value, rel=3e-4)
+
+
+@pytest.mark.parametrize("w", [0.8, -0.8])
+def test_klarbring_particle_has_several_solutions_beyond_the_critical_friction(w: float) -> None:
+    """Unique exactly if friction |w| < k_T: 1.25 in the physics reference 5.7."""
+    assert exact.particle_solutions(1, 2, w, 1.25 * (1 - 1e-9)) == 1
+    assert exact.particle_solutions(1, 2, w, 1.25 * (1 + 1e-9)) > 1
+    for friction in (0.01, 0.5, 1.2):
+        assert exact.particle_solutions(1, 2, w, friction) == 1
+    for friction in (1.3, 3, 100):
+        assert exact.particle_solutions(1, 2, w, friction) > 1
