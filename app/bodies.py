@@ -105,8 +105,17 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Contact]) -> Bodies:
 
 
 def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
-    """Facets of a named boundary that this rank owns, each with its one cell."""
+    """Facets of a named boundary that this rank owns, each with its one cell.
+
+    Raises:
+        InputError: It is none of this mesh: a surface of a file that lies inside, or is empty.
+    """
     mesh = tagged.mesh
+    if boundary not in tagged.boundaries:
+        raise InputError(
+            f"boundary '{boundary}' is no part of the surface of this mesh; it has "
+            f"{', '.join(tagged.boundaries)}"
+        )
     facets = np.concatenate([tagged.facet_tags.find(t) for t in tagged.boundaries[boundary]])
     facets = np.unique(facets[facets < mesh.topology.index_map(2).size_local]).astype(np.int64)
     link = mesh.topology.connectivity(2, 3)

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from app.fields import ITEMS, MAPPING, Kinds, Model, Name, Truth, Word, fail, one_of
-from app.gmsh_file import counts, physical_names
+from app.gmsh_file import content, counts, is_script, physical_names
 from app.units import (
     Angle,
     Dimension,
@@ -318,7 +318,12 @@ class Femur(Model):
 
 
 class MeshFile(Model):
-    """A gmsh ``.msh`` file; its named physical volumes are regions, its surfaces boundaries."""
+    """A gmsh file; its named physical volumes are regions, its surfaces boundaries.
+
+    A ``.msh`` file is taken as it is. A ``.geo`` script is meshed: it declares
+    ``DefineConstant[ size = 1 ];``, and ``far_size`` if it likes, which are set from the mesh
+    section (in the script's unit).
+    """
 
     kind: Literal["file"] = "file"
     path: Path
@@ -383,12 +388,22 @@ class MeshFile(Model):
 
     @property
     def interface_area(self) -> float:
-        """Unknown without reading the whole file: 0."""
+        """Unknown without the mesh: 0."""
         return 0.0
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Number of elements of any dimension in the file: an upper bound."""
+        """Number of elements of any dimension in the file, an upper bound; 0 for a script."""
         return counts(self.path)
+
+    @property
+    def is_script(self) -> bool:
+        """Whether the file is still to be meshed."""
+        return is_script(self.path)
+
+    @property
+    def content(self) -> str:
+        """Hash of what the file holds."""
+        return content(self.path)
 
 
 def _sides(value: object, name: object) -> object:

@@ -58,6 +58,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
 def estimated_size(case: Case) -> str:
     """Cells, unknowns and memory, from the parameters alone."""
     cells = case.geometry.estimate_cells(case.mesh)
+    if not cells:
+        return "size\n  not known before it is meshed: --mesh counts"
     nodes = NODES_PER_CELL * cells + 50
     if case.mesh.order == 2:
         nodes += EDGES_PER_CELL * cells

@@ -45,8 +45,8 @@ def key(geometry: Any, mesh: Any) -> str:
     content["version"] = MESHER_VERSION
     if geometry.kind == "file":
         content["geometry"].pop("path", None)
-        content["file"] = hashlib.sha256(Path(geometry.path).read_bytes()).hexdigest()
-    else:
+        content["file"] = geometry.content
+    if geometry.kind != "file" or geometry.is_script:
         import gmsh
 
         content["gmsh"] = gmsh.__version__

@@ -1,4 +1,4 @@
-"""Meshes from and to gmsh files, by physical names."""
+"""Meshes from and to gmsh files, by physical names; scripts are meshed first."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from app.errors import GeometryError
 
+from .curving import untangle
 from .data import Ints, MeshData, cell_volumes, exterior_facets
-from .session import session
+from .session import generate, session
 from .tags import assemble, number
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
@@ -20,11 +21,12 @@ _TETRAHEDRA, _TRIANGLES = {4: 4, 11: 10}, {2: 3, 9: 6}
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
-    """Read a ``.msh`` file (2.2 or 4.1) of straight or quadratic tetrahedra.
+    """Read a ``.msh`` file (2.2 or 4.1) of straight or quadratic tetrahedra, or run a script.
 
     Args:
         geometry: ``path``, ``unit`` and ``interfaces`` (name to the regions on either side).
-        mesh: Not used: the file decides.
+        mesh: ``size``, ``far_size`` [mm], ``curved`` for a ``.geo`` script; a ``.msh`` file decides
+            by itself.
 
     Returns:
         Regions are the named physical volumes, boundaries the named physical surfaces on the
@@ -32,14 +34,17 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         cells without a region, which are left out.
 
     Raises:
-        GeometryError: No such file, no tetrahedra, other elements, missing or overlapping
-            physical groups (with the names found).
+        GeometryError: No such file, a script that fails, no tetrahedra, other elements, missing or
+            overlapping physical groups (with the names found).
     """
     path = Path(geometry.path)
     if not path.is_file():
         raise GeometryError(f"{path}: no such mesh file")
     with session(path.name) as gmsh:
-        gmsh.merge(str(path))
+        if geometry.is_script:
+            _run_script(gmsh, path, mesh, MILLIMETRES[geometry.unit])
+        else:
+            gmsh.merge(str(path))
         names = {
             dim: [
                 gmsh.model.getPhysicalName(d, tag) for d, tag in gmsh.model.getPhysicalGroups(dim)
@@ -52,6 +57,8 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         regions = number(sorted({name for name in names[3] if name}))
         if not regions:
             raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
+        if absent := [name for name in geometry.region_names if name not in regions]:
+            raise GeometryError(f"{found}; nothing is in the volumes {_listed(absent)}")
         needed = {r for sides in geometry.interfaces.values() for side in sides for r in side}
         if needed - set(regions):
             raise GeometryError(
@@ -64,6 +71,17 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return _named(
         geometry, regions, node_tags, coordinates.reshape(-1, 3), cells, surfaces, everything
     )
+
+
+def _run_script(gmsh: Any, path: Path, mesh: Any, unit: float) -> None:
+    """Mesh what a script makes, with its parameters set to the sizes in its unit [mm]."""
+    gmsh.parser.clear()  # of what a script before it in this process has defined
+    gmsh.parser.setNumber("size", [mesh.size / unit])
+    gmsh.parser.setNumber("far_size", [(mesh.far_size or 4 * mesh.size) / unit])
+    for source in ("ExtendFromBoundary", "FromPoints"):  # gmsh's defaults, which scripts count on
+        gmsh.option.setNumber(f"Mesh.MeshSize{source}", 1)
+    gmsh.merge(str(path))
+    generate(gmsh, mesh.curved)
 
 
 def _named(
@@ -94,6 +112,8 @@ def _named(
     points = points * MILLIMETRES[geometry.unit]
     negative = cell_volumes(points, cells) < 0
     cells[negative] = cells[negative][:, _MIRROR[width]]
+    if width == 10 and geometry.is_script:
+        points = untangle(points, cells)
     try:
         exterior = exterior_facets(cells)
     except ValueError as error:

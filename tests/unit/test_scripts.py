@@ -1,0 +1,199 @@
+"""Geometry from gmsh scripts: names read from the text, sizes handed in, meshed like the rest."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import meshes
+from app import config
+from app.errors import InputError
+from app.gmsh_file import physical_names
+from meshes import cache
+from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
+from tests import support
+
+# Two layers of a box 2 x 3 x (1 + 2), by gmsh's own kernel; the surface between them is named.
+LAYERS = """\
+// Physical Volume("comment") = {1};
+/* size; Physical Surface("also // comment") = {1}; */
+DefineConstant[ size = 1, far_size = 1 ];
+Point(1) = {0, 0, 0, size}; Point(2) = {2, 0, 0, size};
+Point(3) = {2, 3, 0, size}; Point(4) = {0, 3, 0, size};
+Line(1) = {1, 2}; Line(2) = {2, 3}; Line(3) = {3, 4}; Line(4) = {4, 1};
+Curve Loop(1) = {1, 2, 3, 4}; Plane Surface(1) = {1};
+low[] = Extrude {0, 0, 1} { Surface{1}; };
+high[] = Extrude {0, 0, 2} { Surface{low[0]}; };
+MeshSize { PointsOf { Surface{high[0]}; } } = far_size;
+Physical Volume("low") = {low[1]};
+Physical  Volume ( "high" , 7 ) = {high[1]};
+Physical Surface("base") = {1};
+Physical Surface("top") = {high[0]}; Physical Surface("between") = {low[0]};
+"""
+
+# A pin of radius 2 and height 5 in a plate 10 x 10 x 5, by OpenCASCADE.
+PIN = """\
+SetFactory("OpenCASCADE");
+DefineConstant[ size = 1 ];
+Box(1) = {0, 0, 0, 10, 10, 5};
+Cylinder(2) = {5, 5, 0, 0, 0, 5, 2};
+BooleanFragments{ Volume{1}; Delete; }{ Volume{2}; Delete; }
+Physical Volume("pin") = {2};
+Physical Volume("plate") = {3};
+Physical Surface("base") = Surface In BoundingBox{-1, -1, -0.1, 11, 11, 0.1};
+MeshSize { PointsOf { Volume{:}; } } = size;
+"""
+
+CASE = """\
+geometry: {kind: file, path: a.geo, interfaces: {joint: [low, high]}}
+mesh: {size: 1 mm, far_size: 1 mm}
+regions:
+  low: {youngs_modulus: 100 MPa, poisson_ratio: 0}
+  high: {youngs_modulus: 100 MPa, poisson_ratio: 0}
+interfaces: {joint: {kind: contact, friction_coefficient: 0.3}}
+supports: {base: {kind: fixed, boundary: base}}
+loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
+"""
+
+
+def script(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "a.geo"
+    path.write_text(text)
+    return path
+
+
+def options(**values: object) -> config.MeshOptions:
+    return config.MeshOptions.model_validate(values)
+
+
+def test_names_are_read_from_the_text(tmp_path: Path) -> None:
+    """In the order of the script, without what is in comments."""
+    path = script(tmp_path, LAYERS)
+    assert physical_names(path, 3) == ("low", "high")
+    assert physical_names(path, 2) == ("base", "top", "between")
+
+
+def test_layers_are_meshed_with_the_sizes_of_the_case(tmp_path: Path) -> None:
+    geometry = config.MeshFile(
+        path=script(tmp_path, LAYERS), interfaces={"joint": (("low",), ("high",))}
+    )
+    cells = {}
+    for size, far in ((1.0, 1.0), (0.5, 0.5), (0.5, 1.0)):
+        data = meshes.build(geometry, options(size=f"{size} mm", far_size=f"{far} mm"))
+        cells[size, far] = len(data.cells)
+        assert region_volumes(data) == pytest.approx({"low": 6.0, "high": 12.0})
+        assert boundary_areas(data) == pytest.approx({"base": 6.0, "top": 6.0})
+        joint = interface_facets(data, "joint")[0]
+        assert facet_areas(data.points, joint).sum() == pytest.approx(6.0)
+        assert np.allclose(data.points[joint][:, :, 2], 1.0)
+        assert data.notes["interior_surfaces"] == ["between"]
+    assert 4 * cells[1.0, 1.0] < cells[0.5, 0.5] < 16 * cells[1.0, 1.0]
+    assert cells[1.0, 1.0] < cells[0.5, 1.0] < 0.8 * cells[0.5, 0.5]
+
+
+def test_sizes_are_told_in_the_unit_of_the_script(tmp_path: Path) -> None:
+    """The same script in cm with ten times the size is the same mesh, ten times as large."""
+    path = script(tmp_path, PIN)
+    small = meshes.build(config.MeshFile(path=path), options(size="1 mm"))
+    large = meshes.build(config.MeshFile(path=path, unit="cm"), options(size="1 cm"))
+    assert np.array_equal(small.cells, large.cells)
+    assert np.allclose(10 * small.points, large.points)
+
+
+def test_curved_cells_follow_the_script(tmp_path: Path) -> None:
+    geometry = config.MeshFile(path=script(tmp_path, PIN))
+    straight, curved = (
+        meshes.build(geometry, options(size="1.5 mm", curved=curved)) for curved in (False, True)
+    )
+    assert not straight.curved and curved.curved
+    exact = np.pi * 2**2 * 5
+    errors = [1 - region_volumes(data)["pin"] / exact for data in (straight, curved)]
+    assert 0.01 < errors[0] < 0.2
+    assert abs(errors[1]) < 0.05 * errors[0]
+
+
+def test_cached_by_what_the_mesh_depends_on(tmp_path: Path) -> None:
+    path = script(tmp_path, PIN + 'Merge "more.step";\n')
+    geometry, coarse = config.MeshFile(path=path), options(size="1 mm")
+    keys = {cache.key(geometry, coarse), cache.key(geometry, options(size="2 mm"))}
+    keys.add(cache.key(geometry, options(size="1 mm", curved=True)))
+    (tmp_path / "more.step").write_text("a")
+    keys.add(cache.key(geometry, coarse))
+    (tmp_path / "more.step").write_text("b")
+    keys.add(cache.key(geometry, coarse))
+    path.write_text(PIN)
+    keys.add(cache.key(geometry, coarse))
+    assert len(keys) == 6
+    assert cache.key(geometry, options(size="1 mm", order=2)) in keys
+
+
+def test_layers_are_solved(tmp_path: Path) -> None:
+    """Pressed evenly without Poisson's effect: u_z = -p z / E, across the joint too."""
+    script(tmp_path, LAYERS)
+    (tmp_path / "case.yaml").write_text(CASE)
+    case = config.load(tmp_path / "case.yaml")
+    solved = support.solve(case)
+    for name in ("low", "high"):
+        x, u = solved.displacement(name)
+        assert np.abs(u[:, 2] + x[:, 2] / 100).max() < 1e-10
+    with pytest.raises(InputError, match="'between' is no part of the surface"):
+        support.solve(config.load(tmp_path / "case.yaml", ["supports.base.boundary=between"]))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (LAYERS.replace("size", "h"), "no parameter 'size'; expected DefineConstant"),
+        (LAYERS.replace("Physical", "//"), "names no region"),
+    ],
+    ids=["no size", "no names"],
+)
+def test_scripts_that_are_refused_unread(text: str, expected: str, tmp_path: Path) -> None:
+    script(tmp_path, text)
+    (tmp_path / "case.yaml").write_text(CASE)
+    with pytest.raises(InputError, match=rf"case\.yaml:1:24: geometry\.path: .*{expected}"):
+        config.load(tmp_path / "case.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (LAYERS + "Point(5) = {0, 0, nowhere};\n", "line 15: Unknown variable 'nowhere'"),
+        (LAYERS + "Physical Volume('x') = ;\n", "line 15: syntax error"),
+        (LAYERS.replace("{high[1]}", "{44}"), "nothing is in the volumes high"),
+    ],
+    ids=["unknown variable", "syntax", "no such volume"],
+)
+def test_scripts_that_fail(text: str, expected: str, tmp_path: Path) -> None:
+    """In a process of its own: gmsh reads no script correctly after one that failed."""
+    script(tmp_path, text)
+    (tmp_path / "case.yaml").write_text(CASE)
+    done = subprocess.run(
+        [sys.executable, "-m", "app", "mesh", tmp_path / "case.yaml", "-o", tmp_path / "out"],
+        env=support.environment() | {"XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 3
+    assert expected in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_check_says_what_it_does_not_know(tmp_path: Path) -> None:
+    script(tmp_path, LAYERS)
+    (tmp_path / "case.yaml").write_text(CASE)
+    done = subprocess.run(
+        [sys.executable, "-m", "app", "check", tmp_path / "case.yaml"],
+        env=support.environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0
+    assert "joint (low | high): contact" in done.stdout
+    assert "not known before it is meshed" in done.stdout
