@@ -48,6 +48,7 @@ from app.geometries import (
 )
 from app.json_schema import json_schema
 from app.materials import Eigenstrain, Isotropic, Region, Rigid, TransverselyIsotropic
+from app.study_options import Study
 from app.units import NonNegativeInteger, PositiveInteger, PositiveNumber
 
 __all__ = [
@@ -78,6 +79,7 @@ __all__ = [
     "Roller",
     "SolverOptions",
     "Stage",
+    "Study",
     "Support",
     "TransverselyIsotropic",
     "dump",
@@ -138,6 +140,8 @@ class OutputOptions(Model):
     """Whether field files are written."""
     every: PositiveInteger = 1
     """Steps between two field outputs; the last step is always written."""
+    condition: Truth = False
+    """Whether the condition of the last Jacobian is estimated: some twenty more linear solves."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
 
@@ -165,6 +169,8 @@ class Case(Model):
     """How the equations are solved."""
     output: OutputOptions = OutputOptions()
     """What is written."""
+    study: Study | None = None
+    """What `mantle study` varies and measures; a run does not look at it."""
 
 
 def load(path: Path, overrides: Sequence[str] = ()) -> Case:
@@ -281,6 +287,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
         stages=part(Case.model_fields["stages"].annotation, data["stages"])
         if "stages" in data
         else default,
+        study=part(Study, data["study"]) if "study" in data else None,
     )
 
 

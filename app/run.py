@@ -93,6 +93,8 @@ def run(
         raise type(failure)(f"{failure}\n{recorder.last_state()}") from failure
     recorder.flush()
     summary = recorder.summary("converged", total)
+    if case.output.condition:
+        summary["solver"]["condition"] = solver.condition()
     for found in _errors(case, model, summary, timing):
         # The numbers are safe before their errors are looked for.
         writer.finish(summary, done=False)

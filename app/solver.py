@@ -26,6 +26,8 @@ Options = Mapping[str, str | int | float | bool]
 PREFIX = "mantle_"
 # Unknowns above which the displacement block is solved by algebraic multigrid.
 DIRECT_LIMIT = 30_000
+CONDITION_RTOL = 1e-4
+CONDITION_ITERATIONS = 20
 
 NEWTON: Options = {
     "snes_type": "newtonls",
@@ -215,6 +217,25 @@ class Solver:
     def parts(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
         """Displacement and jumps of a state, the current one by default."""
         return self._block.parts(self.x if x is None else x)
+
+    def condition(self) -> float:
+        """Condition of the last Jacobian: largest over smallest size of an eigenvalue; collective.
+
+        By power iteration and by inverse iteration with the solver itself: an estimate, good to
+        some per cent. One matrix in displacements and jumps, not what a displacement method has.
+        """
+        ksp, A = self.snes.getKSP(), self._block.matrix()
+        ksp.setTolerances(rtol=CONDITION_RTOL)
+        x, y = self._block.vector(), self._block.vector()
+        sizes = []
+        for apply in (A.mult, ksp.solve):
+            x.setRandom()
+            for _ in range(CONDITION_ITERATIONS):
+                x.normalize()
+                apply(x, y)
+                x, y = y, x
+            sizes.append(float(x.norm()))
+        return sizes[0] * sizes[1]
 
     @property
     def block_sizes(self) -> dict[str, int]:
