@@ -42,7 +42,9 @@ MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "app", "run")
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that no run imports: changing them leaves finished runs valid.
-OUTSIDE = re.compile(r"app/(batch|cli|doctor|preview|results|study\w*|verify\w*)\.py")
+OUTSIDE = re.compile(
+    r"app/(batch|cli|doctor|preview|results|study\w*|verify\w*|work_precision)\.py"
+)
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL", "VECLIB", "NUMEXPR")
 LOG_LINES = 12
@@ -159,7 +161,7 @@ def _runs(
     ids: list[str] = []
     runs: dict[str, _Run] = {}
     for job, case in zip(jobs, cases, strict=True):
-        text = config.dump(case)
+        text = config.dump(case.model_copy(update={"study": None}))
         digest = _digest(case, text, job.ranks)
         name = re.sub(r"[^A-Za-z0-9_.-]", "_", job.name)
         # The name of a run is not its content: a renamed one is still the same.

@@ -293,7 +293,7 @@ def _override(case: CaseFile, override: str) -> None:
         path = (*path, step)
         if not last:
             if isinstance(target, dict) and target.get(item) is None:
-                target[item] = {}
+                target[item] = [{}] if items[n + 1] == "0" else {}
                 case.places[path] = key
             target = target[step]
     for old in [p for p in case.places if p[: len(path)] == path]:

@@ -26,6 +26,7 @@ class Parts:
     supports: Mapping[str, Any] | None
     loads: Mapping[str, Any]
     stages: Any
+    study: Any
 
 
 def cross_check(parts: Parts) -> list[Problem]:
@@ -36,6 +37,7 @@ def cross_check(parts: Parts) -> list[Problem]:
         *_stage_names(parts),
         *_rigid(parts),
         *_held(parts),
+        *_study(parts),
     ]
 
 
@@ -138,3 +140,15 @@ def _held(parts: Parts) -> Iterable[Problem]:
         along = "" if len(free) == 3 else f" along {' and '.join(free)}"
         allowed = "expected a support: fixed, roller, displacement or foundation"
         yield Problem(("supports",), f"nothing holds the model{along}; {allowed}")
+
+
+def _study(parts: Parts) -> Iterable[Problem]:
+    """Quantities of interfaces or regions that the geometry does not have."""
+    if parts.geometry is None or parts.study is None:
+        return
+    known = (*parts.geometry.interface_sides, *parts.geometry.region_names)
+    for i, quantity in enumerate(parts.study.quantities):
+        name = quantity.partition(".")[0]
+        if name not in known:
+            path = ("study", "quantities", i)
+            yield _unknown(path, "interface or region", name, known, parts.geometry.kind)

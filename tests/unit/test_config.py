@@ -100,8 +100,11 @@ def test_overrides_reach_everything(tmp_path: Path) -> None:
         "loads.push.force=[0, 0, -1] kN",
         "solver.petsc.ksp_monitor=true",
         "mesh.size=3 mm",
+        "stages.0.name=only",
+        "stages.0.increments=3",
     )
     assert case.mesh.size == 3.0
+    assert case.stages == (config.Stage(name="only", increments=3),)
     assert case.geometry.region_names == ("lower", "top_one")
     assert case.loads["push"].force == (0.0, 0.0, -1000.0)  # type: ignore[union-attr]
     assert case.solver.petsc == {"ksp_monitor": True}

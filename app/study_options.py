@@ -1,0 +1,177 @@
+"""The ``study`` section of a case: what varies, what is measured, and against what."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, model_validator
+from pydantic_core import PydanticCustomError
+
+from app.fields import ITEMS, MAPPING, Model, Name, did_you_mean, fail, show
+from app.units import Dimension, Plain, PositiveNumber
+
+# Keys of summary.json that are numbers with a meaning as the mesh is refined, and their units.
+INTERFACE_UNITS = {
+    **{f"{what}_{how}": "mm" for what in ("gap", "slip") for how in ("max", "p99", "mean")},
+    **{f"{what}_{how}": "MPa" for what in ("pressure", "shear") for how in ("max", "p99", "mean")},
+    "slip_accumulated_max": "mm",
+    "penetration_max": "mm",
+    "penetration_sampled": "mm",
+    "open_fraction": "-",
+    "stick_fraction": "-",
+    "slip_fraction": "-",
+    "area_slip_over_30um": "mm^2",
+    "area_gap_over_30um": "mm^2",
+    "force.x": "N",
+    "force.y": "N",
+    "force.z": "N",
+    "dissipation": "N mm",
+}
+REGION_UNITS = {
+    "von_mises_max": "MPa",
+    "von_mises_p99": "MPa",
+    "hoop_p99": "MPa",
+    "principal_max": "MPa",
+    "principal_p99": "MPa",
+    "mean_stress_min": "MPa",
+    "mean_stress_max": "MPa",
+}
+STEM_UNITS = {"subsidence": "mm", "retroversion": "deg", "varus": "deg"}
+EXAMPLES: dict[str, Dimension | Plain] = {
+    "mm": Dimension("mm", "a length", "0.05 mm"),
+    "mm^2": Dimension("mm^2", "an area", "20 mm^2"),
+    "MPa": Dimension("MPa", "a pressure", "2 MPa"),
+    "N": Dimension("N", "a force", "1800 N"),
+    "N mm": Dimension("N*mm", "an energy", "2 N*mm"),
+    "deg": Dimension("deg", "an angle", "0.1 deg"),
+    "-": Plain(),
+}
+
+
+def unit(quantity: str) -> str:
+    """The unit in which a quantity stands in ``summary.json``.
+
+    Args:
+        quantity: ``<interface or region>.<key>`` or ``stem.<key>``.
+
+    Raises:
+        PydanticCustomError: There is no such key.
+    """
+    name, _, key = quantity.partition(".")
+    known = INTERFACE_UNITS | REGION_UNITS | (STEM_UNITS if name == "stem" else {})
+    if key not in known:
+        hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
+        fail(f"{show(quantity)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
+    return known[key]
+
+
+def known_value(quantity: str, value: object) -> float:
+    """A reference value in the unit of its quantity.
+
+    Raises:
+        PydanticCustomError: It has another dimension.
+    """
+    return float(EXAMPLES[unit(quantity)].read(value))
+
+
+def _line(value: object) -> object:
+    """Override keys with values, of which lists vary together."""
+    if not isinstance(value, dict):
+        fail(f"{show(value)} is not a mapping of keys to values, e.g. {{mesh.size: [3 mm, 2 mm]}}")
+    lengths = {key: len(entry) for key, entry in value.items() if isinstance(entry, list)}
+    if not lengths:
+        fail("varies nothing; expected a list for at least one key, e.g. mesh.size: [3 mm, 2 mm]")
+    first = next(iter(lengths))
+    for key, length in lengths.items():
+        if not length:
+            fail("is an empty list", at=(key,))
+        if length != lengths[first]:
+            fail(f"has {length} values where {first} has {lengths[first]}", at=(key,))
+    for key, entry in value.items():
+        if key.partition(".")[0] in ("study", ""):
+            fail("is not what a run depends on", at=(key,))
+        for i, ranks in enumerate(entry if isinstance(entry, list) else [entry]):
+            if key == "ranks" and not (type(ranks) is int and ranks > 0):
+                at = (key, i) if isinstance(entry, list) else (key,)
+                fail(f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ...", at=at)
+    return value
+
+
+Line = Annotated[dict[str, Any], BeforeValidator(_line)]
+
+
+def _quantity(value: object) -> object:
+    """The name of a quantity, which has a unit."""
+    if not isinstance(value, str):
+        fail(f"{show(value)} is not <interface>.<key>, <region>.<key> or stem.<key>")
+    unit(value)
+    return value
+
+
+def _values(value: object) -> object:
+    """Values of quantities, each with its unit."""
+    if not isinstance(value, dict):
+        fail(f"{show(value)} is not a mapping of quantities to values")
+    for quantity, entry in value.items():
+        try:
+            known_value(quantity, entry)
+        except PydanticCustomError as error:
+            fail((error.context or {})["text"], at=(quantity,))
+    return value
+
+
+class Reference(Model):
+    """What the runs are compared with: known values, or a finer ladder that is extrapolated."""
+
+    values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
+    """The exact value of each quantity."""
+    run: Line | None = None
+    """Runs as in a line, finest last; two or, to extrapolate, at least three."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Reference:
+        if (self.values is None) == (self.run is None):
+            fail("expected either values or run")
+        if self.run is not None and len(steps(self.run)) < 2:
+            fail(
+                "has a single run; expected at least two, or its error cannot be told", at=("run",)
+            )
+        return self
+
+
+class Study(Model):
+    """Error against run time: what varies and what is measured."""
+
+    quantities: Annotated[tuple[Annotated[str, BeforeValidator(_quantity)], ...], ITEMS]
+    """Numbers of ``summary.json``: ``<interface or region>.<key>``, ``stem.<key>``."""
+    target: PositiveNumber = 0.02
+    """Relative error for which the fastest run is advised."""
+    lines: Annotated[dict[Name, Line], MAPPING]
+    """Curves by name: overrides as after ``--set`` (and ``ranks``); lists vary together."""
+    reference: Reference
+    """What the runs are compared with."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Study:
+        for key in ("quantities", "lines"):
+            if not getattr(self, key):
+                fail("is empty", at=(key,))
+        if (values := self.reference.values) is not None:
+            if missing := [q for q in self.quantities if q not in values]:
+                fail(f"no value for {', '.join(missing)}", at=("reference", "values"))
+        return self
+
+
+def steps(line: dict[str, Any]) -> list[dict[str, Any]]:
+    """The overrides of each point of a line."""
+    number = max(len(value) for value in line.values() if isinstance(value, list))
+    return [
+        {key: value[i] if isinstance(value, list) else value for key, value in line.items()}
+        for i in range(number)
+    ]
+
+
+def varying(line: dict[str, Any]) -> list[str]:
+    """The keys that vary along a line, mesh.size first."""
+    keys = [key for key, value in line.items() if isinstance(value, list)]
+    return sorted(keys, key=lambda key: key != "mesh.size")

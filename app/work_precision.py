@@ -1,0 +1,219 @@
+"""Error against run time: references, orders, Pareto fronts, advice. Plain numbers in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+# Orders of convergence that an extrapolation is trusted with.
+LOWEST_ORDER, HIGHEST_ORDER = 0.5, 4.0
+# Effectivity indices (estimated over true error) that make an estimate useful.
+USEFUL = (0.5, 3.0)
+# The true error has to exceed the algebraic one by this factor for the index to mean anything.
+ALGEBRAIC_FACTOR = 10.0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The value that others are compared with.
+
+    Attributes:
+        value: The value.
+        uncertainty: How far it may be off, in its unit; 0 if it is exact.
+        order: Observed order of convergence where it was extrapolated.
+        method: How it was found, in words.
+    """
+
+    value: float
+    uncertainty: float
+    order: float | None
+    method: str
+
+
+@dataclass(frozen=True)
+class Point:
+    """A run and one quantity of it.
+
+    Attributes:
+        line: The line it belongs to.
+        label: What the varying key is there, as written.
+        x: The same as a number, if it is one.
+        time: Run time [s]; None if the run failed.
+        value: The quantity; None if the run failed or does not have it.
+        estimate: The error that the run itself estimates, in the unit of the quantity.
+        algebraic: Error of the linear and nonlinear solution, relative.
+        deviation: Distance from the reference, in the unit of the quantity.
+        error: The same relative to the reference.
+        trusted: Whether that exceeds the uncertainty of the reference.
+    """
+
+    line: str
+    label: str
+    x: float | None
+    time: float | None
+    value: float | None
+    estimate: float | None = None
+    algebraic: float = 0.0
+    deviation: float | None = None
+    error: float | None = None
+    trusted: bool = False
+
+    @property
+    def effectivity(self) -> float | None:
+        """Estimated over true error; None where either is not known."""
+        if self.estimate is None or not self.trusted or not self.deviation:
+            return None
+        return self.estimate / self.deviation
+
+
+def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> Reference:
+    """The limit of a ladder of runs by Richardson's extrapolation from the last three.
+
+    The error is taken as c h^p with the p that the three values show. Where they show none between
+    0.5 and 4, the finest value stands for the limit.
+
+    Args:
+        sizes: Mesh size or another number that goes to 0, coarsest first; empty if there is none.
+        values: The quantity at each, at least two.
+
+    Returns:
+        The limit. Its uncertainty is the whole of the last correction; without extrapolation it is
+        the last difference, or the larger of the last two where these do not fall.
+    """
+    f, h = list(values[-3:]), list(sizes[-3:])
+    last = abs(f[-1] - f[-2])
+    if len(f) < 3 or len(h) < 3:
+        return Reference(f[-1], last, None, "finest of two" if len(f) < 3 else "finest")
+    first = abs(f[1] - f[0])
+    order = _observed_order(h, f)
+    if order is None:
+        fast = (f[1] - f[0]) * (f[2] - f[1]) >= 0 and last < 0.5 * first
+        return Reference(f[-1], last if fast else max(last, first), None, "finest, no clear order")
+    correction = (f[2] - f[1]) * h[2] ** order / (h[1] ** order - h[2] ** order)
+    return Reference(f[2] + correction, abs(correction), order, "extrapolated")
+
+
+def _observed_order(h: Sequence[float], f: Sequence[float]) -> float | None:
+    """The p with (f0 - f1) / (f1 - f2) = (h0^p - h1^p) / (h1^p - h2^p); None if out of range."""
+    if f[1] == f[2] or not h[0] > h[1] > h[2] > 0:
+        return None
+    ratio = (f[0] - f[1]) / (f[1] - f[2])
+
+    def excess(p: float) -> float:
+        return (h[0] ** p - h[1] ** p) / (h[1] ** p - h[2] ** p) - ratio
+
+    low, high = LOWEST_ORDER, HIGHEST_ORDER
+    if excess(low) > 0 or excess(high) < 0:  # it grows with p
+        return None
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) < 0 else (low, middle)
+    return 0.5 * (low + high)
+
+
+def compare(point: Point, reference: Reference | None) -> Point:
+    """The point with its error."""
+    if reference is None or point.value is None or reference.value == 0.0:
+        return point
+    deviation = abs(point.value - reference.value)
+    return replace(
+        point,
+        deviation=deviation,
+        error=deviation / abs(reference.value),
+        trusted=deviation > reference.uncertainty,
+    )
+
+
+def exponent(points: Sequence[Point]) -> float | None:
+    """The p of error ~ x^p by least squares in logarithms, over the trusted points of a line."""
+    pairs = [(p.x, p.error) for p in points if p.trusted and p.x and p.x > 0 and p.error]
+    if len({x for x, _ in pairs}) < 2:
+        return None
+    x, e = np.log(np.array(pairs)).T
+    return float(np.polyfit(x, e, 1)[0])
+
+
+def bound(point: Point, reference: Reference | None) -> float | None:
+    """The error that can be vouched for: not less than the reference's own; None if unknown."""
+    if point.error is None or reference is None:
+        return None
+    return max(point.error, reference.uncertainty / abs(reference.value))
+
+
+def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> list[int]:
+    """Points that no other beats in both run time and error.
+
+    Args:
+        costs: Run time of each point; None if there is none.
+        errors: Error of each; None if there is none.
+
+    Returns:
+        Their indices, fastest first.
+    """
+    front: list[int] = []
+    pairs = [
+        (cost, error, i)
+        for i, (cost, error) in enumerate(zip(costs, errors, strict=True))
+        if cost is not None and error is not None
+    ]
+    for _, error, i in sorted(pairs):
+        if not front or error < float(errors[front[-1]] or 0.0):
+            front.append(i)
+    return front
+
+
+def best(
+    costs: Sequence[float | None], errors: Sequence[float | None], target: float
+) -> tuple[int | None, bool]:
+    """The fastest point within the target, or else the one nearest to it.
+
+    Args:
+        costs: Run time of each point; None if it failed.
+        errors: Error of each; None where it is not known.
+        target: The error wanted.
+
+    Returns:
+        Its index, None if no error is known, and whether it reaches the target.
+    """
+    front = pareto(costs, errors)
+    for i in front:
+        if (errors[i] or 0.0) <= target:
+            return i, True
+    return (front[-1] if front else None), False
+
+
+@dataclass(frozen=True)
+class Effectivity:
+    """How good the estimated errors are.
+
+    Attributes:
+        pairs: Points and quantities whose true error is known well enough.
+        useful: How many of them have an index within `USEFUL`.
+        others: The rest.
+    """
+
+    pairs: int
+    useful: int
+    others: tuple[tuple[str, Point], ...]
+
+
+def effectivity(points: Sequence[tuple[str, Point]]) -> Effectivity:
+    """Share of useful estimates among the points whose true error exceeds the algebraic one.
+
+    Args:
+        points: Quantity and point.
+    """
+    judged = [
+        (quantity, p)
+        for quantity, p in points
+        if p.effectivity is not None and (p.error or 0.0) > ALGEBRAIC_FACTOR * p.algebraic
+    ]
+    low, high = USEFUL
+    others = tuple(
+        (quantity, p)
+        for quantity, p in judged
+        if p.effectivity is not None and not low <= p.effectivity <= high
+    )
+    return Effectivity(len(judged), len(judged) - len(others), others)

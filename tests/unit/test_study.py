@@ -1,0 +1,306 @@
+"""``mantle study``: its section of the case, its plan, its files; mostly on a stand-in for runs.
+
+The stand-in gives numbers that follow a law in the mesh size h, so that orders, references and
+advice are known: slip_p99 = 0.04 (1 - 0.01 h^2), pressure_p99 = 5 (1 + 0.04 h / order), a run time
+of 8 / h seconds and estimated errors that are twice the true ones.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app import batch, config, study, study_options
+from app.cli import main
+from app.errors import ConvergenceError, InputError
+from tests import support
+
+CASE = """\
+geometry:
+  kind: blocks
+  blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
+mesh: {size: 4 mm, far_size: 5 mm}
+regions:
+  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 1.0}
+supports:
+  base: {kind: roller, boundary: bottom, axis: z}
+  left: {kind: roller, boundary: x_min, axis: x}
+  front: {kind: roller, boundary: y_min, axis: y}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 2 MPa}
+"""
+
+STUDY = """\
+study:
+  quantities: [lower_upper.slip_p99, lower_upper.pressure_p99]
+  lines:
+    P1: {mesh.order: 1, mesh.size: [4 mm, 2 mm, 1 mm]}
+    P2: {mesh.order: 2, mesh.size: [4 mm, 2 mm, 1.5 mm], mesh.far_size: [5 mm, 4 mm, 3 mm]}
+  reference:
+    run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm, 0.25 mm]}
+"""
+
+STAND_IN = """\
+import json, pathlib, re, sys
+case, output = pathlib.Path(sys.argv[1]).read_text(), pathlib.Path(sys.argv[3])
+assert "study" not in case
+h = float(re.search(r" size: (\\S+) mm$", case, re.M).group(1))
+order = int(re.search(r"order: (\\d)", case).group(1))
+if (pathlib.Path(__file__).parent / "broken").exists() and h == 4:
+    sys.exit("no convergence")
+slip, pressure = 0.04 * (1 - 0.01 * h**2), 5 * (1 + 0.04 * h / order)
+numbers = {"slip_p99": slip, "pressure_p99": pressure}
+if "error: true" in case:
+    numbers |= {"slip_p99_error": 2 * 0.0004 * h**2, "pressure_p99_error": 8 * 0.2 * h / order}
+output.mkdir(parents=True, exist_ok=True)
+timing = {"mesh": 3.0, "compile": 2.0, "error": 1.0, "total": 6.0 + 8 / h}
+summary = {"interfaces": {"lower_upper": numbers}, "regions": {}, "stem": {}, "timing": timing,
+           "solver": {"dofs": 3, "steps": 1, "newton_iterations": 4, "linear_iterations": 5}}
+(output / "summary.json").write_text(json.dumps(summary))
+(output / "DONE").write_text("")
+"""
+
+
+@pytest.fixture
+def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A case with a study, beside the stand-in."""
+    (tmp_path / "mantle.py").write_text(STAND_IN)
+    monkeypatch.setattr(batch, "MANTLE_RUN", (sys.executable, str(tmp_path / "mantle.py")))
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE + STUDY)
+    return path
+
+
+def read(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    with (folder / "study.csv").open() as file:
+        return json.loads((folder / "study.json").read_text()), list(csv.DictReader(file))
+
+
+def test_errors_orders_front_and_advice(case: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "mantle")
+    out = case.parent / "out"
+    study.run(case, [], out, 2)
+    record, rows = read(out)
+    slip, pressure = record["quantities"].values()
+    # The ladder ends at h = 0.25: what it corrects there is its uncertainty.
+    assert slip["reference"]["value"] == pytest.approx(0.04, rel=1e-9)
+    assert slip["reference"]["uncertainty"] == pytest.approx(0.04 * 0.01 / 16, rel=1e-6)
+    assert slip["reference"]["order"] == pytest.approx(2, abs=1e-6)
+    assert pressure["reference"]["value"] == pytest.approx(5, rel=1e-9)
+    assert pressure["reference"]["order"] == pytest.approx(1, abs=1e-6)
+    assert slip["exponents"] == pytest.approx({"P1": 2, "P2": 2}, abs=1e-6)
+    assert pressure["exponents"] == pytest.approx({"P1": 1, "P2": 1}, abs=1e-6)
+    errors = [p["error"] for p in pressure["points"]]
+    assert errors == pytest.approx([0.16, 0.08, 0.04, 0.08, 0.04, 0.03])
+    assert [p["time"] for p in pressure["points"]] == pytest.approx([2, 4, 8, 2, 4, 16 / 3])
+    assert [p["pareto"] for p in pressure["points"]] == [False] * 3 + [True] * 3
+    assert slip["advice"] == "for 2 % in lower_upper.slip_p99 use P1 at 1 mm: 8.0 s"
+    assert pressure["advice"] == (
+        "nothing reaches 2 % in lower_upper.pressure_p99; closest is P2 at 1.5 mm: 3 % in 5.3 s"
+    )
+    assert record["advice"].startswith("nothing reaches 2 % in all 2 quantities; closest is P2")
+    assert len(rows) == 12 and {r["unit"] for r in rows} == {"mm", "MPa"}
+    assert [float(r["error [-]"]) for r in rows[6:]] == pytest.approx(errors)
+    assert rows[0]["mesh [s]"] == "3.0" and rows[0]["newton iterations"] == "4"
+    assert "lower_upper.slip_p99: reference 40 um ± 0.062 %" in caplog.text
+    assert "error goes with mesh.size^2.0 along P1, mesh.size^2.0 along P2" in caplog.text
+    assert (out / "study.png").read_bytes()[:4] == b"\x89PNG"
+    # 1 mm of P2 is a run of its own; 1 mm of the ladder has another far size than the line's.
+    assert len(list((out / "runs").glob("*/"))) == 9
+
+
+def test_given_values_estimates_and_a_target(case: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Estimates are twice and eight times the true error; --set reaches every run."""
+    caplog.set_level(logging.INFO, "mantle")
+    values = "{lower_upper.slip_p99: 40 um, lower_upper.pressure_p99: 5 MPa}"
+    overrides = ["output.error=true", f"study.reference={{values: {values}}}", "study.target=0.05"]
+    study.run(case, overrides, case.parent / "out", 2)
+    record, rows = read(case.parent / "out")
+    assert record["effectivity"]["pairs"] == 12 and record["effectivity"]["useful"] == 6
+    assert [float(r["effectivity [-]"]) for r in rows] == pytest.approx([2] * 6 + [8] * 6)
+    assert "within 0.5 to 3 for 6 of 12 numbers (50 %)" in caplog.text
+    assert "lower_upper.pressure_p99 with P2 at 4 mm: 8" in caplog.text
+    assert record["advice"] == "for 5 % in all 2 quantities use P2 at 2 mm: 4.0 s"
+    assert record["quantities"]["lower_upper.slip_p99"]["reference"]["uncertainty"] == 0
+    assert record["reference_runs"] == []
+
+
+def test_failed_points_are_shown_as_failed(case: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "mantle")
+    (case.parent / "broken").touch()
+    out = case.parent / "out"
+    study.run(case, [], out, 2)
+    record, rows = read(out)
+    failed = "failed (exit code 1)"
+    assert [r["status"] for r in rows[:4]] == [failed, "done", "done", failed]
+    assert rows[0]["value"] == rows[0]["error [-]"] == rows[0]["time [s]"] == ""
+    assert record["runs"][0]["message"] == "no convergence"
+    assert re.search(r"P1 +mesh.size 4 mm +failed \(exit code 1\)", caplog.text)
+    only = ["study.lines={P1: {mesh.size: [4 mm]}}", "study.reference.run.mesh.order=1"]
+    with pytest.raises(ConvergenceError, match="every run of the study failed"):
+        text = CASE + STUDY.replace("[1 mm, 0.5 mm, 0.25 mm]", "[4 mm, 4 mm]")
+        case.write_text(text)
+        study.run(case, only[:1], out, 2)
+    record, _ = read(out)
+    assert record["quantities"]["lower_upper.slip_p99"]["reference"] is None
+    assert "no advice on lower_upper.slip_p99: it has no reference" in caplog.text
+
+
+def test_bad_points_are_told_together_where_they_stand(case: Path) -> None:
+    text = STUDY.replace("[4 mm, 2 mm, 1 mm]", "[4 mm, 2 N, 1 um, -1 mm, 6 mm]").replace(
+        "mesh.order: 2, mesh.size: [4 mm", "mesh.oder: 2, mesh.size: [4 mm"
+    )
+    case.write_text(CASE + text)
+    line = (CASE + text).splitlines().index("  lines:") + 2
+    with pytest.raises(InputError) as error:
+        study.run(case, [], case.parent / "out", 2)
+    messages = error.value.messages
+    assert not (case.parent / "out").exists()
+    start = f"{case}:{line}:"
+    assert [m for m in messages if m.startswith(start)] == messages[:3]
+    column = (CASE + text).splitlines()[line - 1].index("2 N") + 1
+    # What the rest of the file has against a point is told at its line.
+    assert "study.lines.P1: with mesh.size = 6 mm: " in messages[0]
+    assert "mesh.far_size: 5 mm is finer than size" in messages[0]
+    assert messages[1].startswith(f"{start}{column}: study.lines.P1.mesh.size[1]: '2 N' is a force")
+    assert "study.lines.P1.mesh.size[3]: '-1 mm' must be positive" in messages[2]
+    assert len(messages) == 4 and "study.lines.P2.mesh.oder: unknown key" in messages[3]
+
+
+# Edits of STUDY, and the complaint with its place.
+BAD = [
+    ("slip_p99,", "slip_p9,", "quantities[0]: 'lower_upper.slip_p9' is not <interface>"),
+    ("[lower_upper.slip_p99", "[lowr.slip_p99", "quantities[0]: the geometry (blocks) has no"),
+    ("mesh.size: [4 mm, 2 mm, 1 mm]", "mesh.size: 4 mm", "lines.P1: varies nothing"),
+    ("[5 mm, 4 mm, 3 mm]", "[5 mm]", "lines.P2.mesh.far_size: has 1 values where mesh.size has 3"),
+    ("[4 mm, 2 mm, 1 mm]", "[]", "lines.P1.mesh.size: is an empty list"),
+    ("mesh.order: 1,", "ranks: [1, 2, 0],", "lines.P1.ranks[2]: 0 is not a number of ranks"),
+    ("mesh.order: 1,", "study.target: 1,", "lines.P1.study.target: is not what a run depends on"),
+    ("[1 mm, 0.5 mm, 0.25 mm]", "[1 mm]", "reference.run: has a single run"),
+    ("    run: {mesh.order: 2", "    rum: {mesh.order: 2", "reference.rum: unknown key"),
+    ("    run: ", "    values: {lower_upper.slip_p99: 4 MPa}\n    run: ", "reference.values.lower"),
+    (
+        "run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm, 0.25 mm]}",
+        "values: {lower_upper.slip_p99: 4 um}",
+        "reference.values: no value for lower_upper.pressure_p99",
+    ),
+    ("  lines:", "  target: 0\n  lines:", "target: 0 must be positive"),
+    ("[lower_upper.slip_p99, lower_upper.pressure_p99]", "[]", "quantities: is empty"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "complaint"), BAD)
+def test_a_bad_section_is_told(old: str, new: str, complaint: str, tmp_path: Path) -> None:
+    assert old in STUDY
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE + STUDY.replace(old, new, 1))
+    with pytest.raises(InputError) as error:
+        config.load(path)
+    (message,) = [m for m in error.value.messages if f" study.{complaint}" in m] or [""]
+    assert message.startswith(f"{path}:"), error.value.messages
+
+
+def test_the_section_survives_and_changes_no_run(case: Path) -> None:
+    """A case is dumped with its study and read back; its runs know nothing of it."""
+    loaded = config.load(case)
+    copy = case.with_name("copy.yaml")
+    copy.write_text(config.dump(loaded))
+    assert config.load(copy) == loaded and loaded.study is not None
+    jobs = [batch.Job("one", case)]
+    (first,) = batch.run(jobs, case.parent / "out", 1)
+    case.write_text(CASE)
+    assert batch.run(jobs, case.parent / "out", 1) == [first]
+
+
+def test_lines_vary_ranks_laws_and_list_items(case: Path) -> None:
+    text = """\
+study:
+  quantities: [lower_upper.slip_p99]
+  lines:
+    law:
+      interfaces.lower_upper:
+        - {kind: penalty, friction_coefficient: 1.0, penalty: 1e3 MPa/mm}
+        - {kind: penalty, friction_coefficient: 1.0, penalty: 1e4 MPa/mm}
+    stiffness:
+      interfaces.lower_upper.kind: penalty
+      interfaces.lower_upper.penalty: [1e3 MPa/mm, 1e4 MPa/mm]
+    ranks: {ranks: [1, 2]}
+    steps: {stages.0.name: only, "stages[0].increments": [1, 2], solver.tolerance: 1e-8}
+  reference: {values: {lower_upper.slip_p99: 0.04 mm}}
+"""
+    case.write_text(CASE + text)
+    section = config.load(case).study
+    assert section is not None
+    points = study.plan(section)
+    assert [p.label for p in points] == ["#1", "#2", "1e3 MPa/mm", "1e4 MPa/mm", *"1212"]
+    jobs = [study._job(p, case, []) for p in points]
+    cases = [config.load(j.case, j.overrides) for j in jobs]
+    assert [j.ranks for j in jobs] == [1, 1, 1, 1, 1, 2, 1, 1]
+    assert all(j.alone for j in jobs)
+    laws = [c.interfaces["lower_upper"] for c in cases]
+    assert [getattr(law, "penalty", None) for law in laws[:5]] == [1e3, 1e4, 1e3, 1e4, None]
+    assert laws[0] == laws[2] and laws[1] == laws[3]
+    assert [c.stages[0].increments for c in cases[6:]] == [1, 2]
+    assert cases[6].solver.tolerance == 1e-8
+    numbers = [study._number(c, p) for c, p in zip(cases, points, strict=True)]
+    assert numbers == [None, None, 1e3, 1e4, 1, 2, 1, 2]
+
+
+def test_quantities_are_found_in_a_summary() -> None:
+    summary = {
+        "interfaces": {"a_b": {"slip_p99": 0.1, "force": [1, 2, 3], "force_error": [4, 5, 6]}},
+        "regions": {"stem": {"von_mises_p99": 7.0}},
+        "stem": {"subsidence": 0.2, "subsidence_error": 0.3},
+    }
+    assert study.quantity(summary, "a_b.slip_p99") == 0.1
+    assert study.quantity(summary, "a_b.force.y") == 2
+    assert study.quantity(summary, "a_b.force.z", "_error") == 6
+    assert study.quantity(summary, "stem.von_mises_p99") == 7
+    assert study.quantity(summary, "stem.subsidence", "_error") == 0.3
+    assert study.quantity(summary, "a_b.gap_p99") is None
+    assert study.quantity({}, "stem.subsidence") is None
+
+
+def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The patch test: 2 MPa on any mesh; and every quantity on offer is in a summary."""
+    path = tmp_path / "case.yaml"
+    path.write_text(
+        CASE
+        + "study:\n  quantities: [lower_upper.pressure_mean, lower_upper.force.z]\n"
+        + "  lines: {size: {mesh.size: [4 mm, 2 mm]}}\n"
+        + "  reference: {values: {lower_upper.pressure_mean: 2 MPa, lower_upper.force.z: 32 N}}\n"
+    )
+    out = tmp_path / "out"
+    assert main(["study", str(path), "-o", str(out), "--cores", "2"]) == 0
+    record, rows = read(out)
+    assert [abs(float(r["value"])) for r in rows] == pytest.approx([2, 2, 32, 32])
+    assert all(
+        p["error"] < 1e-9 for p in record["quantities"]["lower_upper.pressure_mean"]["points"]
+    )
+    assert re.search("use size at [24] mm", capsys.readouterr().out)
+    summary = json.loads((Path(record["runs"][0]["folder"]) / "summary.json").read_text())
+    for known, section in (
+        (study_options.INTERFACE_UNITS, "interfaces"),
+        (study_options.REGION_UNITS, "regions"),
+    ):
+        name = next(iter(summary[section]))
+        for key in known:
+            assert study.quantity(summary, f"{name}.{key}") is not None, key
+
+
+def test_a_case_without_a_study_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE)
+    assert main(["study", str(path), "-o", str(tmp_path / "out")]) == 2
+    assert "has no study section" in capsys.readouterr().err
+    assert support.case(CASE).study is None

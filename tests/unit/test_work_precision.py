@@ -1,0 +1,105 @@
+"""Extrapolation, orders, fronts, advice and effectivity, against values worked out by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+from app import work_precision as wp
+from app.work_precision import Point, Reference
+
+
+@pytest.mark.parametrize("order", [0.6, 1.0, 1.7, 2.0, 3.0, 3.9])
+@pytest.mark.parametrize("sizes", [(4.0, 2.0, 1.0), (3.0, 2.0, 1.5), (2.5, 2.4, 1.0)])
+def test_a_power_law_is_extrapolated_exactly(order: float, sizes: tuple[float, ...]) -> None:
+    """f = 7 - 0.3 h^p, whatever the ratios of the sizes; earlier runs do not matter."""
+    values = [7 - 0.3 * h**order for h in sizes]
+    found = wp.extrapolate([9.0, *sizes], [123.0, *values])
+    assert found.value == pytest.approx(7, abs=1e-9)
+    assert found.order == pytest.approx(order, abs=1e-6)
+    assert found.uncertainty == pytest.approx(0.3 * sizes[-1] ** order, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("values", "value", "uncertainty"),
+    [
+        ([1.0, 1.4, 1.1], 1.1, 0.4),  # not monotone: the larger difference
+        ([1.0, 2.0, 2.95], 2.95, 1.0),  # order log2(1/0.95) = 0.07: hardly converges
+        ([1.0, 2.0, 2.01], 2.01, 0.01),  # order log2(100) = 6.6: better than any theory
+        ([2.0, 2.0, 2.0], 2.0, 0.0),
+        ([1.0, 1.5], 1.5, 0.5),  # two runs show no order
+    ],
+)
+def test_without_a_clear_order_the_finest_stands(
+    values: list[float], value: float, uncertainty: float
+) -> None:
+    found = wp.extrapolate([4.0, 2.0, 1.0][: len(values)], values)
+    assert found.order is None
+    assert found.value == value and found.uncertainty == pytest.approx(uncertainty, abs=1e-12)
+
+
+def test_without_a_number_along_the_ladder_nothing_is_extrapolated() -> None:
+    found = wp.extrapolate([], [7.0, 7.5, 7.6])
+    assert (found.value, found.order) == (7.6, None)
+    assert found.uncertainty == pytest.approx(0.1)
+
+
+def point(x: float, error: float, *, estimate: float | None = None, **more: float) -> Point:
+    """A point of the quantity 2 + 2 error, compared with 2 ± 0.002."""
+    raw = Point("P1", f"{x} mm", x, 1.0, 2 + 2 * error, estimate, more.get("algebraic", 0.0))
+    return wp.compare(raw, Reference(2.0, 0.002, None, "given"))
+
+
+def test_error_and_what_can_be_trusted() -> None:
+    good, close = point(1, 0.05), point(1, -0.0005)
+    assert good.error == pytest.approx(0.05) and good.deviation == pytest.approx(0.1)
+    assert good.trusted and not close.trusted
+    reference = Reference(2.0, 0.002, None, "given")
+    assert wp.bound(good, reference) == pytest.approx(0.05)
+    assert wp.bound(close, reference) == pytest.approx(0.001)
+    failed = Point("P1", "a", 1.0, None, None)
+    assert wp.compare(failed, reference) == failed and wp.bound(failed, reference) is None
+    nothing = wp.compare(good, Reference(0.0, 0.0, None, "given"))
+    assert wp.bound(Point("P1", "a", 1.0, 1.0, 1.0), None) is None and nothing == good
+
+
+def test_exponent() -> None:
+    """Least squares over the points that mean something: 0.1 h^2 here."""
+    line = [point(h, 0.1 * h**2) for h in (1.0, 0.5, 0.25)]
+    assert wp.exponent(line) == pytest.approx(2)
+    below = point(0.01, 0.0009)  # below the error of the reference
+    assert wp.exponent([*line, below]) == pytest.approx(2)
+    assert wp.exponent(line[:1]) is None
+    assert wp.exponent([line[0], line[0]]) is None
+    assert wp.exponent([point(n, 0.1 / n) for n in (1.0, 2.0, 4.0)]) == pytest.approx(-1)
+
+
+def test_pareto() -> None:
+    costs = [1.0, 2.0, 3.0, 4.0, None, 5.0, 6.0, 2.0]
+    errors = [0.5, 0.2, 0.3, 0.1, 0.01, None, 0.1, 0.25]
+    assert wp.pareto(costs, errors) == [0, 1, 3]
+    assert wp.pareto([], []) == []
+
+
+def test_best() -> None:
+    costs, errors = [1.0, 2.0, 3.0, None, 4.0], [0.5, 0.02, 0.01, 0.001, None]
+    assert wp.best(costs, errors, 0.02) == (1, True)
+    assert wp.best(costs, errors, 0.015) == (2, True)
+    assert wp.best(costs, errors, 0.005) == (2, False)
+    assert wp.best([None, 1.0], [0.1, None], 0.1) == (None, False)
+
+
+def test_effectivity() -> None:
+    """Estimates for a true 0.1: within 0.05 and 0.3 they are useful."""
+    points = [point(1, 0.05, estimate=e) for e in (0.04, 0.051, 0.299, 0.31)]
+    assert [p.effectivity for p in points] == pytest.approx([0.4, 0.51, 2.99, 3.1])
+    # Not judged: no estimate; below the reference's error; near the algebraic error.
+    rest = [
+        point(1, 0.05),
+        point(1, 0.0005, estimate=1.0),
+        point(1, 0.05, estimate=1.0, algebraic=0.006),
+        point(1, 0.05, estimate=1.0, algebraic=0.004),
+    ]
+    assert [p.effectivity is None for p in rest] == [True, True, False, False]
+    found = wp.effectivity([("q", p) for p in points + rest])
+    assert (found.pairs, found.useful) == (5, 2)
+    assert [p.effectivity for _, p in found.others] == pytest.approx([0.4, 3.1, 10])
