@@ -35,6 +35,7 @@ from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
 from app.terms import Scene, amplitude
 from app.timing import Timing
+from forms.contact import SLIP
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import Entries, InterfaceFacets, contact_points
 
@@ -276,12 +277,14 @@ class Jumps:
         friction = F + normal
         along = np.einsum("pi,pki->pk", step, self.normals)
         slip = np.linalg.norm(step[:, None, :] - along[:, :, None] * self.normals, axis=2)
-        # The law's own friction: an open point has none, where equilibrium leaves a rounding error.
+        # Friction and slip as the law has them: none where a point is open or sticks, though the
+        # solver's tolerance leaves some.
         rubbing = law.force + normal
-        elastic = (rubbing - old.friction) / self.stiffness[:, None]
-        slipped = step - np.where(self._augmented[:, None], 0.0, elastic)
+        multiplier = np.where(self._augmented[:, None], F, old.friction)
+        slipped = step + (multiplier - rubbing) / self.stiffness[:, None]
         rubbed = np.einsum("pi,pi->p", rubbing, self._tangential(slipped, opening, law))
-        dissipated = self.weight * np.where(self._frictional, rubbed, 0.0)
+        slides = self._frictional & (law.status == SLIP)
+        dissipated = self.weight * np.where(slides, rubbed, 0.0)
         pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
         self.history = History(
             jump=q.copy(),
