@@ -1,7 +1,8 @@
 """What a region is made of.
 
 A stiffness that is not positive definite is refused. For transverse isotropy that means
-E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0.
+E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margin is
+(1 + nu) (1 - 2 nu) if the material is isotropic; where it is small, linear tetrahedra lock.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from app.fields import ITEMS, Kinds, Model, fail, show
 from app.units import Direction, Modulus, Number
 
 History = Annotated[tuple[Number, ...], ITEMS] | None
+# Poisson's ratio beyond which a material counts as nearly incompressible, and the margin there.
+LOCKING_RATIO = 0.45
+LOCKING_MARGIN = (1 + LOCKING_RATIO) * (1 - 2 * LOCKING_RATIO)
 Strain6 = tuple[Number, Number, Number, Number, Number, Number]
 
 
@@ -58,9 +62,9 @@ class Isotropic(Model):
         return self
 
     @property
-    def stiffest(self) -> float:
-        """Largest Young's modulus (MPa)."""
-        return self.youngs_modulus
+    def nearly_incompressible(self) -> bool:
+        """Whether linear tetrahedra of it lock."""
+        return self.poisson_ratio > LOCKING_RATIO
 
 
 class TransverselyIsotropic(Model):
@@ -106,7 +110,7 @@ class TransverselyIsotropic(Model):
         if not any(self.fibre):
             fail("is the zero vector; expected a direction", at=("fibre",))
         e_l, e_t = self.axial_youngs_modulus, self.transverse_youngs_modulus
-        nu_l, nu_t = self.axial_poisson_ratio, self.transverse_poisson_ratio
+        nu_t = self.transverse_poisson_ratio
         positive_definite(
             (e_l > 0.0, "axial_youngs_modulus", "axial_youngs_modulus > 0"),
             (e_t > 0.0, "transverse_youngs_modulus", "transverse_youngs_modulus > 0"),
@@ -117,21 +121,26 @@ class TransverselyIsotropic(Model):
             ),
             (-1.0 < nu_t < 1.0, "transverse_poisson_ratio", "-1 < transverse_poisson_ratio < 1"),
         )
-        margin = 1.0 - nu_t - 2.0 * nu_l**2 * e_t / e_l
         positive_definite(
             (
-                margin > 0.0,
+                self.margin > 0.0,
                 "axial_poisson_ratio",
                 "1 - transverse_poisson_ratio - 2 axial_poisson_ratio^2 "
-                f"transverse_youngs_modulus / axial_youngs_modulus > 0 (it is {margin:.3g})",
+                f"transverse_youngs_modulus / axial_youngs_modulus > 0 (it is {self.margin:.3g})",
             )
         )
         return self
 
     @property
-    def stiffest(self) -> float:
-        """Largest Young's modulus (MPa)."""
-        return max(self.axial_youngs_modulus, self.transverse_youngs_modulus)
+    def margin(self) -> float:
+        """1 - nu_t - 2 nu_l^2 E_t / E_l, positive; zero where the stiffness becomes infinite."""
+        ratio = self.transverse_youngs_modulus / self.axial_youngs_modulus
+        return 1.0 - self.transverse_poisson_ratio - 2.0 * self.axial_poisson_ratio**2 * ratio
+
+    @property
+    def nearly_incompressible(self) -> bool:
+        """Whether linear tetrahedra of it lock."""
+        return self.margin < LOCKING_MARGIN
 
 
 def _true(value: object) -> object:

@@ -168,7 +168,7 @@ def _resultant(case: Case) -> Iterable[str]:
 
 
 def warnings(case: Case) -> list[str]:
-    """What is allowed but rarely meant."""
+    """What is allowed but rarely meant, for `mantle check` and the log of a run."""
     messages = []
     contacts = [law for law in case.interfaces.values() if isinstance(law, Contact)]
     if not case.loads and not any(law.gap for law in contacts):
@@ -176,4 +176,11 @@ def warnings(case: Case) -> list[str]:
         strained = any(getattr(r, "eigenstrains", ()) for r in case.regions.values())
         if not moved and not strained:
             messages.append("nothing acts on the model: the result will be zero")
+    if case.mesh.order == 1:
+        messages += [
+            f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far too "
+            "stiff); use mesh.order: 2"
+            for name, region in case.regions.items()
+            if getattr(region, "nearly_incompressible", False)
+        ]
     return messages

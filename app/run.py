@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 import meshes
-from app import config, error, folders, quantities, ranks, scene, stepping
+from app import config, error, folders, preview, quantities, ranks, scene, stepping
 from app import log as text
 from app.balance import Balance
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
@@ -62,6 +62,8 @@ def run(
             f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
             "another MPI; use this one's, or mantle run -n"
         )
+    for message in preview.warnings(case):
+        log.warning("note: %s", message)
     timing = Timing()
     model = _Model(case, raw_options(petsc_options), timing, _watch_signals())
     problem, solver = model.problem, model.solver

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from app import __version__, cli, folders
+from app import __version__, cli, config, folders, preview
 from app.cli import main
 from app.errors import ConvergenceError
 
@@ -89,6 +89,34 @@ def test_check_notes_that_nothing_acts(capsys: pytest.CaptureFixture[str]) -> No
     assert main(["check", path, "--set", "loads="]) == 2
     assert main(["check", path, "--set", "loads={}"]) == 0
     assert "note: nothing acts on the model" in capsys.readouterr().err
+
+
+BONE = (
+    "{{kind: transversely_isotropic, axial_youngs_modulus: {} GPa, transverse_youngs_modulus: 1 GPa"
+    ", axial_poisson_ratio: {}, transverse_poisson_ratio: {}, axial_shear_modulus: 1 GPa}}"
+)
+
+
+@pytest.mark.parametrize(
+    ("region", "locks"),
+    [
+        ("{youngs_modulus: 1 GPa, poisson_ratio: 0.45}", False),
+        ("{youngs_modulus: 1 GPa, poisson_ratio: 0.451}", True),
+        ("{youngs_modulus: 1 GPa, poisson_ratio: -0.99}", False),
+        (BONE.format(1, 0.44, 0.44), False),  # isotropic but for the shear modulus
+        (BONE.format(1, 0.46, 0.46), True),
+        (BONE.format(4, 0.46, 0.46), False),
+        (BONE.format(4, 0.9, 0.46), True),  # 1 - 0.46 - 2 0.81 / 4 = 0.135
+        ("{rigid: true}", False),
+    ],
+)
+def test_locking_is_told(region: str, locks: bool) -> None:
+    changes = [f"regions.cement={region}", "interfaces={}"]
+    told = preview.warnings(config.load(CONFIGS / "blocks.yaml", changes))
+    assert [m.split(" is ")[0] for m in told] == (["regions.cement"] if locks else [])
+    assert all("lock" in m and "mesh.order: 2" in m for m in told)
+    second = config.load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"])
+    assert preview.warnings(second) == []
 
 
 def test_check_mesh_counts(capsys: pytest.CaptureFixture[str]) -> None:

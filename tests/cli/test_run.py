@@ -118,6 +118,28 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
     return case, output, result.stdout
 
 
+def test_what_check_notes_is_in_the_log(tmp_path: Path) -> None:
+    """That a region locks, in the same words."""
+    case = tmp_path / "case.yaml"
+    case.write_text(SLIDING)
+    change = "regions.upper.poisson_ratio=0.499"
+    command = [sys.executable, "-m", "app", "check", str(case), "--set", change]
+    check = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    result = run(
+        case,
+        "-o",
+        tmp_path / "out",
+        "--set",
+        change,
+        "--set",
+        "stages=[{name: press}]",
+        "--set",
+        "loads={press: {kind: pressure, boundary: top, pressure: 1 MPa}}",
+    )
+    assert "regions.upper is nearly incompressible: linear tetrahedra lock" in check.stderr
+    assert result.stderr == check.stderr
+
+
 def test_all_files_are_there_and_no_others(done: tuple[Path, Path, str]) -> None:
     assert {p.name for p in done[1].iterdir()} == FILES
 
