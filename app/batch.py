@@ -176,7 +176,7 @@ def _digest(case: config.Case, text: str, ranks: int) -> str:
     """Ten hexadecimal digits of everything the result depends on."""
     parts = [text, str(ranks), _program()]
     if isinstance(case.geometry, config.MeshFile):
-        parts.append(hashlib.sha256(case.geometry.path.read_bytes()).hexdigest())
+        parts.append(case.geometry.content)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:10]
 
 
