@@ -18,7 +18,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.errors import InputError
-from app.terms import Contact, Support
+from app.terms import Contact, RigidBody, Support
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import Holds, InterfaceFacets, gather, sorted_facets
 
@@ -60,7 +60,9 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
     return tags
 
 
-def bodies_of(tagged: TaggedMesh, contacts: Sequence[Contact]) -> Bodies:
+def bodies_of(
+    tagged: TaggedMesh, contacts: Sequence[Contact], rigid: Sequence[RigidBody]
+) -> Bodies:
     """Join regions that touch without a contact interface between them; collective.
 
     Raises:
@@ -84,7 +86,13 @@ def bodies_of(tagged: TaggedMesh, contacts: Sequence[Contact]) -> Bodies:
             continue
         old, new = group[b], group[a]
         group = {t: new if g == old else g for t, g in group.items()}
-    labels = sorted(set(group.values()), key=lambda g: min(t for t in group if group[t] == g))
+    # Where supports hold both sides of a jump the first body is the base: the rigid one, if any.
+    stiff = {group[tagged.regions[r.region]] for r in rigid}
+
+    def place(label: int) -> tuple[bool, int]:
+        return label not in stiff, min(t for t in group if group[t] == label)
+
+    labels = sorted(set(group.values()), key=place)
     number = {g: k for k, g in enumerate(labels)}
     of_region = {name: number[group[tag]] for tag, name in sorted(names.items())}
     for c in contacts:

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from app.bodies import Bodies, contact_facets, held_vertices
+from app.errors import InputError
 from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
@@ -108,6 +109,7 @@ class Jumps:
             tagged, bodies, space, scene.supports, np.unique(self.facets.vertices)
         )
         self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
+        _refuse_moving_rigid(scene, bodies, entries)
         self.mine, place = self._distribute(space)
         n = len(self.mine)
         self.weight = self.points.weight[self.mine]
@@ -308,6 +310,22 @@ class Jumps:
         closed = (law.pressures > 0) | (gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None])
         n = np.where(closed[:, :, None], self.normals, 0.0)
         return step - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, step)
+
+
+def _refuse_moving_rigid(scene: Scene, bodies: Bodies, entries: Entries) -> None:
+    """Refuse jumps that would move a rigid region: its nodes have no displacement of their own.
+
+    Raises:
+        InputError: A support holds an elastic side where it does not hold the rigid one.
+    """
+    rigid = {r.region for r in scene.rigid}
+    for body in np.unique(entries.body):
+        if rigid.issuperset(bodies.names[body].split(" + ")):
+            raise InputError(
+                f"supports: one holds what touches the rigid region '{bodies.names[body]}' where "
+                "none holds the region; allowed: the same components of both, e.g. a roller on the "
+                "side of the region too"
+            )
 
 
 def _matrix(comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats) -> PETSc.Mat:

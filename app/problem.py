@@ -70,7 +70,7 @@ class Problem:
         """
         self.scene, self.tagged = scene, tagged
         self.comm = tagged.mesh.comm
-        self.bodies = bodies_of(tagged, scene.contacts)
+        self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
         self.mechanics = Mechanics(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u

@@ -198,3 +198,45 @@ def test_press_fit_by_eigenstrain_equals_press_fit_by_gap() -> None:
     # The faceted circle swells by ε r at its nodes; normals of the facets differ from the radius.
     assert b["pressure_p99"] == pytest.approx(a["pressure_p99"], rel=0.01)
     assert a["pressure_p99"] > 1.0
+
+
+# A rigid punch above a block, on rollers that hold both where they touch: confined compression.
+PUNCH = """
+geometry:
+  kind: blocks
+  blocks: [{name: block, size: [4 mm, 4 mm, 3 mm]}, {name: punch, size: [4 mm, 4 mm, 2 mm]}]
+mesh: {size: 2 mm}
+regions:
+  block: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  punch: {rigid: true}
+interfaces:
+  block_punch: {kind: contact, friction_coefficient: 0}
+supports:
+  floor: {kind: roller, boundary: bottom, axis: z}
+  x0: {kind: roller, boundary: x_min, axis: x}
+  x1: {kind: roller, boundary: x_max, axis: x}
+  y0: {kind: roller, boundary: y_min, axis: y}
+  y1: {kind: roller, boundary: y_max, axis: y}
+loads:
+  push: {kind: force, boundary: top, force: [0 N, 0 N, -32 N]}
+"""
+
+
+def test_supports_may_hold_both_sides_of_a_rigid_region_s_interface() -> None:
+    """The order of the regions does not matter: here the rigid one comes last."""
+    solved = support.solve(PUNCH, balances=True)
+    np.testing.assert_allclose(solved.last.pressure, 2.0, rtol=1e-9)
+    _, u = solved.displacement("punch")
+    confined = 2200 * 0.7 / (1.3 * 0.4)
+    exact = np.broadcast_to([0, 0, -2.0 / confined * 3], u.shape)
+    np.testing.assert_allclose(u, exact, atol=1e-12)
+    assert solved.balances.max() < 1e-8
+
+
+def test_support_of_the_elastic_side_alone_at_a_rigid_region_is_refused() -> None:
+    with pytest.raises(InputError, match="touches the rigid region 'punch'"):
+        support.solve(
+            PUNCH,
+            "supports.x0.boundary=block_x_min",
+            "supports.pin={kind: roller, boundary: top, axis: x}",
+        )

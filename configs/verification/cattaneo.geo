@@ -1,0 +1,36 @@
+// Two equal blocks that share a face at z = 0, a slice one element thick along y; the mesh is fine
+// at x = z = 0. Lengths in mm; `size` comes from mesh.size.
+DefineConstant[ size = 0.1 ];
+side = 5;
+Point(1) = {-side, 0, 0};
+Point(2) = {0, 0, 0};
+Point(3) = {side, 0, 0};
+Point(4) = {side, 0, side};
+Point(5) = {-side, 0, side};
+Point(6) = {side, 0, -side};
+Point(7) = {-side, 0, -side};
+Line(1) = {1, 2};
+Line(2) = {2, 3};
+Line(3) = {3, 4};
+Line(4) = {4, 5};
+Line(5) = {5, 1};
+Line(6) = {3, 6};
+Line(7) = {6, 7};
+Line(8) = {7, 1};
+Curve Loop(1) = {1, 2, 3, 4, 5};
+Curve Loop(2) = {1, 2, 6, 7, 8};
+Plane Surface(1) = {1};
+Plane Surface(2) = {2};
+upper[] = Extrude {0, 0.2, 0} { Surface{1}; Layers{1}; };
+lower[] = Extrude {0, 0.2, 0} { Surface{2}; Layers{1}; };
+Physical Volume("upper") = {upper[1]};
+Physical Volume("lower") = {lower[1]};
+Physical Surface("top") = {upper[5]};
+Physical Surface("bottom") = {lower[5]};
+Physical Surface("faces") = {1, 2, upper[0], lower[0]};
+// Triangles of `size` up to 1 mm from the contact, growing beyond.
+Field[1] = MathEval;
+Field[1].F = Sprintf("%g + 0.3 * 0.5 * (Sqrt(x*x+z*z) - 1 + Fabs(Sqrt(x*x+z*z) - 1))", size);
+Background Field = 1;
+Mesh.MeshSizeFromPoints = 0;
+Mesh.MeshSizeExtendFromBoundary = 0;

@@ -1,0 +1,40 @@
+// Half of an elastic block under a rigid plate, a slice one element thick along y; the mesh is fine
+// at the contact. Lengths in mm; `size` comes from mesh.size.
+DefineConstant[ size = 0.1 ];
+side = 4;
+plate = 1.2;
+Point(1) = {0, 0, 0};
+Point(2) = {plate, 0, 0};
+Point(3) = {side, 0, 0};
+Point(4) = {side, 0, -side};
+Point(5) = {0, 0, -side};
+Point(6) = {0, 0, 0.2};
+Point(7) = {plate, 0, 0.2};
+Line(1) = {1, 2};
+Line(2) = {2, 3};
+Line(3) = {3, 4};
+Line(4) = {4, 5};
+Line(5) = {5, 1};
+Line(6) = {2, 7};
+Line(7) = {7, 6};
+Line(8) = {6, 1};
+Curve Loop(1) = {1, 2, 3, 4, 5};
+Curve Loop(2) = {1, 6, 7, 8};
+Plane Surface(1) = {1};
+Plane Surface(2) = {2};
+block[] = Extrude {0, 0.2, 0} { Surface{1}; Layers{1}; };
+plate[] = Extrude {0, 0.2, 0} { Surface{2}; Layers{1}; };
+Physical Volume("block") = {block[1]};
+Physical Volume("plate") = {plate[1]};
+Physical Surface("middle") = {block[6]};
+Physical Surface("far") = {block[4], block[5]};
+Physical Surface("faces") = {1, block[0]};
+Physical Surface("plate_middle") = {plate[5]};
+Physical Surface("plate_faces") = {2, plate[0]};
+Physical Surface("plate_top") = {plate[4]};
+// Triangles of `size` up to 1 mm from the contact, growing beyond.
+Field[1] = MathEval;
+Field[1].F = Sprintf("%g + 0.3 * 0.5 * (Sqrt(x*x+z*z) - 1 + Fabs(Sqrt(x*x+z*z) - 1))", size);
+Background Field = 1;
+Mesh.MeshSizeFromPoints = 0;
+Mesh.MeshSizeExtendFromBoundary = 0;
