@@ -42,11 +42,9 @@ MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "app", "run")
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that no run imports: changing them leaves finished runs valid.
-OUTSIDE = re.compile(
-    r"app/(batch|cli|doctor|preview|results|study\w*|verify\w*|work_precision)\.py"
-)
+OUTSIDE = re.compile(r"app/(batch|cli|doctor|results|study\w*|verify\w*|work_precision)\.py")
 # Snakemake sets these to the cores of the job; ranks have one thread each.
-THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL", "VECLIB", "NUMEXPR")
+THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
 LOG_LINES = 12
 POLL = 0.1  # s
 SAME_SIGNAL = 1.0  # s
@@ -228,14 +226,20 @@ def _write(pending: Iterable[_Run], folder: Path, cores: int) -> None:
                 old.unlink(missing_ok=True)
             command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--force"]
             command += ["-n", r.ranks] if r.ranks > 1 else []
-            one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
             jobs[r.id] = {
-                "command": shlex.join(map(str, ["env", *one_thread, *command])),
+                "command": shlex.join(map(str, ["env", *_environment(), *command])),
                 "threads": cores if r.alone else min(r.ranks, cores),
             }
         (folder / "jobs.json").write_text(json.dumps(jobs, indent=1), encoding="utf-8")
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
+
+
+def _environment() -> list[str]:
+    """What Snakemake changes in the environment and a run needs as it was, for ``env``."""
+    one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
+    cache = os.environ.get("XDG_CACHE_HOME")
+    return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])
 
 
 def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock: IO[str]) -> None:
@@ -251,13 +255,14 @@ def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock
     command += ["--keep-going", "--nolock", "--rerun-incomplete", "--scheduler", "greedy"]
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     libc = ctypes.CDLL(None)
-    said = folder / "snakemake.log"
+    said, cache = folder / "snakemake.log", folder.resolve() / ".snakemake"
     progress = _Progress(pending, total, folder)
     with _interruptible(), said.open("w") as output:
         child = subprocess.Popen(
             list(map(str, command)),
             cwd=folder,
-            env=os.environ | {"PYTHONPATH": path},
+            # Snakemake cannot do without a cache of its own, wherever home is.
+            env=os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache)},
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
@@ -275,7 +280,6 @@ def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock
         except KeyboardInterrupt:
             log.info("stopping; running cases save their state first (once more: stop at once)")
             _end(child)
-            progress.tell()
             raise StoppedError(
                 f"stopped after {progress.count} of {total} runs; "
                 f"the same command goes on from there (in {folder})"

@@ -253,7 +253,7 @@ def _csv(report: Report) -> str:
         "line,key,at,number [internal],status,quantity,unit,value,reference,"
         "reference uncertainty,error [-],error exceeds uncertainty,estimated error,"
         "effectivity [-],pareto,time [s],mesh [s],compile [s],error [s],total [s],unknowns,steps,"
-        "newton iterations,krylov iterations,ranks".split(",")
+        "newton iterations,krylov iterations,condition,ranks".split(",")
     )
     for m in report.quantities:
         ref = m.reference
@@ -266,6 +266,7 @@ def _csv(report: Report) -> str:
                 + [int(p.trusted), p.estimate, p.effectivity, int(i in m.front), r.time]
                 + [timing.get(k) for k in ("mesh", "compile", "error", "total")]
                 + [solver.get(k) for k in ("dofs", "steps", "newton_iterations")]
-                + [solver.get("linear_iterations"), r.result.job.ranks]
+                + [solver.get(k) for k in ("linear_iterations", "condition")]
+                + [r.result.job.ranks]
             )
     return text.getvalue()
