@@ -205,7 +205,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     try:
         case = Case.model_validate(file.data, context=context)
     except ValidationError as error:
-        file.raise_all([*_problems(error, file.data), *checks.cross_check(parts)])
+        file.raise_all([*_problems(error), *checks.cross_check(parts)])
         raise  # only if an error could not be told in words
     file.raise_all(checks.cross_check(parts))
     bonded = {name: Bonded() for name in case.geometry.interface_sides}
@@ -263,16 +263,8 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
 
     def table(key: str, kind: Any) -> dict[str, Any]:
         values = data.get(key, {})
-        if not _is_table(values):
-            return {}
-        adapter = _adapter(kind)
-        result = {}
-        for name, value in values.items():
-            try:
-                result[name] = adapter.validate_python(value, context=context)
-            except ValidationError:
-                result[name] = None
-        return result
+        is_table = isinstance(values, dict)
+        return {name: part(kind, value) for name, value in values.items()} if is_table else {}
 
     geometry = part(Geometry, data["geometry"]) if "geometry" in data else None
     if (centre := getattr(geometry, "head_centre", None)) is not None:
@@ -280,9 +272,9 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
     return checks.Parts(
         geometry=geometry,
-        regions=table("regions", Region) if _is_table(data.get("regions")) else None,
+        regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
         interfaces=table("interfaces", Interface),
-        supports=table("supports", Support) if _is_table(data.get("supports", {})) else None,
+        supports=table("supports", Support) if isinstance(data.get("supports", {}), dict) else None,
         loads=table("loads", Load),
         stages=part(Case.model_fields["stages"].annotation, data["stages"])
         if "stages" in data
@@ -291,11 +283,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
     )
 
 
-def _is_table(value: object) -> bool:
-    return isinstance(value, dict)
-
-
-def _problems(error: ValidationError, data: dict[str, Any]) -> list[Problem]:
+def _problems(error: ValidationError) -> list[Problem]:
     """Pydantic's errors in the words of the file."""
     problems = []
     for entry in error.errors(include_url=False):

@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from app.errors import InputError
-from app.fields import did_you_mean, fail
+from app.fields import Scalar, did_you_mean, fail
 from app.units import NUMBER, Dimension
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _value(node: ast.expr, names: dict[str, Any]) -> Any:
 
 
 @dataclass(frozen=True)
-class Varying:
+class Varying(Scalar):
     """Marks a field that is a dimensional value, or an expression in x, y, z that gives it.
 
     Attributes:
@@ -200,14 +200,6 @@ class Varying:
     def write(self, value: float | str) -> str:
         """The value as text that reads back to the same."""
         return value if isinstance(value, str) else self.constant.write(value)
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Replace pydantic's union by `read` and `write`."""
-        return core_schema.no_info_plain_validator_function(
-            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.write)
-        )
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler

@@ -65,35 +65,46 @@ def _name(value: object) -> object:
     return value
 
 
-def _text(value: object) -> object:
-    if not isinstance(value, str):
-        fail(f"{show(value)} is not text; put it in quotes")
-    return value
+def _only(kind: type | tuple[type, ...], what: str) -> BeforeValidator:
+    """Refuse everything but a type before pydantic converts it."""
 
+    def check(value: object) -> object:
+        if not isinstance(value, kind):
+            fail(f"{show(value)} is not {what}")
+        return value
 
-def _truth(value: object) -> object:
-    if not isinstance(value, bool):
-        fail(f"{show(value)} is not true or false")
-    return value
-
-
-def _items(value: object) -> object:
-    if not isinstance(value, list | tuple):
-        fail(f"{show(value)} is not a list")
-    return value
-
-
-def _mapping(value: object) -> object:
-    if not isinstance(value, dict):
-        fail(f"{show(value)} is not a mapping of names to values")
-    return value
+    return BeforeValidator(check)
 
 
 Name = Annotated[str, BeforeValidator(_name)]
-Text = Annotated[str, BeforeValidator(_text)]
-Truth = Annotated[bool, BeforeValidator(_truth)]
-ITEMS = BeforeValidator(_items)
-MAPPING = BeforeValidator(_mapping)
+Text = Annotated[str, _only(str, "text; put it in quotes")]
+Truth = Annotated[bool, _only(bool, "true or false")]
+ITEMS = _only((list, tuple), "a list")
+MAPPING = _only(dict, "a mapping of names to values")
+
+
+class Scalar:
+    """Base of what marks a field of one value: read and written here instead of by pydantic."""
+
+    def read(self, value: object) -> Any:
+        """The value as the program keeps it.
+
+        Raises:
+            PydanticCustomError: It is not one.
+        """
+        raise NotImplementedError
+
+    def write(self, value: Any) -> Any:
+        """The value as it reads back to the same."""
+        return value
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Replace pydantic's own schema by `read` and `write`."""
+        return core_schema.no_info_plain_validator_function(
+            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.write)
+        )
 
 
 def one_of(value: object, allowed: tuple[str, ...]) -> None:

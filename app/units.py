@@ -19,7 +19,7 @@ from typing import Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from app.fields import did_you_mean, fail, show
+from app.fields import Scalar, did_you_mean, fail, show
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
 NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
@@ -120,7 +120,7 @@ def outside(
 
 
 @dataclass(frozen=True)
-class Dimension:
+class Dimension(Scalar):
     """Marks a float field as dimensional: read from text with a unit, kept in the internal unit.
 
     Attributes:
@@ -192,14 +192,6 @@ class Dimension:
                 return degrees
         return f"{value!r} {self.unit}"
 
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Replace pydantic's float by `read` and `write`."""
-        return core_schema.no_info_plain_validator_function(
-            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.write)
-        )
-
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
@@ -213,7 +205,7 @@ class Dimension:
 
 
 @dataclass(frozen=True)
-class Plain:
+class Plain(Scalar):
     """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool.
 
     Attributes:
@@ -246,12 +238,6 @@ class Plain:
         if bound := outside(value, self.above, self.at_least, self.at_most):
             fail(f"{value} {bound}")
         return int(value) if self.integer else float(value)
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Replace pydantic's number by `read`."""
-        return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
