@@ -256,6 +256,15 @@ class Jumps:
         times = np.where(self.held[:, :, None], 0.0, times)
         return times, np.where(held, self._scale[:, None, None], added)
 
+    def local_stiffness(self) -> Floats:
+        """Stiffness that the jump of each own point meets with all else held (n, 3, 3) [N/mm]."""
+        starts, columns, values = self.D.getDiagonalBlock().getValuesCSR()
+        rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+        k = rows // 3 == columns // 3
+        blocks = np.zeros((len(self.mine), 3, 3))
+        blocks[rows[k] // 3, rows[k] % 3, columns[k] % 3] = values[k]
+        return blocks
+
     # Commit
 
     def commit(self, e: Floats, q: Floats, law: PointForces) -> None:

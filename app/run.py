@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 import meshes
-from app import config, error, folders, preview, quantities, ranks, scene, stepping
+from app import config, error, folders, preview, quantities, ranks, scene, stepping, uniqueness
 from app import log as text
 from app.balance import Balance
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
@@ -222,6 +222,7 @@ class _Recorder:
         self._samples: Samples | None = None
         self._time = 0.0
         self._steps = 0
+        self._critical = uniqueness.check(model.problem)
         self._written = 0
         self._newton = 0
 
@@ -330,6 +331,8 @@ class _Recorder:
                 "ranks": problem.comm.size,
             },
         }
+        for name, value in self._critical.items():
+            result["interfaces"][name]["critical_friction"] = value
         result["timing"] = self.seconds()
         return result
 
