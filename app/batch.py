@@ -28,7 +28,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any
@@ -165,8 +165,8 @@ def _runs(
         # The name of a run is not its content: a renamed one is still the same.
         id = found.setdefault(digest, f"{name}-{digest}")
         ids.append(id)
-        alone = job.alone or (id in runs and runs[id].alone)
-        runs[id] = _Run(id, job.name, text, job.ranks, alone)
+        same = runs.get(id, _Run(id, job.name, text, job.ranks, job.alone))
+        runs[id] = replace(same, alone=same.alone or job.alone)
     return ids, runs
 
 

@@ -217,7 +217,7 @@ def _measure(study: Study, name: str, curve: list[Run], ladder: list[Run]) -> Me
         value, estimate = quantity(summary, name), quantity(summary, name, "_error")
         point = wp.Point(r.line, r.label, r.x, r.time, value, estimate, r.tolerance)
         points.append(wp.compare(point, reference))
-    errors = [wp.bound(p, reference) for p in points]
+    errors = [p.bound for p in points]
     times = [p.time for p in points]
     lines = dict.fromkeys(r.line for r in curve)
     return Measured(

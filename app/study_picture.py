@@ -106,6 +106,9 @@ def _line(
     axes: Any, report: Report, m: Measured, error: list[float | None], name: str, k: int
 ) -> None:
     """The k-th line with its labels and its order; failed runs as crosses at the top."""
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=2.5, foreground="white")]
     colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
     above = k % 2 == 0  # so that the labels of two lines side by side can be read
     own = [i for i, r in enumerate(report.runs) if r.line == name]
@@ -131,6 +134,7 @@ def _line(
             textcoords="offset points",
             fontsize=7,
             color=colour,
+            path_effects=halo,
         )
     exponent = m.exponents[name]
     if good and exponent is not None and abs(exponent) >= FLAT:
@@ -139,11 +143,12 @@ def _line(
         axes.annotate(
             rf"$\sim {letter}^{{{exponent:.1f}}}$",
             (m.points[middle].time, error[middle]),
-            xytext=(-8, -14 if above else 8),
+            xytext=(-8, -14) if above else (8, 6),
             textcoords="offset points",
-            ha="right",
+            ha="right" if above else "left",
             fontsize=10,
             color=colour,
+            path_effects=halo,
         )
     for i in own:
         if report.runs[i].result.exit_code:

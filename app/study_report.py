@@ -174,7 +174,7 @@ def _effectivity(e: Effectivity) -> list[str]:
         f"numbers ({percent(e.useful / e.pairs)})"
     ]
     for name, p in e.others:
-        lines.append(f"  {name} with {p.line} at {p.label}: {p.effectivity:.2g}")
+        lines.append(f"  {name} with {p.line} at {p.label}: {p.effectivity:.2f}")
     return lines
 
 
@@ -216,7 +216,8 @@ def _record(report: Report) -> dict[str, Any]:
                 "reference": None if m.reference is None else asdict(m.reference),
                 "exponents": m.exponents,
                 "points": [
-                    asdict(p) | {"effectivity": p.effectivity, "pareto": i in m.front}
+                    asdict(p)
+                    | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
                     for i, p in enumerate(m.points)
                 ],
             }

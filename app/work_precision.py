@@ -11,8 +11,9 @@ import numpy as np
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 4.0
 # Effectivity indices (estimated over true error) that make an estimate useful.
 USEFUL = (0.5, 3.0)
-# The true error has to exceed the algebraic one by this factor for the index to mean anything.
-ALGEBRAIC_FACTOR = 10.0
+# The true error has to exceed the algebraic one and the reference's own by these factors for the
+# index to mean anything.
+ALGEBRAIC_FACTOR, REFERENCE_FACTOR = 10.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Point:
         algebraic: Error of the linear and nonlinear solution, relative.
         deviation: Distance from the reference, in the unit of the quantity.
         error: The same relative to the reference.
-        trusted: Whether that exceeds the uncertainty of the reference.
+        uncertainty: That of the reference, relative.
     """
 
     line: str
@@ -58,12 +59,25 @@ class Point:
     algebraic: float = 0.0
     deviation: float | None = None
     error: float | None = None
-    trusted: bool = False
+    uncertainty: float = 0.0
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the error exceeds the uncertainty of the reference."""
+        return self.error is not None and self.error > self.uncertainty
+
+    @property
+    def bound(self) -> float | None:
+        """The error that can be vouched for: not less than the reference's own; None if unknown."""
+        return None if self.error is None else max(self.error, self.uncertainty)
 
     @property
     def effectivity(self) -> float | None:
-        """Estimated over true error; None where either is not known."""
-        if self.estimate is None or not self.trusted or not self.deviation:
+        """Estimated over true error; None where either is not known well enough."""
+        known = self.error is not None and self.error > max(
+            ALGEBRAIC_FACTOR * self.algebraic, REFERENCE_FACTOR * self.uncertainty
+        )
+        if self.estimate is None or not self.deviation or not known:
             return None
         return self.estimate / self.deviation
 
@@ -122,7 +136,7 @@ def compare(point: Point, reference: Reference | None) -> Point:
         point,
         deviation=deviation,
         error=deviation / abs(reference.value),
-        trusted=deviation > reference.uncertainty,
+        uncertainty=reference.uncertainty / abs(reference.value),
     )
 
 
@@ -133,13 +147,6 @@ def exponent(points: Sequence[Point]) -> float | None:
         return None
     x, e = np.log(np.array(pairs)).T
     return float(np.polyfit(x, e, 1)[0])
-
-
-def bound(point: Point, reference: Reference | None) -> float | None:
-    """The error that can be vouched for: not less than the reference's own; None if unknown."""
-    if point.error is None or reference is None:
-        return None
-    return max(point.error, reference.uncertainty / abs(reference.value))
 
 
 def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> list[int]:
@@ -200,20 +207,13 @@ class Effectivity:
 
 
 def effectivity(points: Sequence[tuple[str, Point]]) -> Effectivity:
-    """Share of useful estimates among the points whose true error exceeds the algebraic one.
+    """Share of useful estimates among the points that have an index.
 
     Args:
         points: Quantity and point.
     """
-    judged = [
-        (quantity, p)
-        for quantity, p in points
-        if p.effectivity is not None and (p.error or 0.0) > ALGEBRAIC_FACTOR * p.algebraic
-    ]
     low, high = USEFUL
-    others = tuple(
-        (quantity, p)
-        for quantity, p in judged
-        if p.effectivity is not None and not low <= p.effectivity <= high
-    )
-    return Effectivity(len(judged), len(judged) - len(others), others)
+    judged = [(quantity, p, p.effectivity) for quantity, p in points]
+    others = tuple((q, p) for q, p, e in judged if e is not None and not low <= e <= high)
+    pairs = sum(e is not None for _, _, e in judged)
+    return Effectivity(pairs, pairs - len(others), others)

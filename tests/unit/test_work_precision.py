@@ -53,13 +53,12 @@ def test_error_and_what_can_be_trusted() -> None:
     good, close = point(1, 0.05), point(1, -0.0005)
     assert good.error == pytest.approx(0.05) and good.deviation == pytest.approx(0.1)
     assert good.trusted and not close.trusted
-    reference = Reference(2.0, 0.002, None, "given")
-    assert wp.bound(good, reference) == pytest.approx(0.05)
-    assert wp.bound(close, reference) == pytest.approx(0.001)
-    failed = Point("P1", "a", 1.0, None, None)
-    assert wp.compare(failed, reference) == failed and wp.bound(failed, reference) is None
-    nothing = wp.compare(good, Reference(0.0, 0.0, None, "given"))
-    assert wp.bound(Point("P1", "a", 1.0, 1.0, 1.0), None) is None and nothing == good
+    assert good.bound == pytest.approx(0.05) and close.bound == pytest.approx(0.001)
+    failed, plain = Point("P1", "a", 1.0, None, None), Point("P1", "a", 1.0, 1.0, 1.0)
+    assert wp.compare(failed, Reference(2.0, 0.002, None, "given")) == failed
+    assert wp.compare(plain, Reference(0.0, 0.0, None, "given")) == plain
+    assert wp.compare(plain, None) == plain
+    assert failed.bound is plain.bound is None and not plain.trusted
 
 
 def test_exponent() -> None:
@@ -92,14 +91,15 @@ def test_effectivity() -> None:
     """Estimates for a true 0.1: within 0.05 and 0.3 they are useful."""
     points = [point(1, 0.05, estimate=e) for e in (0.04, 0.051, 0.299, 0.31)]
     assert [p.effectivity for p in points] == pytest.approx([0.4, 0.51, 2.99, 3.1])
-    # Not judged: no estimate; below the reference's error; near the algebraic error.
+    # Not judged: no estimate; near the reference's error; near the algebraic error.
     rest = [
         point(1, 0.05),
-        point(1, 0.0005, estimate=1.0),
+        point(1, 0.0029, estimate=1.0),
         point(1, 0.05, estimate=1.0, algebraic=0.006),
+        point(1, 0.0031, estimate=1.0),
         point(1, 0.05, estimate=1.0, algebraic=0.004),
     ]
-    assert [p.effectivity is None for p in rest] == [True, True, False, False]
+    assert [p.effectivity is None for p in rest] == [True, True, True, False, False]
     found = wp.effectivity([("q", p) for p in points + rest])
-    assert (found.pairs, found.useful) == (5, 2)
-    assert [p.effectivity for _, p in found.others] == pytest.approx([0.4, 3.1, 10])
+    assert (found.pairs, found.useful) == (6, 2)
+    assert [p.effectivity for _, p in found.others] == pytest.approx([0.4, 3.1, 1 / 0.0062, 10])
