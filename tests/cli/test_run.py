@@ -24,7 +24,8 @@ INTERFACE = {
     *("pressure_max", "pressure_p99", "shear_max", "shear_p99"),
     *("penetration_max", "penetration_sampled"),
     *("open_fraction", "stick_fraction", "slip_fraction"),
-    *("area", "area_slip_over_30um", "area_gap_over_30um", "force", "dissipation"),
+    *("area", "area_slip_over_30um", "area_gap_over_30um", "force"),
+    *("dissipation", "dissipation_min", "contact_work", "critical_friction"),
 }
 REGION = {
     *("von_mises_p99", "hoop_p99", "principal_max", "principal_p99"),
