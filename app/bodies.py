@@ -216,7 +216,12 @@ def _facet_nodes(
         edge_local = np.array([layout.entity_dofs(1, e)[0] for e in range(6)])
         edges = np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
         edge_dofs = globally(np.take_along_axis(dofs, edge_local[edges], axis=1))
-    x = geometry.x[nodes]
+    if geometry.dofmap.shape[1] == 10:
+        middles = 4 + np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
+        nodes_of_x = np.hstack([nodes, np.take_along_axis(geometry.dofmap[f.cells], middles, 1)])
+    else:
+        nodes_of_x = nodes
+    x = geometry.x[nodes_of_x]
     centre = geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
     numbers = np.asarray(geometry.input_global_indices)[nodes].astype(np.int64)
     return numbers, globally(vertex_dofs), edge_dofs, x, centre

@@ -3,8 +3,8 @@
 The one module that prints to standard output. It imports what a command needs when it needs it, so
 that ``check`` works without MPI and starts at once.
 
-Exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped, 69 environment,
-70 internal.
+Exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, 4 not converged,
+5 stopped, 69 environment, 70 internal.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(
         prog="mantle",
         description="Thermomechanics of cemented joint replacements.",
-        epilog="exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped with the "
-        "state saved, 69 environment, 70 internal error",
+        epilog="exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, "
+        "4 not converged, 5 stopped with the state saved, 69 environment, 70 internal error",
         allow_abbrev=False,
     )
     top.add_argument("--version", action="version", version=f"mantle {__version__}")
@@ -124,7 +124,7 @@ def parser() -> argparse.ArgumentParser:
         "-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>-study"
     )
     verify = add("verify", "solve the verification problems and compare with what is known")
-    verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these problems")
+    verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
     verify.add_argument("--fine", action="store_true", help="finer meshes too, for the orders")
     for command in (study, verify):

@@ -3,7 +3,9 @@
 A contact point is a mesh vertex seen from one interface. It carries the jump of that interface (the
 displacement of the slave side minus that of the master side), the normals of its faces (facets that
 meet at less than 30 degrees are one face; a vertex on an edge has two faces, on a corner three) and
-their areas, a third of each facet around it.
+their areas: for each facet around it the integral of its linear shape function, a third of the
+facet where it is flat. On curved cells normals are those of the curved facets, so that a smooth
+surface is one face however coarse the mesh.
 
 Rules where things meet, for each displacement component of a vertex:
 
@@ -37,6 +39,8 @@ FACE_ANGLE = np.deg2rad(30.0)
 MAX_FACES = 3
 # Faces are independent while the Gram determinant of their normals stays above this.
 INDEPENDENT = 0.05
+# Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
+QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
 
 
 @dataclass(frozen=True)
@@ -51,8 +55,9 @@ class InterfaceFacets:
         vertex_dofs: Global blocked dof at each vertex (f, 3).
         edge_dofs: Global blocked dof at each edge (f, 3), edge k opposite vertex k; (f, 0) for P1.
         x: Vertex coordinates (f, 3, 3) [mm].
-        normal: Unit normal from master to slave (f, 3).
-        area: Area (f,) [mm2].
+        normal: Unit normal from master to slave at each vertex (f, 3, 3).
+        area: Integral of the linear shape function of each vertex (f, 3) [mm2].
+        edge_normal: Unit normal in the middle of each edge (f, 3, 3); (f, 0, 3) for flat facets.
     """
 
     interface: Ints
@@ -64,6 +69,7 @@ class InterfaceFacets:
     x: Floats
     normal: Floats
     area: Floats
+    edge_normal: Floats
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,8 @@ def sorted_facets(
         slave: Body on the slave side (f,).
         vertex_dofs: Global blocked dofs at the vertices (f, 3).
         edge_dofs: Global blocked dofs at the edges opposite them (f, 3) or (f, 0).
-        x: Vertex coordinates (f, 3, 3) [mm].
+        x: Coordinates of the vertices (f, 3, 3), and where cells are curved of the middles of the
+            edges opposite them (f, 6, 3) [mm].
         inside_slave: A point inside the slave cell (f, 3) [mm].
     """
     interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave = gather(
@@ -178,12 +185,15 @@ def sorted_facets(
     vertex_dofs = np.take_along_axis(vertex_dofs, order, axis=1)
     if edge_dofs.shape[1]:
         edge_dofs = np.take_along_axis(edge_dofs, order, axis=1)
-    x = np.take_along_axis(x, order[:, :, None], axis=1)
+    both = np.concatenate([order + k for k in range(0, x.shape[1], 3)], axis=1)
+    x = np.take_along_axis(x, both[:, :, None], axis=1)
     rows = np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], interface))
     vertices, x, inside_slave = vertices[rows], x[rows], inside_slave[rows]
-    cross = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    size = np.linalg.norm(cross, axis=1)
-    towards = np.sign(np.einsum("fi,fi->f", cross, inside_slave - x[:, 0]))
+    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave - x[:, 0]))
+    at_corners, _ = _surface(x, np.eye(3))
+    at_middles, _ = _surface(x, (1 - np.eye(3))[: x.shape[1] - 3] / 2)
+    _, area = _surface(x, QUADRATURE)
     return InterfaceFacets(
         interface=interface[rows],
         vertices=vertices,
@@ -191,10 +201,26 @@ def sorted_facets(
         slave=slave[rows],
         vertex_dofs=vertex_dofs[rows],
         edge_dofs=edge_dofs[rows],
-        x=x,
-        normal=cross * (towards / size)[:, None],
-        area=size / 2,
+        x=x[:, :3],
+        normal=at_corners * towards[:, None, None],
+        area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
+        edge_normal=at_middles * towards[:, None, None],
     )
+
+
+def _surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
+    """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
+    # Derivatives of the shape functions by the barycentric coordinates (q, nodes, 3).
+    d = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+    if x.shape[1] == 6:
+        vertices = (4 * at[:, :, None] - 1) * np.eye(3)
+        middles = 4 * at[:, [2, 0, 1]][:, :, None] * np.eye(3)[[1, 2, 0]]
+        middles += 4 * at[:, [1, 2, 0]][:, :, None] * np.eye(3)[[2, 0, 1]]
+        d = np.concatenate([vertices, middles], axis=1)
+    t = np.einsum("qnk,fni->fqki", d, x)
+    cross = np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0])
+    size = np.linalg.norm(cross, axis=2)
+    return cross / size[:, :, None], size
 
 
 def contact_points(
@@ -249,7 +275,7 @@ def contact_points(
     vertices = Entries(body, 3 * dof[where] + column % 3, column, value)
     if facets.edge_dofs.shape[1] == 0:
         return points, vertices
-    return points, _join(vertices, _at_edges(facets, vertex, at_vertex))
+    return points, _join(vertices, _at_edges(facets, vertex, points.held, at_vertex))
 
 
 def _without_cycles(vertex: Ints, master: Ints, slave: Ints) -> Bools:
@@ -357,9 +383,23 @@ def _tree(
 
 
 def _at_edges(
-    facets: InterfaceFacets, vertex: Ints, at_vertex: tuple[Ints, Ints, Ints, Floats]
+    facets: InterfaceFacets,
+    vertex: Ints,
+    held: Bools,
+    at_vertex: tuple[Ints, Ints, Ints, Floats],
 ) -> Entries:
-    """The jump is linear along an edge: its middle node takes half of either end."""
+    """The jump is linear along an edge: its middle node takes half of either end.
+
+    On a curved edge normal and tangential parts are linear, not components: each end is turned from
+    its own normal to that in the middle. Otherwise the opening of a cylinder would be lost between
+    its nodes at second order.
+
+    Args:
+        facets: The facets.
+        vertex: Vertex of each point (n,).
+        held: Components of the jump of each point that supports give (n, 3).
+        at_vertex: Triplets of the vertices.
+    """
     body, where, column, value = at_vertex
     # Every (edge, body) of the interfaces once, with both ends.
     ends = np.stack(
@@ -372,27 +412,78 @@ def _at_edges(
         ]
     )
     rows = np.unique(rows, axis=0)
+    turns = _turns(facets, rows[:, 0])
     stride = int(max(facets.vertices.max(), vertex.max())) + 1
+    # A component that supports give at both ends may be one that they hold in the middle.
+    at = np.zeros((stride, 3), dtype=bool)
+    np.logical_or.at(at, vertex, held)
+    plain = at[rows[:, 2]] & at[rows[:, 3]]
     key = body * stride + vertex[where]
     order = np.argsort(key, kind="stable")
     key = key[order]
     pieces = []
-    for end in (2, 3):
+    for end, turn in zip((2, 3), turns, strict=True):
         wanted = rows[:, 1] * stride + rows[:, end]
         lo, hi = np.searchsorted(key, wanted, "left"), np.searchsorted(key, wanted, "right")
         count = hi - lo
         edge = np.repeat(np.arange(len(rows)), count)
         inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         entry = order[np.repeat(lo, count) + inside]
+        component = column[entry] % 3
+        block = np.where(plain[edge][:, :, None], np.eye(3), turn[edge])
+        turned = block[np.arange(len(entry)), :, component] * value[entry, None] / 2
+        used = turned != 0
         pieces.append(
             Entries(
-                rows[edge, 1],
-                3 * rows[edge, 0] + column[entry] % 3,
-                column[entry],
-                value[entry] / 2,
+                np.repeat(rows[edge, 1], 3)[used.ravel()],
+                (3 * rows[edge, :1] + np.arange(3))[used],
+                np.repeat(column[entry], 3)[used.ravel()],
+                turned[used],
             )
         )
     return _join(*pieces)
+
+
+def _turns(facets: InterfaceFacets, edges: Ints) -> Floats:
+    """What turns the surface from the ends of edges to their middles (2, e, 3, 3).
+
+    Args:
+        facets: The facets.
+        edges: Dofs of the edges (e,).
+
+    Returns:
+        Rotations; none where facets are flat, or meet in an edge.
+    """
+    none = np.broadcast_to(np.eye(3), (2, len(edges), 3, 3))
+    if not facets.edge_normal.shape[1]:
+        return none
+    numbers, place = np.unique(facets.edge_dofs.ravel(), return_inverse=True)
+    count = np.bincount(place.ravel())
+
+    def mean(n: Floats) -> Floats:
+        flat = n.reshape(-1, 3)
+        total = np.stack([np.bincount(place.ravel(), flat[:, i]) for i in range(3)], axis=1)
+        return np.asarray((total / count[:, None])[np.searchsorted(numbers, edges)])
+
+    middle = mean(facets.edge_normal)
+    size = np.linalg.norm(middle, axis=1)
+    smooth = size > np.cos(FACE_ANGLE / 2)
+    local = np.array([[1, 2], [0, 2], [0, 1]])
+    turns = []
+    for end in (0, 1):
+        start = mean(facets.normal[:, local[:, end]])
+        start /= np.maximum(np.linalg.norm(start, axis=1, keepdims=True), INDEPENDENT)
+        turn = _rotations(start, middle / np.maximum(size, INDEPENDENT)[:, None])
+        turns.append(np.where(smooth[:, None, None], turn, none[end]))
+    return np.array(turns)
+
+
+def _rotations(a: Floats, b: Floats) -> Floats:
+    """The smallest rotations that turn unit vectors a into b (n, 3, 3)."""
+    axis = np.cross(a, b)
+    cosine = np.einsum("ni,ni->n", a, b)
+    cross = np.cross(axis[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
+    return np.eye(3) + cross + cross @ cross / (1 + np.maximum(cosine, 0.0))[:, None, None]
 
 
 def _join(*parts: Entries) -> Entries:
@@ -416,20 +507,16 @@ def _faces(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Floats
     Returns:
         Normals (n, 3, 3), areas (n, 3) and number of faces (n,).
     """
-    f = len(facets.area)
     label = _smooth_groups(facets)
     used = point >= 0
     groups, group = np.unique(
         np.stack([point[used], label[used]], axis=1), axis=0, return_inverse=True
     )
     group = group.reshape(-1)
-    facet = np.repeat(np.arange(f), 3)[used]
-    area = np.asarray(np.bincount(group, facets.area[facet] / 3, len(groups)), dtype=np.float64)
+    corner_area, corner_normal = facets.area.ravel()[used], facets.normal.reshape(-1, 3)[used]
+    area = np.asarray(np.bincount(group, corner_area, len(groups)), dtype=np.float64)
     sums = np.stack(
-        [
-            np.bincount(group, facets.area[facet] * facets.normal[facet, i], len(groups))
-            for i in range(3)
-        ],
+        [np.bincount(group, corner_area * corner_normal[:, i], len(groups)) for i in range(3)],
         axis=1,
     )
     normal = sums / np.linalg.norm(sums, axis=1, keepdims=True)
@@ -459,8 +546,11 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     order = np.argsort(edge, kind="stable")
     start = np.concatenate([[0], np.cumsum(count)])[:-1][count == 2]
     a, b = order[start], order[start + 1]
-    cosine = np.einsum("ei,ei->e", facets.normal[a // 3], facets.normal[b // 3])
-    a, b = a[cosine > np.cos(FACE_ANGLE)], b[cosine > np.cos(FACE_ANGLE)]
+    # Normals in the middle of the edge, from those at its ends.
+    ends = facets.normal[np.arange(f)[:, None, None], local].sum(axis=2).reshape(-1, 3)
+    ends /= np.linalg.norm(ends, axis=1, keepdims=True)
+    smooth = np.einsum("ei,ei->e", ends[a], ends[b]) > np.cos(FACE_ANGLE)
+    a, b = a[smooth], b[smooth]
     # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
     one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
     graph = coo_array((np.ones(2 * len(a)), (one.ravel(), two.ravel())), shape=(3 * f, 3 * f))
