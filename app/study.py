@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from app.study_options import STEM_UNITS, Study
 from app.study_report import Measured, Report, Run
 
 log = logging.getLogger("mantle")
+
+BUSY = 0.5  # load of the machine beside a study
 
 
 def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
@@ -44,6 +47,8 @@ def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
     points = plan(study)
     cases = _resolve(points, case, overrides, file)
     jobs = [_job(p, case, overrides) for p in points]
+    if (load := os.getloadavg()[0]) > BUSY:
+        log.warning("other programs are at work (load %.1f): run times will mislead", load)
     results = batch.run(jobs, folder, cores)
     runs = [_run(*each) for each in zip(points, cases, results, strict=True)]
     report = evaluate(study, runs)

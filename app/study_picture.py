@@ -135,6 +135,7 @@ def _line(
             fontsize=7,
             color=colour,
             path_effects=halo,
+            zorder=2,
         )
     exponent = m.exponents[name]
     if good and exponent is not None and abs(exponent) >= FLAT:
@@ -149,6 +150,7 @@ def _line(
             fontsize=10,
             color=colour,
             path_effects=halo,
+            zorder=2,
         )
     for i in own:
         if report.runs[i].result.exit_code:

@@ -28,7 +28,7 @@ CASE = """\
 geometry:
   kind: blocks
   blocks: [{name: one, size: [4 mm, 4 mm, 4 mm]}]
-mesh: {size: 4 mm}
+mesh: {order: 1, size: 4 mm}
 regions: {one: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}}
 supports: {base: {kind: fixed, boundary: bottom}}
 """
@@ -101,6 +101,7 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
     monkeypatch.setattr(batch, "MANTLE_RUN", (sys.executable, str(tmp_path / "mantle.py")))
+    monkeypatch.setattr(logging.getLogger("mantle"), "propagate", True)
     return Bench(tmp_path)
 
 

@@ -27,7 +27,7 @@ CASE = """\
 geometry:
   kind: blocks
   blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
-mesh: {size: 4 mm, far_size: 5 mm}
+mesh: {order: 1, size: 4 mm, far_size: 5 mm}
 regions:
   lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
   upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
@@ -77,6 +77,7 @@ def log_of_other_tests() -> Iterator[None]:
     """The command line sets up a log of its own; the tests after it want theirs."""
     logger = logging.getLogger("mantle")
     before = logger.propagate, logger.level, logger.handlers
+    logger.propagate = True
     yield
     logger.propagate, logger.level, logger.handlers = before
 
