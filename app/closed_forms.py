@@ -309,10 +309,24 @@ def _states(f: Floats, K: Floats, μ: float) -> int:
     is_open = np.linalg.solve(K, f)[1] > 0
     sticks = f[1] <= 0 and abs(f[0]) <= -μ * f[1]
     slips = 0
-    for way in (1.0, -1.0):  # u_N = 0, t = -way μ n
-        u, n = np.linalg.solve([[K[0, 0], way * μ], [K[1, 0], -1.0]], f)
+    for way in (1.0, -1.0):  # u_N = 0, t = -way μ n; singular just where slip is indifferent
+        A = np.array([[K[0, 0], way * μ], [K[1, 0], -1.0]])
+        u, n = np.linalg.solve(A, f) if np.linalg.det(A) else (0.0, -1.0)
         slips += way * u > 0 and n >= 0
     return int(is_open) + int(sticks) + slips
+
+
+def particle_friction(k_T: float, k_N: float, w: float) -> float:
+    """Friction beyond which Klarbring's particle has several solutions under some load."""
+    low, high = 0.0, 1.0
+    while particle_solutions(k_T, k_N, w, high) == 1:
+        high *= 2
+    while high - low > 1e-12 * high:
+        middle = (low + high) / 2
+        low, high = (
+            (middle, high) if particle_solutions(k_T, k_N, w, middle) == 1 else (low, middle)
+        )
+    return high
 
 
 # Cook's membrane

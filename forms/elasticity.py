@@ -100,13 +100,16 @@ def transversely_isotropic_energy(
 def stress(energy: Any, ε: Expr) -> Expr:
     r"""Stress :math:`σ = +∂ψ/∂ε` (3, 3) [MPa]: eq. 49 with its sign corrected.
 
+    The derivative by nine independent components is not symmetric where ψ holds ε m; that by
+    symmetric strains is its symmetric part.
+
     Args:
         energy: Function ε -> ψ(ε).
         ε: Elastic strain (3, 3).
     """
     e = variable(ε)
     # The label of the variable differs from run to run; without it compiled forms are found again.
-    return strip_variables(expand_derivatives(diff(energy(e), e)))
+    return strip_variables(expand_derivatives(sym(diff(energy(e), e))))
 
 
 def eigenstrain(components: Sequence[Any]) -> Expr:

@@ -218,3 +218,4 @@ def test_klarbring_particle_has_several_solutions_beyond_the_critical_friction(w
         assert exact.particle_solutions(1, 2, w, friction) == 1
     for friction in (1.3, 3, 100):
         assert exact.particle_solutions(1, 2, w, friction) > 1
+    assert exact.particle_friction(1, 2, w) == pytest.approx(1.25, rel=1e-9)

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives, strip_variables
 
+from app.closed_forms import Fibrous
 from forms import elasticity
 
 Floats = NDArray[np.float64]
@@ -205,3 +206,20 @@ def test_stress_is_the_derivative_with_plus_sign() -> None:
     one = fem.Constant(mesh, 1.0)
     value = fem.Expression(one * mises, point, comm=MPI.COMM_SELF).eval(mesh, np.array([0]))
     assert float(value.reshape(-1)[0]) == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize("fibre", [(1, 0, 0), (0, 0.6, 0.8), (1 / 3, 2 / 3, -2 / 3)])
+def test_stress_of_a_fibrous_material(fibre: tuple[float, ...]) -> None:
+    """Symmetric, and the inverse of the compliance times a strain with all its shears."""
+    mesh = create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
+    components = [fem.Constant(mesh, v) for v in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)]
+    constants = elasticity.transversely_isotropic_coefficients(17.0, 11.5, 0.31, 0.51, 3.28)
+    m = fem.Constant(mesh, tuple(map(float, fibre)))
+    σ = elasticity.stress(
+        lambda e: elasticity.transversely_isotropic_energy(e, m, *constants),
+        elasticity.eigenstrain(components),
+    )
+    values = fem.Expression(σ, np.full((1, 3), 0.25), comm=MPI.COMM_SELF).eval(mesh, np.array([0]))
+    ε = np.array([[1.0, 6, 5], [6, 2, 4], [5, 4, 3]])
+    exact = Fibrous(17.0, 11.5, 0.31, 0.51, 3.28).stress(ε, fibre)
+    np.testing.assert_allclose(values.reshape(3, 3), exact, rtol=1e-11, atol=1e-11)
