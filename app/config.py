@@ -210,7 +210,11 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     file.raise_all(checks.cross_check(parts))
     bonded = {name: Bonded() for name in case.geometry.interface_sides}
     interfaces = {name: case.interfaces.get(name, law) for name, law in bonded.items()}
-    return case.model_copy(update={"interfaces": interfaces})
+    mesh = case.mesh
+    if mesh.curved is None:
+        curved = mesh.order == 2 and case.geometry.has_curved_surfaces
+        mesh = mesh.model_copy(update={"curved": curved})
+    return case.model_copy(update={"interfaces": interfaces, "mesh": mesh})
 
 
 def dump(case: Case) -> str:

@@ -36,10 +36,11 @@ class MeshOptions(Model):
     """Edge length at the interfaces."""
     far_size: PositiveLength | None = None
     """Edge length far from them; four times `size` by default."""
-    order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 1
+    order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 2
     """Polynomial degree of the displacement."""
-    curved: Truth = False
-    """Whether the cells are curved (second order) to follow the geometry."""
+    curved: Truth | None = None
+    """Whether the cells are curved (second order) to follow the geometry; by default where it is
+    curved and `order` is 2."""
 
     @property
     def far(self) -> float:
@@ -107,6 +108,16 @@ class Blocks(Model):
         return self
 
     @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether curved cells follow it better than straight ones."""
+        return False
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length that it can be meshed with (mm)."""
+        return math.inf
+
+    @property
     def region_names(self) -> tuple[str, ...]:
         """Names of the blocks."""
         return tuple(b.name for b in self.blocks)
@@ -168,6 +179,16 @@ class Cylinders(Model):
         if rise >= self.bone_thickness:
             fail("makes the bone vanish at an end; expected a smaller angle", at=("taper",))
         return self
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether curved cells follow it better than straight ones."""
+        return True
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length that it can be meshed with (mm)."""
+        return math.inf
 
     @property
     def region_names(self) -> tuple[str, ...]:
@@ -282,6 +303,16 @@ class Femur(Model):
         return (self.head_offset, 0.0, self.head_height)
 
     @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether curved cells follow it better than straight ones."""
+        return True
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length (mm): coarser facets of the mantle cut through those of the canal."""
+        return 5.0
+
+    @property
     def region_names(self) -> tuple[str, ...]:
         """Implant, mantle and the two kinds of bone."""
         return ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -370,6 +401,16 @@ class MeshFile(Model):
             if set(sides[0]) & set(sides[1]):
                 fail("has the same region on both sides", at=("interfaces", name))
         return self
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether curved cells follow it better than straight ones: not known of a file."""
+        return False
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length (mm): a ``.msh`` file is as it is."""
+        return 0.0 if self.path.suffix == ".msh" else math.inf
 
     @property
     def region_names(self) -> tuple[str, ...]:

@@ -422,7 +422,8 @@ def _at_edges(
     order = np.argsort(key, kind="stable")
     key = key[order]
     pieces = []
-    for end, turn in zip((2, 3), turns, strict=True):
+    for end in (2, 3):
+        turn = turns[end - 2]
         wanted = rows[:, 1] * stride + rows[:, end]
         lo, hi = np.searchsorted(key, wanted, "left"), np.searchsorted(key, wanted, "right")
         count = hi - lo
@@ -430,7 +431,7 @@ def _at_edges(
         inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         entry = order[np.repeat(lo, count) + inside]
         component = column[entry] % 3
-        block = np.where(plain[edge][:, :, None], np.eye(3), turn[edge])
+        block: Floats = np.where(plain[edge][:, :, None], np.eye(3), turn[edge])
         turned = block[np.arange(len(entry)), :, component] * value[entry, None] / 2
         used = turned != 0
         pieces.append(
@@ -471,7 +472,7 @@ def _turns(facets: InterfaceFacets, edges: Ints) -> Floats:
     local = np.array([[1, 2], [0, 2], [0, 1]])
     turns = []
     for end in (0, 1):
-        start = mean(facets.normal[:, local[:, end]])
+        start: Floats = mean(facets.normal[:, local[:, end]])
         start /= np.maximum(np.linalg.norm(start, axis=1, keepdims=True), INDEPENDENT)
         turn = _rotations(start, middle / np.maximum(size, INDEPENDENT)[:, None])
         turns.append(np.where(smooth[:, None, None], turn, none[end]))

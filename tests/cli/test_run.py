@@ -48,7 +48,7 @@ geometry:
   bone_thickness: 4 mm
   length: 12 mm
   sector: quarter
-mesh: {size: 3 mm, far_size: 4 mm}
+mesh: {order: 1, size: 3 mm, far_size: 4 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
@@ -74,7 +74,7 @@ geometry:
   blocks:
     - {name: lower, size: [6 mm, 6 mm, 3 mm]}
     - {name: upper, size: [6 mm, 6 mm, 3 mm]}
-mesh: {size: 2 mm, far_size: 2 mm}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
   upper: {youngs_modulus: 500 MPa, poisson_ratio: 0.3}

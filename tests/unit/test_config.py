@@ -22,7 +22,7 @@ geometry:
   blocks:
     - {name: lower, size: "[10, 20, 5] mm"}
     - {name: upper, size: [1 cm, 0.02 m, 5000 um]}
-mesh: {size: 2 mm}
+mesh: {order: 1, size: 2 mm}
 regions:
   lower: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
   upper: {rigid: true}
@@ -154,7 +154,7 @@ def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
     )
     case = load(
         tmp_path,
-        "geometry: {kind: file, path: meshes/a.msh}\nmesh: {size: 1 mm}\n"
+        "geometry: {kind: file, path: meshes/a.msh}\nmesh: {order: 1, size: 1 mm}\n"
         "regions: {rock: {youngs_modulus: 1 GPa, poisson_ratio: 0.2}}\n"
         "supports: {base: {kind: fixed, boundary: floor}}\n",
     )

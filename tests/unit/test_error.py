@@ -34,11 +34,11 @@ def case(*overrides: str) -> config.Case:
     return support.case(STACK, *overrides)
 
 
-def numbers(size: float, increments: float, order: float) -> dict[str, Any]:
+def numbers(size: float, increments: float, order: float, step: float = 0.02) -> dict[str, Any]:
     """Numbers with an error of C h^p + C' / n, p as the estimate takes it."""
 
     def wrong(by: float, p: float = order) -> float:
-        return by * (0.01 * size**p + 0.02 / increments)
+        return by * (0.01 * size**p + step / increments)
 
     return {
         "interfaces": {
@@ -59,12 +59,17 @@ def test_nothing_is_solved_that_nobody_asked_for() -> None:
     assert error.companions(case("output.error=false")) == ()
 
 
-def test_companions_are_coarser_and_the_cheapest_has_other_steps() -> None:
-    one, two, steps = error.companions(case("stages.0.increments=8"))
-    assert [c.case.mesh.size for c in (one, two, steps)] == [2, 3, 3]
-    assert [c.case.mesh.far for c in (one, two, steps)] == [8, 12, 12]
-    assert [c.case.stages[0].increments for c in (one, two, steps)] == [8, 8, 4]
-    assert (one.steps, two.steps, steps.steps) == (1, 1, 0.5)
+def test_companions_are_coarser_and_take_half_the_steps() -> None:
+    one, two = error.companions(case("stages.0.increments=9"))
+    assert [c.case.mesh.size for c in (one, two)] == [2, 3]
+    assert [c.case.mesh.far for c in (one, two)] == [8, 12]
+    assert [c.case.stages[0].increments for c in (one, two)] == [4, 4]
+
+
+def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
+    femur = support.case((support.CONFIGS / "stance.yaml").read_text(encoding="utf-8"))
+    sizes = [c.case.mesh.size for c in error.companions(femur)]
+    assert sizes[-1] == femur.geometry.coarsest_size and len(set(sizes)) <= 2
 
 
 def test_one_increment_is_compared_with_two() -> None:
@@ -78,15 +83,15 @@ def test_without_friction_the_path_does_not_matter() -> None:
     assert [c.steps for c in error.companions(frictionless)] == [1, 1]
 
 
-@pytest.mark.parametrize("increments", [1, 8])
-def test_the_estimate_is_exact_for_its_model(increments: int) -> None:
+@pytest.mark.parametrize(("increments", "step"), [(1, 0.02), (8, 0.0)])
+def test_the_estimate_is_exact_for_its_model(increments: int, step: float) -> None:
     this = case(f"stages.0.increments={increments}")
     p = error.ORDERS[2][0]
     solved = [
-        (c, numbers(c.case.mesh.size, c.case.stages[0].increments, p))
+        (c, numbers(c.case.mesh.size, c.case.stages[0].increments, p, step))
         for c in error.companions(this)
     ]
-    run = numbers(1.0, increments, p)
+    run = numbers(1.0, increments, p, step)
     unsettled = error.estimate(run, 2, solved)
     q = run["interfaces"]["lower_upper"]
     assert q["slip_p99_error"] == pytest.approx(q["slip_p99"] - 1)
@@ -94,6 +99,16 @@ def test_the_estimate_is_exact_for_its_model(increments: int) -> None:
     # The peak changes by 0.2 of 1.2, the gap by far less than any slip.
     assert unsettled == ["lower_upper.slip_max"]
     assert "slip_max_error" not in q
+
+
+def test_half_the_steps_show_the_error_of_steps() -> None:
+    """On meshes without an error of their own the estimate is of the right size."""
+    first, second = error.companions(case("stages.0.increments=8"))
+    solved = [(c, numbers(1e-9 * c.coarsening, 4, 1.5)) for c in (first, second)]
+    run = numbers(1e-9, 8, 1.5)
+    error.estimate(run, 2, solved)
+    q = run["interfaces"]["lower_upper"]
+    assert 0.5 < q["slip_p99_error"] / (0.02 / 8) < 3
 
 
 def test_coarsening_is_measured_not_asked_for() -> None:

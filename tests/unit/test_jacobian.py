@@ -10,7 +10,7 @@ from tests import support
 STEM = """
 geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
            length: 20 mm, taper: 1.5 deg}
-mesh: {size: 5 mm}
+mesh: {order: 1, size: 5 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}

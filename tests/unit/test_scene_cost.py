@@ -20,7 +20,7 @@ geometry:
     - {name: lower, size: [6 mm, 6 mm, 3 mm]}
     - {name: middle, size: [6 mm, 6 mm, 3 mm]}
     - {name: upper, size: [6 mm, 6 mm, 3 mm]}
-mesh: {size: 2 mm, far_size: 2 mm}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
   middle: {youngs_modulus: 500 MPa, poisson_ratio: 0.3}

@@ -50,7 +50,7 @@ MeshSize { PointsOf { Volume{:}; } } = size;
 
 CASE = """\
 geometry: {kind: file, path: a.geo, interfaces: {joint: [low, high]}}
-mesh: {size: 1 mm, far_size: 1 mm}
+mesh: {order: 1, size: 1 mm, far_size: 1 mm}
 regions:
   low: {youngs_modulus: 100 MPa, poisson_ratio: 0}
   high: {youngs_modulus: 100 MPa, poisson_ratio: 0}

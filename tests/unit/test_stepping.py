@@ -10,7 +10,7 @@ from tests import support
 PLUG = """
 geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
            length: 30 mm}
-mesh: {size: 4 mm}
+mesh: {order: 1, size: 4 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
@@ -35,7 +35,7 @@ def test_a_lifted_body_is_named() -> None:
     stack = """
 geometry: {kind: blocks, blocks: [{name: base, size: [10 mm, 10 mm, 5 mm]},
                                   {name: lid, size: [10 mm, 10 mm, 5 mm]}]}
-mesh: {size: 4 mm}
+mesh: {order: 1, size: 4 mm}
 regions:
   base: {youngs_modulus: 10 GPa, poisson_ratio: 0.3}
   lid: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}

@@ -42,7 +42,7 @@ geometry:
     - {name: middle, size: [10 mm, 8 mm, 4 mm]}
     - {name: upper, size: [10 mm, 8 mm, 5 mm]}
   tilt: 4 deg
-mesh: {size: 2 mm, far_size: 3 mm}
+mesh: {order: 1, size: 2 mm, far_size: 3 mm}
 regions:
   lower: {youngs_modulus: 10 GPa, poisson_ratio: 0.1}
   middle: {youngs_modulus: 2 GPa, poisson_ratio: 0.45}
@@ -71,7 +71,7 @@ geometry:
     - {name: lower, size: [8 mm, 8 mm, 4 mm]}
     - {name: middle, size: [8 mm, 8 mm, 4 mm]}
     - {name: upper, size: [8 mm, 8 mm, 4 mm]}
-mesh: {size: 2 mm, far_size: 2 mm}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 10 GPa, poisson_ratio: 0.1}
   middle: {youngs_modulus: 2 GPa, poisson_ratio: 0.45}
@@ -101,7 +101,7 @@ geometry:
   bone_thickness: 5 mm
   length: 34 mm
   taper: 1.5 deg
-mesh: {size: 2.2 mm}
+mesh: {order: 1, size: 2.2 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}
@@ -129,7 +129,7 @@ geometry:
   length: 20 mm
   taper: 2 deg
   sector: half
-mesh: {size: 2.6 mm}
+mesh: {order: 1, size: 2.6 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}

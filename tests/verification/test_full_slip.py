@@ -20,7 +20,7 @@ geometry:
   length: 10 mm
   taper: {taper} deg
   sector: quarter
-mesh: {{size: 1.8 mm, far_size: 3 mm}}
+mesh: {{order: 1, size: 1.8 mm, far_size: 3 mm}}
 regions:
   stem: {{youngs_modulus: 110 GPa, poisson_ratio: 0.3}}
   cement: {{youngs_modulus: 2200 MPa, poisson_ratio: 0.3}}
@@ -84,7 +84,7 @@ geometry:
   blocks:
     - {{name: wall, size: [2 mm, 2 mm, 2 mm]}}
     - {{name: bar, size: [2 mm, 2 mm, 10 mm]}}
-mesh: {{size: 1 mm, far_size: 2 mm}}
+mesh: {{order: 1, size: 1 mm, far_size: 2 mm}}
 regions:
   wall: {{rigid: true}}
   bar: {{youngs_modulus: 2200 MPa, poisson_ratio: 0}}

@@ -20,7 +20,7 @@ geometry:
   bone_thickness: 5 mm
   length: 24 mm
   taper: 1.5 deg
-mesh: {size: 3.5 mm, far_size: 5 mm}
+mesh: {order: 1, size: 3.5 mm, far_size: 5 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}
@@ -195,7 +195,7 @@ def test_moment_of_a_force_with_its_point() -> None:
     """`at` moves the moment of a force and nothing else: the reactions at the clamp show it."""
     text = """
 geometry: {kind: blocks, blocks: [{name: beam, size: [4 mm, 6 mm, 10 mm]}]}
-mesh: {size: 2 mm}
+mesh: {order: 1, size: 2 mm}
 regions:
   beam: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
 supports:

@@ -11,7 +11,7 @@ from tests import support
 CYLINDERS = """
 geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
            length: 30 mm, taper: 1.5 deg}
-mesh: {size: 4 mm}
+mesh: {order: 1, size: 4 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
@@ -81,7 +81,7 @@ def test_varying_body_force_has_its_resultant_and_moment(order: int) -> None:
     text = """
 geometry: {kind: blocks, blocks: [{name: low, size: [4 mm, 3 mm, 2 mm]},
                                   {name: high, size: [4 mm, 3 mm, 2 mm]}]}
-mesh: {size: 2 mm, far_size: 2 mm}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
 regions:
   low: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
   high: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
@@ -205,7 +205,7 @@ PUNCH = """
 geometry:
   kind: blocks
   blocks: [{name: block, size: [4 mm, 4 mm, 3 mm]}, {name: punch, size: [4 mm, 4 mm, 2 mm]}]
-mesh: {size: 2 mm}
+mesh: {order: 1, size: 2 mm}
 regions:
   block: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
   punch: {rigid: true}

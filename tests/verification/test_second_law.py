@@ -35,7 +35,7 @@ geometry:
   bone_thickness: 5 mm
   length: 16 mm
   taper: 1.5 deg
-mesh: {{size: 4 mm, far_size: 5 mm}}
+mesh: {{order: 1, size: 4 mm, far_size: 5 mm}}
 regions:
   stem: {{youngs_modulus: 110 GPa, poisson_ratio: 0.3}}
   cement: {{youngs_modulus: 2200 MPa, poisson_ratio: 0.35}}
@@ -58,7 +58,7 @@ geometry:
   blocks:
     - {{name: lower, size: [8 mm, 6 mm, 3 mm]}}
     - {{name: upper, size: [8 mm, 6 mm, 3 mm]}}
-mesh: {{size: 1.5 mm, far_size: 2 mm}}
+mesh: {{order: 1, size: 1.5 mm, far_size: 2 mm}}
 regions:
   lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
   upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.4}}
@@ -137,7 +137,7 @@ geometry:
   kind: file
   path: {path}
   interfaces: {{peg_socket: [socket, peg]}}
-mesh: {{size: 1.5 mm}}
+mesh: {{order: 1, size: 1.5 mm}}
 regions:
   socket: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
   peg: {{youngs_modulus: 300 MPa, poisson_ratio: 0.3}}
@@ -195,7 +195,7 @@ geometry:
   blocks:
     - {{name: lower, size: [6 mm, 6 mm, 3 mm]}}
     - {{name: upper, size: [6 mm, 6 mm, 3 mm]}}
-mesh: {{size: 1.5 mm, far_size: 2 mm}}
+mesh: {{order: 1, size: 1.5 mm, far_size: 2 mm}}
 regions:
   lower: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
   upper: {{youngs_modulus: 500 MPa, poisson_ratio: 0.3}}
@@ -258,7 +258,7 @@ geometry:
   blocks:
     - {name: lower, size: [12 mm, 6 mm, 4 mm]}
     - {name: upper, size: [12 mm, 6 mm, 4 mm]}
-mesh: {size: 1.5 mm, far_size: 2 mm}
+mesh: {order: 1, size: 1.5 mm, far_size: 2 mm}
 regions:
   lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
   upper: {youngs_modulus: 500 MPa, poisson_ratio: 0.3}
