@@ -61,6 +61,12 @@ class Run:
         """The content of summary.json."""
         return dict(json.loads((self.folder / "summary.json").read_text(encoding="utf-8")))
 
+    @property
+    def log(self) -> str:
+        """What the run said, where something kept it beside the directory; else empty."""
+        path = self.folder.with_name(f"{self.folder.name}.log")
+        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
     @cached_property
     def history(self) -> dict[str, Floats]:
         """The columns of history.csv, by their titles (units and all)."""
@@ -111,17 +117,17 @@ class Run:
         np.add.at(areas, corners, size[:, None] / 6)
         return areas
 
-    def error(
+    def norms(
         self, exact: Callable[[Floats, Ints], Floats], degree: int = 6
-    ) -> tuple[float, float]:
-        """L2 norms of the error of the displacement and of the exact displacement.
+    ) -> tuple[float, float, float]:
+        """L2 norms of the error of the displacement, of the displacement and of the exact one.
 
         Args:
             exact: The exact displacement (n, 3) [mm] at points (n, 3), and their regions (n,).
             degree: Of the quadrature.
 
         Returns:
-            Norm of the difference and norm of the exact displacement [mm^(5/2)].
+            Norms of the difference, of the displacement and of the exact one [mm^(5/2)].
         """
         rule = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         points, weights = (np.asarray(a) for a in rule)
@@ -130,12 +136,12 @@ class Run:
         measure = np.abs(np.linalg.det(np.einsum("cni,qnj->cqij", x, dN))) * weights
         place = np.einsum("qn,cni->cqi", N, x).reshape(-1, 3)
         should = exact(place, np.repeat(self.region, len(weights))).reshape(*measure.shape, 3)
-        difference = np.einsum("qn,cni->cqi", N, u) - should
+        have = np.einsum("qn,cni->cqi", N, u)
 
         def norm(values: Floats) -> float:
             return float(np.sqrt((measure * (values**2).sum(axis=2)).sum()))
 
-        return norm(difference), norm(should)
+        return norm(have - should), norm(have), norm(should)
 
     def _field(self, name: str, kind: str, step: int) -> Floats:
         rows = len(self.points) if kind == "Points" else len(self.cells)

@@ -1,0 +1,251 @@
+"""``mantle verify``: what it solves, writes and says; and that its problems see mistakes."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app import closed_forms, verify, verify_problems
+from app.errors import InputError
+from app.verify_measures import Sample
+from app.verify_problems import Point, Problem
+from tests import support
+
+KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "passed"}
+
+
+def written(folder: Path) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = json.loads((folder / "verify.json").read_text())
+    assert all(KEYS <= entry.keys() for entry in entries)
+    assert (folder / "verify.png").stat().st_size > 5_000
+    return entries
+
+
+def test_a_ladder_of_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Error, order, run time, table, picture; nothing is run twice."""
+    caplog.set_level(logging.INFO, "mantle")
+    assert verify.run("lame_plane_strain_3", tmp_path, fine=False, cores=2)
+    (entry,) = written(tmp_path)
+    assert entry["name"] == "lame_plane_strain_3"
+    assert entry["passed"] is True
+    assert 0 < entry["error"] < entry["tolerance"] == 0.005
+    assert entry["expected_order"] == 2
+    assert abs(entry["order"] - 2) < 0.2
+    assert entry["seconds"] > 1
+    assert entry["reference"] == pytest.approx(1.02740, abs=6e-6)
+    assert entry["error"] == pytest.approx(abs(entry["value"] / entry["reference"] - 1))
+    assert entry["sizes"] == sorted(entry["sizes"], reverse=True)
+    assert entry["errors"] == sorted(entry["errors"], reverse=True)
+    assert "lame_plane_strain_3" in caplog.text and "it passes" in caplog.text
+    begin = len(caplog.text)
+    assert verify.run("lame_plane_strain_3", tmp_path, fine=False, cores=2)
+    assert "3 runs: 3 done already" in caplog.text[begin:]
+
+
+def test_problems_without_a_ladder(tmp_path: Path) -> None:
+    """Runs that are compared one by one, and a problem without any."""
+    assert verify.run("uniaxial", tmp_path, fine=False, cores=2)
+    entries = written(tmp_path)
+    assert [e["name"] for e in entries] == ["uniaxial_along_fibre", "uniaxial_across_fibre"]
+    assert all(e["order"] is None and e["expected_order"] is None for e in entries)
+    assert all(len(e["runs"]) == 2 for e in entries)
+    assert verify.run("klarbring", tmp_path, fine=False, cores=1)
+    (entry,) = written(tmp_path)
+    assert entry["runs"] == [] and entry["reference"] == pytest.approx(1.25)
+
+
+def test_what_fails_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A wrong number, and a run that fails; the others are measured all the same."""
+    caplog.set_level(logging.INFO, "mantle")
+    loose = (
+        "interfaces.slope_block.friction_coefficient=0",
+        "supports.push={kind: roller, boundary: top, axis: y}",
+    )
+    broken = Problem(
+        "incline_loose", "nothing holds it", 0.1, "incline.yaml", (Point(loose, _never),)
+    )
+    everything = verify_problems.problems()
+    monkeypatch.setattr(verify, "problems", lambda fine: [broken, *everything])
+    monkeypatch.setattr(closed_forms, "push_up", lambda slope, friction: 0.5)
+    assert not verify.run("incline", tmp_path, fine=False, cores=2)
+    loose, wrong = written(tmp_path)
+    assert not loose["passed"] and loose["error"] is None
+    assert "incline_loose" in loose["message"] and loose["message"] in caplog.text.replace(
+        "\n  ", "\n"
+    )
+    assert not wrong["passed"] and wrong["error"] == pytest.approx(1 - 0.412371 / 0.5, rel=1e-5)
+    assert "2 of 2 fail: incline_loose, incline" in caplog.text
+
+
+def _never(run: object) -> Sample:
+    raise AssertionError("a run that failed is not measured")
+
+
+def test_a_wrong_order_fails() -> None:
+    """However small the error."""
+
+    def outcome(*errors: float) -> verify.Outcome:
+        points = tuple(Point((), _never, h) for h in (1.0, 0.5, 0.25))
+        problem = Problem("ladder", "", 0.1, "none.yaml", points, 2.0)
+        return verify.Outcome(problem, tuple(Sample(1, 1, e) for e in errors), 0.0)
+
+    assert outcome(0.16, 0.04, 0.01).order == pytest.approx(2)
+    assert outcome(0.16, 0.04, 0.01).passed
+    assert not outcome(0.04, 0.02, 0.01).passed
+    assert not outcome(1.6, 0.4, 0.11).passed
+    assert not outcome(0.1, 0.1, float("nan")).passed
+
+
+def test_pattern_without_match_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no problem has this in its name.*hertz_line_pressure"):
+        verify.run("herz", tmp_path, fine=False, cores=1)
+    assert not list(tmp_path.iterdir())
+
+
+def test_problems_are_well_posed() -> None:
+    """Unique short names; cases that exist and say how to run them; ladders that go down."""
+    for fine in (False, True):
+        everything = verify_problems.problems(fine)
+        names = [p.name for p in everything]
+        assert len(set(names)) == len(names) > 35
+        assert max(map(len, names)) <= 26
+        for p in everything:
+            assert bool(p.points) != bool(p.direct)
+            assert not p.points or f"run configs/verification/{p.case}" in _text(p.case)
+            sizes = [point.size for point in p.points]
+            assert sizes == sorted(sizes, reverse=True)
+            assert p.order is None or len(set(sizes)) == len(sizes) >= 3
+    assert {p.case for p in everything} - {""} == {
+        p.name for p in verify_problems.CASES.glob("*.yaml")
+    }
+
+
+def _text(case: str) -> str:
+    return (verify_problems.CASES / case).read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_all_pass(tmp_path: Path) -> None:
+    """The default suite, some minutes on two cores."""
+    assert verify.run("", tmp_path, fine=False, cores=2), [
+        (e["name"], e["error"], e["order"], e["message"])
+        for e in written(tmp_path)
+        if not e["passed"]
+    ]
+
+
+# A file, what is in it, what is planted instead, and problems of which one has to fail.
+MUTATIONS = {
+    "eq50_poisson_ratio_in_e1": (
+        "forms/elasticity.py",
+        "e1 = (ν_t + a) * E_t / Δ",
+        "e1 = (ν_t + ν_t**2 * E_t / E_l) * E_t / Δ",
+        "uniaxial_along",
+    ),
+    "eq50_inverted_moduli_in_e5": (
+        "forms/elasticity.py",
+        "(1 - ν_t**2) * E_l / E_t",
+        "(1 - ν_t**2) * E_t / E_l",
+        "uniaxial_along",
+    ),
+    "eq50_factor_in_e4": (
+        "forms/elasticity.py",
+        "e4 = 2 * μ_l - E_t",
+        "e4 = μ_l - E_t",
+        "patch_fibre_111",
+    ),
+    "eq48_lame_coefficient": (
+        "forms/elasticity.py",
+        "E * ν / ((1 + ν) * (1 - 2 * ν)), E",
+        "E * ν / ((1 + ν) * (1 - ν)), E",
+        "sine_p2",
+    ),
+    "eq49_unsymmetric_stress": (
+        "forms/elasticity.py",
+        "sym(diff(energy(e), e))",
+        "diff(energy(e), e)",
+        "patch_fibre_011",
+    ),
+    "eq65_sign_of_the_gap": (
+        "forms/contact.py",
+        "S = f + r * (d + gap)",
+        "S = f + r * (d - gap)",
+        "lame_plane_strain_4",
+    ),
+    "eq65_factor_of_the_potential": (
+        "forms/contact.py",
+        "energy = (square - inner(f, f)) / (2 * r)",
+        "energy = (square - inner(f, f)) / (3 * r)",
+        "wall_augmented",
+    ),
+    "eq65_slip_since_the_last_state": (
+        "forms/contact.py",
+        "dS = f + r * (d - jump_old)",
+        "dS = f + r * d",
+        "foundation_bar",
+    ),
+    "eq65_disc_not_frozen": (
+        "forms/contact.py",
+        "frozen = _states(S_star, dS, normals, μ)",
+        "frozen = _states(S, dS, normals, μ)",
+        "incline",
+    ),
+    "eq57_penalty": (
+        "forms/contact.py",
+        'r: Augmentation, or penalty [MPa/mm].\n    """\n',
+        'r: Augmentation, or penalty [MPa/mm].\n    """\n    r = 1.01 * r\n',
+        "wall_penalty",
+    ),
+    "cone_radius": (
+        "forms/contact.py",
+        "radius = μ * sum(p[1:], p[0])",
+        "radius = μ**2 * sum(p[1:], p[0])",
+        "incline",
+    ),
+    "cone_inside_out": (
+        "forms/contact.py",
+        "le(inner(S_T, S_T), radius**2)",
+        "ge(inner(S_T, S_T), radius**2)",
+        "incline",
+    ),
+    "cone_projection": (
+        "forms/contact.py",
+        "2 * radius * size - radius**2",
+        "radius * size - radius**2",
+        "cattaneo",
+    ),
+    "unilateral_sign": ("forms/contact.py", "p = [-a for a in", "p = [a for a in", "incline"),
+    "sign_of_the_body_force": (
+        "forms/loads.py",
+        "return dot(b, v)",
+        "return -dot(b, v)",
+        "sine_p2",
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MUTATIONS)
+def test_a_planted_mistake_makes_a_problem_fail(name: str, tmp_path: Path) -> None:
+    """A wrong sign or factor in the equations does not pass: verify says so and exits with 1."""
+    file, right, wrong, pattern = MUTATIONS[name]
+    for folder in ("app", "forms", "meshes", "configs"):
+        shutil.copytree(support.ROOT / folder, tmp_path / folder)
+    text = (tmp_path / file).read_text(encoding="utf-8")
+    assert text.count(right) == 1
+    (tmp_path / file).write_text(text.replace(right, wrong), encoding="utf-8")
+    command = [sys.executable, "-m", "app", "verify", "-k", pattern, "-o", "out", "--cores", "2"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    end = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert end.returncode == 1, (end.returncode, end.stdout, end.stderr)
+    assert "fail: " in end.stdout
