@@ -356,9 +356,9 @@ def test_nothing_converged_leaves_no_state(tmp_path: Path) -> None:
 
 COARSE: dict[str, list[str]] = {
     "blocks.yaml": ["mesh.size=3 mm"],
-    "cylinders.yaml": ["mesh.size=2.5 mm", "mesh.far_size=5 mm"],
-    "stance.yaml": ["mesh.size=4 mm"],
-    "stance_cocr.yaml": ["mesh.size=4 mm"],
+    "cylinders.yaml": ["mesh.size=2.5 mm", "mesh.far_size=5 mm", "output.error=true"],
+    "stance.yaml": ["mesh.size=5 mm", "stages.0.increments=1", "output.error=false"],
+    "stance_cocr.yaml": ["mesh.size=5 mm", "stages.0.increments=1", "output.error=false"],
 }
 
 
@@ -379,8 +379,12 @@ def check_cylinders(s: dict[str, Any]) -> None:
     assert q["slip_fraction"] == 1
     assert q["shear_max"] / q["pressure_max"] == pytest.approx(0.4, rel=1e-6)
     # Regression, on this coarse mesh.
-    assert q["force"][2] == pytest.approx(-1041.5, rel=0.01)
-    assert s["stem"]["subsidence"] == pytest.approx(0.0907, rel=0.01)
+    assert q["force"][2] == pytest.approx(-968.1, rel=0.01)
+    assert s["stem"]["subsidence"] == pytest.approx(0.0914, rel=0.01)
+    # Beside each number its error, as far as it can be told: slip is known to a micrometre.
+    assert len(s["error"]["companions"]) == 2 and not s["error"]["failed"]
+    assert 0 < q["slip_p99_error"] < 1e-3 and len(q["force_error"]) == 3
+    assert "slip_max_error" not in q
 
 
 HIP = (-399.5, -159.9, -1747.8)
@@ -398,8 +402,8 @@ def check_stance(s: dict[str, Any], subsidence: float) -> None:
 CHECKS = {
     "blocks.yaml": check_blocks,
     "cylinders.yaml": check_cylinders,
-    "stance.yaml": lambda s: check_stance(s, 0.1308),
-    "stance_cocr.yaml": lambda s: check_stance(s, 0.1020),
+    "stance.yaml": lambda s: check_stance(s, 0.1713),
+    "stance_cocr.yaml": lambda s: check_stance(s, 0.1327),
 }
 
 
