@@ -22,7 +22,7 @@ geometry:
   bone_thickness: 5 mm
   length: 24 mm
   taper: 1.5 deg
-mesh: {order: 1, size: 3 mm, far_size: 4 mm}
+mesh: {order: 2, size: 5 mm, far_size: 6 mm}
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.35}
