@@ -74,7 +74,8 @@ def test_the_two_stance_cases_differ_in_the_stem_alone() -> None:
     titanium, cobalt = (config.load(CONFIGS / f"{n}.yaml") for n in ("stance", "stance_cocr"))
     stems = titanium.regions["stem"], cobalt.regions["stem"]
     assert [stem.youngs_modulus for stem in stems] == [110e3, 200e3]  # type: ignore[union-attr]
-    changes = {"title": titanium.title, "regions": {**cobalt.regions, "stem": stems[0]}}
+    regions = {**cobalt.regions, "stem": stems[0]}
+    changes = {"title": titanium.title, "regions": regions, "study": titanium.study}
     assert cobalt.model_copy(update=changes) == titanium
 
 
