@@ -159,7 +159,7 @@ def _runs(
     ids: list[str] = []
     runs: dict[str, _Run] = {}
     for job, case in zip(jobs, cases, strict=True):
-        text = config.dump(case.model_copy(update={"study": None}))
+        text = config.dump(case)
         digest = _digest(case, text, job.ranks)
         name = re.sub(r"[^A-Za-z0-9_.-]", "_", job.name)
         # The name of a run is not its content: a renamed one is still the same.

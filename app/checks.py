@@ -14,6 +14,7 @@ from app.case_file import Path, Problem
 from app.conditions import Bonded
 from app.fields import did_you_mean
 from app.materials import Rigid
+from app.study_options import OF_RUN
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ def cross_check(parts: Parts) -> list[Problem]:
         *_stage_names(parts),
         *_rigid(parts),
         *_held(parts),
-        *_study(parts),
+        *quantities(parts.geometry, parts.study),
     ]
 
 
@@ -142,13 +143,13 @@ def _held(parts: Parts) -> Iterable[Problem]:
         yield Problem(("supports",), f"nothing holds the model{along}; {allowed}")
 
 
-def _study(parts: Parts) -> Iterable[Problem]:
+def quantities(geometry: Any, study: Any) -> Iterable[Problem]:
     """Quantities of interfaces or regions that the geometry does not have."""
-    if parts.geometry is None or parts.study is None:
+    if geometry is None or study is None:
         return
-    known = (*parts.geometry.interface_sides, *parts.geometry.region_names)
-    for i, quantity in enumerate(parts.study.quantities):
+    known = (*geometry.interface_sides, *geometry.region_names)
+    for i, quantity in enumerate(study.quantities):
         name = quantity.partition(".")[0]
-        if name not in known:
+        if name not in known and quantity not in OF_RUN:
             path = ("study", "quantities", i)
-            yield _unknown(path, "interface or region", name, known, parts.geometry.kind)
+            yield _unknown(path, "interface or region", name, known, geometry.kind)

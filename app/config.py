@@ -200,12 +200,15 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     Raises:
         InputError: As `load`.
     """
+    if is_study(file.data):
+        text = f"this is a study of another case: mantle study {file.name}"
+        file.raise_all([Problem(("base",), text)])
     context: dict[str, Any] = {"folder": folder, "points": {}}
     parts = _parts(file.data, context)
     try:
         case = Case.model_validate(file.data, context=context)
     except ValidationError as error:
-        file.raise_all([*_problems(error), *checks.cross_check(parts)])
+        file.raise_all([*problems(error), *checks.cross_check(parts)])
         raise  # only if an error could not be told in words
     file.raise_all(checks.cross_check(parts))
     bonded = {name: Bonded() for name in case.geometry.interface_sides}
@@ -217,8 +220,13 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     return case.model_copy(update={"interfaces": interfaces, "mesh": mesh})
 
 
+def is_study(data: dict[str, Any]) -> bool:
+    """Whether a file holds a study of another case (`app/study_file.py`) instead of a case."""
+    return "base" in data and "geometry" not in data
+
+
 def dump(case: Case) -> str:
-    """A case as YAML in internal units; `load` reads it back to an equal case."""
+    """A case without its study, as YAML in internal units; `load` reads it back equal."""
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedSeq
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
@@ -240,7 +248,8 @@ def dump(case: Case) -> str:
     yaml.default_flow_style = False
     yaml.width = 1 << 20
     stream = io.StringIO()
-    yaml.dump(arrange(case.model_dump(mode="json", exclude_none=True)), stream)
+    data = case.model_dump(mode="json", exclude_none=True, exclude={"study"})
+    yaml.dump(arrange(data), stream)
     return stream.getvalue()
 
 
@@ -287,9 +296,9 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
     )
 
 
-def _problems(error: ValidationError) -> list[Problem]:
-    """Pydantic's errors in the words of the file."""
-    problems = []
+def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Problem]:
+    """Pydantic's errors in the words of the file, which holds a `model`."""
+    found = []
     for entry in error.errors(include_url=False):
         location = entry["loc"]
         path = tuple(
@@ -301,32 +310,31 @@ def _problems(error: ValidationError) -> list[Problem]:
                 path += tuple(entry["ctx"]["at"])
                 text = entry["ctx"]["text"]
             case "missing":
-                path, text = path[:-1], f"'{key}' is missing; {_expected(location)}"
+                path, text = path[:-1], f"'{key}' is missing; {_expected(model, location)}"
             case "extra_forbidden":
-                model = _model_at(location)
-                allowed = tuple(model.model_fields)
+                allowed = tuple(_model_at(model, location).model_fields)
                 text = f"unknown key; allowed: {', '.join(allowed)}{did_you_mean(key, allowed)}"
             case "model_type" | "model_attributes_type":
-                keys = ", ".join(_model_at((*location, "")).model_fields)
+                keys = ", ".join(_model_at(model, (*location, "")).model_fields)
                 text = f"{show(entry['input'])} is not a mapping; expected keys {keys}"
             case "literal_error":
                 text = f"{show(entry['input'])} is not {entry['ctx']['expected']}"
             case _:
                 text = f"{show(entry['input'])}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
-        problems.append(Problem(path, text))
-    return problems
+        found.append(Problem(path, text))
+    return found
 
 
-def _expected(location: tuple[str | int, ...]) -> str:
+def _expected(model: type[BaseModel], location: tuple[str | int, ...]) -> str:
     """What a missing key stands for: its documentation."""
-    info = _model_at(location).model_fields.get(str(location[-1]))
+    info = _model_at(model, location).model_fields.get(str(location[-1]))
     text = (info.description or "") if info else ""
     return f"expected: {text[:1].lower()}{text[1:].rstrip('.')}" if text else "expected"
 
 
-def _model_at(location: tuple[str | int, ...]) -> type[BaseModel]:
+def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[BaseModel]:
     """The model whose key the last entry of a pydantic location is."""
-    current: Any = Case
+    current: Any = model
     for item in location[:-1]:
         if isinstance(item, str) and item.startswith(TAG):
             current = next(m for m in _models(current) if TAG + m.__name__ == item)
@@ -334,7 +342,7 @@ def _model_at(location: tuple[str | int, ...]) -> type[BaseModel]:
             current = current.model_fields[str(item)].annotation
         elif get_origin(current) in (dict, tuple):
             current = get_args(current)[1 if get_origin(current) is dict else 0]
-    return next(_models(current), Case)
+    return next(_models(current), model)
 
 
 def _models(annotation: Any) -> Any:

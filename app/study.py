@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import logging
+import math
 import os
 import re
 from collections.abc import Sequence
@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
-
-from app import batch, case_file, config, study_options, study_report
+from app import batch, case_file, config, study_file, study_options, study_report
 from app import work_precision as wp
 from app.batch import Job, Result
 from app.case_file import CaseFile, Problem
 from app.errors import ConvergenceError, InputError
-from app.study_options import STEM_UNITS, Study
+from app.study_file import Source
+from app.study_options import OF_RUN, STEM_UNITS, Study
 from app.study_report import Measured, Report, Run
 
 log = logging.getLogger("mantle")
@@ -30,7 +29,7 @@ def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
     """Run all points of a study and report them.
 
     Args:
-        case: The case file, with a study section.
+        case: The case file, with a study section, or a study of another case.
         overrides: ``--set`` options; they hold for every point.
         folder: Where everything goes; what is done there already is not run again.
         cores: Cores to use. Runs go one at a time, so that their times can be compared.
@@ -40,21 +39,18 @@ def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
         ConvergenceError: Every run failed.
         StoppedError: Interrupted; the same command goes on from there.
     """
-    file = case_file.read(case, overrides)
-    study = config.resolve(file, case.parent).study
-    if study is None:
-        raise InputError(f"{case}: has no study section: what varies, what is measured")
-    points = plan(study)
-    cases = _resolve(points, case, overrides, file)
-    jobs = [_job(p, case, overrides) for p in points]
+    source = study_file.read(case, overrides)
+    points = plan(source.study)
+    cases = _resolve(points, source)
+    jobs = [_job(p, source) for p in points]
     if (load := os.getloadavg()[0]) > BUSY:
         log.warning("other programs are at work (load %.1f): run times will mislead", load)
     results = batch.run(jobs, folder, cores)
     runs = [_run(*each) for each in zip(points, cases, results, strict=True)]
-    report = evaluate(study, runs)
-    study_report.write(report, case, overrides, cores, folder)
+    report = evaluate(source.study, runs)
+    written = study_report.write(report, source, cores, folder)
     log.info("%s", study_report.table(report))
-    log.info("%s", f"written: {folder}/study.json, study.csv, study.png")
+    log.info("written in %s: %s", folder, ", ".join(written))
     if all(r.exit_code for r in results):
         raise ConvergenceError(f"every run of the study failed:\n{results[0].message}")
 
@@ -68,7 +64,7 @@ class Planned:
         line: Its name; empty in the reference.
         index: The point's number along it.
         changes: Its overrides.
-        key: The key that stands for all that vary.
+        key: The key that stands for all that vary; empty if none does.
     """
 
     path: case_file.Path
@@ -80,7 +76,7 @@ class Planned:
     @property
     def label(self) -> str:
         """The value of its key, as written."""
-        value = self.changes[self.key]
+        value = self.changes.get(self.key, "")
         return f"#{self.index + 1}" if isinstance(value, dict | list) else str(value)
 
 
@@ -90,31 +86,30 @@ def plan(study: Study) -> list[Planned]:
     if study.reference.run is not None:
         lines.append((("study", "reference", "run"), "", study.reference.run))
     return [
-        Planned(path, name, i, changes, study_options.varying(line)[0])
+        Planned(path, name, i, changes, (*study_options.varying(line), "")[0])
         for path, name, line in lines
         for i, changes in enumerate(study_options.steps(line))
     ]
 
 
 def _overrides(point: Planned, common: Sequence[str]) -> list[str]:
-    """The options that make a case the point's; JSON is YAML."""
+    """The options that make a case the point's."""
     own = {key: value for key, value in point.changes.items() if key != "ranks"}
-    return [*common, *(f"{k}={json.dumps(v, ensure_ascii=False)}" for k, v in own.items())]
+    return [*common, *study_options.options(own)]
 
 
-def _job(point: Planned, case: Path, overrides: Sequence[str]) -> Job:
+def _job(point: Planned, source: Source) -> Job:
+    name = "-".join(filter(None, (point.line or "reference", point.label)))
     return Job(
-        name=f"{point.line or 'reference'}-{point.label}".replace(" ", ""),
-        case=case,
-        overrides=tuple(_overrides(point, overrides)),
+        name=name.replace(" ", ""),
+        case=source.case,
+        overrides=tuple(_overrides(point, source.overrides)),
         ranks=point.changes.get("ranks", 1),
         alone=True,
     )
 
 
-def _resolve(
-    points: Sequence[Planned], case: Path, overrides: Sequence[str], file: CaseFile
-) -> list[config.Case]:
+def _resolve(points: Sequence[Planned], source: Source) -> list[config.Case]:
     """The configuration of each point.
 
     Raises:
@@ -124,21 +119,24 @@ def _resolve(
     problems: list[Problem] = []
     for point in points:
         try:
-            cases.append(config.load(case, _overrides(point, overrides)))
+            cases.append(config.load(source.case, _overrides(point, source.overrides)))
         except InputError as error:
-            problems += [_located(point, message, file) for message in error.messages]
-    file.raise_all(problems)
+            problems += [_located(point, message, source.file) for message in error.messages]
+    condition = "solver.condition"
+    if condition in source.study.quantities and not all(c.output.condition for c in cases):
+        at = ("study", "quantities", source.study.quantities.index(condition))
+        problems.append(Problem(at, "needs output.condition: true"))
+    source.file.raise_all(problems)
     return cases
 
 
 def _located(point: Planned, message: str, file: CaseFile) -> Problem:
     """A defect of a point, where its cause stands in the study."""
-    for key in point.changes:
-        if message.startswith(start := f"--set {key}: "):
-            path = (*point.path, key)
-            item = (*path, point.index)
-            return Problem(item if item in file.places else path, message.removeprefix(start))
-    return Problem(point.path, f"with {point.key} = {point.label}: {message}")
+    if found := study_file.located(message, point.changes, point.path):
+        item = (*found.path, point.index)
+        return Problem(item, found.text) if item in file.places else found
+    at = f"with {point.key} = {point.label}: " if point.key else ""
+    return Problem(point.path, at + message)
 
 
 def _run(point: Planned, case: config.Case, result: Result) -> Run:
@@ -146,11 +144,13 @@ def _run(point: Planned, case: config.Case, result: Result) -> Run:
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")
     time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
+    x, unit = _number(case, point)
     return Run(
         line=point.line,
         key=point.key,
         label=point.label,
-        x=_number(case, point),
+        x=x,
+        unit=unit,
         changes=point.changes,
         time=time,
         tolerance=case.solver.tolerance,
@@ -158,17 +158,20 @@ def _run(point: Planned, case: config.Case, result: Result) -> Run:
     )
 
 
-def _number(case: config.Case, point: Planned) -> float | None:
-    """The value of the point's key as a number, in internal units; None if it is none."""
-    value: Any = point.changes if point.key == "ranks" else case
+def _number(case: config.Case, point: Planned) -> tuple[float | None, str]:
+    """The value of the point's key as a positive number, if it is one, and its internal unit."""
+    value: Any = point.changes if point.key == "ranks" else case.model_dump(mode="json")
     for item in re.sub(r"\[(\d+)\]", r".\1", point.key).split("."):
-        if isinstance(value, BaseModel):
-            value = getattr(value, item, None)
-        elif isinstance(value, dict):
-            value = value.get(item)
+        if isinstance(value, list):
+            value = value[int(item)]
         else:
-            value = value[int(item)] if isinstance(value, tuple) else None
-    return float(value) if isinstance(value, int | float) and value > 0 else None
+            value = value.get(item) if isinstance(value, dict) else None
+    number, _, unit = str(value).partition(" ")
+    try:
+        x = float(number)
+    except ValueError:
+        return None, ""
+    return (x, unit) if 0 < x < math.inf else (None, "")
 
 
 def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | None:
@@ -176,7 +179,8 @@ def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | No
 
     Args:
         summary: Its content; may be empty.
-        name: ``<interface or region>.<key>``, ``stem.<key>``; ``.x`` .. for a component.
+        name: ``<interface or region>.<key>``, ``stem.<key>``, ``solver.<key>``, ``timing.<key>``;
+            ``.x`` .. for a component.
         suffix: Of the key, e.g. ``_error``.
 
     Returns:
@@ -184,8 +188,8 @@ def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | No
     """
     owner, _, key = name.partition(".")
     key, _, axis = key.partition(".")
-    if owner == "stem" and key in STEM_UNITS:
-        tables = [summary.get("stem", {})]
+    if name in OF_RUN or (owner == "stem" and key in STEM_UNITS):
+        tables = [summary.get(owner, {})]
     else:
         tables = [summary.get(part, {}).get(owner, {}) for part in ("interfaces", "regions")]
     for table in tables:
@@ -215,7 +219,8 @@ def evaluate(study: Study, runs: Sequence[Run]) -> Report:
 
 def _measure(study: Study, name: str, curve: list[Run], ladder: list[Run]) -> Measured:
     """One quantity over all runs."""
-    reference = _reference(study, name, ladder)
+    compared = study.compares(name)
+    reference = _reference(study, name, ladder) if compared else None
     points = []
     for r in curve:
         summary = r.result.summary
@@ -228,12 +233,13 @@ def _measure(study: Study, name: str, curve: list[Run], ladder: list[Run]) -> Me
     return Measured(
         name=name,
         unit=study_options.unit(name),
+        compared=compared,
         reference=reference,
         points=points,
         exponents={n: wp.exponent([p for p in points if p.line == n]) for n in lines},
         front=wp.pareto(times, errors),
         errors=errors,
-        advice=_advice(study.target, name, curve, errors, reference),
+        advice=_advice(study.target, name, curve, errors, reference) if compared else "",
     )
 
 
@@ -243,6 +249,8 @@ def _reference(study: Study, name: str, ladder: list[Run]) -> wp.Reference | Non
     if values is not None:
         return wp.Reference(study_options.known_value(name, values[name]), 0.0, None, "given")
     found = [(r, v) for r in ladder if (v := quantity(r.result.summary, name)) is not None]
+    if found and len(ladder) == 1:
+        return wp.Reference(found[0][1], 0.0, None, "of one run")
     if len(found) < 2:
         return None
     x = [r.x for r, _ in found if r.x is not None]
@@ -272,14 +280,15 @@ def _advice(
 
 def _advice_on_all(target: float, curve: list[Run], measured: list[Measured]) -> str:
     """What to use for all quantities together, of those that have a reference good enough."""
+    compared = [m for m in measured if m.compared]
     good = [
         m
-        for m in measured
+        for m in compared
         if m.reference and 0 <= m.reference.uncertainty <= target * abs(m.reference.value)
     ]
-    if len(measured) == 1 or not good:
+    if len(compared) == 1 or not good:
         return ""
-    left_out = [m.name for m in measured if m not in good]
+    left_out = [m.name for m in compared if m not in good]
     what = f"all but {', '.join(left_out)}" if left_out else f"all {len(good)} quantities"
     worst: list[float | None] = []
     for errors in zip(*(m.errors for m in good), strict=True):

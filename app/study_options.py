@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from app.fields import ITEMS, MAPPING, Model, Name, did_you_mean, fail, show
+from app.fields import ITEMS, MAPPING, Model, Name, Text, did_you_mean, fail, show
 from app.units import Dimension, Plain, PositiveNumber
 
-# Keys of summary.json that are numbers with a meaning as the mesh is refined, and their units.
+# Keys of summary.json that are numbers, and their units.
 INTERFACE_UNITS = {
     **{f"{what}_{how}": "mm" for what in ("gap", "slip") for how in ("max", "p99", "mean")},
     **{f"{what}_{how}": "MPa" for what in ("pressure", "shear") for how in ("max", "p99", "mean")},
@@ -37,6 +39,14 @@ REGION_UNITS = {
     "mean_stress_max": "MPa",
 }
 STEM_UNITS = {"subsidence": "mm", "retroversion": "deg", "varus": "deg"}
+# Whole names: what a run costs, which is right whatever it is.
+OF_RUN = {
+    "solver.newton_iterations": "-",
+    "solver.linear_iterations": "-",
+    "solver.condition": "-",
+    "timing.solve": "s",
+    "timing.total": "s",
+}
 EXAMPLES: dict[str, Dimension | Plain] = {
     "mm": Dimension("mm", "a length", "0.05 mm"),
     "mm^2": Dimension("mm^2", "an area", "20 mm^2"),
@@ -52,14 +62,18 @@ def unit(quantity: str) -> str:
     """The unit in which a quantity stands in ``summary.json``.
 
     Args:
-        quantity: ``<interface or region>.<key>`` or ``stem.<key>``.
+        quantity: ``<interface or region>.<key>``, ``stem.<key>`` or one of `OF_RUN`.
 
     Raises:
         PydanticCustomError: There is no such key.
     """
+    if quantity in OF_RUN:
+        return OF_RUN[quantity]
     name, _, key = quantity.partition(".")
     known = INTERFACE_UNITS | REGION_UNITS | (STEM_UNITS if name == "stem" else {})
     if key not in known:
+        if name in ("solver", "timing"):
+            fail(f"{show(quantity)} is not one of {', '.join(OF_RUN)}")
         hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
         fail(f"{show(quantity)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
     return known[key]
@@ -74,29 +88,44 @@ def known_value(quantity: str, value: object) -> float:
     return float(EXAMPLES[unit(quantity)].read(value))
 
 
-def _line(value: object) -> object:
-    """Override keys with values, of which lists vary together."""
+def _changes(value: object) -> dict[str, Any]:
+    """Override keys with values."""
     if not isinstance(value, dict):
-        fail(f"{show(value)} is not a mapping of keys to values, e.g. {{mesh.size: [3 mm, 2 mm]}}")
-    lengths = {key: len(entry) for key, entry in value.items() if isinstance(entry, list)}
-    if not lengths:
-        fail("varies nothing; expected a list for at least one key, e.g. mesh.size: [3 mm, 2 mm]")
-    first = next(iter(lengths))
+        fail(f"{show(value)} is not a mapping of keys to values, e.g. {{mesh.size: 3 mm}}")
+    for key in value:
+        if key.partition(".")[0] in ("study", ""):
+            fail("is not what a run depends on", at=(key,))
+    return value
+
+
+def _runs(value: object) -> dict[str, Any]:
+    """Override keys with values, of which lists vary together."""
+    runs = _changes(value)
+    lengths = {key: len(entry) for key, entry in runs.items() if isinstance(entry, list)}
+    first = next(iter(lengths), "")
     for key, length in lengths.items():
         if not length:
             fail("is an empty list", at=(key,))
         if length != lengths[first]:
             fail(f"has {length} values where {first} has {lengths[first]}", at=(key,))
-    for key, entry in value.items():
-        if key.partition(".")[0] in ("study", ""):
-            fail("is not what a run depends on", at=(key,))
+    for key, entry in runs.items():
         for i, ranks in enumerate(entry if isinstance(entry, list) else [entry]):
             if key == "ranks" and not (type(ranks) is int and ranks > 0):
                 at = (key, i) if isinstance(entry, list) else (key,)
                 fail(f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ...", at=at)
-    return value
+    return runs
 
 
+def _line(value: object) -> dict[str, Any]:
+    """At least one of them a list."""
+    runs = _runs(value)
+    if not varying(runs):
+        fail("varies nothing; expected a list for at least one key, e.g. mesh.size: [3 mm, 2 mm]")
+    return runs
+
+
+Changes = Annotated[dict[str, Any], BeforeValidator(_changes)]
+Runs = Annotated[dict[str, Any], BeforeValidator(_runs)]
 Line = Annotated[dict[str, Any], BeforeValidator(_line)]
 
 
@@ -113,6 +142,8 @@ def _values(value: object) -> object:
     if not isinstance(value, dict):
         fail(f"{show(value)} is not a mapping of quantities to values")
     for quantity, entry in value.items():
+        if quantity in OF_RUN:
+            fail("is not compared with anything", at=(quantity,))
         try:
             known_value(quantity, entry)
         except PydanticCustomError as error:
@@ -125,16 +156,19 @@ class Reference(Model):
 
     values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
     """The exact value of each quantity."""
-    run: Line | None = None
-    """Runs as in a line, finest last; two or, to extrapolate, at least three."""
+    run: Runs | None = None
+    """Runs as in a line, finest last; two or, to extrapolate, at least three. Without a list, the
+    one run that is the reference as it is."""
 
     @model_validator(mode="after")
     def _one(self) -> Reference:
         if (self.values is None) == (self.run is None):
             fail("expected either values or run")
-        if self.run is not None and len(steps(self.run)) < 2:
+        if self.run is not None and varying(self.run) and len(steps(self.run)) < 2:
             fail(
-                "has a single run; expected at least two, or its error cannot be told", at=("run",)
+                "has a single run; expected at least two, or its error cannot be told; "
+                "without a list the run is the reference as it is",
+                at=("run",),
             )
         return self
 
@@ -143,7 +177,8 @@ class Study(Model):
     """Error against run time: what varies and what is measured."""
 
     quantities: Annotated[tuple[Annotated[str, BeforeValidator(_quantity)], ...], ITEMS]
-    """Numbers of ``summary.json``: ``<interface or region>.<key>``, ``stem.<key>``."""
+    """Numbers of ``summary.json``: ``<interface or region>.<key>``, ``stem.<key>``, and what has a
+    value but no error: ``solver.<key>``, ``timing.<key>``, penetrations."""
     target: PositiveNumber = 0.02
     """Relative error for which the fastest run is advised."""
     lines: Annotated[dict[Name, Line], MAPPING]
@@ -157,14 +192,40 @@ class Study(Model):
             if not getattr(self, key):
                 fail("is empty", at=(key,))
         if (values := self.reference.values) is not None:
-            if missing := [q for q in self.quantities if q not in values]:
+            missing = [q for q in self.quantities if q not in values and not _free(q)]
+            if missing:
                 fail(f"no value for {', '.join(missing)}", at=("reference", "values"))
         return self
+
+    def compares(self, quantity: str) -> bool:
+        """Whether a quantity is compared with the reference, or only shown."""
+        return not _free(quantity) or quantity in (self.reference.values or {})
+
+
+class StudyFile(Model):
+    """A study that stands apart from its case."""
+
+    base: Text
+    """The case, relative to this file; a study of its own is not used."""
+    set: Changes = Field(default_factory=dict)
+    """Overrides of the case for every point, as after ``--set``."""
+    study: Study
+    """What varies and what is measured."""
+
+
+def _free(quantity: str) -> bool:
+    """Whether a quantity is no approximation of anything: counts, times, and penetrations."""
+    return quantity in OF_RUN or ".penetration_" in quantity
+
+
+def options(changes: Mapping[str, Any]) -> list[str]:
+    """Overrides as options ``key=value``; JSON is YAML."""
+    return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in changes.items()]
 
 
 def steps(line: dict[str, Any]) -> list[dict[str, Any]]:
     """The overrides of each point of a line."""
-    number = max(len(value) for value in line.values() if isinstance(value, list))
+    number = max((len(value) for value in line.values() if isinstance(value, list)), default=1)
     return [
         {key: value[i] if isinstance(value, list) else value for key, value in line.items()}
         for i in range(number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,30 +15,61 @@ MARKERS = "osD^vP*X"
 EXACT = 1e-16  # what an error of zero is drawn as
 
 
-def picture(report: Report, path: Path) -> None:
-    """Draw the first six quantities.
+def picture(report: Report, path: Path) -> bool:
+    """Draw the first six quantities that have an error.
 
     Args:
         report: The study.
         path: The PNG to write.
+
+    Returns:
+        Whether there is any.
+    """
+    shown = [m for m in report.quantities if m.compared][:MOST_PANELS]
+    if not shown:
+        return False
+    columns = 2 if len(shown) in (1, 2, 4) else 3
+    panels(path, shown, lambda axes, m: _panel(axes, report, m), columns, (5.2, 4.2))
+    return True
+
+
+def panels(
+    path: Path,
+    shown: Sequence[Measured],
+    panel: Callable[[Any, Measured], None],
+    columns: int,
+    size: tuple[float, float],
+) -> None:
+    """Draw a panel for each quantity, and one legend for all.
+
+    Args:
+        path: The PNG to write.
+        shown: The quantities.
+        panel: Draws one of them into its axes.
+        columns: How many stand beside each other, at most.
+        size: Width and height of a panel [inch].
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    shown = report.quantities[:MOST_PANELS]
-    columns = min(len(shown), 2 if len(shown) in (1, 2, 4) else 3)
+    columns = min(len(shown), columns)
     rows = math.ceil(len(shown) / columns)
-    figure = Figure(figsize=(5.2 * columns, 4.2 * rows + 0.7), layout="constrained")
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows + 0.7), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, m in zip(panels, shown, strict=False):
-        _panel(axes, report, m)
+        axes.set_title(m.name, fontsize=11, loc="left")
+        axes.grid(True, which="major", color="0.9")
+        axes.set_axisbelow(True)
+        panel(axes, m)
     for axes in panels[len(shown) :]:
         axes.set_visible(False)
     handles: dict[str, Any] = {}
     for axes in panels[: len(shown)]:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
+    if "failed" in handles:
+        handles["failed"] = handles.pop("failed")  # last
     figure.legend(
         handles.values(),
         handles,
@@ -58,10 +90,7 @@ def _panel(axes: Any, report: Report, m: Measured) -> None:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda e, _: f"{100 * e:g} %"))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_minor_formatter(NullFormatter())
-    axes.set_title(m.name, fontsize=11, loc="left")
-    axes.grid(True, which="major", color="0.9")
     axes.grid(True, which="minor", color="0.96")
-    axes.set_axisbelow(True)
     error = [None if e is None else max(e, EXACT) for e in m.errors]
     for k, name in enumerate(m.exponents):
         _line(axes, report, m, error, name, k)

@@ -14,6 +14,7 @@ from typing import Any
 from app import __version__
 from app.batch import Result, duration
 from app.errors import StoppedError
+from app.study_file import Source
 from app.work_precision import USEFUL, Effectivity, Point, Reference
 
 # Exponents nearer to 0 say that the error does not depend on the key.
@@ -31,6 +32,7 @@ class Run:
         key: The key that varies, or one that stands for several.
         label: Its value, as written.
         x: The same as a number, if it is one.
+        unit: Internal unit of the number; empty if it has none.
         changes: All overrides of the point.
         time: Run time without meshing and compiling, which are done once, and without companions
             that tell the error [s]; None if it failed.
@@ -42,6 +44,7 @@ class Run:
     key: str
     label: str
     x: float | None
+    unit: str
     changes: dict[str, Any]
     time: float | None
     tolerance: float
@@ -61,16 +64,18 @@ class Measured:
     Attributes:
         name: Its name.
         unit: Its unit.
+        compared: Whether it has an error; else only its values are shown.
         reference: What it is compared with; None if there is nothing.
         points: A point for each run.
         exponents: The p of error ~ key^p along each line.
         front: Points that no other beats in time and error, fastest first.
         errors: Error of each point, not less than the reference's own; None if unknown.
-        advice: What to use.
+        advice: What to use; empty if it is not compared.
     """
 
     name: str
     unit: str
+    compared: bool
     reference: Reference | None
     points: Sequence[Point]
     exponents: dict[str, float | None]
@@ -126,6 +131,8 @@ def describe(reference: Reference | None, unit: str) -> str:
     text = f"reference {shown(reference.value, unit)}"
     if reference.method == "given":
         return f"{text}, given"
+    if reference.method == "of one run":
+        return f"{text}, of one run: errors are those of the method"
     own = percent(reference.uncertainty / abs(reference.value)) if reference.value else "?"
     order = "" if reference.order is None else f", observed order {reference.order:.1f}"
     return f"{text} ± {own} ({reference.method}{order})"
@@ -134,15 +141,17 @@ def describe(reference: Reference | None, unit: str) -> str:
 def table(report: Report) -> str:
     """The report for the terminal."""
     lines = []
+    wide = max(26, *(len(r.key) + len(r.label) + 1 for r in report.runs))
+    name = max(14, *(len(r.line) for r in report.runs))
     for m in report.quantities:
-        estimates = any(p.estimate is not None for p in m.points)
-        lines += ["", f"{m.name}: {describe(m.reference, m.unit)}"]
-        head = f"  {'':<3}{'line':<14} {'at':<26} {'value':>12} {'error':>9} {'time':>9}"
+        estimates = m.compared and any(p.estimate is not None for p in m.points)
+        lines += ["", f"{m.name}: {describe(m.reference, m.unit)}" if m.compared else m.name]
+        head = f"  {'':<3}{'line':<{name}} {'at':<{wide}} {'value':>12} {'error':>9} {'time':>9}"
         lines.append(head + (f" {'estimated':>10} {'index':>6}" if estimates else ""))
         for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True)):
             mark = "*" if i in m.front else ""
             at = f"{r.key} {r.label}"
-            row = f"  {mark:<3}{r.line:<14} {at:<26} "
+            row = f"  {mark:<3}{r.line:<{name}} {at:<{wide}} "
             if r.result.exit_code:
                 lines.append(row + r.status)
                 continue
@@ -159,7 +168,8 @@ def table(report: Report) -> str:
         ]
         if orders:
             lines.append(f"  error goes with {', '.join(orders)}")
-        lines.append(f"  {m.advice}")
+        if m.compared:
+            lines.append(f"  {m.advice}")
     lines += ["", "* no other run is both faster and closer"]
     if report.effectivity.pairs:
         lines += _effectivity(report.effectivity)
@@ -178,19 +188,23 @@ def _effectivity(e: Effectivity) -> list[str]:
     return lines
 
 
-def write(report: Report, case: Path, overrides: list[str], cores: int, folder: Path) -> None:
+def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]:
     """Write the files.
+
+    Returns:
+        Their names; a picture of nothing is not drawn.
 
     Raises:
         StoppedError: The folder cannot be written.
     """
-    from app.study_picture import picture
+    from app import study_parameters, study_picture
 
     record = {
         "mantle": __version__,
         "host": platform.node(),
-        "case": str(case),
-        "overrides": overrides,
+        "study": source.file.name,
+        "case": str(source.case),
+        "overrides": source.overrides,
         "cores": cores,
         **_record(report),
     }
@@ -198,9 +212,15 @@ def write(report: Report, case: Path, overrides: list[str], cores: int, folder: 
         text = json.dumps(record, indent=1, ensure_ascii=False)
         (folder / "study.json").write_text(text + "\n", encoding="utf-8")
         (folder / "study.csv").write_text(_csv(report), encoding="utf-8")
-        picture(report, folder / "study.png")
+        drawn = {
+            "study.png": study_picture.picture(report, folder / "study.png"),
+            "study_parameters.png": study_parameters.picture(
+                report, folder / "study_parameters.png"
+            ),
+        }
     except OSError as error:
         raise StoppedError(f"cannot write the study in {folder}: {error.strerror}") from error
+    return ["study.json", "study.csv", *(name for name, done in drawn.items() if done)]
 
 
 def _record(report: Report) -> dict[str, Any]:
@@ -213,6 +233,7 @@ def _record(report: Report) -> dict[str, Any]:
             m.name: {
                 "unit": m.unit,
                 "advice": m.advice,
+                "compared": m.compared,
                 "reference": None if m.reference is None else asdict(m.reference),
                 "exponents": m.exponents,
                 "points": [

@@ -141,8 +141,15 @@ def compare(point: Point, reference: Reference | None) -> Point:
 
 
 def exponent(points: Sequence[Point]) -> float | None:
-    """The p of error ~ x^p by least squares in logarithms, over the trusted points of a line."""
-    pairs = [(p.x, p.error) for p in points if p.trusted and p.x and p.x > 0 and p.error]
+    """The p of error ~ x^p by least squares in logarithms, over the trusted points of a line.
+
+    Errors within the tolerance of the solution are not fitted.
+    """
+    pairs = [
+        (p.x, p.error)
+        for p in points
+        if p.trusted and p.x and p.x > 0 and p.error and p.error > ALGEBRAIC_FACTOR * p.algebraic
+    ]
     if len({x for x, _ in pairs}) < 2:
         return None
     x, e = np.log(np.array(pairs)).T

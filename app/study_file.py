@@ -1,0 +1,107 @@
+"""Where a study stands: in its case, or in a file of its own that names the case (`StudyFile`)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from app import case_file, checks, config, study_options
+from app.case_file import CaseFile, Problem
+from app.errors import InputError
+from app.study_options import Study, StudyFile
+
+
+@dataclass(frozen=True)
+class Source:
+    """A study and what it is of.
+
+    Attributes:
+        study: The study.
+        file: The file that it stands in.
+        case: The case file.
+        overrides: Options that hold for every point.
+    """
+
+    study: Study
+    file: CaseFile
+    case: Path
+    overrides: tuple[str, ...]
+
+
+def read(path: Path, overrides: Sequence[str]) -> Source:
+    """Read and check a study.
+
+    Args:
+        path: A case with a study section, or a study of another case.
+        overrides: ``--set`` options, of the case or of the study.
+
+    Raises:
+        InputError: Anything wrong with it or its case, at once.
+    """
+    if config.is_study(case_file.read(path).data):
+        return _of_another(path, overrides)
+    file = case_file.read(path, overrides)
+    study = config.resolve(file, path.parent).study
+    if study is None:
+        raise InputError(f"{path}: has no study section: what varies, what is measured")
+    return Source(study, file, path, tuple(overrides))
+
+
+def _of_another(path: Path, overrides: Sequence[str]) -> Source:
+    """A study that names its case."""
+    mine = [o for o in overrides if re.match(r"\s*study\b", o)]
+    others = [o for o in overrides if o not in mine]
+    file = case_file.read(path, mine)
+    problems: list[Problem] = []
+    try:
+        study = StudyFile.model_validate(file.data).study
+    except ValidationError as error:
+        problems += config.problems(error, StudyFile)
+        study = None
+    base, changes = file.data["base"], file.data.get("set", {})
+    case, common = path.parent / str(base), (*_options(changes, others), *others)
+    if isinstance(base, str):
+        try:
+            problems += checks.quantities(config.load(case, common).geometry, study)
+        except InputError as error:
+            for message in error.messages:
+                _blame(file, case, message, problems)
+    file.raise_all(problems)
+    assert study is not None  # or there was a problem
+    return Source(study, file, case, common)
+
+
+def _options(changes: Any, others: Iterable[str]) -> list[str]:
+    """The study's own overrides as options, but for those that others replace."""
+    keys = {o.partition("=")[0].strip() for o in others}
+    valid = changes if isinstance(changes, dict) else {}
+    return study_options.options({k: v for k, v in valid.items() if k not in keys})
+
+
+def _blame(file: CaseFile, case: Path, message: str, problems: list[Problem]) -> None:
+    """Note a defect of the case where its cause is: in an override of it, or in itself."""
+    if message.startswith(f"{case}: "):  # it cannot be read
+        problems.append(Problem(("base",), message))
+    elif found := located(message, file.data.get("set", {}), ("set",)):
+        problems.append(found)
+    else:
+        file.complaints.append((case_file.LAST, message))
+
+
+def located(message: str, changes: Iterable[str], path: case_file.Path) -> Problem | None:
+    """A defect of a value that overrides put into a case, at its key; None if it is of no such.
+
+    Args:
+        message: A message about the case.
+        changes: Keys of the overrides.
+        path: Where they stand in the file.
+    """
+    for key in changes:
+        if message.startswith(start := f"--set {key}: "):
+            return Problem((*path, key), message.removeprefix(start))
+    return None
