@@ -255,10 +255,19 @@ def _friction() -> Iterator[Problem]:
         )
     yield Problem(
         "incline",
-        "force over weight that pushes a block up a slope, relative",
+        "force over weight that pushes a block up a slope, relative; by a penalty too",
         0.005,
         "incline.yaml",
-        (Point((), measures.push),),
+        (
+            Point((), measures.push),
+            Point(
+                (
+                    "interfaces.slope_block="
+                    "{kind: penalty, friction_coefficient: 0.3, penalty: 1.0e3 MPa/mm}",
+                ),
+                measures.push,
+            ),
+        ),
     )
 
 
