@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app import closed_forms, verify, verify_problems
+from app import closed_forms, config, verify, verify_problems
 from app.errors import InputError
 from app.verify_measures import Sample
 from app.verify_problems import Point, Problem
@@ -117,6 +117,8 @@ def test_problems_are_well_posed() -> None:
         for p in everything:
             assert bool(p.points) != bool(p.direct)
             assert not p.points or f"run configs/verification/{p.case}" in _text(p.case)
+            for point in p.points:
+                config.load(verify_problems.CASES / p.case, point.overrides)
             sizes = [point.size for point in p.points]
             assert sizes == sorted(sizes, reverse=True)
             assert p.order is None or len(set(sizes)) == len(sizes) >= 3
