@@ -97,7 +97,7 @@ def critical_friction_of_points(j: Jumps) -> Floats:
     An estimate, local and on the safe side. With the stiffness that a point meets while the bodies
     give way around it and its neighbours stick, friction below the critical would be necessary for
     uniqueness (not sufficient), but each point takes a solve: on the shipped cases, coarsened, the
-    least such value is 20 to 55 % above the least found here.
+    least such value is 20 to 85 % above the least found here.
     """
     stiffness = j.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
