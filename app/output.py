@@ -227,8 +227,7 @@ class _Fields:
                 point |= self._interface(contact.name, samples, self._point_of[i])
         σ = np.zeros((len(self._tags), 9))
         for region, cells in self._stresses.cells.items():
-            values = self._stresses.evaluate(region).mean(axis=1)
-            σ[cells] = values.reshape(-1, 9)
+            σ[cells] = self._stresses.mean(region).reshape(-1, 9)
         self._grid.write(time, point, {"stress": σ})
 
     @staticmethod
