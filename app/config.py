@@ -201,7 +201,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
         InputError: As `load`.
     """
     if is_study(file.data):
-        text = f"this is a study of another case: mantle study {file.name}"
+        text = f"this is a study of another case, not a case; use mantle study {file.name}"
         file.raise_all([Problem(("base",), text)])
     context: dict[str, Any] = {"folder": folder, "points": {}}
     parts = _parts(file.data, context)
@@ -223,6 +223,12 @@ def resolve(file: CaseFile, folder: Path) -> Case:
 def is_study(data: dict[str, Any]) -> bool:
     """Whether a file holds a study of another case (`app/study_file.py`) instead of a case."""
     return "base" in data and "geometry" not in data
+
+
+def geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
+    """The geometry in the content of a case file, whatever is wrong with the rest."""
+    found: Geometry | None = _parts(data, {"folder": folder, "points": {}}).geometry
+    return found
 
 
 def dump(case: Case) -> str:

@@ -67,7 +67,9 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
     case, common = path.parent / str(base), (*_options(changes, others), *others)
     if isinstance(base, str):
         try:
-            problems += checks.quantities(config.load(case, common).geometry, study)
+            content = case_file.read(case, common)
+            problems += checks.quantities(config.geometry(content.data, case.parent), study)
+            config.resolve(content, case.parent)
         except InputError as error:
             for message in error.messages:
                 _blame(file, case, message, problems)

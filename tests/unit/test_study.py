@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from app import batch, config, study, study_file, study_options
+from app import batch, config, study, study_file, study_options, study_parameters
 from app.cli import main
 from app.errors import ConvergenceError, InputError
 from tests import support
@@ -126,6 +126,7 @@ def test_errors_orders_front_and_advice(case: Path, caplog: pytest.LogCaptureFix
     assert "lower_upper.slip_p99: reference 40 um ± 0.062 %" in caplog.text
     assert "error goes with mesh.size^2.0 along P1, mesh.size^2.0 along P2" in caplog.text
     assert (out / "study.png").read_bytes()[:4] == b"\x89PNG"
+    assert not (out / "study_parameters.png").exists()
     # 1 mm of P2 is a run of its own; 1 mm of the ladder has another far size than the line's.
     assert len(list((out / "runs").glob("*/"))) == 9
 
@@ -198,6 +199,12 @@ BAD = [
     ("mesh.order: 1,", "ranks: [1, 2, 0],", "lines.P1.ranks[2]: 0 is not a number of ranks"),
     ("mesh.order: 1,", "study.target: 1,", "lines.P1.study.target: is not what a run depends on"),
     ("[1 mm, 0.5 mm, 0.25 mm]", "[1 mm]", "reference.run: has a single run"),
+    ("[lower_upper.slip_p99", "[solver.newton", "quantities[0]: 'solver.newton' is not one of"),
+    (
+        "    run: ",
+        "    values: {timing.solve: 1}\n    run: ",
+        "reference.values.timing.solve: is not",
+    ),
     ("    run: {mesh.order: 2", "    rum: {mesh.order: 2", "reference.rum: unknown key"),
     ("    run: ", "    values: {lower_upper.slip_p99: 4 MPa}\n    run: ", "reference.values.lower"),
     (
@@ -232,6 +239,188 @@ def test_the_section_changes_no_run(case: Path) -> None:
     (first,) = batch.run(jobs, case.parent / "out", 1)
     case.write_text(CASE)
     assert batch.run(jobs, case.parent / "out", 1) == [first]
+
+
+# A study of another case: the penetration is 2 / r mm, the relative error of slip 10 / r.
+APART = """\
+base: ../case.yaml
+set: {mesh.size: 2 mm, output.condition: true}
+study:
+  quantities:
+    - lower_upper.penetration_max
+    - lower_upper.slip_p99
+    - solver.newton_iterations
+    - solver.condition
+    - timing.total
+  lines:
+    penalty:
+      interfaces.lower_upper.kind: penalty
+      interfaces.lower_upper.penalty: &r [1e2 MPa/mm, 1 GPa/mm, 1e4 MPa/mm, 1e6 MPa/mm]
+    exact: {interfaces.lower_upper.augmentation: *r}
+  reference: {run: {}}
+"""
+
+BY_PENALTY = """\
+import json, pathlib, re, sys
+case, output = pathlib.Path(sys.argv[1]).read_text(), pathlib.Path(sys.argv[3])
+assert "study" not in case and " size: 2.0 mm" in case and "far_size: 6.0 mm" in case
+found = re.search(r"penalty: (\\S+) MPa/mm", case)
+r = float(found.group(1)) if found else float("inf")
+if r == 1e6:
+    sys.exit(4)
+numbers = {"penetration_max": 2 / r, "slip_p99": 0.04 * (1 + 10 / r)}
+output.mkdir(parents=True, exist_ok=True)
+summary = {"interfaces": {"lower_upper": numbers}, "regions": {}, "stem": {},
+           "timing": {"total": 3.0}, "solver": {"newton_iterations": 7, "condition": 1e5}}
+(output / "summary.json").write_text(json.dumps(summary))
+(output / "DONE").write_text("")
+"""
+
+
+@pytest.fixture
+def apart(case: Path) -> Path:
+    """A study that stands apart from its case, which has one of its own."""
+    (case.parent / "mantle.py").write_text(BY_PENALTY)
+    path = case.parent / "studies" / "apart.yaml"
+    path.parent.mkdir()
+    path.write_text(APART)
+    return path
+
+
+def test_a_study_apart_from_its_case(apart: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Values of what has no error; one run as the reference; a picture over the penalty."""
+    caplog.set_level(logging.INFO, "mantle")
+    out = apart.parent / "out"
+    study.run(apart, ["mesh.far_size=6 mm", "study.target=0.1"], out, 2)
+    record, rows = read(out)
+    assert Path(record["case"]).samefile(apart.parent.parent / "case.yaml")
+    assert record["overrides"][-1] == "mesh.far_size=6 mm" and record["target"] == 0.1
+    depth, slip, newton, condition, time = record["quantities"].values()
+    assert slip["reference"] == {
+        "value": 0.04,
+        "uncertainty": 0,
+        "order": None,
+        "method": "of one run",
+    }
+    errors = [p["error"] for p in slip["points"]]
+    assert errors == pytest.approx([0.1, 0.01, 0.001, None, 0, 0, 0, 0], abs=1e-12)
+    assert slip["exponents"] == {"penalty": pytest.approx(-1), "exact": None}
+    values = [p["value"] for p in depth["points"]]
+    assert values == pytest.approx([2e-2, 2e-3, 2e-4, None, 0, 0, 0, 0])
+    for each, value in ((newton, 7), (condition, 1e5), (time, 3)):
+        assert [p["value"] for p in each["points"]] == [value] * 3 + [None] + [value] * 4
+    for each in (depth, newton, condition, time):
+        assert each["reference"] is None and each["advice"] == "" and not each["compared"]
+        assert {p["error"] for p in each["points"]} == {None}
+    assert record["advice"] == "" and slip["advice"].startswith("for 10 % in lower_upper.slip_p99")
+    assert "reference 40 um, of one run" in caplog.text
+    assert "lower_upper.penetration_max\n" in caplog.text
+    assert [r["number [internal]"] for r in rows[:3]] == ["100.0", "1000.0", "10000.0"]
+    for name in ("study.png", "study_parameters.png"):
+        assert (out / name).read_bytes()[:4] == b"\x89PNG" and name in caplog.text
+
+
+def test_a_study_apart_of_nothing_that_is_compared(apart: Path) -> None:
+    """Only the picture that shows something is drawn."""
+    overrides = ["mesh.far_size=6 mm", "study.quantities=[timing.total]"]
+    study.run(apart, overrides, apart.parent / "out", 2)
+    names = {p.name for p in (apart.parent / "out").iterdir()}
+    assert "study_parameters.png" in names and "study.png" not in names
+
+
+def test_defects_of_a_study_apart_are_told_together(
+    apart: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = APART.replace("mesh.size: 2 mm", "mesh.size: 2 N, mesh.oder: 1").replace(
+        "lower_upper.slip_p99", "lowr.slip_p99"
+    )
+    apart.write_text(text)
+    case = apart.parent / ".." / "case.yaml"
+    case.write_text(CASE.replace("1 GPa", "-1 GPa", 1))
+    out = str(apart.parent / "out")
+    assert main(["study", str(apart), "-o", out, "--set", "mesh.order=3"]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 5
+    assert told[0].startswith(f"{apart}:2:7: set.mesh.size: '2 N' is a force")
+    assert told[1].startswith(f"{apart}:2:23: set.mesh.oder: unknown key")
+    assert told[2].startswith(f"{apart}:6:7: study.quantities[1]: the geometry (blocks) has no")
+    assert any(m.startswith("--set mesh.order: 3 must be at most 2") for m in told)
+    assert any(m.startswith(f"{case}:6:") and "regions.lower" in m for m in told)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("../case.yaml", "nix.yaml", ":1:1: base: "),
+        ("../case.yaml", "apart.yaml", ":1:1: base: this is a study of another case"),
+        ("../case.yaml", "[a]", ":1:1: base: a list is not text"),
+        ("set: {", "set: {study.target: 1, ", ":2:7: set.study.target: is not what a run depends"),
+        ("set: {", "sett: {", ":2:1: sett: unknown key; allowed: base, set, study"),
+        ("{run: {}}", "{run: {mesh.order: 3}}", ":15:21: study.reference.run.mesh.order: 3 must"),
+        ("{run: {}}", "{values: {}}", ":15:15: study.reference.values: no value for lower_upper."),
+        ("output.condition: true", "", ":8:7: study.quantities[3]: needs output.condition"),
+        ("&r [1e2 MPa/mm", "&r [1e2 MPa", ":13:43: study.lines.penalty.interfaces.lower_upper"),
+    ],
+)
+def test_a_bad_study_apart_is_told(old: str, new: str, complaint: str, apart: Path) -> None:
+    assert old in APART
+    apart.write_text(APART.replace(old, new))
+    with pytest.raises(InputError) as error:
+        study.run(apart, [], apart.parent / "out", 2)
+    assert any(m.startswith(f"{apart}{complaint}") for m in error.value.messages), str(error.value)
+
+
+@pytest.mark.parametrize("command", ["run", "check", "mesh"])
+def test_a_study_apart_is_no_case(
+    command: str, apart: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, str(apart)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"{apart}:1:1: base: this is a study of another case, not a case; use ")
+
+
+@pytest.mark.parametrize(
+    "path", sorted((support.CONFIGS / "studies").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_every_point_of_a_shipped_study_is_a_valid_case(path: Path) -> None:
+    source = study_file.read(path, [])
+    study._resolve(study.plan(source.study), source)
+
+
+def test_the_stance_by_penalty_covers_six_decades() -> None:
+    """Each law in turn, the default last, on the same mesh."""
+    source = study_file.read(support.CONFIGS / "studies" / "stance_penalty.yaml", [])
+    points = study.plan(source.study)
+    cases = study._resolve(points, source)
+    laws = [(c.interfaces["cement_bone"], c.interfaces["stem_cement"]) for c in cases]
+    decades = [10.0**k for k in range(1, 8)]
+    for k in (0, 1):
+        assert [getattr(law[k], "penalty", None) for law in laws[:7]] == decades
+        assert [getattr(law[k], "augmentation", None) for law in laws[7:]] == [*decades, None]
+    assert {c.mesh.size for c in cases} == {4.0} and not any(c.output.error for c in cases)
+    assert [p.label for p in points[-2:]] == ["1e7 MPa/mm", ""]
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        ([1.0, 2.0, 29.0], "linear"),
+        ([1.0, 2.0, 31.0], "log"),
+        ([1.0, 1e-3], "log"),
+        ([1.0, 1e-3, 0.0], "symlog"),
+        ([1.0, 1e-3, 1e-15], "symlog"),
+        ([1.0, 1e-3, -1.0], "linear"),
+        ([1.0, 0.0], "linear"),
+        ([0.0, 0.0], "linear"),
+        ([], "linear"),
+    ],
+)
+def test_axes_that_span_decades_are_logarithmic(values: list[float], scale: str) -> None:
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    study_parameters._scale(axes, values)
+    assert axes.get_yscale() == scale
 
 
 def test_lines_vary_ranks_laws_and_list_items(case: Path) -> None:
@@ -309,6 +498,27 @@ def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         name = next(iter(summary[section]))
         for key in known:
             assert study.quantity(summary, f"{name}.{key}") is not None, key
+
+
+def test_a_real_study_by_penalty(tmp_path: Path) -> None:
+    """2 MPa on springs of stiffness r per area: they give way by 2 / r; the exact law does not."""
+    (tmp_path / "case.yaml").write_text(CASE)
+    path = tmp_path / "penalty.yaml"
+    path.write_text(
+        APART.replace("../case", "case")
+        .replace("[1e2 MPa/mm, 1 GPa/mm, ", "[")
+        .replace(", 1e6 MPa/mm]", "]")
+        .replace("slip_p99", "pressure_mean")
+    )
+    out = tmp_path / "out"
+    assert main(["study", str(path), "-o", str(out), "--cores", "2"]) == 0
+    record, _ = read(out)
+    depth, pressure = list(record["quantities"].values())[:2]
+    assert [p["value"] for p in depth["points"]] == pytest.approx([2e-4, 0], rel=1e-8, abs=1e-15)
+    assert pressure["reference"]["value"] == pytest.approx(2, rel=1e-9)
+    assert all(p["error"] < 1e-9 for p in pressure["points"])
+    summary = json.loads((Path(record["runs"][0]["folder"]) / "summary.json").read_text())
+    assert all(study.quantity(summary, name) is not None for name in study_options.OF_RUN)
 
 
 def test_a_case_without_a_study_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

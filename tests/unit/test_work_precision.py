@@ -67,6 +67,8 @@ def test_exponent() -> None:
     assert wp.exponent(line) == pytest.approx(2)
     below = point(0.01, 0.0009)  # below the error of the reference
     assert wp.exponent([*line, below]) == pytest.approx(2)
+    noise = point(100, 0.002, algebraic=0.001)  # not above what the solver leaves
+    assert wp.exponent([*line, noise]) == pytest.approx(2)
     assert wp.exponent(line[:1]) is None
     assert wp.exponent([line[0], line[0]]) is None
     assert wp.exponent([point(n, 0.1 / n) for n in (1.0, 2.0, 4.0)]) == pytest.approx(-1)
