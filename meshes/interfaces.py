@@ -57,7 +57,8 @@ class InterfaceFacets:
         x: Vertex coordinates (f, 3, 3) [mm].
         normal: Unit normal from master to slave at each vertex (f, 3, 3).
         area: Integral of the linear shape function of each vertex (f, 3) [mm2].
-        edge_normal: Unit normal in the middle of each edge (f, 3, 3); (f, 0, 3) for flat facets.
+        bend: How far the middle of each edge, opposite vertex k, is off its chord (f, 3, 3) [mm];
+            (f, 0, 3) for flat facets.
     """
 
     interface: Ints
@@ -69,7 +70,7 @@ class InterfaceFacets:
     x: Floats
     normal: Floats
     area: Floats
-    edge_normal: Floats
+    bend: Floats
 
 
 @dataclass(frozen=True)
@@ -192,7 +193,7 @@ def sorted_facets(
     flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave - x[:, 0]))
     at_corners, _ = _surface(x, np.eye(3))
-    at_middles, _ = _surface(x, (1 - np.eye(3))[: x.shape[1] - 3] / 2)
+    chords = (x[:, [1, 2, 0]] + x[:, [2, 0, 1]]) / 2
     _, area = _surface(x, QUADRATURE)
     return InterfaceFacets(
         interface=interface[rows],
@@ -204,7 +205,7 @@ def sorted_facets(
         x=x[:, :3],
         normal=at_corners * towards[:, None, None],
         area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
-        edge_normal=at_middles * towards[:, None, None],
+        bend=x[:, 3:] - chords[:, : x.shape[1] - 3],
     )
 
 
@@ -388,11 +389,15 @@ def _at_edges(
     held: Bools,
     at_vertex: tuple[Ints, Ints, Ints, Floats],
 ) -> Entries:
-    """The jump is linear along an edge: its middle node takes half of either end.
+    r"""The jump is linear along an edge: its middle node takes half of either end.
 
-    On a curved edge normal and tangential parts are linear, not components: each end is turned from
-    its own normal to that in the middle. Otherwise the opening of a cylinder would be lost between
-    its nodes at second order.
+    The middle of a curved edge is off its chord by σ, along which a linear jump changes too. With t
+    the unit vector from end a to end b and L their distance,
+
+    .. math:: q_m = (q_a + q_b) / 2 + (σ ⊗ t - t ⊗ σ) (q_b - q_a) / L
+
+    is exact for translations, for rotations and for a widening in the plane of the edge. Without
+    it, the opening of a cylinder is lost between its nodes at second order.
 
     Args:
         facets: The facets.
@@ -412,7 +417,7 @@ def _at_edges(
         ]
     )
     rows = np.unique(rows, axis=0)
-    turns = _turns(facets, rows[:, 0])
+    bends = _bends(facets, rows[:, 0])
     stride = int(max(facets.vertices.max(), vertex.max())) + 1
     # A component that supports give at both ends may be one that they hold in the middle.
     at = np.zeros((stride, 3), dtype=bool)
@@ -422,8 +427,7 @@ def _at_edges(
     order = np.argsort(key, kind="stable")
     key = key[order]
     pieces = []
-    for end in (2, 3):
-        turn = turns[end - 2]
+    for end, sign in ((2, -1.0), (3, 1.0)):
         wanted = rows[:, 1] * stride + rows[:, end]
         lo, hi = np.searchsorted(key, wanted, "left"), np.searchsorted(key, wanted, "right")
         count = hi - lo
@@ -431,8 +435,9 @@ def _at_edges(
         inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         entry = order[np.repeat(lo, count) + inside]
         component = column[entry] % 3
-        block: Floats = np.where(plain[edge][:, :, None], np.eye(3), turn[edge])
-        turned = block[np.arange(len(entry)), :, component] * value[entry, None] / 2
+        bend = np.where(plain[edge][:, :, None], 0.0, sign * bends[edge])
+        block: Floats = np.eye(3) / 2 + bend
+        turned = block[np.arange(len(entry)), :, component] * value[entry, None]
         used = turned != 0
         pieces.append(
             Entries(
@@ -445,46 +450,19 @@ def _at_edges(
     return _join(*pieces)
 
 
-def _turns(facets: InterfaceFacets, edges: Ints) -> Floats:
-    """What turns the surface from the ends of edges to their middles (2, e, 3, 3).
-
-    Args:
-        facets: The facets.
-        edges: Dofs of the edges (e,).
-
-    Returns:
-        Rotations; none where facets are flat, or meet in an edge.
-    """
-    none = np.broadcast_to(np.eye(3), (2, len(edges), 3, 3))
-    if not facets.edge_normal.shape[1]:
-        return none
-    numbers, place = np.unique(facets.edge_dofs.ravel(), return_inverse=True)
-    count = np.bincount(place.ravel())
-
-    def mean(n: Floats) -> Floats:
-        flat = n.reshape(-1, 3)
-        total = np.stack([np.bincount(place.ravel(), flat[:, i]) for i in range(3)], axis=1)
-        return np.asarray((total / count[:, None])[np.searchsorted(numbers, edges)])
-
-    middle = mean(facets.edge_normal)
-    size = np.linalg.norm(middle, axis=1)
-    smooth = size > np.cos(FACE_ANGLE / 2)
-    local = np.array([[1, 2], [0, 2], [0, 1]])
-    turns = []
-    for end in (0, 1):
-        start: Floats = mean(facets.normal[:, local[:, end]])
-        start /= np.maximum(np.linalg.norm(start, axis=1, keepdims=True), INDEPENDENT)
-        turn = _rotations(start, middle / np.maximum(size, INDEPENDENT)[:, None])
-        turns.append(np.where(smooth[:, None, None], turn, none[end]))
-    return np.array(turns)
-
-
-def _rotations(a: Floats, b: Floats) -> Floats:
-    """The smallest rotations that turn unit vectors a into b (n, 3, 3)."""
-    axis = np.cross(a, b)
-    cosine = np.einsum("ni,ni->n", a, b)
-    cross = np.cross(axis[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
-    return np.eye(3) + cross + cross @ cross / (1 + np.maximum(cosine, 0.0))[:, None, None]
+def _bends(facets: InterfaceFacets, edges: Ints) -> Floats:
+    """(σ ⊗ t - t ⊗ σ) / L of edges, given by their dofs (e, 3, 3); zero where facets are flat."""
+    if not facets.bend.shape[1]:
+        return np.zeros((len(edges), 3, 3))
+    _, first = np.unique(facets.edge_dofs.ravel(), return_index=True)
+    here = first[np.searchsorted(facets.edge_dofs.ravel()[first], edges)]
+    # Vertices are sorted, so that an edge runs the same way in every facet.
+    start, end = facets.x[:, [1, 0, 0]], facets.x[:, [2, 2, 1]]
+    chord = (end - start).reshape(-1, 3)[here]
+    bend = facets.bend.reshape(-1, 3)[here]
+    both = np.einsum("ei,ej->eij", bend, chord)
+    length2 = np.einsum("ei,ei->e", chord, chord)
+    return np.asarray((both - both.transpose(0, 2, 1)) / length2[:, None, None])
 
 
 def _join(*parts: Entries) -> Entries:

@@ -141,7 +141,8 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     given = tmp_path / "again.yaml"
     given.write_text(
         f"geometry: {{kind: file, path: {out[0]}, interfaces: {{joint: [bone, cement]}}}}\n"
-        "mesh: {order: 1, size: 5 mm}\nsupports: {base: {kind: fixed, boundary: bottom}}\nregions:\n"
+        "mesh: {order: 1, size: 5 mm}\n"
+        "supports: {base: {kind: fixed, boundary: bottom}}\nregions:\n"
         + "".join(
             f"  {n}: {{youngs_modulus: 1 GPa, poisson_ratio: 0}}\n"
             for n in ("bone", "cement", "metal")
