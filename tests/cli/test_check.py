@@ -71,7 +71,7 @@ def test_check_tells_what_it_understood(capsys: pytest.CaptureFixture[str]) -> N
         "  hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm",
         "  psoas: force on psoas, force [11.8, 35.3, 100] N",
         "  sum at the end: [0.1, -0.1, -503.4] N, 503.4 N",
-        "  stance: 4 increments, adaptive",
+        "  stance: 2 increments, adaptive",
     ):
         assert line in out.splitlines()
     assert "size (estimated; --mesh counts)" in out
