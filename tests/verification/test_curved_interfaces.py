@@ -81,7 +81,7 @@ loads:
 
 
 def test_the_force_of_an_interface_is_the_load_that_it_hands_on() -> None:
-    """Virtual translations of one side are among the jumps, also on facets bent by half a radius."""
+    """Virtual translations of one side are among the jumps, on facets bent by half a radius too."""
     result = support.solve(TAPER, balances=True)
     q = result.interfaces["stem_cement"]
     assert q["force"] == pytest.approx((40, 30, -400), rel=1e-7)
