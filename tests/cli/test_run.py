@@ -382,7 +382,7 @@ def check_cylinders(s: dict[str, Any]) -> None:
     assert q["force"][2] == pytest.approx(-968.1, rel=0.01)
     assert s["stem"]["subsidence"] == pytest.approx(0.0914, rel=0.01)
     # Beside each number its error, as far as it can be told: slip is known to a micrometre.
-    assert len(s["error"]["companions"]) == 2 and not s["error"]["failed"]
+    assert len(s["error"]["companions"]) == 3 and not s["error"]["failed"]
     assert 0 < q["slip_p99_error"] < 1e-3 and len(q["force_error"]) == 3
     assert "slip_max_error" not in q
 
