@@ -396,7 +396,7 @@ def test_the_stance_by_penalty_covers_six_decades() -> None:
     decades = [10.0**k for k in range(8)]
     for k in (0, 1):
         assert [getattr(law[k], "penalty", None) for law in laws[:7]] == decades[1:]
-        assert [getattr(law[k], "augmentation", None) for law in laws[7:]] == [*decades[:7], None]
+        assert [getattr(law[k], "augmentation", None) for law in laws[7:]] == [*decades[1:7], None]
     assert {c.mesh.size for c in cases} == {3.0} and not any(c.output.error for c in cases)
     assert [p.label for p in points[-2:]] == ["1e6 MPa/mm", ""]
 
