@@ -8,7 +8,7 @@ A number X on a mesh of size h is taken as :math:`X_h = X + C h^p`. Companions o
 and the larger is reported: unstructured meshes do not nest, so that one difference may be small by
 chance. The order p is not fitted either: fitted to three meshes it was right for half as many
 numbers as the orders in `ORDERS`, the best single ones on the cases ``configs/studies/errors_*``.
-Estimated over true error is within 0.5 and 3 for about two numbers in three there; most of the
+Estimated over true error is within 0.5 and 3 for three numbers in five there; most of the
 others are closer to the truth, by chance, than any estimate can know.
 
 Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
