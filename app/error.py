@@ -76,11 +76,12 @@ def companions(case: config.Case) -> tuple[Companion, ...]:
         getattr(law, "friction_coefficient", 0) > 0 for law in case.interfaces.values()
     )
     half = most // 2 / most if frictional and most > 1 else 1.0
-    meshes = tuple(_companion(case, c, half) for c in _coarsenings(case))
+    coarsenings = _coarsenings(case)
+    meshes = tuple(_companion(case, c, half) for c in coarsenings)
     if not frictional or (len(meshes) == 1 and most > 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
         return meshes
-    coarsest = (1.0, *_coarsenings(case))[-1]
+    coarsest = (1.0, *coarsenings)[-1]
     steps = 2.0 if most == 1 else 1.0 if meshes else half
     return (*meshes, _companion(case, coarsest, steps))
 

@@ -1,9 +1,11 @@
-"""Where things go: the cache and the run folder."""
+"""Where things go: the cache, the run folder, and files that are whole or not there."""
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
+from typing import Any
 
 from app.errors import InputError
 
@@ -54,3 +56,18 @@ def prepare_run(folder: Path, force: bool) -> None:
         )
     if not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"-o {folder}: is not writable")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file under another name, flush it to disk and rename it."""
+    temporary = path.with_name(path.name + ".partial")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a value as JSON, in the same way."""
+    write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")

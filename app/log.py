@@ -115,7 +115,7 @@ def verdict(summary: dict[str, Any]) -> str:
     )
     error = (
         "± is the estimated error of mesh and step"
-        if any(k.endswith("_error") for q in _published(summary) for k in q)
+        if summary.get("error", {}).get("companions")
         else "error of mesh and step not estimated (--error)"
     )
     return (
@@ -123,8 +123,3 @@ def verdict(summary: dict[str, Any]) -> str:
         f"{solver['newton_iterations']} Newton iterations on {solver['ranks']} rank(s) in "
         f"{t['total']:.1f} s; {balanced}, {contact}; {error}{beyond}"
     )
-
-
-def _published(summary: dict[str, Any]) -> list[dict[str, Any]]:
-    """The mappings of numbers of a summary."""
-    return [*summary["interfaces"].values(), *summary["regions"].values(), summary["stem"]]

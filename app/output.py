@@ -9,8 +9,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import json
-import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
@@ -28,6 +26,7 @@ from numpy.typing import NDArray
 from app import __version__
 from app.bodies import cell_tags
 from app.errors import StoppedError, everywhere
+from app.folders import write_json, write_text
 from app.problem import Problem
 from app.quantities import Samples, Stresses
 from app.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
@@ -82,16 +81,6 @@ def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
             action()
 
     on_root(comm, guarded, share=False)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file under another name, flush it to disk and rename it."""
-    temporary = path.with_name(path.name + ".partial")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
 
 
 class Writer:
@@ -159,8 +148,7 @@ class Writer:
 
         def write() -> None:
             for name, content in (("summary", summary), ("provenance", self._record())):
-                text = json.dumps(content, indent=1, ensure_ascii=False)
-                write_text(self.folder / f"{name}.json", text + "\n")
+                write_json(self.folder / f"{name}.json", content)
             if done:
                 write_text(self.folder / "DONE", "")
 

@@ -6,7 +6,7 @@ import hashlib
 import logging
 import signal
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -97,10 +97,11 @@ def run(
     summary = recorder.summary("converged", total)
     if case.output.condition:
         summary["solver"]["condition"] = solver.condition()
-    for found in _errors(case, model, summary, timing):
+    if companions := error.companions(case):
         # The numbers are safe before their errors are looked for.
         writer.finish(summary, done=False)
-        summary |= {"error": found()}
+        with timing.phase("error"):
+            summary["error"] = _errors(companions, model, summary, case.mesh.order)
         summary["timing"] = recorder.seconds()
     writer.finish(summary, done=True)
     log.info("%s", text.closing_table(summary))
@@ -174,33 +175,26 @@ class _Model:
 
 
 def _errors(
-    case: config.Case, model: _Model, summary: dict[str, Any], timing: Timing
-) -> tuple[Callable[[], dict[str, Any]], ...]:
-    """What finds the errors of the numbers and puts them into the summary, if they are wanted."""
-    companions = error.companions(case)
-
-    def find() -> dict[str, Any]:
-        solved, failed = [], []
-        with timing.phase("error"):
-            for companion in companions:
-                begin = clock.perf_counter()
-                try:
-                    numbers = model.relative(companion.case)
-                except (ConvergenceError, GeometryError) as failure:
-                    log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
-                    failed.append(str(companion))
-                    continue
-                solved.append((companion, numbers))
-                seconds = clock.perf_counter() - begin
-                log.info("     error: companion on %s in %.1f s", companion, seconds)
-        unsettled = error.estimate(summary, case.mesh.order, solved)
-        return {
-            "companions": [str(c) for c, _ in solved],
-            "failed": failed,
-            "unsettled": unsettled,
-        }
-
-    return (find,) if companions else ()
+    companions: Sequence[error.Companion], model: _Model, summary: dict[str, Any], order: int
+) -> dict[str, Any]:
+    """Solve the companions of a run and put the errors of its numbers into its summary."""
+    solved, failed = [], []
+    for companion in companions:
+        begin = clock.perf_counter()
+        try:
+            numbers = model.relative(companion.case)
+        except (ConvergenceError, GeometryError) as failure:
+            log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
+            failed.append(str(companion))
+            continue
+        solved.append((companion, numbers))
+        seconds = clock.perf_counter() - begin
+        log.info("     error: companion on %s in %.1f s", companion, seconds)
+    return {
+        "companions": [str(c) for c, _ in solved],
+        "failed": failed,
+        "unsettled": error.estimate(summary, order, solved),
+    }
 
 
 class _Recorder:

@@ -168,8 +168,6 @@ class Solver:
         names = [name for name in self.problem.comm.allgather(self._stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
-        scale = self._scale_at(snes.getSolution())
-        self._residuals.append(norm / scale if scale else norm)
         self._flips.append(self._block.flips())
 
     def _converged(
@@ -177,7 +175,9 @@ class Solver:
     ) -> PETSc.SNES.ConvergedReason:
         """Residual below its tolerance, or below what rounding leaves of it."""
         x = snes.getSolution()
-        limit = max(self._tolerance * self._scale_at(x), self._block.rounding(x))
+        scale = self._scale_at(x)
+        self._residuals.append(norms[2] / scale if scale else norms[2])
+        limit = max(self._tolerance * scale, self._block.rounding(x))
         reasons = PETSc.SNES.ConvergedReason
         if not np.isfinite(norms[2]):
             return reasons.DIVERGED_FUNCTION_NANORINF

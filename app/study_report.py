@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -14,6 +13,7 @@ from typing import Any
 from app import __version__
 from app.batch import Result, duration
 from app.errors import StoppedError
+from app.folders import write_json, write_text
 from app.study_file import Source
 from app.work_precision import USEFUL, Effectivity, Point, Reference
 
@@ -209,9 +209,8 @@ def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]
         **_record(report),
     }
     try:
-        text = json.dumps(record, indent=1, ensure_ascii=False)
-        (folder / "study.json").write_text(text + "\n", encoding="utf-8")
-        (folder / "study.csv").write_text(_csv(report), encoding="utf-8")
+        write_json(folder / "study.json", record)
+        write_text(folder / "study.csv", _csv(report))
         drawn = {
             "study.png": study_picture.picture(report, folder / "study.png"),
             "study_parameters.png": study_parameters.picture(

@@ -5,7 +5,6 @@ Writes ``verify.json`` and ``verify.png`` beside the runs. Finished runs are not
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +15,12 @@ import numpy as np
 
 from app import batch
 from app.errors import InputError
-from app.output import write_text
+from app.folders import write_json
 from app.results import Run
 from app.verify_measures import Sample
 from app.verify_picture import picture
 from app.verify_problems import CASES, Problem, problems
+from app.work_precision import fitted_order
 
 log = logging.getLogger("mantle")
 
@@ -122,7 +122,7 @@ def run(pattern: str, folder: Path, fine: bool, cores: int) -> bool:
     log.info("%s", table(outcomes))
     folder.mkdir(parents=True, exist_ok=True)
     entries = [outcome.as_json() for outcome in outcomes]
-    write_text(folder / "verify.json", json.dumps(entries, indent=1, ensure_ascii=False) + "\n")
+    write_json(folder / "verify.json", entries)
     picture(entries, folder / "verify.png")
     log.info("%s\nresults in %s", verdict(outcomes), folder)
     return all(outcome.passed for outcome in outcomes)
@@ -151,11 +151,6 @@ def measure(p: Problem, results: Sequence[batch.Result]) -> Outcome:
         log.debug("%s", p.name, exc_info=True)
         return Outcome(p, (), seconds, runs, f"cannot be measured: {error!r}")
     return Outcome(p, tuple(samples), seconds, runs)
-
-
-def fitted_order(sizes: Sequence[float], errors: Sequence[float]) -> float:
-    """Slope of log error over log size by least squares."""
-    return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])
 
 
 def table(outcomes: Sequence[Outcome]) -> str:

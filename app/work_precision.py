@@ -152,8 +152,12 @@ def exponent(points: Sequence[Point]) -> float | None:
     ]
     if len({x for x, _ in pairs}) < 2:
         return None
-    x, e = np.log(np.array(pairs)).T
-    return float(np.polyfit(x, e, 1)[0])
+    return fitted_order(*zip(*pairs, strict=True))
+
+
+def fitted_order(sizes: Sequence[float], errors: Sequence[float]) -> float:
+    """Slope of log error over log size by least squares; errors may have a sign."""
+    return float(np.polyfit(np.log(sizes), np.log(np.abs(errors)), 1)[0])
 
 
 def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> list[int]:

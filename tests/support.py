@@ -159,11 +159,6 @@ def solve(
     )
 
 
-def fitted_order(sizes: list[float], errors: list[float]) -> float:
-    """Slope of log error over log size by least squares."""
-    return float(np.polyfit(np.log(sizes), np.log(np.abs(errors)), 1)[0])
-
-
 def difference(a: Any, b: Any) -> float:
     """Largest difference over the largest value of b."""
     one, two = np.asarray(a, dtype=float), np.asarray(b, dtype=float)

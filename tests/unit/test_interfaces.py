@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.work_precision import fitted_order
 from meshes.interfaces import (
     ContactPoints,
     Entries,
@@ -316,7 +317,7 @@ def test_normals_of_a_tapered_cylinder_converge() -> None:
         for i, radius in enumerate((7.0, 10.0)):
             exact = np.pi / 2 * radius * 8 / np.cos(np.deg2rad(3.0))
             assert points.weight[points.interface == i].sum() == pytest.approx(exact, rel=0.05)
-    assert support.fitted_order(sizes, errors) > 0.8
+    assert fitted_order(sizes, errors) > 0.8
     assert errors[-1] < 0.03
 
 

@@ -16,6 +16,7 @@ import pytest
 import meshes
 from app.errors import GeometryError
 from app.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
+from app.work_precision import fitted_order
 from meshes import cache, quality
 from meshes.data import (
     MeshData,
@@ -129,7 +130,7 @@ def test_volume_of_cylinders_converges(curved: bool) -> None:
         region_volumes(mesh(straight, h, far_size=f"{h} mm", curved=curved))["stem"] / exact - 1
         for h in sizes
     ]
-    assert support.fitted_order(sizes, errors) > (3.0 if curved else 1.6)
+    assert fitted_order(sizes, errors) > (3.0 if curved else 1.6)
 
 
 def test_impossible_tapers_are_refused() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.work_precision import fitted_order
 from forms.contact import SLIP
 from tests import support
 from tests.support import Solved
@@ -292,7 +293,7 @@ def test_contact_without_tension_does_no_work_in_the_limit_of_small_steps() -> N
         sums.append(float(np.abs(work).sum()))
         reported = solved.interfaces["lower_upper"]["contact_work"]
         assert reported == pytest.approx(work.sum(), rel=1e-12)
-    order = support.fitted_order([1 / n for n in numbers], sums)
+    order = fitted_order([1 / n for n in numbers], sums)
     assert order == pytest.approx(2, abs=0.3), sums
     assert max(a / b for a, b in zip(sums[1:], sums, strict=False)) < 0.5
 
