@@ -89,6 +89,7 @@ class Support:
         components: Which of x, y, z are given.
         values: Their values (n, 3) at points at full amplitude [mm].
         history: Amplitudes at the ends of the stages.
+        active: Whether it holds in each stage; empty: in all.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Support:
     components: tuple[bool, bool, bool]
     values: Field
     history: tuple[float, ...]
+    active: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -161,14 +163,232 @@ class Contact:
     history: tuple[float, ...]
 
 
+# Pairs of seconds since the start of the run and multiplier, linear in between; empty: always one.
+Course = tuple[tuple[float, float], ...]
+
+
+def multiplier(course: Course, seconds: float) -> float:
+    """Multiplier of a heat condition at a time [s]."""
+    if not course:
+        return 1.0
+    return float(np.interp(seconds, [t for t, _ in course], [m for _, m in course]))
+
+
+@dataclass(frozen=True)
+class Conductor:
+    """A region that conducts heat.
+
+    Attributes:
+        region: Its name.
+        conductivity: Along and across the fibre [N/(s K)], or one value if isotropic.
+        fibre: Fibre direction; empty if isotropic.
+        capacity: Density times specific heat [N/(mm2 K)].
+        initial: Initial temperature [K].
+    """
+
+    region: str
+    conductivity: tuple[float, ...]
+    fibre: tuple[float, ...]
+    capacity: float
+    initial: float
+
+
+@dataclass(frozen=True)
+class FixedTemperature:
+    """A given temperature [K] on a boundary, or in whole regions (the boundary is then empty)."""
+
+    name: str
+    boundary: str
+    regions: tuple[str, ...]
+    temperature: Field
+    course: Course
+
+
+@dataclass(frozen=True)
+class HeatFlux:
+    """Heat that enters through a boundary [N/(mm s)]."""
+
+    name: str
+    boundary: str
+    flux: Field
+    course: Course
+
+
+@dataclass(frozen=True)
+class Convection:
+    """Heat exchange of a boundary with what surrounds it.
+
+    Attributes:
+        name: Name in the case file.
+        boundary: Boundary name.
+        coefficient: Film coefficient [N/(mm s K)].
+        ambient: Temperature of the surroundings [K].
+    """
+
+    name: str
+    boundary: str
+    coefficient: float
+    ambient: float
+
+
+@dataclass(frozen=True)
+class HeatSource:
+    """Heat released per volume and time in regions [N/(mm2 s)]."""
+
+    name: str
+    regions: tuple[str, ...]
+    density: Field
+    course: Course
+
+
+@dataclass(frozen=True)
+class Perfusion:
+    """Blood that brings a region to its own temperature (Pennes).
+
+    Attributes:
+        name: Name in the case file.
+        regions: Regions perfused.
+        coefficient: Rate times density and specific heat of blood [N/(mm2 s K)].
+        temperature: Temperature of the blood [K].
+    """
+
+    name: str
+    regions: tuple[str, ...]
+    coefficient: float
+    temperature: float
+
+
+HeatCondition = FixedTemperature | HeatFlux | Convection | HeatSource | Perfusion
+
+
+@dataclass(frozen=True)
+class ThermalContact:
+    """An interface whose sides have temperatures of their own.
+
+    Attributes:
+        name: Name in the case file.
+        master: Regions on the stiffer side, the same as in mechanical contact.
+        slave: Regions on the other side, which carries the temperature jump.
+        open: Conductance without pressure [N/(mm s K)].
+        per_pressure: Increase with pressure [N/(mm s K) per MPa]; 0 if it does not depend on it.
+        cap: Largest conductance [N/(mm s K)]; infinite if none is given.
+    """
+
+    name: str
+    master: tuple[str, ...]
+    slave: tuple[str, ...]
+    open: float
+    per_pressure: float
+    cap: float
+
+
+@dataclass(frozen=True)
+class FrictionHeat:
+    """Heat of friction on a contact interface: the part that goes into the slave side."""
+
+    interface: str
+    slave_share: float
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Thermal strain of a region: coefficient [1/K], temperature [K] without strain."""
+
+    region: str
+    coefficient: float
+    reference: float
+
+
+@dataclass(frozen=True)
+class Autocatalytic:
+    """Rate of cure k0 exp(-Ea/RT) a^m (a_max - a)^n.
+
+    Attributes:
+        rate_constant: k0 [1/s].
+        activation_energy: Ea [J/mol].
+        m: Exponent of the conversion.
+        n: Exponent of what is left.
+        limit: Pairs of temperature [K] and largest conversion, linear in between; empty: one.
+    """
+
+    rate_constant: float
+    activation_energy: float
+    m: float
+    n: float
+    limit: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """Cure that follows a clock: rate [1/s] by time [s], normalised to reach one at the end."""
+
+    rate: Course
+
+
+@dataclass(frozen=True)
+class Cure:
+    """A region that sets.
+
+    Attributes:
+        region: Its name.
+        kinetics: How fast.
+        heat: Heat released from degree 0 to 1 per volume [MPa].
+        initial: Degree of cure at the start.
+        gel: Degree at which it starts to be a solid: from there it strains and stiffens.
+        floor: Modulus before that, over the final one.
+        exponent: Modulus = floor + (1 - floor) ((a - gel)/(1 - gel))^exponent.
+        shrinkage: Volumetric shrinkage from gel to full cure.
+    """
+
+    region: str
+    kinetics: Autocatalytic | Prescribed
+    heat: float
+    initial: float
+    gel: float
+    floor: float
+    exponent: float
+    shrinkage: float
+
+
 @dataclass(frozen=True)
 class Stage:
-    """A part of the loading: from time k to k + 1, in a number of increments."""
+    """A part of the loading: from time k to k + 1, in a number of increments.
+
+    Attributes:
+        name: Name in the results.
+        increments: Load steps; in a stage that takes time, equal parts after each of which the
+            mechanics are solved and fields are written.
+        adaptive: Whether load steps may be cut, and time steps be chosen by their error; if not,
+            a stage that takes time is done in ``increments`` equal time steps.
+        max_cut_backs: How often in a row a step may be halved.
+        duration: Time it takes [s]; 0: none, temperatures stay as they are.
+        steady: Whether heat flows until nothing changes, however long that takes.
+    """
 
     name: str
     increments: int
     adaptive: bool
     max_cut_backs: int
+    duration: float = 0.0
+    steady: bool = False
+
+
+@dataclass(frozen=True)
+class TimeStepping:
+    """How stages that take time are integrated.
+
+    Attributes:
+        method: sdirk4 or backward_euler.
+        tolerance: Error of temperature per step [K] (and of cure, as the temperature it releases).
+        first_step: First step of a stage [s]; 0: chosen.
+        mechanical_step: Change of temperature anywhere [K] after which the mechanics are solved
+            again, where heat does not need them sooner.
+    """
+
+    method: str
+    tolerance: float
+    first_step: float
+    mechanical_step: float
 
 
 @dataclass(frozen=True)
@@ -183,3 +403,11 @@ class Scene:
     loads: tuple[Load, ...]
     contacts: tuple[Contact, ...]
     stages: tuple[Stage, ...]
+    conductors: tuple[Conductor, ...] = ()
+    heat: tuple[HeatCondition, ...] = ()
+    thermal_contacts: tuple[ThermalContact, ...] = ()
+    friction_heat: tuple[FrictionHeat, ...] = ()
+    expansions: tuple[Expansion, ...] = ()
+    cures: tuple[Cure, ...] = ()
+    # Of stages that take time; empty in scenes without heat.
+    time: tuple[TimeStepping, ...] = ()
