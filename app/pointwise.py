@@ -1,0 +1,85 @@
+"""UFL expressions at points that belong to no mesh: arrays in, arrays out.
+
+A law of `forms` that holds at every point for itself is compiled on a mesh whose cells are the
+points (unconnected intervals on this rank alone) with one value of each input per cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from mpi4py import MPI
+
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import create_mesh
+from numpy.typing import NDArray
+from ufl.core.expr import Expr
+
+Floats = NDArray[np.float64]
+
+
+class Pointwise:
+    """Compiled expressions of named inputs at the points of one rank."""
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        n: int,
+        sizes: Mapping[str, int],
+        build: Callable[[dict[str, Expr]], Sequence[Expr]],
+    ) -> None:
+        """Compile; collective, and a rank without points takes part.
+
+        Args:
+            comm: Communicator on which the expressions are compiled once and shared.
+            n: Number of points of this rank.
+            sizes: Inputs by name: 1 for a scalar, 3 for a vector.
+            build: Gives the expressions, from the inputs by name.
+        """
+        cells = max(n, 1)
+        self._mesh = create_mesh(
+            MPI.COMM_SELF,
+            np.arange(2 * cells, dtype=np.int64).reshape(-1, 2),
+            np.arange(2 * cells, dtype=np.float64).reshape(-1, 1),
+            ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,))),
+        )
+        self._n = n
+        self._cells = np.arange(cells, dtype=np.int32)
+        self._point_of_cell = self._mesh.topology.original_cell_index
+        spaces = {
+            size: fem.functionspace(self._mesh, ("DG", 0, (size,) if size > 1 else ()))
+            for size in sorted(set(sizes.values()))
+        }
+        self._inputs = {name: fem.Function(spaces[size]) for name, size in sizes.items()}
+        for function in self._inputs.values():
+            function.x.array[:] = 1
+        centre = np.array([[0.5]])
+        self._expressions = [
+            fem.Expression(e, centre, comm=comm) for e in build(dict(self._inputs))
+        ]
+
+    def set(self, **values: Floats) -> None:
+        """Set inputs at the points: (n,) or (n, size) each; the others keep what they had."""
+        if not self._n:
+            return
+        for name, value in values.items():
+            function = self._inputs[name]
+            space = function.function_space
+            array = function.x.array.reshape(-1, space.dofmap.index_map_bs)
+            array[space.dofmap.list[:, 0]] = value.reshape(self._n, -1)[self._point_of_cell]
+
+    def __call__(self, **values: Floats) -> list[Floats]:
+        """Values of the expressions (n, ...) after setting the inputs given."""
+        self.set(**values)
+        return [self._evaluate(e) for e in self._expressions]
+
+    def _evaluate(self, expression: fem.Expression) -> Floats:
+        """One expression at all points, in their order."""
+        found = np.zeros((self._n, *expression.ufl_expression.ufl_shape))
+        if self._n:
+            values = expression.eval(self._mesh, self._cells)
+            found[self._point_of_cell] = values.reshape(found.shape)
+        return found
