@@ -25,6 +25,7 @@ from app.output import UNITS, Writer, on_root, provenance
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
 from app.solver import Solver
+from app.systems import mechanical
 from app.timing import Timing
 from forms.contact import OPEN, SLIP
 from meshes.data import MeshData
@@ -131,7 +132,7 @@ class _Model:
                 scene.build(case), tagged, case.solver.augmentation_factor, timing
             )
             self.solver = Solver(
-                self.problem,
+                mechanical(self.problem),
                 case.solver.tolerance,
                 case.solver.max_iterations,
                 case.solver.linear,

@@ -21,6 +21,7 @@ from app.balance import Balance
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
 from app.solver import Solver
+from app.systems import mechanical
 from app.timing import Timing
 from meshes.distribute import TaggedMesh, distribute
 
@@ -100,7 +101,7 @@ def assemble(case: config.Case, tagged: TaggedMesh | None = None) -> tuple[Probl
     timing, options = Timing(), case.solver
     problem = Problem(scene.build(case), tagged or mesh(case), options.augmentation_factor, timing)
     solver = Solver(
-        problem,
+        mechanical(problem),
         options.tolerance,
         options.max_iterations,
         options.linear,

@@ -19,6 +19,7 @@ from app import config, scene, stepping
 from app.jumps import Jumps
 from app.problem import Problem, Trial
 from app.solver import Solver
+from app.systems import mechanical
 from app.timing import Timing
 from meshes.distribute import TaggedMesh, distribute
 from tests.reference import formulation_b
@@ -164,7 +165,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
     options, timing = case.solver, Timing()
     problem = Problem(terms, tagged, options.augmentation_factor, timing)
     solver = Solver(
-        problem,
+        mechanical(problem),
         SOLVER_TOLERANCE,
         options.max_iterations,
         options.linear,

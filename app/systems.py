@@ -1,0 +1,272 @@
+"""Systems of equations as the solver sees them: blocks of unknowns, residual, Jacobian.
+
+A system knows its own linear algebra: which blocks there are, how they are preconditioned, and how
+large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.jumps import Jumps
+from app.problem import Problem
+
+Options = Mapping[str, str | int | float | bool]
+
+# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid.
+DIRECT_LIMIT = 30_000
+DIRECT: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+MULTIGRID: Options = {
+    "pc_type": "gamg",
+    "pc_gamg_agg_nsmooths": 1,
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_aggressive_coarsening": 1,
+    "pc_gamg_coarse_eq_limit": 1000,
+    "mg_coarse_pc_type": "cholesky",
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_ksp_max_it": 1,
+    "mg_levels_pc_type": "sor",
+}
+# A block of interface unknowns.
+INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A part of a residual: its norm, the size of what it balances, what rounding leaves of it."""
+
+    norm: float
+    scale: float
+    rounding: float
+
+
+class System(Protocol):
+    """What the solver asks of a system."""
+
+    comm: MPI.Comm
+    prefix: str
+
+    @property
+    def version(self) -> int:
+        """Counts changes of the matrices that outdate their preconditioners."""
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """A new vector for each block, in the order of the preconditioner."""
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The blocks of the Jacobian; None where it is zero."""
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """PETSc options of each block's preconditioner; ``linear`` is direct, multigrid or auto."""
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given values into a state."""
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """The residual of a state."""
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """Set the blocks of the Jacobian to a state."""
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """How large the residual f of a state x is, by part; collective."""
+
+    def flips(self) -> int:
+        """Points whose state changed between the last two Jacobians; collective."""
+
+    def forget(self) -> None:
+        """Forget the last Jacobian."""
+
+
+def size(vectors: list[PETSc.Vec]) -> float:
+    """Norm of a state or residual in several blocks; collective."""
+    return math.sqrt(sum(v.norm() ** 2 for v in vectors))
+
+
+def block(linear: str, size: int) -> Options:
+    """Options for a block of nodal unknowns."""
+    direct = linear == "direct" or (linear == "auto" and size <= DIRECT_LIMIT)
+    return DIRECT if direct else MULTIGRID
+
+
+def mechanical(problem: Problem) -> Bonded | Contact:
+    """The system of a mechanical problem."""
+    return Contact(problem) if problem.jumps else Bonded(problem)
+
+
+class Bonded:
+    """Displacement alone: no interface can move."""
+
+    prefix = "mantle_"
+
+    def __init__(self, problem: Problem) -> None:
+        """Take the stiffness as it is."""
+        self._problem, self.comm = problem, problem.comm
+
+    @property
+    def version(self) -> int:
+        """Changes of the stiffness."""
+        return getattr(self._problem, "version", 0)
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """The displacement."""
+        return {"displacement": self._problem.K.createVecLeft()}
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The stiffness."""
+        return [[self._problem.K]]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Direct or multigrid."""
+        return {"displacement": block(linear, self._problem.K.getSize()[0])}
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given displacements into a state."""
+        self._problem.impose(x[0])
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """K u - f."""
+        self._problem.residual_u(x[0], None, f[0])
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """Nothing to do: the stiffness is constant."""
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Forces out of balance, beside those there are [N]."""
+        problem, u = self._problem, x[0]
+        return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
+
+    def flips(self) -> int:
+        """No points."""
+        return 0
+
+    def forget(self) -> None:
+        """No state."""
+
+
+class Contact:
+    """Displacement and jumps."""
+
+    prefix = "mantle_"
+
+    def __init__(self, problem: Problem) -> None:
+        """Set up the blocks of the Jacobian."""
+        self._problem, self.comm = problem, problem.comm
+        (self._jumps,) = problem.jumps
+        j: Jumps = self._jumps
+        self._C = j.C.copy()
+        self._C.zeroRows(problem.supported_rows(), diag=0.0)
+        self._coupled = self.version
+        self._rows = _block_diagonal(j)
+        self._A_qu = self._rows.matMult(j.Ct)
+        self._A_qq = self._rows.matMult(j.D)
+        self._added = _block_diagonal(j)
+        self._last: NDArray[np.int64] | None = None
+        self._changed = 0
+
+    @property
+    def version(self) -> int:
+        """Changes of the stiffness."""
+        return getattr(self._problem, "version", 0)
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Displacement and jumps."""
+        return {
+            "displacement": self._problem.K.createVecLeft(),
+            "jump": self._jumps.D.createVecLeft(),
+        }
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The stiffness, the coupling, and the rows of the jumps."""
+        return [[self._problem.K, self._C], [self._A_qu, self._A_qq]]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Direct or multigrid for the displacement, direct for the jumps."""
+        return {
+            "displacement": block(linear, self._problem.K.getSize()[0]),
+            "jump": INTERFACE,
+        }
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given displacements and jumps into a state."""
+        u, q = x
+        self._problem.impose(u)
+        held = self._jumps.held.ravel()
+        q.array[held] = self._jumps.given.ravel()[held]
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """Equilibrium of the bodies, and of the contact points with their law."""
+        self._problem.residual_u(x[0], x[1], f[0])
+        trial = self._problem.trial(*x)
+        f[1].array[:] = self._jumps.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """The generalized Jacobian of the contact points."""
+        if self._coupled != self.version:
+            self._coupled = self.version
+            self._jumps.C.copy(self._C)
+            self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
+        trial = self._problem.trial(*x)
+        times, added = self._jumps.row_factors(trial.law)
+        _fill(self._rows, times)
+        _fill(self._added, added)
+        self._rows.matMult(self._jumps.Ct, result=self._A_qu)
+        self._rows.matMult(self._jumps.D, result=self._A_qq)
+        self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        status = trial.law.status
+        self._changed = -1 if self._last is None else int((status != self._last).sum())
+        self._last = status.copy()
+
+    @property
+    def rows(self) -> PETSc.Mat:
+        """What multiplies equilibrium in the rows of the jumps: 1 - P' as last set."""
+        return self._rows
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Forces out of balance, beside those there are [N]."""
+        problem = self._problem
+        return [Measure(size(f), problem.force_scale(*x), problem.rounding(x[0]))]
+
+    def flips(self) -> int:
+        """Points whose state changed."""
+        return int(self.comm.allreduce(max(self._changed, 0), MPI.SUM))
+
+    def forget(self) -> None:
+        """Count flips from the next Jacobian on."""
+        self._last, self._changed = None, 0
+
+
+def _block_diagonal(j: Jumps) -> PETSc.Mat:
+    """Matrix with a dense 3 x 3 block per contact point."""
+    n = len(j.mine)
+    A = PETSc.Mat().createAIJ(
+        ((3 * n, None), (3 * n, None)), csr=_csr(j.comm, np.ones((n, 3, 3))), comm=j.comm
+    )
+    A.assemble()
+    return A
+
+
+def _fill(A: PETSc.Mat, blocks: NDArray[np.float64]) -> None:
+    A.setValuesCSR(*_csr(A.comm.tompi4py(), blocks))
+    A.assemble()
+
+
+def _csr(comm: MPI.Comm, blocks: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+    """Rows of a block diagonal matrix in compressed form."""
+    n = len(blocks)
+    start = comm.exscan(3 * n) or 0  # type: ignore[attr-defined]  # mpi4py's stubs lack it
+    columns = start + np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n)
+    return (
+        (3 * np.arange(3 * n + 1)).astype(PETSc.IntType),
+        columns.astype(PETSc.IntType),
+        np.ascontiguousarray(blocks).ravel(),
+    )
