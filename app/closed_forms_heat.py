@@ -1,0 +1,220 @@
+r"""What the verification problems of heat and cure are compared with: closed forms with sources.
+
+Nothing here comes from the code under test. Units as everywhere: conductivity N/(s K) (= W/(m K)),
+capacity per volume N/(mm2 K) (= 1e6 J/(m3 K)), conductance N/(mm s K) (= 1e3 W/(m2 K)), heat flux
+N/(mm s) (= 1e3 W/m2); temperatures in degC where only differences count, else in K. A conductor
+travels as a pair (conductivity, capacity), an elastic material as (E, ν).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.special import erfcx, expi, j0, j1, jn_zeros
+
+Floats = NDArray[np.float64]
+Conductor = tuple[float, float]
+
+GAS = 8.314462618  # J/(mol K)
+
+
+# Steady conduction
+
+
+def two_bars(
+    hot: float, cold: float, resistances: tuple[float, float], conductance: float
+) -> tuple[float, float, float]:
+    """Two bars in series between walls of given temperature, with a conductance between them.
+
+    Args:
+        hot: Temperature of the first wall.
+        cold: Of the second.
+        resistances: Length over conductivity of each bar [mm s K/N].
+        conductance: Between them.
+
+    Returns:
+        Heat flux, temperatures of the first and of the second side of the interface.
+    """
+    first, second = resistances
+    q = (hot - cold) / (first + 1 / conductance + second)
+    return q, hot - q * first, cold + q * second
+
+
+def two_rings(
+    hot: float,
+    cold: float,
+    radii: tuple[float, float, float],
+    conductivities: tuple[float, float],
+    conductance: float,
+) -> tuple[float, float, float]:
+    """The same of two rings: heat flow per length [N/s] and temperatures of the interface."""
+    a, b, c = radii
+    first = math.log(b / a) / (2 * math.pi * conductivities[0])
+    second = math.log(c / b) / (2 * math.pi * conductivities[1])
+    Q = (hot - cold) / (first + 1 / (2 * math.pi * b * conductance) + second)
+    return Q, hot - Q * first, cold + Q * second
+
+
+@dataclass(frozen=True)
+class Slab:
+    """A perfused slab 0 < x < length, heated at 0, cooled at its other side, with a source.
+
+    k T'' - w (T - T_b) + s = 0 (Pennes, J. Appl. Physiol. 1, 1948), -k T'(0) = q,
+    -k T'(L) = h (T(L) - T_a).
+
+    Attributes:
+        length: L [mm].
+        conductivity: k.
+        perfusion: w [N/(mm2 s K)].
+        blood: T_b.
+        source: s [N/(mm2 s)].
+        flux: q.
+        film: h.
+        ambient: T_a.
+    """
+
+    length: float
+    conductivity: float
+    perfusion: float
+    blood: float
+    source: float
+    flux: float
+    film: float
+    ambient: float
+
+    def temperature(self, x: Floats) -> Floats:
+        """Temperature (n,) at x (n,)."""
+        k, h, L = self.conductivity, self.film, self.length
+        m = math.sqrt(self.perfusion / k)
+        far = self.blood + self.source / self.perfusion
+        # T = far + A exp(m (x - L)) + B exp(-m x)
+        e = math.exp(-m * L)
+        rows = [[-k * m * e, k * m], [k * m + h, (h - k * m) * e]]
+        A, B = np.linalg.solve(rows, [self.flux, h * (self.ambient - far)])
+        return np.asarray(far + A * np.exp(m * (x - L)) + B * np.exp(-m * x))
+
+
+# Transient conduction
+
+
+def cooling_cylinder(
+    r: Floats, t: float, radius: float, material: Conductor, start: float, wall: float
+) -> Floats:
+    """Temperature (n,) at radii (n,) of a cylinder whose surface is cooled at once to ``wall``.
+
+    Carslaw & Jaeger, Conduction of Heat in Solids, section 7.6: 60 terms of Bessel's series.
+    """
+    k, c = material
+    λ = jn_zeros(0, 60)
+    decay = np.exp(-(λ**2) * k / c * t / radius**2)
+    modes = j0(np.multiply.outer(r / radius, λ))
+    return np.asarray(wall + 2 * (start - wall) * modes @ (decay / (λ * j1(λ))))
+
+
+def effusivity(material: Conductor) -> float:
+    """Square root of conductivity times capacity [N/(mm s^1/2 K)]."""
+    return math.sqrt(material[0] * material[1])
+
+
+@dataclass(frozen=True)
+class HalfSpaces:
+    """Two half-spaces brought into contact: x < 0 the first, x > 0 the second.
+
+    Carslaw & Jaeger, section 2.15; with a conductance h, by Laplace's transform: the heat flux is
+    h ΔT exp(H² t) erfc(H √t) with H = h (1/e₁ + 1/e₂).
+
+    Attributes:
+        first: Conductor.
+        second: Conductor.
+        temperatures: Of both at the start.
+        conductance: Between them; infinite if perfect.
+    """
+
+    first: Conductor
+    second: Conductor
+    temperatures: tuple[float, float]
+    conductance: float = math.inf
+
+    @property
+    def contact(self) -> float:
+        """Temperature of the interface if contact is perfect."""
+        e, f = effusivity(self.first), effusivity(self.second)
+        return (e * self.temperatures[0] + f * self.temperatures[1]) / (e + f)
+
+    def temperature(self, x: Floats, t: float, in_first: bool) -> Floats:
+        """Temperature (n,) at places (n,) of one body at a time t > 0."""
+        e, f = effusivity(self.first), effusivity(self.second)
+        start = self.temperatures[0 if in_first else 1]
+        k, c = self.first if in_first else self.second
+        ξ = np.abs(x) / (2 * math.sqrt(k / c * t))
+        drop = erfcx(ξ)
+        if math.isfinite(self.conductance):
+            H = self.conductance * (1 / e + 1 / f)
+            drop = drop - erfcx(ξ + H * math.sqrt(t))
+        return np.asarray(start + (self.contact - start) * drop * np.exp(-(ξ**2)))
+
+
+def surface_rise(flux: float, t: float, effusivity: float) -> float:
+    """Rise of the surface of a half-space heated by a constant flux (Carslaw & Jaeger, 2.9)."""
+    return 2 * flux * math.sqrt(t / math.pi) / effusivity
+
+
+# Cure
+
+
+@dataclass(frozen=True)
+class Kinetics:
+    """Rate of cure k0 exp(-Ea/RT) a^m (1 - a)^n [1/s]; Ea in J/mol, T in K."""
+
+    rate_constant: float
+    activation_energy: float
+    m: float
+    n: float
+
+    def rate(self, a: float, T: float) -> float:
+        """Rate [1/s]."""
+        k = self.rate_constant * math.exp(-self.activation_energy / (GAS * T))
+        return float(k * a**self.m * (1 - a) ** self.n)
+
+    def time(self, a: float, T: float, initial: float, rise: float) -> float:
+        """When the degree a is reached [s], of what warms by ``rise`` [K] per degree (0 if held).
+
+        The temperature depends on the degree alone: the time is an integral over ln a.
+        """
+
+        def slowness(z: float) -> float:
+            s = math.exp(z)
+            return s / self.rate(s, T + rise * (s - initial))
+
+        return float(quad(slowness, math.log(initial), math.log(a), epsrel=1e-12, limit=500)[0])
+
+    def degree(self, t: float, T: float, initial: float, rise: float) -> float:
+        """The degree reached at a time, by inversion of the same."""
+
+        def late(a: float) -> float:
+            return self.time(a, T, initial, rise) - t
+
+        return float(brentq(late, initial, 1 - 1e-9, xtol=1e-13, rtol=1e-13))
+
+
+def logistic_degree(t: float, rate: float, initial: float) -> float:
+    """Degree at a held temperature with m = n = 1."""
+    return 1 / (1 + (1 / initial - 1) * math.exp(-rate * t))
+
+
+def zero_order_time(kinetics: Kinetics, T: float, rise: float, total: float) -> float:
+    """When an adiabatic reaction with m = n = 0 has warmed by ``rise`` of ``total`` [s].
+
+    F(T) = T exp(B/T) - B Ei(B/T) has the derivative exp(B/T), with B = Ea / R.
+    """
+    B = kinetics.activation_energy / GAS
+
+    def F(T: float) -> float:
+        return float(T * math.exp(B / T) - B * expi(B / T))
+
+    return (F(T + rise) - F(T)) / (kinetics.rate_constant * total)

@@ -1,0 +1,287 @@
+"""References of the thermal verification, against the physics reference and their own equations.
+
+Fields are differentiated numerically and rates are integrated by other means than the references.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from app import closed_forms_coupled as coupled
+from app import closed_forms_heat as exact
+
+CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
+PMMA = exact.Kinetics(2.6397e8, 62866.0, 0.98, 1.064)
+RISE = 89.0805
+
+Function = Callable[[float], float]
+
+
+def slope(f: Function, x: float, h: float = 1e-3) -> float:
+    """Central difference of fourth order."""
+    return (8 * (f(x + h) - f(x - h)) - f(x + 2 * h) + f(x - 2 * h)) / (12 * h)
+
+
+def test_bars_and_rings_with_a_resistance() -> None:
+    """Physics reference 5.8 and 5.9; 1 W/m2 is 1e-3 N/(mm s)."""
+    q, hot, cold = exact.two_bars(100, 37, (5 / 0.2, 5 / 0.58), 0.3)
+    assert (q, hot, cold) == pytest.approx((1.704821, 57.3795, 51.6967), rel=1e-6)
+    Q, hot, cold = exact.two_rings(100, 37, (10, 14, 18), (0.2, 0.58), 0.5)
+    assert (Q, hot, cold) == pytest.approx((175.2656, 53.07157, 49.08666), rel=1e-7)
+
+
+def test_perfused_slab_obeys_its_equation() -> None:
+    slab = exact.Slab(10.0, 0.5, 0.02, 37.0, 0.1, 0.6, 0.05, 20.0)
+
+    def T(x: float) -> float:
+        return float(slab.temperature(np.array([x]))[0])
+
+    for x in (1.0, 5.0, 9.0):
+        bend = slope(lambda s: slope(T, s), x)
+        assert 0.5 * bend - 0.02 * (T(x) - 37) + 0.1 == pytest.approx(0, abs=1e-6)
+    assert -0.5 * slope(T, 0.0) == pytest.approx(0.6, rel=1e-8)
+    assert -0.5 * slope(T, 10.0) == pytest.approx(0.05 * (T(10.0) - 20), rel=1e-8)
+
+
+def test_cooling_cylinder() -> None:
+    """Physics reference 5.10; the heat equation; the wall."""
+    centre = [
+        exact.cooling_cylinder(np.zeros(1), t, 10, CEMENT, 100, 37)[0] for t in (60, 100, 300)
+    ]
+    assert centre == pytest.approx([96.83093, 86.90558, 50.73622], rel=1e-7)
+
+    def T(r: float, t: float) -> float:
+        return float(exact.cooling_cylinder(np.array([r]), t, 10, CEMENT, 100, 37)[0])
+
+    flow = slope(lambda r: r * slope(lambda s: T(s, 60), r), 4.0) / 4.0
+    assert 0.2 * flow == pytest.approx(1.74 * slope(lambda t: T(4.0, t), 60.0), rel=1e-4)
+    assert T(10.0, 60) == pytest.approx(37)
+
+
+@pytest.mark.parametrize(
+    ("other", "temperature"),
+    [((0.58, 2.331), 58.2), ((6.7, 2.331), 45.2), ((14.8, 3.735), 41.6), ((0.29, 2.503), 62.8)],
+)
+def test_contact_temperature(other: tuple[float, float], temperature: float) -> None:
+    """Physics reference E13: cement at 100 degC on cortical bone, Ti, CoCr, cancellous bone."""
+    spaces = exact.HalfSpaces(CEMENT, other, (100, 37))
+    assert spaces.contact == pytest.approx(temperature, abs=0.05)
+    assert spaces.temperature(np.zeros(1), 3.0, False)[0] == pytest.approx(spaces.contact)
+
+
+def half_spaces(h: float) -> Callable[[float, float, bool], float]:
+    """Temperature at a place, a time and in a body; the formulas hold beyond their bodies too."""
+    spaces = exact.HalfSpaces(CEMENT, CORTICAL, (100, 37), h)
+    return lambda x, t, first: float(spaces.temperature(np.array([x]), t, first)[0])
+
+
+@pytest.mark.parametrize("h", [math.inf, 0.3])
+@pytest.mark.parametrize("first", [True, False])
+def test_half_spaces_obey_the_heat_equation(h: float, first: bool) -> None:
+    T = half_spaces(h)
+    x, (k, c) = (-1.0, CEMENT) if first else (1.0, CORTICAL)
+    bend = slope(lambda s: slope(lambda y: T(y, 5.0, first), s), x)
+    assert k * bend == pytest.approx(c * slope(lambda t: T(x, t, first), 5.0), rel=1e-4)
+
+
+@pytest.mark.parametrize("h", [math.inf, 0.3])
+def test_half_spaces_obey_their_interface(h: float) -> None:
+    T = half_spaces(h)
+    # One-sided slopes at the interface, by extrapolation from inside.
+    near = -np.array([1e-3, 2e-3])
+    into = 0.2 * np.diff([T(x, 5.0, True) for x in near])[0] / 1e-3
+    out = 0.58 * np.diff([T(-x, 5.0, False) for x in near])[0] / 1e-3 * -1
+    assert into == pytest.approx(out, rel=2e-3)
+    jump = T(0.0, 5.0, True) - T(0.0, 5.0, False)
+    assert jump == pytest.approx(0 if math.isinf(h) else into / h, rel=3e-3, abs=1e-9)
+
+
+def test_resistance_fades_with_time_and_conductance() -> None:
+    perfect = exact.HalfSpaces(CEMENT, CORTICAL, (100, 37))
+    for h, t in ((1e6, 1.0), (0.3, 1e9)):
+        spaces = exact.HalfSpaces(CEMENT, CORTICAL, (100, 37), h)
+        assert spaces.temperature(np.zeros(1), t, True)[0] == pytest.approx(
+            perfect.contact, abs=1e-2
+        )
+
+
+def test_frictional_heating() -> None:
+    """Physics reference 5.12: 75 kW/m2 for 10 s between cement and cortical bone.
+
+    Shared by effusivity, each half-space alone becomes as hot as both together.
+    """
+    e, f = exact.effusivity(CEMENT), exact.effusivity(CORTICAL)
+    together = exact.surface_rise(75.0, 10.0, e + f)
+    assert together == pytest.approx(152.66, rel=3e-4)
+    assert e / (e + f) == pytest.approx(0.34, abs=0.005)
+    assert exact.surface_rise(75.0 * e / (e + f), 10.0, e) == pytest.approx(together)
+    assert exact.surface_rise(75.0 * f / (e + f), 10.0, f) == pytest.approx(together)
+    # Heat that has entered: c times the integral of 2 q sqrt(t)/e ierfc, by the flux itself.
+    k, c = CEMENT
+    depth = math.sqrt(k / c * 10.0)
+    stored = 2 * 75.0 * math.sqrt(10.0) / e * c * 2 * depth * quad(_ierfc, 0, 10)[0]
+    assert stored == pytest.approx(75.0 * 10.0, rel=1e-6)
+
+
+def _ierfc(ξ: float) -> float:
+    return math.exp(-(ξ**2)) / math.sqrt(math.pi) - ξ * math.erfc(ξ)
+
+
+def test_adiabatic_cure() -> None:
+    """Physics reference 3.1 (its gas constant has fewer digits)."""
+    degrees = {
+        100: 0.00217920,
+        300: 0.01032774,
+        500: 0.05708639,
+        600: 0.22178809,
+        620: 0.43721954,
+        625: 0.63703883,
+        630: 0.98433362,
+    }
+    for t, a in degrees.items():
+        assert PMMA.degree(t, 310.15, 1e-3, RISE) == pytest.approx(a, rel=1e-5)
+    assert PMMA.time(0.5, 310.15, 1e-3, RISE) == pytest.approx(622.12888, rel=3e-6)
+    assert PMMA.time(0.99, 310.15, 1e-3, RISE) == pytest.approx(630.40663, rel=3e-6)
+    assert PMMA.time(0.5, 296.15, 1e-3, RISE) == pytest.approx(1923.72256, rel=3e-6)
+    assert PMMA.time(0.5, 296.15, 1e-3, 0) == pytest.approx(3009.468, rel=3e-6)
+    seeds = [PMMA.time(0.5, 310.15, seed, RISE) for seed in (1e-4, 1e-3, 1e-2)]
+    assert seeds == pytest.approx([905, 622, 347], abs=1)
+
+
+def test_integral_over_the_degree_agrees_with_an_integrator() -> None:
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        return [PMMA.rate(y[0], 310.15 + RISE * (y[0] - 1e-3))]
+
+    run = solve_ivp(rates, (0, 600), [1e-3], method="Radau", rtol=1e-11, atol=1e-13)
+    assert run.y[0, -1] == pytest.approx(PMMA.degree(600, 310.15, 1e-3, RISE), rel=1e-8)
+
+
+def test_cure_in_closed_form() -> None:
+    """Logistic at a held temperature; zero order if adiabatic (physics reference 3.1)."""
+    law = exact.Kinetics(2.6397e8, 62866.0, 1, 1)
+    k = 4 * law.rate(0.5, 310.15)
+    assert k == pytest.approx(6.82396e-3, rel=1e-6)
+    t50 = law.time(0.5, 310.15, 1e-3, 0)
+    assert t50 == pytest.approx(1012.133, rel=1e-6)
+    assert exact.logistic_degree(t50, k, 1e-3) == pytest.approx(0.5, rel=1e-9)
+    times = [exact.zero_order_time(PMMA, 310.15, rise, RISE) for rise in (10, 40)]
+    assert times == pytest.approx([11.46931286, 21.07563528], rel=1e-6)
+    flat = exact.Kinetics(2.6397e8, 62866.0, 0, 0)
+    assert flat.time(1e-3 + 40 / RISE, 310.15, 1e-3, RISE) == pytest.approx(times[1], rel=1e-9)
+
+
+STEM, MANTLE, BONE = (200e3, 0.3), (2200.0, 0.3), (17e3, 0.3)
+
+
+def cooled(joined: tuple[bool, bool]) -> coupled.Layers:
+    """Physics reference 3.2: the cement shrinks by 40 K times 80e-6."""
+    mantle = coupled.Layer(6, 10, MANTLE, -80e-6 * 40)
+    return coupled.Layers((coupled.Layer(0, 6, STEM), mantle, coupled.Layer(10, 15, BONE)), joined)
+
+
+def test_bonded_cylinders_cooled() -> None:
+    layers = cooled((True, True))
+    stresses = (layers.radial(1, 6), layers.radial(1, 10), layers.hoop(1, 6))
+    assert stresses == pytest.approx((5.696, 7.884, 12.534), abs=6e-4)
+    assert (layers.radial(0, 6), layers.radial(2, 10)) == pytest.approx(stresses[:2])
+    assert layers.radial(2, 15) == pytest.approx(0, abs=1e-10)
+    assert (layers.gap(0), layers.gap(1)) == pytest.approx((0, 0), abs=1e-15)
+
+
+def test_unilateral_cylinders_cooled() -> None:
+    layers = cooled((True, False))
+    values = (layers.radial(1, 6), layers.gap(1), layers.hoop(1, 6))
+    assert values == pytest.approx((-3.929, 0.02332, 8.349), rel=2e-4)
+    assert layers.radial(1, 10) == pytest.approx(0, abs=1e-10)
+
+
+def test_hot_fit_is_that_of_layers_when_evenly_warm() -> None:
+    """A ring that conducts perfectly against one of free strain, by its own transfer equations."""
+    core, ring = (STEM, 14e-6), (MANTLE, 5e-6)
+    value = coupled.hot_fit_pressure((7, 10), core, ring, 1.0, 0.5, (80, 80, 37))
+    layers = coupled.Layers(
+        (coupled.Layer(0, 7, STEM, 14e-6 * 43), coupled.Layer(7, 10, MANTLE, 5e-6 * 43)), (True,)
+    )
+    assert value == pytest.approx(-layers.radial(0, 7), rel=1e-9)
+
+
+def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
+    """By quadrature of the logarithmic profile."""
+    b, c, k, h = 7.0, 10.0, 0.4, 0.3
+    core, ring = (STEM, 14e-6), (MANTLE, 27.5e-6)
+    value = coupled.hot_fit_pressure((b, c), core, ring, k, h, (80, 37, 37))
+    Q, _, inner = exact.two_rings(80, 37, (1e-9 * b, b, c), (1e12, k), h)
+    area = math.pi * (c * c - b * b)
+
+    def heat(r: float) -> float:
+        return 2 * math.pi * r * (37 + Q * math.log(c / r) / (2 * math.pi * k))
+
+    assert inner == pytest.approx(37 + Q * math.log(c / b) / (2 * math.pi * k))
+    mean = quad(heat, b, c)[0] / area
+    even = coupled.Layers(
+        (coupled.Layer(0, b, STEM, 14e-6 * 43), coupled.Layer(b, c, MANTLE, 27.5e-6 * (mean - 37))),
+        (True,),
+    )
+    assert value == pytest.approx(-even.radial(0, b), rel=1e-9)
+
+
+def test_heated_walls_have_one_or_three_states() -> None:
+    """Every state balances heat and length; the cold bar that expands more makes several."""
+    unique = coupled.HeatedWalls(
+        (5, 5), (2200, 17000), (80e-6, 27.5e-6), (0.2, 0.58), 0.1, 0.1, 0.0, (60, 37, 37)
+    )
+    several = coupled.HeatedWalls(
+        (5, 5), (110e3, 2200), (9e-6, 80e-6), (6.7, 0.2), 0.01, 0.3, 0.005, (80, 37, 37)
+    )
+    (only,) = unique.states()
+    assert only.pressure == pytest.approx(2.50151, rel=1e-5)
+    open_, middle, closed = several.states()
+    assert open_.pressure == 0 and several.excess(0) < 0
+    # More pressure needs less length where the state is stable, the middle one is not.
+    assert several.excess(middle.pressure * 1.01) > 0 > several.excess(closed.pressure * 1.01)
+    for walls, state in ((unique, only), (several, middle), (several, closed)):
+        assert walls.excess(state.pressure) == pytest.approx(0, abs=1e-12)
+        h = walls.open + walls.per_pressure * state.pressure
+        assert state.flux == pytest.approx(h * (state.first - state.second))
+        hot = walls.temperatures[0] - state.flux * walls.lengths[0] / walls.conductivities[0]
+        assert state.first == pytest.approx(hot)
+
+
+WAVY = coupled.WavyContact(
+    2.0, 1.0, (2.0, 1.0), (0.1, 0.1), 10.0, 50.0, 37.0, (0.2, 0.58), (MANTLE, BONE), (8e-5, 2.75e-5)
+)
+
+
+@pytest.mark.parametrize("upper", [False, True])
+@pytest.mark.parametrize("x", [0.0, 0.3, 1.7])
+def test_wavy_contact_balances_at_its_interface(upper: bool, x: float) -> None:
+    """Traction and heat flux at z = H are those of the pressure."""
+    E, ν = WAVY.materials[upper]
+    λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+    p = float(WAVY.pressures(at(x, 1.0))[0])
+    T = float(WAVY.temperature(at(x, 1.0), upper)[0])
+    strain = slope(lambda z: float(WAVY.displacement(at(x, z), upper)[0, 2]), 1.0)
+    thermal = (3 * λ + 2 * μ) * WAVY.expansions[upper] * (T - 37)
+    assert (λ + 2 * μ) * strain - thermal == pytest.approx(-p)
+    down = slope(lambda z: float(WAVY.temperature(at(x, z), upper)[0]), 1.0)
+    assert -WAVY.conductivities[upper] * down == pytest.approx((0.1 + 0.1 * p) * 10.0)
+    assert np.abs(WAVY.displacement(at(x, 1.0), upper)).max() == 0
+
+
+@pytest.mark.parametrize("upper", [False, True])
+@pytest.mark.parametrize("x", [0.0, 2.0])
+def test_sides_of_a_wavy_contact_slide_without_shear_and_are_insulated(
+    upper: bool, x: float
+) -> None:
+    shear = slope(lambda s: float(WAVY.displacement(at(s, 0.4), upper)[0, 2]), x)
+    flow = slope(lambda s: float(WAVY.temperature(at(s, 0.4), upper)[0]), x)
+    assert (shear, flow) == pytest.approx((0, 0), abs=1e-8)
+
+
+def at(x: float, z: float) -> np.ndarray:
+    return np.array([[x, 0.0, z]])
