@@ -21,6 +21,7 @@ from app import config, error, folders, preview, quantities, ranks, scene, stepp
 from app import log as text
 from app.balance import Balance
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
+from app.motion import Motion, Step, Summary
 from app.output import UNITS, Writer, on_root, provenance
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
@@ -88,14 +89,13 @@ def run(
     recorder = _Recorder(case, model, balance, writer, timing, begin)
     log.info("%s", text.step_header())
     try:
-        total = stepping.run(
-            problem, solver, problem.scene.stages, recorder.step, lambda s: log.info("     %s", s)
-        )
+        motion = Motion(problem, solver, recorder.step, lambda s: log.info("     %s", s))
+        stepping.run(problem.scene.stages, motion)
     except (ConvergenceError, StoppedError) as failure:
         recorder.close("stopped" if isinstance(failure, StoppedError) else "not converged")
         raise type(failure)(f"{failure}\n{recorder.last_state()}") from failure
     recorder.flush()
-    summary = recorder.summary("converged", total)
+    summary = recorder.summary("converged", motion.total)
     if case.output.condition:
         summary["solver"]["condition"] = solver.condition()
     if companions := error.companions(case):
@@ -166,12 +166,13 @@ class _Model:
         other = _Model(case, self.options, Timing(), self.stop)
         last: list[Samples | None] = [None]
 
-        def keep(step: stepping.Step, trial: Trial | None) -> None:
+        def keep(step: Step, trial: Trial | None) -> None:
             if step.time == len(other.problem.scene.stages):
                 last[0] = Samples(other.problem, trial) if trial is not None else None
 
         stages = other.problem.scene.stages
-        stepping.run(other.problem, other.solver, stages, keep, lambda s: log.debug("     %s", s))
+        motion = Motion(other.problem, other.solver, keep, lambda s: log.debug("     %s", s))
+        stepping.run(stages, motion)
         return other.numbers(last[0])
 
 
@@ -221,12 +222,12 @@ class _Recorder:
         self._written = 0
         self._newton = 0
 
-    def step(self, step: stepping.Step, trial: Trial | None) -> None:
+    def step(self, step: Step, trial: Trial | None) -> None:
         """Record a committed step; collective."""
         with self._timing.phase("output"):
             self._step(step, trial)
 
-    def _step(self, step: stepping.Step, trial: Trial | None) -> None:
+    def _step(self, step: Step, trial: Trial | None) -> None:
         problem = self._problem
         self._balance.update(self._solver.parts()[0], trial)
         self._samples = Samples(problem, trial) if trial is not None else None
@@ -300,7 +301,7 @@ class _Recorder:
         if self._written < self._steps:
             self._fields()
 
-    def summary(self, status: str, total: stepping.Summary | None) -> dict[str, Any]:
+    def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
         problem, solver = self._problem, self._solver
         sizes = solver.block_sizes

@@ -18,6 +18,7 @@ from ruamel.yaml import YAML
 import meshes
 from app import config, quantities, ranks, scene, stepping
 from app.balance import Balance
+from app.motion import Motion, Step
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
 from app.solver import Solver
@@ -50,7 +51,7 @@ class Solved:
     tagged: TaggedMesh
     problem: Problem
     solver: Solver
-    steps: tuple[stepping.Step, ...]
+    steps: tuple[Step, ...]
     samples: tuple[Samples, ...]
     interfaces: dict[str, dict[str, Any]]
     balances: Floats
@@ -131,11 +132,11 @@ def solve(
     this = text if isinstance(text, config.Case) else case(text, *overrides)
     problem, solver = assemble(this, tagged)
     balance = Balance(problem, np.zeros(3)) if balances else None
-    steps: list[stepping.Step] = []
+    steps: list[Step] = []
     samples: list[Samples] = []
     sums: list[tuple[float, float, float]] = []
 
-    def on_step(step: stepping.Step, trial: Trial | None) -> None:
+    def on_step(step: Step, trial: Trial | None) -> None:
         steps.append(step)
         if trial is not None:
             samples.append(Samples(problem, trial))
@@ -143,7 +144,7 @@ def solve(
             balance.update(solver.parts()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
-    stepping.run(problem, solver, problem.scene.stages, on_step, print)
+    stepping.run(problem.scene.stages, Motion(problem, solver, on_step, print))
     interfaces = {
         c.name: quantities.interface(problem, samples[-1], i)
         for i, c in enumerate(problem.scene.contacts)

@@ -105,7 +105,18 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
         "Fixed",
     }
     # The solver's side of the program does not even see the configuration's classes.
-    solving = ("terms", "mechanics", "bodies", "jumps", "points", "problem", "solver", "stepping")
+    solving = (
+        "terms",
+        "mechanics",
+        "bodies",
+        "jumps",
+        "points",
+        "problem",
+        "solver",
+        "systems",
+        "motion",
+        "stepping",
+    )
     if path.stem in (*solving, "balance", "quantities", "diagnosis"):
         assert not {m for m in imported(path) if m.startswith(("app.config", "app.materials"))}
         text = ast.unparse(tree(path))

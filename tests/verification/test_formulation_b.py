@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 import meshes
 from app import config, scene, stepping
 from app.jumps import Jumps
+from app.motion import Motion, Step
 from app.problem import Problem, Trial
 from app.solver import Solver
 from app.systems import mechanical
@@ -184,7 +185,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
     states: list[State] = []
     before = np.zeros((len(vertex), 3))
 
-    def on_step(step: stepping.Step, trial: Trial | None) -> None:
+    def on_step(step: Step, trial: Trial | None) -> None:
         assert trial is not None
         change = trial.jump - before
         before[:] = trial.jump
@@ -204,7 +205,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    stepping.run(problem, solver, terms.stages, on_step, print)
+    stepping.run(terms.stages, Motion(problem, solver, on_step, print))
     return times, states, jumps
 
 

@@ -1,0 +1,175 @@
+"""Load steps: along a path, cutting back where a step does not converge.
+
+A step is committed only when it has converged. When it has not, the augmentation of the
+augmented-Lagrangian interfaces is lowered first (it changes the path of the iteration, not the
+answer), then the step is halved; an easy step lets a shortened one grow back to the increments the
+stage asks for.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from app.diagnosis import explain, runaway
+from app.errors import ConvergenceError
+from app.problem import Problem, Trial
+from app.solver import Outcome, Solver
+from app.terms import Stage
+
+# Augmentation tried in turn, as multiples of the default.
+AUGMENTATIONS = (1.0, 0.1, 0.01)
+EASY_ITERATIONS = 8
+GROWTH = 2.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """A committed step of the mechanics or of the heat.
+
+    Attributes:
+        number: 1 for the first.
+        stage: Name of its stage.
+        time: Time at its end: stage k runs from k to k + 1.
+        outcome: What the solver said.
+        augmentation: Multiple of the default augmentation that it converged with.
+        seconds: Wall time, failed attempts included.
+        whole: Whether it ends an increment of its stage: what is worth a picture.
+    """
+
+    number: int
+    stage: str
+    time: float
+    outcome: Outcome
+    augmentation: float
+    seconds: float
+    whole: bool
+
+
+@dataclass
+class Summary:
+    """What a whole loading took, so far."""
+
+    steps: int = 0
+    newton_iterations: int = 0
+    linear_iterations: int = 0
+    rejected: int = 0
+    augmentation: float = 1.0
+
+    def count(self, outcome: Outcome) -> None:
+        """Add the iterations of a solve."""
+        self.newton_iterations += outcome.iterations
+        self.linear_iterations += outcome.linear_iterations
+
+
+OnStep = Callable[[Step, Trial | None], None]
+
+
+@dataclass
+class Motion:
+    """The mechanics of a scene on their way through the stages.
+
+    Attributes:
+        problem: What is solved.
+        solver: Its solver.
+        on_step: Called after each converged step, once it is history.
+        on_trouble: Told in plain words what is tried when a step fails.
+        total: What it took so far.
+        level: Augmentation in force, as an index of `AUGMENTATIONS`.
+    """
+
+    problem: Problem
+    solver: Solver
+    on_step: OnStep
+    on_trouble: Callable[[str], None]
+    total: Summary = field(default_factory=Summary)
+    level: int = 0
+
+    def load(self, k: int, stage: Stage) -> None:
+        """Load steps through a stage that takes no time."""
+        whole = 1.0 / stage.increments
+        self.advance(stage, whole, lambda s: self.problem.set_time(k + s), k, k + 1)
+
+    def advance(
+        self, stage: Stage, whole: float, place: Callable[[float], None], begin: float, end: float
+    ) -> None:
+        """Go along a path of loads, temperatures and supports.
+
+        Args:
+            stage: What may be cut, and how often.
+            whole: Largest step, as a part of the path.
+            place: Sets the problem to a point of the path, 0 to 1.
+            begin: Time at its begin.
+            end: Time at its end.
+
+        Raises:
+            ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
+        """
+        problem, solver = self.problem, self.solver
+        step, done, cuts = whole, 0.0, 0
+        while done < 1.0:
+            started = clock.perf_counter()
+            reach = 1.0 if done + 1.001 * step > 1.0 else done + step
+            start = solver.x.copy()
+            while True:
+                place(reach)
+                problem.scale_augmentation(AUGMENTATIONS[self.level])
+                outcome = solver.solve()
+                self.total.count(outcome)
+                if outcome.converged:
+                    break
+                self.total.rejected += 1
+                start.copy(solver.x)
+                why = explain(problem, solver, outcome)
+                if problem.augmented and self.level + 1 < len(AUGMENTATIONS):
+                    self.level += 1
+                    r = AUGMENTATIONS[self.level]
+                    self.on_trouble(f"{why.short}; augmentation lowered to {r:g} r")
+                    continue
+                # A smaller step does not hold a body that nothing holds: one is tried, no more.
+                hopeless = bool(why.free) and cuts > 0
+                if not stage.adaptive or cuts == stage.max_cut_backs or hopeless:
+                    at = begin + reach * (end - begin)
+                    raise ConvergenceError(why.text(stage.name, at - int(begin), cuts))
+                cuts += 1
+                self.level = 0
+                step /= 2
+                reach = done + step
+                self.on_trouble(f"{why.short}; step halved to {step:.4g} of stage '{stage.name}'")
+            self.commit(stage, begin + reach * (end - begin), outcome, started)
+            done = reach
+            if outcome.iterations <= EASY_ITERATIONS and step < whole:
+                step, cuts = min(GROWTH * step, whole), max(cuts - 1, 0)
+
+    def commit(self, stage: Stage, time: float, outcome: Outcome, started: float) -> None:
+        """Make the state of the solver history, and tell of it; collective.
+
+        Raises:
+            ConvergenceError: A body runs away.
+        """
+        problem = self.problem
+        u, q = self.solver.parts()
+        trial = problem.trial(u, q) if q is not None else None
+        if trial is not None and (away := runaway(problem, trial)):
+            part = 100 * (time - int(time)) or 100
+            raise ConvergenceError(
+                f"stage '{stage.name}' at {part:.3g} % of it: {away}\n"
+                "  what to change: hold the body (a support, friction, an elastic foundation)"
+            )
+        problem.spread(u, q)
+        problem.commit(trial)
+        self.total.steps += 1
+        self.total.augmentation = AUGMENTATIONS[self.level]
+        self.on_step(
+            Step(
+                self.total.steps,
+                stage.name,
+                time,
+                outcome,
+                AUGMENTATIONS[self.level],
+                clock.perf_counter() - started,
+                True,
+            ),
+            trial,
+        )
