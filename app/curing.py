@@ -1,0 +1,265 @@
+"""Degree of cure: a state of every node of a region that sets, advanced node by node.
+
+A time integration asks for the degree of cure at the end of an implicit step, a = a* + h f(a, T),
+with its derivative by the temperature there; the heat that is released is that of a - a*, so none
+is lost. What the curing does to strains is in `FreeStrain`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+from ufl import as_ufl, diff, variable
+from ufl.algorithms import expand_derivatives, strip_variables
+from ufl.core.expr import Expr
+
+from app.pointwise import Pointwise
+from app.terms import Autocatalytic, Cure, Expansion, Prescribed, multiplier
+from forms import cure as forms
+
+Floats = NDArray[np.float64]
+
+# A reaction ends this far below its limit. What would be left takes ever longer and warms by less
+# than any tolerance, but the stages of a long step would overshoot the limit for it.
+UNREACTED = 1e-6
+# Newton's method is in the logarithm of what reacts over what does not.
+_CONVERGED = 1e-8
+_ITERATIONS = 100
+
+
+@dataclass(frozen=True)
+class Degrees:
+    """Degree of cure after an implicit step and its derivative by the temperature there (n,)."""
+
+    degree: Floats
+    by_temperature: Floats
+
+
+class Kinetics(Protocol):
+    """How the nodes of one region set."""
+
+    @property
+    def events(self) -> tuple[float, ...]:
+        """Times [s] at which the rate has a kink."""
+
+    def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
+        """Solve a = a* + h f(a, T)."""
+
+
+class Curing:
+    """The degrees of cure of all regions that set, on the nodes of this rank."""
+
+    def __init__(self, comm: MPI.Comm, cures: Sequence[Cure], nodes: Sequence[int]) -> None:
+        """Compile the rates; collective.
+
+        Args:
+            comm: Communicator of the mesh.
+            cures: Regions that set.
+            nodes: Number of nodes of each on this rank.
+        """
+        self._comm = comm
+        self._cures = tuple(cures)
+        self._nodes = tuple(nodes)
+        self._kinetics = [kinetics(comm, c, n) for c, n in zip(cures, nodes, strict=True)]
+
+    @property
+    def events(self) -> tuple[float, ...]:
+        """Times [s] that no time step should cross."""
+        return tuple(sorted({t for k in self._kinetics for t in k.events}))
+
+    def initial(self) -> list[Floats]:
+        """Degrees of cure at the start."""
+        return [np.full(n, c.initial) for c, n in zip(self._cures, self._nodes, strict=True)]
+
+    def admissible(self, start: Sequence[Floats]) -> bool:
+        """Whether every degree lies in [0, 1]; collective.
+
+        A stage of a time step that is too long may start from one that does not.
+        """
+        inside = all(bool(((a >= 0) & (a <= 1)).all()) for a in start)
+        return bool(self._comm.allreduce(inside, op=MPI.LAND))
+
+    def update(
+        self, start: Sequence[Floats], temperatures: Sequence[Floats], h: float, seconds: float
+    ) -> list[Degrees]:
+        """Degrees a = a* + h f(a, T), in [a*, 1] for admissible a*.
+
+        Args:
+            start: Degrees a* (n,) per region.
+            temperatures: Temperatures at the end of the step (n,) per region [K].
+            h: Length of the implicit step [s].
+            seconds: Time at its end [s].
+
+        Raises:
+            ValueError: If the step has no end: what sets has no steady state but the set one.
+        """
+        if not np.isfinite(h):
+            raise ValueError("Cure needs a time step of finite length.")
+        return [
+            k.update(a, T, h, seconds)
+            for k, a, T in zip(self._kinetics, start, temperatures, strict=True)
+        ]
+
+
+def kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
+    """The compiled kinetics of a region."""
+    match cure.kinetics:
+        case Autocatalytic():
+            return _Autocatalytic(comm, cure.kinetics, nodes)
+        case Prescribed():
+            return _Clock(cure.kinetics, cure.initial)
+
+
+class _Clock:
+    """Cure that follows a clock, whatever the temperature."""
+
+    def __init__(self, terms: Prescribed, initial: float) -> None:
+        self._course = terms.rate
+        self._initial = initial
+        times, rates = np.array(terms.rate).T
+        self._total = float(np.trapezoid(rates, times))
+        self.events = tuple(map(float, times))
+
+    def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
+        """The same for every node."""
+        # Before and after its course the reaction rests.
+        runs = self.events[0] <= seconds <= self.events[-1]
+        r = multiplier(self._course, seconds) if runs else 0.0
+        rate = forms.prescribed_rate(r, self._total, self._initial)
+        return Degrees(np.minimum(start + h * rate, 1.0), np.zeros_like(start))
+
+
+class _Autocatalytic:
+    """Nodes of a region with autocatalytic kinetics."""
+
+    events: tuple[float, ...] = ()
+
+    def __init__(self, comm: MPI.Comm, terms: Autocatalytic, nodes: int) -> None:
+        pairs = range(len(terms.limit))
+        names = ["k0", "Ea", "m", "n"]
+        values = [terms.rate_constant, terms.activation_energy, terms.m, terms.n]
+        knots = [f"T_{k}" for k in pairs] + [f"limit_{k}" for k in pairs]
+        levels = [T for T, _ in terms.limit] + [a for _, a in terms.limit]
+
+        def limit(x: dict[str, Expr], T: Expr) -> Expr:
+            if not terms.limit:
+                return as_ufl(1.0)
+            return forms.conversion_limit(
+                T, [x[f"T_{k}"] for k in pairs], [x[f"limit_{k}"] for k in pairs]
+            )
+
+        def limits(x: dict[str, Expr]) -> list[Expr]:
+            T = variable(x["T"])
+            value = limit(x, T)
+            return _plain(value, diff(value, T))
+
+        def rates(x: dict[str, Expr]) -> list[Expr]:
+            a, T = variable(x["a"]), variable(x["T"])
+            rate = forms.autocatalytic_rate(a, T, limit(x, T), *(x[k] for k in names))
+            return _plain(rate, diff(rate, a), diff(rate, T))
+
+        sizes = dict.fromkeys(["T", *knots], 1)
+        constants = dict(zip([*names, *knots], [*values, *levels], strict=True))
+        self._limits = Pointwise(comm, nodes, sizes, limits)
+        self._rates = Pointwise(comm, nodes, sizes | dict.fromkeys(["a", *names], 1), rates)
+        self._limits.set(**{k: np.full(nodes, constants[k]) for k in knots})
+        self._rates.set(**{k: np.full(nodes, v) for k, v in constants.items()})
+
+    def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
+        r"""Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds.
+
+        ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
+        root. With m > 1 a step may be so long that there are more; one of them is found.
+        """
+        # Iterates of a solver may be cold beyond sense: nothing reacts there.
+        T = np.maximum(temperature, 1.0)
+        limit, limit_by_T = self._limits(T=T)
+        first = self._rates(a=start, T=T)[0]
+        room = limit - start
+        lasts = (room > UNREACTED) & (first > 0)
+        room = np.where(lasts, room, 1.0)
+        top = np.log(np.maximum(room - UNREACTED, 1e-300) / UNREACTED)
+        last = self._rates(a=start + room * _logistic(top), T=T)[0]
+        ends = lasts & (h * last >= room - UNREACTED)
+        solved = lasts & ~ends
+
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # Rates in between are at least the lower of the two at the ends.
+            low = np.log(h * np.minimum(first, last) / room) - 1.0
+            s = np.log(h * first / room)
+        high = top.copy()
+        low, s = np.where(solved, low, 0.0), np.where(solved, s, 0.0)
+        moving = solved.copy()
+        for _ in range(_ITERATIONS):
+            if not moving.any():
+                break
+            s = np.where(moving & ~((s > low) & (s < high)), (low + high) / 2, s)
+            share = _logistic(s)
+            reacted = room * share
+            f, f_a, _ = self._rates(a=start + reacted, T=T)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                value = np.log(reacted) - np.log(h * f)
+                slope = (1 - share) * (1 - reacted * f_a / f)
+                step = np.where(slope > 0, -value / slope, np.inf)
+            high = np.where(moving & (value > 0), s, high)
+            low = np.where(moving & (value <= 0), s, low)
+            s = np.where(moving, s + step, s)
+            moving &= ~(np.abs(step) <= _CONVERGED) & (high - low > _CONVERGED)
+
+        reacted = np.where(
+            solved, room * _logistic(np.clip(s, low, high)), np.where(ends, room - UNREACTED, 0.0)
+        )
+        degree = start + reacted
+        f, f_a, f_T = self._rates(a=degree, T=T)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = reacted * f_T / f / (1 - reacted * f_a / f)
+        return Degrees(degree, np.where(solved, slope, np.where(ends, limit_by_T, 0.0)))
+
+
+class FreeStrain:
+    """What curing and warming strain without stress, at the nodes of one region."""
+
+    def __init__(self, comm: MPI.Comm, cure: Cure, expansion: Expansion, nodes: int) -> None:
+        """Compile the increment; collective.
+
+        Args:
+            comm: Communicator of the mesh.
+            cure: The region that sets.
+            expansion: Its thermal expansion.
+            nodes: Number of its nodes on this rank.
+        """
+        names = ("a_old", "T_old", "a", "T", "gel", "expansion", "shrinkage")
+
+        def increment(x: dict[str, Expr]) -> list[Expr]:
+            return [forms.free_strain_increment(*(x[k] for k in names))]
+
+        self._law = Pointwise(comm, nodes, dict.fromkeys(names, 1), increment)
+        self._law.set(
+            gel=np.full(nodes, cure.gel),
+            expansion=np.full(nodes, expansion.coefficient),
+            shrinkage=np.full(nodes, cure.shrinkage),
+        )
+
+    def increment(self, a_old: Floats, T_old: Floats, a: Floats, T: Floats) -> Floats:
+        """Linear strain (n,) [-] of a step from (a_old, T_old) to (a, T [K]), each (n,)."""
+        return self._law(a_old=a_old, T_old=T_old, a=a, T=T)[0]
+
+
+def _logistic(s: Floats) -> Floats:
+    """1 / (1 + exp(-s)) without overflow."""
+    small = np.exp(-np.abs(s))
+    return np.where(s < 0, small, 1.0) / (1 + small)
+
+
+def _plain(*expressions: Expr) -> list[Expr]:
+    """Expressions with derivatives taken and without the labels of their variables.
+
+    The labels differ from run to run; without them what is compiled is found again.
+    """
+    return [strip_variables(expand_derivatives(e)) for e in expressions]
