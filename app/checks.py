@@ -10,22 +10,29 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from app import thermal_checks
 from app.case_file import Path, Problem
 from app.conditions import Bonded
 from app.fields import did_you_mean
-from app.materials import Rigid
+from app.materials import Conductor, Rigid
 from app.study_options import OF_RUN
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The sections of a case; None for one that is missing or invalid by itself."""
+    """The sections of a case; None for one that is missing or invalid by itself.
+
+    Of `time` it matters only whether it is there.
+    """
 
     geometry: Any
     regions: Mapping[str, Any] | None
     interfaces: Mapping[str, Any]
     supports: Mapping[str, Any] | None
     loads: Mapping[str, Any]
+    heat: Mapping[str, Any]
+    time: bool
+    output: Any
     stages: Any
     study: Any
 
@@ -36,8 +43,11 @@ def cross_check(parts: Parts) -> list[Problem]:
         *_names(parts),
         *_histories(parts),
         *_stage_names(parts),
+        *_support_stages(parts),
         *_rigid(parts),
         *_held(parts),
+        *thermal_checks.cross_check(parts),
+        *thermal_checks.probe_regions(parts),
         *quantities(parts.geometry, parts.study),
     ]
 
@@ -68,8 +78,8 @@ def _names(parts: Parts) -> Iterable[Problem]:
     for name in parts.interfaces:
         if name not in geometry.interface_sides:
             yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
-    for section, entries in (("supports", parts.supports or {}), ("loads", parts.loads)):
-        for name, entry in entries.items():
+    for section in ("supports", "loads", "heat"):
+        for name, entry in (getattr(parts, section) or {}).items():
             boundary = getattr(entry, "boundary", None)
             if boundary is not None and boundary not in boundaries:
                 yield _unknown((section, name, "boundary"), "boundary", boundary, boundaries, kind)
@@ -114,6 +124,18 @@ def _stage_names(parts: Parts) -> Iterable[Problem]:
             )
 
 
+def _support_stages(parts: Parts) -> Iterable[Problem]:
+    """Supports that hold in stages that there are not."""
+    if parts.stages is None:
+        return
+    known = [stage.name for stage in parts.stages]
+    for name, support in (parts.supports or {}).items():
+        for i, stage in enumerate(getattr(support, "stages", None) or ()):
+            if stage not in known:
+                text = f"'{stage}' is not one of {', '.join(known)}{did_you_mean(stage, known)}"
+                yield Problem(("supports", name, "stages", i), text)
+
+
 def _rigid(parts: Parts) -> Iterable[Problem]:
     """Rigid regions in contact with each other, and models without any elastic region."""
     if parts.geometry is None or not parts.regions:
@@ -136,11 +158,21 @@ def _held(parts: Parts) -> Iterable[Problem]:
     """Directions in which nothing keeps the whole model from moving."""
     if parts.supports is None or any(support is None for support in parts.supports.values()):
         return
-    held = {axis for support in parts.supports.values() for axis in support.held_axes}
-    if free := [axis for axis in "xyz" if axis not in held]:
-        along = "" if len(free) == 3 else f" along {' and '.join(free)}"
-        allowed = "expected a support: fixed, roller, displacement or foundation"
-        yield Problem(("supports",), f"nothing holds the model{along}; {allowed}")
+    if parts.regions and all(isinstance(r, Conductor) for r in parts.regions.values()):
+        return
+    limited = any(getattr(support, "stages", None) for support in parts.supports.values())
+    for stage in [s.name for s in parts.stages or ()] if limited else [""]:
+        held = {
+            axis
+            for support in parts.supports.values()
+            for axis in support.held_axes
+            if not (stages := getattr(support, "stages", None)) or stage in stages
+        }
+        when = f" in stage '{stage}'" if stage else ""
+        if free := [axis for axis in "xyz" if axis not in held]:
+            along = "" if len(free) == 3 else f" along {' and '.join(free)}"
+            allowed = "expected a support: fixed, roller, displacement or foundation"
+            yield Problem(("supports",), f"nothing holds the model{along}{when}; {allowed}")
 
 
 def quantities(geometry: Any, study: Any) -> Iterable[Problem]:

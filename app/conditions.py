@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, ValidationInfo, model_validator
+from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_validator
 
 from app.expressions import Varying
 from app.fields import ITEMS, Kinds, Model, Name, Word, fail, show
 from app.materials import History
+from app.thermal_options import Conductance, FrictionHeating, PressureConductance
 from app.units import (
     Dimension,
     ForceVector,
@@ -27,10 +28,30 @@ ForceDensityField = Annotated[
 ]
 
 
+def _some_stages(names: tuple[str, ...]) -> tuple[str, ...]:
+    if not names:
+        fail("is empty; expected names of stages")
+    return names
+
+
+StageNames = Annotated[tuple[Name, ...], ITEMS, AfterValidator(_some_stages)] | None
+
+
 class Bonded(Model):
     """The two sides are one continuum."""
 
     kind: Literal["bonded"] = "bonded"
+    conductance: Conductance = None
+    """Power per area and temperature jump; perfect (no jump) by default."""
+
+    @model_validator(mode="after")
+    def _no_pressure(self) -> Bonded:
+        if isinstance(self.conductance, PressureConductance):
+            fail(
+                "a bonded interface has no contact pressure; expected kind: contact or penalty",
+                at=("conductance",),
+            )
+        return self
 
 
 class Contact(Model):
@@ -45,6 +66,15 @@ class Contact(Model):
     """Multiplier of the gap at the end of each stage, from 0; all ones by default."""
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
+    conductance: Conductance = None
+    """Power per area and temperature jump; perfect (no jump) by default."""
+    friction_heating: FrictionHeating | None = None
+    """Part of the heat of friction that goes into the first side; none is heated by default."""
+
+    @model_validator(mode="after")
+    def _rubs(self) -> Contact:
+        _rubs(self)
+        return self
 
 
 class Penalty(Model):
@@ -59,6 +89,21 @@ class Penalty(Model):
     """Initial gap: positive open, negative an interference (press fit)."""
     gap_history: History = None
     """Multiplier of the gap at the end of each stage, from 0; all ones by default."""
+    conductance: Conductance = None
+    """Power per area and temperature jump; perfect (no jump) by default."""
+    friction_heating: FrictionHeating | None = None
+    """Part of the heat of friction that goes into the first side; none is heated by default."""
+
+    @model_validator(mode="after")
+    def _rubs(self) -> Penalty:
+        _rubs(self)
+        return self
+
+
+def _rubs(law: Contact | Penalty) -> None:
+    """Refuse heat of friction without friction."""
+    if law.friction_heating is not None and law.friction_coefficient == 0.0:
+        fail("there is no friction", at=("friction_heating",))
 
 
 Interface = Annotated[Bonded | Contact | Penalty, Kinds()]
@@ -70,6 +115,8 @@ class Fixed(Model):
     kind: Literal["fixed"] = "fixed"
     boundary: Name
     """Boundary of the geometry."""
+    stages: StageNames = None
+    """Stages in which it holds; all by default."""
 
     @property
     def held_axes(self) -> str:
@@ -85,6 +132,8 @@ class Roller(Model):
     """Boundary of the geometry."""
     axis: Annotated[Literal["x", "y", "z"], Word()]
     """The axis."""
+    stages: StageNames = None
+    """Stages in which it holds; all by default."""
 
     @property
     def held_axes(self) -> str:
@@ -106,6 +155,8 @@ class Displacement(Model):
     """Displacement along z; free if absent."""
     history: History = None
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
+    stages: StageNames = None
+    """Stages in which it holds; all by default."""
 
     @model_validator(mode="after")
     def _some(self) -> Displacement:

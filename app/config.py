@@ -16,7 +16,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, Field, TypeAdapter, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 
 from app import case_file, checks
 from app.case_file import CaseFile, Problem
@@ -31,6 +38,7 @@ from app.conditions import (
     Interface,
     Load,
     Penalty,
+    Point,
     Pressure,
     Roller,
     Support,
@@ -47,25 +55,54 @@ from app.geometries import (
     MeshOptions,
 )
 from app.json_schema import json_schema
-from app.materials import Eigenstrain, Isotropic, Region, Rigid, TransverselyIsotropic
+from app.materials import (
+    Conductor,
+    Eigenstrain,
+    Isotropic,
+    Region,
+    Rigid,
+    TransverselyIsotropic,
+)
 from app.study_options import Study
-from app.units import NonNegativeInteger, PositiveInteger, PositiveNumber
+from app.thermal_options import (
+    Autocatalytic,
+    Convection,
+    Cure,
+    FixedTemperature,
+    HeatCondition,
+    HeatFlux,
+    HeatSource,
+    Perfusion,
+    Prescribed,
+    PressureConductance,
+    Thermal,
+    TimeOptions,
+)
+from app.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
 
 __all__ = [
+    "Autocatalytic",
     "Block",
     "Blocks",
     "BodyForce",
     "Bonded",
     "Case",
+    "Conductor",
     "Contact",
+    "Convection",
+    "Cure",
     "Cylinders",
     "Displacement",
     "Eigenstrain",
     "Femur",
     "Fixed",
+    "FixedTemperature",
     "Force",
     "Foundation",
     "Geometry",
+    "HeatCondition",
+    "HeatFlux",
+    "HeatSource",
     "Interface",
     "Isotropic",
     "Load",
@@ -73,7 +110,11 @@ __all__ = [
     "MeshOptions",
     "OutputOptions",
     "Penalty",
+    "Perfusion",
+    "Prescribed",
     "Pressure",
+    "PressureConductance",
+    "Probe",
     "Region",
     "Rigid",
     "Roller",
@@ -81,6 +122,8 @@ __all__ = [
     "Stage",
     "Study",
     "Support",
+    "Thermal",
+    "TimeOptions",
     "TransverselyIsotropic",
     "dump",
     "evaluate",
@@ -100,6 +143,21 @@ class Stage(Model):
     """Whether the step may be cut when it diverges and grow when it is easy."""
     max_cut_backs: NonNegativeInteger = 6
     """How often in a row a step may be halved."""
+    duration: PositiveTime | None = None
+    """Time it takes; none by default: temperatures stay as they are."""
+    steady: Truth = False
+    """Whether heat flows until nothing changes, however long that takes."""
+
+    @model_validator(mode="after")
+    def _one_end(self) -> Stage:
+        if self.steady and self.duration is not None:
+            fail("a steady stage takes as long as it takes: no duration", at=("duration",))
+        return self
+
+    @property
+    def takes_time(self) -> bool:
+        """Whether heat flows in it."""
+        return self.steady or self.duration is not None
 
 
 def _petsc(value: object) -> object:
@@ -131,6 +189,22 @@ class SolverOptions(Model):
     """Raw PETSc options, without the leading dash."""
     augmentation_factor: PositiveNumber = 0.5
     """r = factor * (modulus of the softer side) / h where an interface does not give its own."""
+    coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
+    """How heat and mechanics that need each other are solved: in one, or in turn."""
+
+
+class Probe(Model):
+    """A point whose temperature is recorded."""
+
+    at: Point
+    """Where."""
+    region: Name | None = None
+    """Region it belongs to, where two meet."""
+
+
+def _probe(value: object) -> object:
+    """A point alone stands for a probe."""
+    return value if isinstance(value, dict | Probe) else {"at": value}
 
 
 class OutputOptions(Model):
@@ -144,6 +218,10 @@ class OutputOptions(Model):
     """Whether the condition of the last Jacobian is estimated: some twenty more linear solves."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
+    probes: Annotated[dict[Name, Annotated[Probe, BeforeValidator(_probe)]], MAPPING] = Field(
+        default_factory=dict
+    )
+    """Points whose temperature is recorded over time."""
 
 
 class Case(Model):
@@ -163,14 +241,23 @@ class Case(Model):
     """What holds the model."""
     loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
     """What acts on it."""
+    heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
+    """What brings heat in or takes it away."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
     """The loading history."""
+    time: TimeOptions | None = None
+    """How stages that take time are divided into steps; only where there is heat."""
     solver: SolverOptions = SolverOptions()
     """How the equations are solved."""
     output: OutputOptions = OutputOptions()
     """What is written."""
     study: Study | None = None
     """What `mantle study` varies and measures; a run does not look at it."""
+
+    @property
+    def conducts(self) -> bool:
+        """Whether there is heat in it at all."""
+        return any(region.thermal is not None for region in self.regions.values())
 
 
 def load(path: Path, overrides: Sequence[str] = ()) -> Case:
@@ -217,7 +304,8 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     if mesh.curved is None:
         curved = mesh.order == 2 and case.geometry.has_curved_surfaces
         mesh = mesh.model_copy(update={"curved": curved})
-    return case.model_copy(update={"interfaces": interfaces, "mesh": mesh})
+    time = (case.time or TimeOptions()) if case.conducts else None
+    return case.model_copy(update={"interfaces": interfaces, "mesh": mesh, "time": time})
 
 
 def is_study(data: dict[str, Any]) -> bool:
@@ -295,6 +383,9 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
         interfaces=table("interfaces", Interface),
         supports=table("supports", Support) if isinstance(data.get("supports", {}), dict) else None,
         loads=table("loads", Load),
+        heat=table("heat", HeatCondition),
+        time="time" in data,
+        output=part(OutputOptions, data.get("output", {})),
         stages=part(Case.model_fields["stages"].annotation, data["stages"])
         if "stages" in data
         else default,
@@ -344,10 +435,10 @@ def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[B
     for item in location[:-1]:
         if isinstance(item, str) and item.startswith(TAG):
             current = next(m for m in _models(current) if TAG + m.__name__ == item)
-        elif isinstance(current, type) and issubclass(current, BaseModel):
-            current = current.model_fields[str(item)].annotation
         elif get_origin(current) in (dict, tuple):
             current = get_args(current)[1 if get_origin(current) is dict else 0]
+        elif (owner := next(_models(current), None)) is not None:
+            current = owner.model_fields[str(item)].annotation
     return next(_models(current), model)
 
 

@@ -184,7 +184,8 @@ class Varying(Scalar):
         """
         # "0.02 mm" is a length and "0.02" one without its unit; "0.02 * x" is an expression.
         if not isinstance(value, str) or (
-            (match := NUMBER.fullmatch(value)) and (not match[2] or match[2][0].isalpha())
+            (match := NUMBER.fullmatch(value))
+            and (not match[2] or match[2][0].isalpha() or match[2][0] == "°")
         ):
             return self.constant.read(value)
         try:

@@ -7,13 +7,13 @@ E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margi
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, model_validator
 
 from app.fields import ITEMS, Kinds, Model, fail, show
-from app.units import Direction, Modulus, Number
+from app.thermal_options import Thermal
+from app.units import Axis, Modulus, Number
 
 History = Annotated[tuple[Number, ...], ITEMS] | None
 # Poisson's ratio beyond which a material counts as nearly incompressible, and the margin there.
@@ -52,6 +52,8 @@ class Isotropic(Model):
     """Poisson's ratio nu."""
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
+    thermal: Thermal | None = None
+    """Conduction of heat; all regions or none."""
 
     @model_validator(mode="after")
     def _admissible(self) -> Isotropic:
@@ -81,34 +83,17 @@ class TransverselyIsotropic(Model):
     """nu_t, in the transverse plane."""
     axial_shear_modulus: Modulus
     """mu_l, between the fibre and the transverse plane."""
-    fibre: Direction = (0.0, 0.0, 1.0)
+    fibre: Axis = (0.0, 0.0, 1.0)
     """Fibre direction; any length but zero, normalised."""
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _normalise(cls, values: object) -> object:
-        if not isinstance(values, dict) or not isinstance(values.get("fibre"), list | tuple):
-            return values
-        fibre = values["fibre"]
-        if not all(isinstance(c, int | float) and not isinstance(c, bool) for c in fibre):
-            return values
-        # Scaled first, so that neither huge nor tiny entries overflow.
-        largest = max((abs(float(c)) for c in fibre), default=0.0)
-        if not 0.0 < largest < math.inf:
-            return values
-        scaled = [c / largest for c in fibre]
-        length = math.hypot(*scaled)
-        # Left alone once it is of unit length, so that a saved case reads back unchanged.
-        if abs(largest * length - 1.0) < 1e-12:
-            return values
-        return {**values, "fibre": [c / length for c in scaled]}
+    thermal: Thermal | None = None
+    """Conduction of heat; all regions or none."""
 
     @model_validator(mode="after")
     def _admissible(self) -> TransverselyIsotropic:
-        if not any(self.fibre):
-            fail("is the zero vector; expected a direction", at=("fibre",))
+        if self.thermal is not None and self.thermal.fibre is not None:
+            fail("the region has a fibre of its own", at=("thermal", "fibre"))
         e_l, e_t = self.axial_youngs_modulus, self.transverse_youngs_modulus
         nu_t = self.transverse_poisson_ratio
         positive_definite(
@@ -154,6 +139,34 @@ class Rigid(Model):
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
     """Must be true."""
+    thermal: Thermal | None = None
+    """Conduction of heat; all regions or none."""
+
+    @model_validator(mode="after")
+    def _strainless(self) -> Rigid:
+        if self.thermal is not None:
+            _does_not(self.thermal, "a rigid region", "thermal_expansion", "cure")
+        return self
+
+
+class Conductor(Model):
+    """Conducts heat, and is not looked at as a solid: all regions or none."""
+
+    kind: Literal["conductor"] = "conductor"
+    thermal: Thermal
+    """Conduction of heat."""
+
+    @model_validator(mode="after")
+    def _strainless(self) -> Conductor:
+        _does_not(self.thermal, "a conductor", "thermal_expansion")
+        return self
+
+
+def _does_not(thermal: Thermal, what: str, *keys: str) -> None:
+    """Refuse what a region cannot do."""
+    for key in keys:
+        if getattr(thermal, key) is not None:
+            fail(f"{what} does not strain; expected an elastic region", at=("thermal", key))
 
 
 def positive_definite(*conditions: tuple[bool, str, str]) -> None:
@@ -167,4 +180,6 @@ def positive_definite(*conditions: tuple[bool, str, str]) -> None:
             fail(f"the stiffness is not positive definite; expected {inequality}", at=(key,))
 
 
-Region = Annotated[Isotropic | TransverselyIsotropic | Rigid, Kinds(default="isotropic")]
+Region = Annotated[
+    Isotropic | TransverselyIsotropic | Rigid | Conductor, Kinds(default="isotropic")
+]

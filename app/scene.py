@@ -6,13 +6,13 @@ empty tuple.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app import config
-from app.errors import InputError
+from app.geometries import Sides
+from app.scene_heat import field, heat
 from app.terms import (
     BodyForce,
     Contact,
@@ -30,28 +30,36 @@ from app.terms import (
 )
 from forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
 
-Floats = NDArray[np.float64]
-
 
 def build(case: config.Case) -> Scene:
     """Choose the terms of a case."""
     stages = len(case.stages)
-    regions = [_region(name, r, stages) for name, r in case.regions.items()]
-    elastic = tuple(e for e in regions if isinstance(e, Elastic))
+    elastic = tuple(term for name, r in case.regions.items() for term in _elastic(name, r, stages))
     moduli = {e.region: e.modulus for e in elastic}
+    sides = {
+        name: _stiffer_first(pair, moduli) for name, pair in case.geometry.interface_sides.items()
+    }
     return Scene(
         order=case.mesh.order,
         elastic=elastic,
-        rigid=tuple(e for e in regions if isinstance(e, RigidBody)),
+        rigid=tuple(
+            RigidBody(name) for name, r in case.regions.items() if isinstance(r, config.Rigid)
+        ),
         foundations=tuple(f for s in case.supports.values() for f in _foundation(s)),
-        supports=tuple(f for name, s in case.supports.items() for f in _support(name, s, stages)),
+        supports=tuple(
+            term for name, s in case.supports.items() for term in _support(name, s, case.stages)
+        ),
         loads=tuple(_load(name, load, moduli, stages) for name, load in case.loads.items()),
         contacts=tuple(
             term
             for name, law in case.interfaces.items()
-            for term in _contact(name, law, case.geometry.interface_sides[name], moduli, stages)
+            for term in _contact(name, law, sides[name], moduli, stages)
         ),
-        stages=tuple(Stage(s.name, s.increments, s.adaptive, s.max_cut_backs) for s in case.stages),
+        stages=tuple(
+            Stage(s.name, s.increments, s.adaptive, s.max_cut_backs, s.duration or 0.0, s.steady)
+            for s in case.stages
+        ),
+        **heat(case, sides),
     )
 
 
@@ -59,32 +67,36 @@ def _history(values: tuple[float, ...] | None, stages: int) -> tuple[float, ...]
     return values if values is not None else (1.0,) * stages
 
 
-def _region(name: str, region: config.Region, stages: int) -> Elastic | RigidBody:
+def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ...]:
     match region:
-        case config.Rigid():
-            return RigidBody(name)
         case config.Isotropic():
-            return Elastic(
-                name,
-                isotropic_coefficients(region.youngs_modulus, region.poisson_ratio),
-                (),
-                region.youngs_modulus,
-                _eigenstrains(region.eigenstrains, stages),
+            return (
+                Elastic(
+                    name,
+                    isotropic_coefficients(region.youngs_modulus, region.poisson_ratio),
+                    (),
+                    region.youngs_modulus,
+                    _eigenstrains(region.eigenstrains, stages),
+                ),
             )
         case config.TransverselyIsotropic():
-            return Elastic(
-                name,
-                transversely_isotropic_coefficients(
-                    region.axial_youngs_modulus,
-                    region.transverse_youngs_modulus,
-                    region.axial_poisson_ratio,
-                    region.transverse_poisson_ratio,
-                    region.axial_shear_modulus,
+            return (
+                Elastic(
+                    name,
+                    transversely_isotropic_coefficients(
+                        region.axial_youngs_modulus,
+                        region.transverse_youngs_modulus,
+                        region.axial_poisson_ratio,
+                        region.transverse_poisson_ratio,
+                        region.axial_shear_modulus,
+                    ),
+                    region.fibre,
+                    max(region.axial_youngs_modulus, region.transverse_youngs_modulus),
+                    _eigenstrains(region.eigenstrains, stages),
                 ),
-                tuple(region.fibre),
-                max(region.axial_youngs_modulus, region.transverse_youngs_modulus),
-                _eigenstrains(region.eigenstrains, stages),
             )
+        case _:
+            return ()
 
 
 def _eigenstrains(strains: tuple[config.Eigenstrain, ...], stages: int) -> tuple[Eigenstrain, ...]:
@@ -99,7 +111,9 @@ def _foundation(support: config.Support) -> tuple[Foundation, ...]:
             return ()
 
 
-def _support(name: str, support: config.Support, stages: int) -> tuple[Support, ...]:
+def _support(
+    name: str, support: config.Support, stages: tuple[config.Stage, ...]
+) -> tuple[Support, ...]:
     match support:
         case config.Fixed():
             given: tuple[float | str | None, ...] = (0.0, 0.0, 0.0)
@@ -113,7 +127,10 @@ def _support(name: str, support: config.Support, stages: int) -> tuple[Support, 
             return ()
     x, y, z = (value is not None for value in given)
     values = _vector(f"supports.{name}", dict(zip("xyz", given, strict=True)))
-    return (Support(name, support.boundary, (x, y, z), values, _history(history, stages)),)
+    held = support.stages
+    active = () if held is None else tuple(stage.name in held for stage in stages)
+    factors = _history(history, len(stages))
+    return (Support(name, support.boundary, (x, y, z), values, factors, active),)
 
 
 def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int) -> Load:
@@ -132,11 +149,11 @@ def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int
 def _contact(
     name: str,
     law: config.Interface,
-    sides: tuple[tuple[str, ...], tuple[str, ...]],
+    sides: Sides,
     moduli: Mapping[str, float],
     stages: int,
 ) -> tuple[Contact, ...]:
-    """A contact term; a bonded interface is none at all."""
+    """A contact term between a master and a slave; a bonded interface is none at all."""
     match law:
         case config.Bonded():
             return ()
@@ -144,40 +161,35 @@ def _contact(
             augmented, stiffness = True, law.augmentation or 0.0
         case config.Penalty():
             augmented, stiffness = False, law.penalty
-    # The softer side carries the jump; a rigid side is stiffer than any.
-    stiff = [max(moduli.get(r, np.inf) for r in side) for side in sides]
-    master, slave = sides if stiff[0] >= stiff[1] else sides[::-1]
+    master, slave = sides
     return (
         Contact(
             name=name,
-            master=tuple(master),
-            slave=tuple(slave),
+            master=master,
+            slave=slave,
             frictional=law.friction_coefficient > 0,
             friction=law.friction_coefficient,
             augmented=augmented,
             stiffness=stiffness,
-            modulus=min(stiff),
-            gap=_field(f"interfaces.{name}.gap", law.gap),
+            modulus=_stiffness(slave, moduli),
+            gap=field(f"interfaces.{name}.gap", law.gap),
             history=_history(law.gap_history, stages),
         ),
     )
 
 
-def _field(key: str, value: float | str) -> Field:
-    """A value or an expression as a function of points (n, 3): shape (n,)."""
+def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:
+    """Largest modulus on a side of an interface; of a rigid one larger than any."""
+    return max(moduli.get(region, np.inf) for region in side)
 
-    def at(x: Floats) -> Floats:
-        if not isinstance(value, str):
-            return np.full(len(x), value)
-        try:
-            return config.evaluate(value, x)
-        except InputError as error:
-            raise InputError(f"{key}: {error}") from error
 
-    return at
+def _stiffer_first(sides: Sides, moduli: Mapping[str, float]) -> Sides:
+    """Master and slave: the softer side carries the jump."""
+    a, b = (tuple(side) for side in sides)
+    return (a, b) if _stiffness(a, moduli) >= _stiffness(b, moduli) else (b, a)
 
 
 def _vector(key: str, components: Mapping[str, float | str | None]) -> Field:
     """Three of them as one: shape (n, 3), zero where there is none."""
-    fields = [_field(f"{key}.{name}", value or 0.0) for name, value in components.items()]
-    return lambda x: np.stack([field(x) for field in fields], axis=1)
+    fields = [field(f"{key}.{name}", value or 0.0) for name, value in components.items()]
+    return lambda x: np.stack([component(x) for component in fields], axis=1)

@@ -16,14 +16,14 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import Annotated, Any
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from app.fields import Scalar, did_you_mean, fail, show
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
 NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
-UNIT = re.compile(r"[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
+UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
 # Powers of powers and long exponents would cost more than they can mean.
 LONGEST = 60
 TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
@@ -42,10 +42,20 @@ DIMENSIONS = {
     (-2, 1, -2, 0): "a stiffness per area",
     (2, 1, -2, 0): "a moment or an energy",
     (-3, 1, 0, 0): "a mass per volume",
+    (0, 0, -1, 0): "a rate",
+    (0, 0, 0, -1): "an expansion per temperature",
+    (1, 1, -3, -1): "a conductivity",
+    (2, 0, -2, -1): "a specific heat",
+    (2, 0, -2, 0): "an energy per mass",
+    (2, 1, -3, 0): "a power",
+    (0, 1, -3, 0): "a power per area",
+    (-1, 1, -3, 0): "a power per volume",
+    (0, 1, -3, -1): "a conductance per area",
+    (1, 0, -1, -1): "a conductance per area and pressure",
 }
 SUGGESTIONS = (
     "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
-    "kg tonne"
+    "kg tonne kg/m^3 W/m^2 W/m^3 J/m^3 J/mol 1/K 1/s"
 ).split()
 
 
@@ -95,6 +105,8 @@ def _dimension(unit: Any) -> str:
     exponents = dict(unit.dimensionality)
     base = ("[length]", "[mass]", "[time]", "[temperature]")
     known = DIMENSIONS.get(tuple(exponents.pop(name, 0) for name in base))
+    if known and exponents == {"[substance]": -1}:
+        return f"{known} per amount of substance"
     return known if known and not exponents else "something else"
 
 
@@ -107,9 +119,15 @@ def finite(value: int | float) -> bool:
 
 
 def outside(
-    value: float, above: float | None, at_least: float | None, at_most: float | None
+    value: float,
+    above: float | None,
+    at_least: float | None,
+    at_most: float | None,
+    below: float | None = None,
 ) -> str:
     """What bound a value violates, in words, or nothing."""
+    if below is not None and not value < below:
+        return f"must be below {below:g}"
     if above is not None and not value > above:
         return "must be positive" if above == 0 else f"must be above {above:g}"
     if at_least is not None and value < at_least:
@@ -198,10 +216,61 @@ class Dimension(Scalar):
         """Text that starts with a number and ends with a unit."""
         return {
             "type": "string",
-            "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°].*$",
+            "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1\s*/\s*)?[A-Za-zµμ°].*$",
             "description": f"{self.what} with a unit (kept in {self.unit})",
             "examples": [self.example],
         }
+
+
+@dataclass(frozen=True)
+class AbsoluteTemperature(Dimension):
+    """Marks a temperature, which degC and K count from different zeros."""
+
+    unit: str = "K"
+    what: str = "a temperature"
+    example: str = "37 degC"
+
+    def read(self, value: object) -> float:
+        """The value in K.
+
+        Raises:
+            PydanticCustomError: As `Dimension.read`; a difference of temperatures; below 0 K.
+        """
+        match = NUMBER.fullmatch(value) if isinstance(value, str) else None
+        if match and match[2] in ("C", "F"):
+            fail(f"{show(value)} is not {self.what}; did you mean '{match[1]} deg{match[2]}'?")
+        if match and "delta" in match[2]:
+            fail(f"{show(value)} is a difference of temperatures; expected one such as 37 degC")
+        result = super().read(value)
+        if result <= 0.0:
+            fail(f"{show(value)} is not above absolute zero, -273.15 degC or 0 K")
+        return result
+
+    def write(self, value: float) -> str:
+        """The value in degC where that reads back to the same float, else in K."""
+        celsius = f"{round(value - 273.15, 9)!r} degC"
+        return celsius if self.read(celsius) == value else super().write(value)
+
+
+@dataclass(frozen=True)
+class TemperatureDifference(Dimension):
+    """Marks a difference of temperatures: 5 K, which is not 5 degC."""
+
+    unit: str = "K"
+    what: str = "a difference of temperatures"
+    example: str = "5 K"
+
+    def read(self, value: object) -> float:
+        """The value in K.
+
+        Raises:
+            PydanticCustomError: As `Dimension.read`; a temperature.
+        """
+        result = super().read(value)
+        match = NUMBER.fullmatch(str(value))
+        if match and conversion(match[2], self.unit)[1] != 0:
+            fail(f"{show(value)} is a temperature; expected {self.what} such as '{match[1]} K'")
+        return result
 
 
 @dataclass(frozen=True)
@@ -213,12 +282,14 @@ class Plain(Scalar):
         above: Exclusive lower bound.
         at_least: Inclusive lower bound.
         at_most: Inclusive upper bound.
+        below: Exclusive upper bound.
     """
 
     integer: bool = False
     above: float | None = None
     at_least: float | None = None
     at_most: float | None = None
+    below: float | None = None
 
     def read(self, value: object) -> float | int:
         """The value unchanged (as a float unless `integer`).
@@ -235,7 +306,7 @@ class Plain(Scalar):
             fail(f"{show(value)} is not finite; expected a {kind}")
         if self.integer and value != int(value):
             fail(f"{value} is not a {kind}")
-        if bound := outside(value, self.above, self.at_least, self.at_most):
+        if bound := outside(value, self.above, self.at_least, self.at_most, self.below):
             fail(f"{value} {bound}")
         return int(value) if self.integer else float(value)
 
@@ -243,7 +314,12 @@ class Plain(Scalar):
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         """A number with its bounds."""
-        bounds = {"exclusiveMinimum": self.above, "minimum": self.at_least, "maximum": self.at_most}
+        bounds = {
+            "exclusiveMinimum": self.above,
+            "minimum": self.at_least,
+            "maximum": self.at_most,
+            "exclusiveMaximum": self.below,
+        }
         kind = {"type": "integer" if self.integer else "number"}
         return kind | {k: v for k, v in bounds.items() if v is not None}
 
@@ -268,6 +344,32 @@ def _entries(text: str) -> list[str]:
         else:
             parts[-1] += character
     return parts
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Marks a field as a list of exactly two.
+
+    Attributes:
+        example: A value as a user would write it.
+    """
+
+    example: str
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Count before the entries are read."""
+
+        def check(value: object) -> object:
+            if not isinstance(value, list | tuple) or len(value) != 2:
+                found = (
+                    f"has {len(value)} values" if isinstance(value, list | tuple) else show(value)
+                )
+                fail(f"{found}; expected a pair such as {self.example}")
+            return value
+
+        return core_schema.no_info_before_validator_function(check, handler(source))
 
 
 @dataclass(frozen=True)
@@ -325,6 +427,41 @@ Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]
 Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
 PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
 Newton = Annotated[float, Dimension("N", "a force", "1800 N")]
+_time = ("s", "a time", "600 s")
+NonNegativeTime = Annotated[float, Dimension(*_time, at_least=0.0)]
+PositiveTime = Annotated[float, Dimension(*_time, above=0.0)]
+
+Temperature = Annotated[float, AbsoluteTemperature()]
+PositiveDifference = Annotated[float, TemperatureDifference(above=0.0)]
+# The internal unit of each has the size of one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
+Conductivity = Annotated[float, Dimension("W/(m*K)", "a conductivity", "0.2 W/(m K)", above=0.0)]
+Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
+SpecificHeat = Annotated[
+    float, Dimension("mJ/(tonne*K)", "a specific heat", "1460 J/(kg K)", above=0.0)
+]
+ExpansionCoefficient = Annotated[
+    float, Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
+]
+HeatDensity = Annotated[
+    float, Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
+]
+_conductance = ("mW/(mm^2*K)", "a conductance per area", "300 W/(m^2 K)")
+ConductancePerArea = Annotated[float, Dimension(*_conductance, at_least=0.0)]
+FilmCoefficient = Annotated[float, Dimension(*_conductance, above=0.0)]
+ConductancePerPressure = Annotated[
+    float,
+    Dimension(
+        "mW/(mm^2*K*MPa)",
+        "a conductance per area and pressure",
+        "100 W/(m^2 K MPa)",
+        above=0.0,
+    ),
+]
+PositiveRate = Annotated[float, Dimension("1/s", "a rate", "0.002 1/s", above=0.0)]
+ActivationEnergy = Annotated[
+    float,
+    Dimension("J/mol", "an energy per amount of substance", "62866 J/mol", at_least=0.0),
+]
 
 Number = Annotated[float, Plain()]
 PositiveNumber = Annotated[float, Plain(above=0.0)]
@@ -336,4 +473,21 @@ ForceVector = Annotated[tuple[Newton, Newton, Newton], Triple("[0 N, 0 N, -1800 
 SizeVector = Annotated[
     tuple[PositiveLength, PositiveLength, PositiveLength], Triple("[10 mm, 10 mm, 5 mm]")
 ]
-Direction = Annotated[tuple[Number, Number, Number], Triple("[0, 0, 1]")]
+
+
+def _normalise(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    """A direction of unit length."""
+    if not any(axis):
+        fail("is the zero vector; expected a direction")
+    # Scaled first, so that neither huge nor tiny entries overflow.
+    largest = max(abs(c) for c in axis)
+    scaled = [c / largest for c in axis]
+    length = math.hypot(*scaled)
+    # Left alone once it is of unit length, so that a saved case reads back unchanged.
+    if abs(largest * length - 1.0) < 1e-12:
+        return axis
+    x, y, z = (c / length for c in scaled)
+    return x, y, z
+
+
+Axis = Annotated[tuple[Number, Number, Number], Triple("[0, 0, 1]"), AfterValidator(_normalise)]

@@ -80,7 +80,7 @@ TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [
             "23:3: interfaces.stem_cement: 'friction_coefficient' is missing",
             "25:5: interfaces.stem_cement.friction_coeficient: unknown key; allowed: kind, "
-            "friction_coefficient, gap, gap_history, augmentation; "
+            "friction_coefficient, gap, gap_history, augmentation, conductance, friction_heating; "
             "did you mean 'friction_coefficient'?",
         ],
     ),
