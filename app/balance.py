@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -9,6 +11,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
+from ufl.core.expr import Expr
 
 from app.problem import Problem, Trial
 from app.terms import Elastic, amplitude
@@ -21,14 +24,15 @@ class Balance:
     """Sums kept from step to step.
 
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
-    supports, eigenstrains) equals the stored energy plus the work of the interface forces.
+    supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
+    forces.
     """
 
     def __init__(self, problem: Problem, about: Floats) -> None:
         """Compile the forms; collective.
 
         Args:
-            problem: At rest.
+            problem: At rest, before any temperature is set.
             about: Point that moments are taken about (3,) [mm].
         """
         self._problem = problem
@@ -48,6 +52,11 @@ class Balance:
             (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
             for e in scene.elastic
             for s in e.eigenstrains
+        ]
+        elastic = {e.region: e for e in scene.elastic}
+        self._swelling = [
+            (mechanics.swelling[x.region], mechanics.form(self._swelling_work(elastic[x.region])))
+            for x in scene.expansions
         ]
         # The traction k_i U_i of each bed of springs on each body.
         beds = [
@@ -76,25 +85,31 @@ class Balance:
         self.force = self.moment = self.energy = 0.0
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
+        return self._strain_work_of(e, elasticity.eigenstrain(components))
+
+    def _swelling_work(self, e: Elastic) -> object:
+        """Work by nodal swelling."""
+        return self._strain_work_of(
+            e, elasticity.swelling(ufl.TestFunction(self._problem.mechanics.scalars))
+        )
+
+    def _strain_work_of(self, e: Elastic, strain: Expr) -> Any:
+        """Work of a region's stress in a free strain."""
         mechanics, problem = self._problem.mechanics, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(
             lambda ε: mechanics.energy_density(e, ε), mechanics.elastic_strain(e, U)
         )
-        dx = mechanics.cells()
-        work = loads.mechanical_work(σ, elasticity.eigenstrain(components))
-        return -work * dx(mechanics.tag(e.region))
+        return -loads.mechanical_work(σ, strain) * mechanics.cells()(mechanics.tag(e.region))
 
     def _measure(self, u: PETSc.Vec, trial: Trial | None) -> dict:
         """Everything that enters the balances at the current time and state."""
         problem = self._problem
-        total = PETSc.Vec().createMPI((len(problem.reduction.reacting), None), comm=problem.comm)
+        internal = np.zeros(len(problem.reduction.reacting))
         for form in self._internal:
-            part = fem.petsc.assemble_vector(form)
-            part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-            total.array[:] += part.array[: len(total.array)]
+            internal += self._assemble(form)
         loads_u, loads_q = problem.applied()
-        reaction = np.where(problem.reduction.reacting, total.array - loads_u, 0.0)
+        reaction = np.where(problem.reduction.reacting, internal - loads_u, 0.0)
 
         def scalar(form: fem.Form) -> float:
             return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
@@ -115,11 +130,20 @@ class Balance:
             "energy": sum(scalar(f) for f in self._energy),
             "amplitudes": [amplitude(h, problem.time) for h, _ in self._strain_work],
             "strain_work": [scalar(f) for _, f in self._strain_work],
+            "swelling": [e.x.array[: _owned(e)].copy() for e, _ in self._swelling],
+            "swelling_work": [self._assemble(form) for _, form in self._swelling],
             "springs": np.array([scalar(f) for f in self._springs]).reshape(-1, 3).sum(axis=0),
             "spring_moments": np.array([scalar(f) for f in self._spring_moments])
             .reshape(-1, 3)
             .sum(axis=0),
         }
+
+    @staticmethod
+    def _assemble(form: fem.Form) -> Floats:
+        """Own entries of a linear form; collective."""
+        part = fem.petsc.assemble_vector(form)
+        part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        return np.array(part.array)
 
     def update(self, u: PETSc.Vec, trial: Trial | None) -> None:
         """Take in a committed step, whose displacements have been spread; collective."""
@@ -132,6 +156,14 @@ class Balance:
 
         parts = [work("loads_u", "u"), work("reaction", "u")]
         parts += [work("loads_q", "q"), work("reaction_q", "q")]
+        for e0, e1, w0, w1 in zip(
+            old["swelling"],
+            new["swelling"],
+            old["swelling_work"],
+            new["swelling_work"],
+            strict=True,
+        ):
+            parts.append(float(np.dot((w0 + w1) / 2, e1 - e0)))
         external = float(comm.allreduce(sum(parts), MPI.SUM))
         for a0, a1, w0, w1 in zip(
             old["amplitudes"],
@@ -143,7 +175,8 @@ class Balance:
             external += (a1 - a0) * (w0 + w1) / 2
         self._work += external
         contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
-        self._scale = max(self._scale, abs(self._work), abs(new["energy"]), abs(contact))
+        swelling = abs(problem.swelling_work(u))
+        self._scale = max(self._scale, abs(self._work), abs(new["energy"]), abs(contact), swelling)
         self.energy = _relative(self._work - new["energy"] - contact, self._scale)
         self._forces(new)
 
@@ -161,10 +194,18 @@ class Balance:
             )
         ]
         scale = float(sum(np.linalg.norm(r) for r in self._problem.resultants()))
-        scale = scale or float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
+        if not scale:
+            # What only swells has reactions of rounding alone.
+            scale = float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
+            scale = max(scale, self._problem.load_size)
         self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
         moment = sums[2] + sums[3] - new["spring_moments"]
         self.moment = _relative(float(np.linalg.norm(moment)), scale * self._diagonal)
+
+
+def _owned(function: fem.Function) -> int:
+    """Own values of a scalar function."""
+    return int(function.function_space.dofmap.index_map.size_local)
 
 
 def _relative(value: float, scale: float) -> float:

@@ -8,6 +8,7 @@ per load. `app.problem` combines them with the contact law.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -47,7 +48,7 @@ class Mechanics:
         space: Displacement space.
         u: The continuous displacement.
         moved: For each body that jumps move, its own displacement.
-        volume: Name of each region -> its cells' measure.
+        swelling: Free strain of each region that heat or cure lets swell, nodal [-].
     """
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
@@ -72,11 +73,20 @@ class Mechanics:
             for e in scene.elastic
             for k in range(len(e.eigenstrains))
         }
+        self.swelling = {
+            x.region: fem.Function(self.scalars, name=f"swelling {x.region}")
+            for x in scene.expansions
+        }
         self.patches = {
             load.boundary: self._measure_patch(load.boundary)
             for load in scene.loads
             if isinstance(load, Force)
         }
+
+    @cached_property
+    def scalars(self) -> fem.FunctionSpace:
+        """Space of what is given at the vertices: temperatures, degrees of cure."""
+        return fem.functionspace(self.mesh, ("Lagrange", 1))
 
     # Measures
 
@@ -111,6 +121,11 @@ class Mechanics:
         ]
         return ufl.Measure("dx", domain=self.mesh, subdomain_data=domains)
 
+    def region_cells(self, region: str) -> NDArray[np.int32]:
+        """Cells of a region that this rank owns."""
+        owned = self.mesh.topology.index_map(3).size_local
+        return np.flatnonzero(self._tags[:owned] == self.tag(region)).astype(np.int32)
+
     def ds(self, boundary: str, body: int) -> ufl.Measure | None:
         """Measure of the part of a boundary that belongs to a body, if any."""
         patch = self._patches.get((boundary, body))
@@ -134,10 +149,12 @@ class Mechanics:
         return e.energy(ε, coefficients, fibre)
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:
-        """Strain of a displacement minus the region's eigenstrains."""
+        """Strain of a displacement minus the region's eigenstrains and its swelling."""
         ε = elasticity.strain(v)
         for k, s in enumerate(e.eigenstrains):
             ε = ε - self._amplitude[e.region, k] * elasticity.eigenstrain(s.components)
+        if e.region in self.swelling:
+            ε = ε - elasticity.swelling(self.swelling[e.region])
         return ε
 
     def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
@@ -237,6 +254,17 @@ class Mechanics:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
         near = dofs[self.space.dofmap.list].any(axis=1)
         return self._second_derivative(self.body_energy(body, self.u, self.cells(near)))
+
+    def swelling_forces(self, e: Elastic) -> PETSc.Mat:
+        """Nodal forces of the bodies by the nodal swelling of a region, both of this rank."""
+        v, free = ufl.TestFunction(self.space), ufl.TrialFunction(self.scalars)
+        # One number for any region: all that are isotropic share a compiled form.
+        dx = ufl.Measure("dx", domain=self.mesh, subdomain_data=[(1, self.region_cells(e.region))])
+        energy = self.energy_density(e, self.elastic_strain(e, self.u)) * dx(1)
+        forces = -ufl.derivative(energy, self.u, v)
+        matrix = assemble_matrix(self.form(ufl.derivative(forces, self.swelling[e.region], free)))
+        matrix.assemble()
+        return matrix
 
     def _second_derivative(self, energy: Any) -> PETSc.Mat:
         """Matrix of an energy that is quadratic in u."""

@@ -6,7 +6,10 @@ displacement block is assembled once; see `app.jumps` for the equations of the j
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,6 +20,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.bodies import bodies_of, boundary_facets, cell_tags
+from app.expansion import Expansions, ThermalStiffness
 from app.jumps import Jumps
 from app.mechanics import Mechanics
 from app.points import PointForces
@@ -58,6 +62,7 @@ class Problem:
         jumps: The jump block, or an empty tuple.
         u: Displacement, the continuous field.
         time: Current time: stage k runs from k to k + 1.
+        load_size: Norm of the nodal forces of loads and free strains [N].
     """
 
     def __init__(
@@ -114,6 +119,10 @@ class Problem:
         self._strains = [
             self._strain(e, k) for e in scene.elastic for k in range(len(e.eigenstrains))
         ]
+        self.expansions: tuple[Expansions, ...] = (
+            (Expansions(scene, self.mechanics, self.bodies),) if scene.expansions else ()
+        )
+        self._thermal = [self._action((), {}) for _ in self.expansions]
         self.set_time(0.0)
 
     # Construction
@@ -178,7 +187,10 @@ class Problem:
             a = amplitude(action.history, time)
             self.f.axpy(a, action.reduced)
             self.f_q += a * action.jump
-        self._load_size = float(self.f.norm())
+        for action in self._thermal:
+            self.f.axpy(1.0, action.reduced)
+            self.f_q += action.jump
+        self.load_size = float(self.f.norm())
         self._given = np.zeros(len(self.held))
         for support, unit, lift in zip(
             self.scene.supports, self.reduction.unit, self._lifts, strict=True
@@ -195,6 +207,39 @@ class Problem:
                 for k, s in enumerate(e.eigenstrains)
             }
         )
+
+    def set_temperature(self, temperatures: Mapping[str, fem.Function]) -> None:
+        """Swell to temperatures; the state itself does not move.
+
+        Args:
+            temperatures: For each region that expands, values at the vertices [K], ghosts included.
+        """
+        self._thermal = [self._action((), x.set(temperatures)) for x in self.expansions]
+        self.set_time(self.time)
+
+    def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
+        """How the forces change with temperature; zero in supported rows; collective.
+
+        Args:
+            moves: For each region whose temperatures jumps move, what they add to the nodal ones.
+        """
+        (x,) = self.expansions
+        θ, τ = (self._block(parts) for parts in (x.by_temperature(), x.by_jump(moves)))
+        return ThermalStiffness(u_θ=θ[0], u_τ=τ[0], q_θ=θ[1], q_τ=τ[1])
+
+    def _block(self, parts: dict[int, PETSc.Mat]) -> tuple[PETSc.Mat | None, PETSc.Mat | None]:
+        """Rows of the displacement and of the jumps, from those of the nodes of each body."""
+        if not parts:
+            return None, None
+        by_q = [
+            B.transposeMatMult(parts[b])
+            for j in self.jumps
+            for b, B in j.moves.items()
+            if b in parts
+        ]
+        by_u = self.reduction.rows(reduce(add, parts.values()))
+        by_u.zeroRows(self.supported_rows(), diag=0.0)
+        return by_u, reduce(add, by_q) if by_q else None
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the supported components of a displacement to their current values."""
@@ -230,7 +275,7 @@ class Problem:
         """
         reaction = self._reaction_rows[0].createVecLeft()
         self._reaction_rows[0].mult(u, reaction)
-        scale = self._load_size
+        scale = self.load_size
         for j, rows in zip(self.jumps, self._reaction_rows[1:], strict=True):
             rows.multAdd(q, reaction, reaction)
             e = j.equilibrium(u, q, self.f_q)
@@ -269,6 +314,10 @@ class Problem:
             u += a * action.nodal.array
             q += a * action.jump
         return u, q
+
+    def swelling_work(self, u: PETSc.Vec) -> float:
+        """Work of the forces of thermal expansion, as they are now, in a displacement [N mm]."""
+        return sum(float(action.reduced.dot(u)) / 2 for action in self._thermal)
 
     def resultants(self) -> list[Floats]:
         """Resultant of each load now acting [N]."""

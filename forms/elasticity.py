@@ -121,6 +121,15 @@ def eigenstrain(components: Sequence[Any]) -> Expr:
     return as_matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
+def swelling(e: Any) -> Expr:
+    r"""Strain :math:`e\,I` (3, 3) of a body that changes its size alike in all directions [-].
+
+    The thermal strain that eq. 51 leaves out is :math:`e = α (θ - θ_{ref})`; the elastic strain is
+    what a strain exceeds it by.
+    """
+    return e * Identity(3)
+
+
 def von_mises(σ: Expr) -> Expr:
     r"""Von Mises stress :math:`\sqrt{\tfrac32 s:s}` [MPa] with s the deviator of σ."""
     s = σ - tr(σ) / 3 * Identity(3)

@@ -1,0 +1,274 @@
+"""Thermal expansion: forces, stresses and energy of bodies whose temperatures are given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from app import quantities, scene
+from app.balance import Balance
+from app.problem import Problem
+from app.quantities import Samples, Stresses
+from app.solver import Solver
+from app.systems import mechanical
+from app.terms import Expansion, Scene
+from app.timing import Timing
+from tests import support
+
+Floats = NDArray[np.float64]
+Field = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True)
+class Heated:
+    """A scene whose temperatures are given by hand."""
+
+    problem: Problem
+    solver: Solver
+    stresses: Stresses
+    balance: Balance
+
+    @classmethod
+    def make(cls, text: str, change: Callable[[Scene], Scene], *overrides: str) -> Heated:
+        """A case, its scene changed."""
+        case = support.case(text, *overrides)
+        timing = Timing()
+        problem = Problem(change(scene.build(case)), support.mesh(case), 1.0, timing)
+        solver = Solver(mechanical(problem), 1e-12, 50, "direct", {}, timing)
+        return cls(problem, solver, Stresses(problem, timing), Balance(problem, np.zeros(3)))
+
+    def temperature(self, field: float | Field) -> fem.Function:
+        """Temperature at the vertices [K]."""
+        T = fem.Function(self.problem.mechanics.scalars)
+        T.interpolate(lambda x: field(x) if callable(field) else np.full(x.shape[1], field))
+        return T
+
+    def solve(self, fields: Mapping[str, float | Field], time: float = 1.0) -> Samples | None:
+        """One step to given temperatures of the regions."""
+        self.problem.set_time(time)
+        self.problem.set_temperature({r: self.temperature(f) for r, f in fields.items()})
+        return self.step()
+
+    def step(self) -> Samples | None:
+        """Solve, commit, balance."""
+        outcome = self.solver.solve()
+        assert outcome.converged, outcome.residuals
+        u, q = self.solver.parts()
+        trial = self.problem.trial(u, q) if q is not None else None
+        self.problem.spread(u, q)
+        self.problem.commit(trial)
+        self.balance.update(u, trial)
+        return Samples(self.problem, trial) if trial is not None else None
+
+    def stress(self, region: str) -> Floats:
+        """Stress at the points of a region (n, 3, 3) [MPa]."""
+        return self.stresses.evaluate(region).reshape(-1, 3, 3)
+
+
+def expanding(**coefficients: float) -> Callable[[Scene], Scene]:
+    """Add expansion from 300 K to regions."""
+
+    def change(old: Scene) -> Scene:
+        terms = tuple(Expansion(r, a, 300.0) for r, a in coefficients.items())
+        return replace(old, expansions=terms)
+
+    return change
+
+
+# A bar of two materials, each with a fibre of its own direction; rollers on three faces, so that it
+# is free to grow.
+BAR = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: one, size: [4 mm, 3 mm, 5 mm]}
+    - {name: two, size: [4 mm, 3 mm, 4 mm]}
+mesh: {size: 2 mm, far_size: 2 mm}
+regions:
+  one: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  two:
+    kind: transversely_isotropic
+    axial_youngs_modulus: 17 GPa
+    transverse_youngs_modulus: 11.5 GPa
+    axial_poisson_ratio: 0.31
+    transverse_poisson_ratio: 0.51
+    axial_shear_modulus: 3.28 GPa
+    fibre: [0, 1, 1]
+supports:
+  floor: {kind: roller, boundary: bottom, axis: z}
+  left: {kind: roller, boundary: x_min, axis: x}
+  front: {kind: roller, boundary: y_min, axis: y}
+"""
+CLAMPS = "supports.ceiling={kind: roller, boundary: top, axis: z}"
+ORDERS = pytest.mark.parametrize("order", [1, 2])
+
+
+@ORDERS
+def test_free_expansion_is_free_of_stress(order: int) -> None:
+    """Displacement α ΔT x, where the temperature is uniform, and no stress."""
+    bar = Heated.make(BAR, expanding(one=8e-5, two=8e-5), f"mesh.order={order}")
+    bar.solve({"one": 340.0, "two": 340.0})
+    x = bar.problem.space.tabulate_dof_coordinates()
+    u = bar.problem.u.x.array.reshape(-1, 3)
+    assert np.abs(u - 8e-5 * 40 * x).max() < 1e-10 * 8e-5 * 40 * 9
+    scale = 2200 * 8e-5 * 40
+    for region in ("one", "two"):
+        assert np.abs(bar.stress(region)).max() < 1e-10 * scale
+    assert abs(bar.problem.force_scale(*bar.solver.parts())) > scale
+    assert max(bar.balance.force, bar.balance.moment, bar.balance.energy) < 1e-10
+
+
+@ORDERS
+def test_clamped_bar(order: int) -> None:
+    """σ = -E α ΔT along the bar, whatever each part's temperature; energy closes."""
+    E, dT = 2200.0, 40.0
+    soft = "regions.two={youngs_modulus: 2200 MPa, poisson_ratio: 0.3}"
+    bar = Heated.make(BAR, expanding(one=8e-5, two=8e-5), f"mesh.order={order}", CLAMPS, soft)
+    bar.solve({"one": 300 + dT, "two": 300 + dT}, 0.5)
+    expected = np.zeros((3, 3))
+    expected[2, 2] = -E * 8e-5 * dT
+    for region in ("one", "two"):
+        assert np.abs(bar.stress(region) - expected).max() < 1e-10 * abs(expected[2, 2])
+    # Temperatures of their own, though the two regions are one body.
+    bar.solve({"one": 300 + dT, "two": 300.0 - dT})
+    assert max(bar.balance.force, bar.balance.moment, bar.balance.energy) < 1e-10
+
+
+def test_a_linear_temperature_bends_a_free_bar() -> None:
+    """ε = α (T - T_ref) I is compatible where T is linear: P2 has it exactly, and no stress."""
+    rate = 8e-5 * 5.0
+    floor = (
+        f"supports.floor={{kind: displacement, boundary: bottom, z: -{rate} * (x**2 + y**2) / 2}}"
+    )
+    bar = Heated.make(BAR, expanding(one=8e-5, two=8e-5), "mesh.order=2", floor)
+    bar.solve(dict.fromkeys(("one", "two"), lambda x: 300 + 5.0 * x[2]))
+    x, y, z = bar.problem.space.tabulate_dof_coordinates().T
+    exact = rate * np.column_stack([x * z, y * z, (z**2 - x**2 - y**2) / 2])
+    u = bar.problem.u.x.array.reshape(-1, 3)
+    assert np.abs(u - exact).max() < 1e-10 * np.abs(exact).max()
+    for region in ("one", "two"):
+        assert np.abs(bar.stress(region)).max() < 1e-10 * 17e3 * rate * 9
+    assert bar.balance.energy < 1e-10
+
+
+# Stem, cement and bone of physics.md 3.2: cooled by 40 K, the cement alone shrinks; plane strain.
+CYLINDERS = """
+geometry:
+  kind: cylinders
+  stem_radius: 6 mm
+  cement_thickness: 4 mm
+  bone_thickness: 5 mm
+  length: 0.5 mm
+  sector: quarter
+mesh: {size: 1 mm, far_size: 1 mm, order: 2, curved: true}
+regions:
+  stem: {youngs_modulus: 200 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+supports:
+  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
+  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
+  bottom: {kind: roller, boundary: bottom, axis: z}
+  top: {kind: roller, boundary: top, axis: z}
+"""
+UNILATERAL = (
+    "interfaces.stem_cement={kind: contact, friction_coefficient: 0}",
+    "interfaces.cement_bone={kind: contact, friction_coefficient: 0}",
+)
+
+
+def near(cylinders: Heated, region: str, radius: float) -> tuple[Floats, Floats]:
+    """Radial and hoop stress of a region, extrapolated to a radius from a fit in 1/r²."""
+    problem = cylinders.problem
+    geometry = problem.tagged.mesh.geometry
+    cells = cylinders.stresses.cells[region]
+    corners = geometry.x[geometry.dofmap[cells][:, :4]]
+    points = cylinders.stresses._points
+    N = np.column_stack([1 - points.sum(axis=1), points])
+    x = np.einsum("qn,cni->cqi", N, corners).reshape(-1, 3)
+    r = np.hypot(x[:, 0], x[:, 1])
+    e_r = np.column_stack([x[:, 0] / r, x[:, 1] / r, 0 * r])
+    e_t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, 0 * r])
+    σ = cylinders.stress(region)
+    A = np.column_stack([np.ones(len(r)), 1 / r**2])
+    found = [
+        np.linalg.lstsq(A, np.einsum("pi,pij,pj->p", e, σ, e))[0] @ [1, 1 / radius**2]
+        for e in (e_r, e_t)
+    ]
+    return found[0], found[1]
+
+
+def test_bonded_cylinders_cooled() -> None:
+    """physics.md 3.2: σ_rr 5.696 and 7.884 MPa on the stem and the bone, hoop 12.534 MPa."""
+    cold = Heated.make(CYLINDERS, expanding(cement=80e-6))
+    cold.solve({"cement": 260.0})
+    radial, hoop = near(cold, "cement", 6.0)
+    assert radial == pytest.approx(5.696, rel=1e-3)
+    assert hoop == pytest.approx(12.534, rel=1e-3)
+    assert near(cold, "cement", 10.0)[0] == pytest.approx(7.884, rel=1e-3)
+    assert cold.balance.energy < 1e-10
+
+
+def test_cylinders_cooled_that_can_part() -> None:
+    """physics.md 3.2: the bone opens by 0.02332 mm, the stem is gripped by 3.929 MPa."""
+    cold = Heated.make(CYLINDERS, expanding(cement=80e-6), *UNILATERAL)
+    samples = cold.solve({"cement": 260.0})
+    assert samples is not None
+    stem, bone = (quantities.interface(cold.problem, samples, i) for i in range(2))
+    assert [c.name for c in cold.problem.scene.contacts] == ["stem_cement", "cement_bone"]
+    assert bone["gap_mean"] == pytest.approx(0.02332, rel=2e-3)
+    assert bone["open_fraction"] == 1
+    assert stem["pressure_mean"] == pytest.approx(3.929, rel=2e-3)
+    assert near(cold, "cement", 6.0)[1] == pytest.approx(8.349, rel=2e-3)
+    assert cold.balance.energy < 1e-9
+
+
+def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
+    """Linear in temperature: the matrices times T - T_ref are the forces set_temperature sets."""
+    cold = Heated.make(CYLINDERS, expanding(cement=80e-6, bone=1e-5), *UNILATERAL)
+    problem = cold.problem
+    f, f_q = problem.f.copy(), problem.f_q.copy()
+    T = cold.temperature(lambda x: 300 + 7 * x[0] - 3 * x[1])
+    problem.set_temperature({"cement": T, "bone": T})
+    G = problem.thermal_stiffness({})
+    assert G.u_τ is None and G.q_τ is None and G.u_θ is not None and G.q_θ is not None
+    θ = G.u_θ.createVecRight()
+    θ.array[:] = T.x.array[: len(θ.array)] - 300
+    by_matrix = G.u_θ * θ
+    changed = problem.f - f
+    changed.array[problem.held] = 0
+    assert (by_matrix - changed).norm() < 1e-12 * changed.norm()
+    assert np.abs((G.q_θ * θ).array - (problem.f_q - f_q)).max() < 1e-12 * np.abs(problem.f_q).max()
+
+
+def test_temperature_jumps_move_the_regions_they_belong_to() -> None:
+    """A jump that lifts the cement alone is the same as that temperature of the cement alone."""
+    cold = Heated.make(CYLINDERS, expanding(cement=80e-6, bone=1e-5), *UNILATERAL)
+    problem = cold.problem
+    scalars = problem.mechanics.scalars
+    nodes = fem.locate_dofs_geometrical(
+        scalars, lambda x: np.isclose(np.hypot(x[0], x[1]), 10, atol=1e-6)
+    )
+    warm = cold.temperature(300.0)
+    warm.x.array[nodes] += np.linspace(1, 2, len(nodes))
+    n = scalars.dofmap.index_map.size_local
+    B = PETSc.Mat().createAIJ((n, len(nodes)), nnz=1, comm=problem.comm)
+    for k, node in enumerate(nodes):
+        B.setValue(node, k, 1.0)
+    B.assemble()
+    τ = B.createVecRight()
+    τ.array[:] = np.linspace(1, 2, len(nodes))
+    f, f_q = problem.f.copy(), problem.f_q.copy()
+    problem.set_temperature({"cement": warm, "bone": cold.temperature(300.0)})
+    G = problem.thermal_stiffness({"cement": B})
+    changed = problem.f - f
+    changed.array[problem.held] = 0
+    assert (G.u_τ * τ - changed).norm() < 1e-12 * changed.norm()
+    assert np.abs((G.q_τ * τ).array - (problem.f_q - f_q)).max() < 1e-12 * np.abs(problem.f_q).max()
