@@ -18,7 +18,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.errors import InputError
-from app.terms import Contact, RigidBody, Support
+from app.terms import Contact, RigidBody, Support, ThermalContact
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import Holds, InterfaceFacets, gather, sorted_facets
 
@@ -61,7 +61,7 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
 
 
 def bodies_of(
-    tagged: TaggedMesh, contacts: Sequence[Contact], rigid: Sequence[RigidBody]
+    tagged: TaggedMesh, contacts: Sequence[Contact | ThermalContact], rigid: Sequence[RigidBody]
 ) -> Bodies:
     """Join regions that touch without a contact interface between them; collective.
 
@@ -148,7 +148,10 @@ def _local_numbers(tagged: TaggedMesh, facets: Ints, cells: Ints) -> Ints:
 
 
 def contact_facets(
-    tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace, contacts: Sequence[Contact]
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    contacts: Sequence[Contact | ThermalContact],
 ) -> InterfaceFacets:
     """Facets of all contact interfaces, replicated in canonical order; collective.
 

@@ -1,0 +1,311 @@
+r"""Heat in a scene on its mesh: one implicit solve of temperature and temperature jumps.
+
+A stage of a time step asks for the state at the end of an interval h that started at T*: with
+T_b = θ + B_b τ the temperature of body b (see `app.temperature_jumps`), the heat its nodes lack is
+
+.. math:: r_b = M_b (T_b - T_b^*)/h + K_b T_b + R_b (T_b - T_a) - f_b
+
+(M lumped capacity, K conduction, R exchange with surroundings at T_a, f what heats). Unknowns are
+θ with the rows Σ r_b = 0 and τ with the rows Σ B_b^T r_b - W q = 0. In a steady solve 1/h is zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from app.bodies import Bodies, bodies_of
+from app.heat_forms import HeatForms
+from app.heat_loads import FixedTemperatures, HeatLoads
+from app.heat_matrices import HeatMatrices, with_diagonal
+from app.systems import Measure
+from app.temperature_jumps import TemperatureJumps
+from app.terms import Scene, multiplier
+from app.timing import Timing
+from meshes.distribute import TaggedMesh
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
+ROUNDING = 2.0
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+
+
+class Conduction:
+    """Operators and state of one implicit solve of heat.
+
+    Attributes:
+        space: Temperature space, piecewise linear.
+        owned: Nodes of this rank.
+        bodies: Thermal bodies: regions joined by all but interfaces of finite conductance.
+        jumps: The temperature jumps, or an empty tuple.
+        capacity: Heat capacity of own nodes in each body [N mm/K].
+        matrix: Blocks of the Jacobian: one, or two by two with jumps.
+        version: Counts changes of the matrices other than those from one iteration to the next.
+    """
+
+    def __init__(self, scene: Scene, tagged: TaggedMesh, timing: Timing) -> None:
+        """Assemble everything that does not change; collective.
+
+        Args:
+            scene: The scene; all of its regions conduct.
+            tagged: Its mesh.
+            timing: Where the seconds go.
+
+        Raises:
+            InputError: The scene does not fit the mesh.
+        """
+        self.scene, self.tagged = scene, tagged
+        self.comm: MPI.Comm = tagged.mesh.comm
+        self.bodies: Bodies = bodies_of(tagged, scene.thermal_contacts, ())
+        self.forms = HeatForms(tagged, self.bodies, timing)
+        self.space = self.forms.space
+        self.owned = self.forms.owned
+        self._every = range(len(self.bodies.names))
+        self._loads = HeatLoads(scene, self.bodies, self.forms)
+        self._fixed = FixedTemperatures(scene, self.forms)
+        self.jumps: tuple[TemperatureJumps, ...] = (
+            (
+                TemperatureJumps(
+                    scene.thermal_contacts, tagged, self.bodies, self.forms, self._fixed.of_body
+                ),
+            )
+            if scene.thermal_contacts
+            else ()
+        )
+        for j in self.jumps:
+            self._fixed.join(j)
+        self.held = self._fixed.base >= 0
+        self.capacity = self._capacities()
+        # Heat is counted from a temperature that is near all of them: less is lost to rounding.
+        self._reference = float(np.mean([c.initial for c in scene.conductors]))
+        self._exchange, self._brought = self._loads.exchanges(self._reference)
+        self._K = self._conduction()
+        self._blocks = HeatMatrices(self._K, self.jumps, self.held)
+        self._seconds = 0.0
+        self._rate = -1.0
+        self._start, self._heats = self.forms.zeros(), self.forms.zeros()
+        self._given: list[Floats] = []
+        self._work = [self._K[0].createVecRight(), self._K[0].createVecLeft()]
+        self._θ = fem.Function(self.space, name="temperature")
+        self._moved = {
+            b: fem.Function(self.space, name=f"temperature {self.bodies.names[b]}")
+            for j in self.jumps
+            for b in j.moves
+        }
+
+    # Construction
+
+    def _capacities(self) -> list[Floats]:
+        total = self.forms.zeros()
+        for c in self.scene.conductors:
+            total[self.bodies.of_region[c.region]] += c.capacity * self.forms.volumes(c.region)
+        return total
+
+    def _conduction(self) -> list[PETSc.Mat]:
+        """Conduction matrix of each body [N mm/(s K)]."""
+        parts: dict[int, PETSc.Mat] = {}
+        for c in self.scene.conductors:
+            body, matrix = self.bodies.of_region[c.region], self.forms.conduction(c)
+            if body in parts:
+                parts[body].axpy(1.0, matrix, structure=DIFFERENT)
+            else:
+                parts[body] = matrix
+        return [with_diagonal(parts[b]) for b in self._every]
+
+    # State
+
+    def vectors(self) -> list[PETSc.Vec]:
+        """New vectors: temperature of own nodes, and with jumps those of own points."""
+        return self._blocks.vectors()
+
+    def initial(self) -> list[PETSc.Vec]:
+        """The state at the start.
+
+        Where regions share a temperature from the start, though theirs differ, it is the mean by
+        capacity: no heat is lost. Given temperatures hold from the start.
+        """
+        capacity, heat = self.forms.zeros(), self.forms.zeros()
+        for c in self.scene.conductors:
+            body, nodal = self.bodies.of_region[c.region], c.capacity * self.forms.volumes(c.region)
+            capacity[body] += nodal
+            heat[body] += nodal * (c.initial - self._reference)
+        T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, capacity, strict=True)]
+        x = self.vectors()
+        for j in self.jumps:
+            table = np.array(T)
+            x[1].array[:] = table[j.bodies[:, 1], j.dof] - table[j.bodies[:, 0], j.dof]
+        added = self._added(x[1:])
+        total = sum(c * (t - a) for c, t, a in zip(capacity, T, added, strict=True))
+        x[0].array[:] = self._reference + total / sum(capacity)
+        self._set_given(0.0)
+        self.impose(x)
+        return x
+
+    def _added(self, τ: Sequence[PETSc.Vec]) -> list[Floats]:
+        """What jumps add to the temperature of own nodes of each body [K]."""
+        added = self.forms.zeros()
+        for j, vector in zip(self.jumps, τ, strict=True):
+            for b, B in j.moves.items():
+                B.mult(vector, self._work[1])
+                added[b] = self._work[1].array.copy()
+        return added
+
+    def nodal(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
+        """Temperature of own nodes of each body [K]; what a body has not is without meaning."""
+        return [x[0].array + added for added in self._added(x[1:])]
+
+    def temperatures(self, x: Sequence[PETSc.Vec]) -> list[fem.Function]:
+        """Temperature of each body as a function, overwritten by the next call."""
+        T = self.nodal(x)
+        values = {-1: x[0].array} | {b: T[b] for b in self._moved}
+        for function, nodal in zip((self._θ, *self._moved.values()), values.values(), strict=True):
+            function.x.array[: self.owned] = nodal
+            function.x.scatter_forward()
+        return [self._moved.get(b, self._θ) for b in self._every]
+
+    def of_region(self, region: str) -> fem.Function:
+        """Temperature of a region as last spread by ``temperatures``."""
+        return self._moved.get(self.bodies.of_region[region], self._θ)
+
+    # One implicit solve
+
+    def begin(self, start: Sequence[PETSc.Vec], h: float, seconds: float) -> None:
+        """Prepare a solve; collective.
+
+        Args:
+            start: State from which the interval starts.
+            h: Its length [s]; infinite for a steady state.
+            seconds: Time at its end, since the start of the run.
+        """
+        self._start = self.nodal(start)
+        self._seconds = seconds
+        self._heats = self._loads.heats(seconds)
+        self._set_given(seconds)
+        rate = 0.0 if math.isinf(h) else 1 / h
+        if rate != self._rate:
+            self._rate = rate
+            added = [m * rate + r for m, r in zip(self.capacity, self._exchange, strict=True)]
+            self._blocks.fill(self._K, added)
+
+    def _set_given(self, seconds: float) -> None:
+        values = self._fixed.values(seconds)
+        self._given = [self._fixed.continuous(values)]
+        self._given += [self._fixed.jumps(values, j) for j in self.jumps]
+
+    def impose(self, x: Sequence[PETSc.Vec]) -> None:
+        """Put given temperatures and jumps into a state."""
+        x[0].array[self.held] = self._given[0][self.held]
+        for j, τ, given in zip(self.jumps, x[1:], self._given[1:], strict=True):
+            τ.array[j.held] = given[j.held]
+
+    def _lacking(self, T: Sequence[Floats]) -> list[Floats]:
+        """Heat that own nodes of each body lack, interfaces left out [N mm/s]."""
+        lacking = []
+        for b in self._every:
+            above, flow = self._work
+            above.array[:] = T[b] - self._reference
+            self._K[b].mult(above, flow)
+            r = flow.array + self._exchange[b] * above.array - self._brought[b] - self._heats[b]
+            lacking.append(r + self._rate * self.capacity[b] * (T[b] - self._start[b]))
+        return lacking
+
+    def residual(self, x: Sequence[PETSc.Vec], out: Sequence[PETSc.Vec]) -> None:
+        """Heat that is lacking, zero where temperatures are given [N mm/s]."""
+        r = self._lacking(self.nodal(x))
+        out[0].array[:] = np.where(self.held, 0.0, sum(r))
+        for j, τ, f in zip(self.jumps, x[1:], out[1:], strict=True):
+            total = -j.weight * j.flux(τ.array)[0]
+            for b, B in j.moves.items():
+                self._work[1].array[:] = r[b]
+                moved = f.duplicate()
+                B.multTranspose(self._work[1], moved)
+                total += moved.array
+            f.array[:] = np.where(j.held, 0.0, total)
+
+    def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
+        """Set the blocks of the Jacobian to a state."""
+        by_jump = [-j.weight * j.flux(τ.array)[1] for j, τ in zip(self.jumps, x[1:], strict=True)]
+        self._blocks.set(by_jump, {})
+
+    @property
+    def matrix(self) -> list[list[PETSc.Mat]]:
+        """Blocks of the Jacobian."""
+        return self._blocks.matrix
+
+    @property
+    def version(self) -> int:
+        """Changes of the matrix that outdate its preconditioner."""
+        return self._blocks.version
+
+    # Size of a residual
+
+    def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> Measure:
+        """How large a residual f of a state x is; collective [N mm/s].
+
+        Its scale is that of the heat stored, brought in and let through, not of what conduction
+        alone would move: in a state that hardly changes that is large and cancels.
+        """
+        T = self.nodal(x)
+        r = self._lacking(T)
+        parts = [np.where(self.held, sum(r), 0.0)]
+        for b in self._every:
+            parts.append(self._rate * self.capacity[b] * (T[b] - self._start[b]))
+            parts.append(self._exchange[b] * (T[b] - self._reference) - self._brought[b])
+            parts.append(self._heats[b])
+        for j, τ in zip(self.jumps, x[1:], strict=True):
+            parts.append(j.weight * j.flux(τ.array)[0])
+        noise = [d * v.array for d, v in zip(self._blocks.diagonal(), x, strict=True)]
+        local = [float(np.sum(a**2)) for a in (*parts, *noise)]
+        norms = np.sqrt(np.array(self.comm.allreduce(np.array(local), MPI.SUM)))
+        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
+        return Measure(
+            math.sqrt(sum(v.norm() ** 2 for v in f)), float(norms[: len(parts)].sum()), rounding
+        )
+
+    # What is reported
+
+    def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+        """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
+
+        Of the interval last begun: the sum is the rate at which heat is stored in it, to the
+        tolerance of the solver.
+        """
+        T = self.nodal(x)
+        found: dict[str, float] = {}
+        for h in self._loads.heating:
+            total = sum(float(nodal.sum()) for nodal in h.nodal.values())
+            found[h.name] = multiplier(h.course, self._seconds) * total
+        for e in self._loads.exchange:
+            found[e.name] = sum(
+                float((nodal * (e.outside - T[b])).sum()) for b, nodal in e.per_kelvin.items()
+            )
+        lacking = self._lacking(T)
+        for j, τ in zip(self.jumps, x[1:], strict=True):
+            q = j.weight * j.flux(τ.array)[0]
+            for side, sign in ((0, 1.0), (1, -1.0)):
+                for b in self._every:
+                    here = j.bodies[:, side] == b
+                    np.add.at(lacking[b], j.dof[here], sign * q[here])
+        for s, c in enumerate(self._fixed.conditions):
+            found[c.name] = sum(
+                float(lacking[b][condition == s].sum())
+                for b, condition in self._fixed.of_body.items()
+            )
+        return {name: float(self.comm.allreduce(v, MPI.SUM)) for name, v in found.items()}
+
+    def stored(self, x: Sequence[PETSc.Vec]) -> float:
+        """Heat stored, from an arbitrary but fixed temperature on [N mm]; collective."""
+        local = sum(
+            float((m * (t - self._reference)).sum())
+            for m, t in zip(self.capacity, self.nodal(x), strict=True)
+        )
+        return float(self.comm.allreduce(local, MPI.SUM))

@@ -1,0 +1,66 @@
+"""Heat as the solver sees it: temperature, and temperature jumps where there are any."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+from app.conduction import Conduction
+from app.systems import INTERFACE, Measure, Options, block
+
+
+class HeatSystem:
+    """A `app.systems.System`: the implicit solve that ``conduction.begin`` prepared."""
+
+    prefix = "mantle_heat_"
+
+    def __init__(self, conduction: Conduction) -> None:
+        """Wrap the operators."""
+        self._conduction, self.comm = conduction, conduction.comm
+
+    @property
+    def version(self) -> int:
+        """Changes of the matrices from one time step to the next."""
+        return self._conduction.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Temperature, and with finite conductance its jumps."""
+        # No interface, no second block.
+        return dict(
+            zip(("temperature", "temperature_jump"), self._conduction.vectors(), strict=False)
+        )
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """Capacity, conduction and exchange; conductance."""
+        return [list(row) for row in self._conduction.matrix]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Direct or multigrid for the temperature, direct for the jumps."""
+        size = self._conduction.matrix[0][0].getSize()[0]
+        every: dict[str, Options] = {
+            "temperature": block(linear, size),
+            "temperature_jump": INTERFACE,
+        }
+        return {name: every[name] for name in self.blocks()}
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given temperatures into a state."""
+        self._conduction.impose(x)
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """Heat that is lacking."""
+        self._conduction.residual(x, f)
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """Complete the matrices."""
+        self._conduction.jacobian(x)
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Heat that is lacking, beside that stored, brought in and let through [N mm/s]."""
+        return [self._conduction.measure(x, f)]
+
+    def flips(self) -> int:
+        """Conduction has no states to change."""
+        return 0
+
+    def forget(self) -> None:
+        """No state."""

@@ -1,0 +1,58 @@
+"""Sparse matrices between unknowns of nodes and unknowns of interface points."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx.common import IndexMap
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
+    """Give replicated points to the ranks that own their dofs.
+
+    Args:
+        comm: Communicator.
+        index_map: Of the dofs.
+        dof: Global dof of each point (n,).
+
+    Returns:
+        The points of this rank, and the number of every point in the order of the ranks (n,).
+    """
+    ends = np.array(comm.allgather(index_map.local_range[1]))
+    owner = np.searchsorted(ends, dof, side="right")
+    order = np.argsort(owner, kind="stable")
+    place = np.empty(len(order), dtype=np.int64)
+    place[order] = np.arange(len(order))
+    return order[owner[order] == comm.rank], place
+
+
+def from_triplets(
+    comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats
+) -> PETSc.Mat:
+    """Matrix from triplets: local numbers of own rows, global columns; collective."""
+    local = coo_array((v, (i, j)), shape=(rows, int(j.max(initial=-1)) + 1)).tocsr()
+    return from_rows(comm, (rows, columns), local.indptr, local.indices, local.data)
+
+
+def from_rows(
+    comm: MPI.Comm, sizes: tuple[int, int], start: NDArray, columns: NDArray, values: Floats
+) -> PETSc.Mat:
+    """Matrix from the compressed own rows, its sizes on this rank given; collective."""
+    A = PETSc.Mat().createAIJ(
+        ((sizes[0], None), (sizes[1], None)),
+        csr=(
+            start.astype(PETSc.IntType),
+            columns.astype(PETSc.IntType),
+            values.astype(PETSc.ScalarType),
+        ),
+        comm=comm,
+    )
+    A.assemble()
+    return A
