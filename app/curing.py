@@ -28,6 +28,10 @@ Floats = NDArray[np.float64]
 # A reaction ends this far below its limit. What would be left takes ever longer and warms by less
 # than any tolerance, but the stages of a long step would overshoot the limit for it.
 UNREACTED = 1e-6
+# Degrees further than this from [0, 1] are not there by rounding.
+ROUNDING = 1e-12
+# Below this degree errors count by their part of the degree, down to the second.
+_SMALL, _SMALLEST = 1e-2, 1e-9
 # Newton's method is in the logarithm of what reacts over what does not.
 _CONVERGED = 1e-8
 _ITERATIONS = 100
@@ -78,17 +82,34 @@ class Curing:
         return [np.full(n, c.initial) for c, n in zip(self._cures, self._nodes, strict=True)]
 
     def admissible(self, start: Sequence[Floats]) -> bool:
-        """Whether every degree lies in [0, 1]; collective.
+        """Whether every degree lies in [0, 1] up to rounding; collective.
 
         A stage of a time step that is too long may start from one that does not.
         """
-        inside = all(bool(((a >= 0) & (a <= 1)).all()) for a in start)
+        inside = all(bool((np.abs(a - 0.5) <= 0.5 + ROUNDING).all()) for a in start)
         return bool(self._comm.allreduce(inside, op=MPI.LAND))
+
+    def as_temperature(
+        self, degrees: Sequence[Floats], errors: Sequence[Floats], capacities: Sequence[float]
+    ) -> list[Floats]:
+        """Errors of the degrees as temperatures [K], by the heat that they release.
+
+        At small degrees an error counts by its part of the degree, for both grow together.
+
+        Args:
+            degrees: Degrees of cure (n,) per region.
+            errors: Their errors.
+            capacities: Heat capacity per volume of each region [N/(mm2 K)].
+        """
+        return [
+            e * cure.heat / c * np.maximum(1, _SMALL / np.maximum(a, _SMALLEST))
+            for cure, a, e, c in zip(self._cures, degrees, errors, capacities, strict=True)
+        ]
 
     def update(
         self, start: Sequence[Floats], temperatures: Sequence[Floats], h: float, seconds: float
     ) -> list[Degrees]:
-        """Degrees a = a* + h f(a, T), in [a*, 1] for admissible a*.
+        """Degrees a = a* + h f(a, T), always in [a*, 1], for admissible a*.
 
         Args:
             start: Degrees a* (n,) per region.
@@ -102,7 +123,7 @@ class Curing:
         if not np.isfinite(h):
             raise ValueError("Cure needs a time step of finite length.")
         return [
-            k.update(a, T, h, seconds)
+            k.update(np.clip(a, 0.0, 1.0), T, h, seconds)
             for k, a, T in zip(self._kinetics, start, temperatures, strict=True)
         ]
 
