@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from app.conditions import Bonded, Contact, Force
-from app.config import Case
+from app.config import Case, Stage
 from app.fields import Model
-from app.materials import Rigid
+from app.materials import Conductor, Rigid
+from app.thermal_options import Thermal
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -18,6 +19,19 @@ if TYPE_CHECKING:
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
+# Data that some material has, in internal units: from foam to diamond and osmium. Absolute
+# temperatures between dry ice and burning.
+TEMPERATURES = (190.0, 800.0)
+USUAL = {
+    "conductivity": (1e-2, 3e3),
+    "axial_conductivity": (1e-2, 3e3),
+    "transverse_conductivity": (1e-2, 3e3),
+    "density": (1e-11, 2.3e-8),
+    "specific_heat": (1e8, 1.5e10),
+    "initial_temperature": TEMPERATURES,
+    "reference_temperature": TEMPERATURES,
+    "thermal_expansion": (1e-8, 1e-3),
+}
 # Area of an interface per node on it, in units of the squared edge length.
 AREA_PER_NODE = 0.87
 
@@ -42,17 +56,34 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
     for name, law in case.interfaces.items():
         a, b = (" + ".join(side) for side in geometry.interface_sides[name])
         lines += [f"  {name} ({a} | {b}): {law.kind}", *_entries(law, laws.get(name, {}), 4)]
+        if case.conducts and law.conductance is None:
+            lines.append("    conductance: perfect, one temperature")
     if not case.interfaces:
         lines.append("  none")
-    for title, entries in (("supports", case.supports), ("loads", case.loads)):
-        lines.append(title)
-        lines += list(_table(entries, given.get(title, {}))) or ["  none"]
-    lines += list(_resultant(case))
-    lines.append("stages")
-    for stage in case.stages:
-        steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
-        lines.append(f"  {stage.name}: {steps}{', adaptive' if stage.adaptive else ''}")
+    if _solid(case):
+        lines += ["supports", *(_table(case.supports) or ["  none"])]
+        lines += ["loads", *(_table(case.loads) or ["  none"]), *_resultant(case)]
+    if case.conducts:
+        lines += ["heat", *(_table(case.heat) or ["  none"])]
+    lines += ["stages", *(_stage(stage) for stage in case.stages)]
+    if case.time is not None:
+        lines += ["time", *_entries(case.time, given.get("time", {}))]
+    if case.output.probes:
+        lines += ["probes", *_table(case.output.probes)]
     return "\n".join(lines)
+
+
+def _stage(stage: Stage) -> str:
+    """A line on a stage."""
+    steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
+    time = "until nothing changes, " if stage.steady else ""
+    time = f"{stage.duration:g} s, " if stage.duration else time
+    return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
+
+
+def _solid(case: Case) -> bool:
+    """Whether anything in it can move."""
+    return not all(isinstance(region, Conductor) for region in case.regions.values())
 
 
 def estimated_size(case: Case) -> str:
@@ -60,14 +91,12 @@ def estimated_size(case: Case) -> str:
     cells = case.geometry.estimate_cells(case.mesh)
     if not cells:
         return "size\n  not known before it is meshed: --mesh counts"
-    nodes = NODES_PER_CELL * cells + 50
-    if case.mesh.order == 2:
-        nodes += EDGES_PER_CELL * cells
+    corners = NODES_PER_CELL * cells + 50
+    nodes = corners + (EDGES_PER_CELL * cells if case.mesh.order == 2 else 0)
     # Jumps are linear at either order; each interface has about the same share of the area.
     areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
-    open_interfaces = sum(not isinstance(law, Bonded) for law in case.interfaces.values())
-    jumps = open_interfaces * areas / (AREA_PER_NODE * case.mesh.size**2)
-    return _size("size (estimated; --mesh counts)", cells, nodes, jumps)
+    each = dict.fromkeys(case.interfaces, areas / (AREA_PER_NODE * case.mesh.size**2))
+    return _size("size (estimated; --mesh counts)", case, cells, nodes, corners, each)
 
 
 def exact_size(case: Case, data: MeshData) -> str:
@@ -76,16 +105,12 @@ def exact_size(case: Case, data: MeshData) -> str:
 
     from meshes.data import EDGES, interface_facets
 
-    corners = data.cells[:, :4]
-    nodes = len(np.unique(corners))
+    tetrahedra = data.cells[:, :4]
+    nodes = corners = len(np.unique(tetrahedra))
     if case.mesh.order == 2:
-        nodes += len(np.unique(np.sort(corners[:, EDGES].reshape(-1, 2), axis=1), axis=0))
-    jumps = sum(
-        len(np.unique(interface_facets(data, name)[0][:, :3]))
-        for name, law in case.interfaces.items()
-        if not isinstance(law, Bonded)
-    )
-    lines = [_size("size", len(data.cells), nodes, jumps)]
+        nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
+    each = {n: len(np.unique(interface_facets(data, n)[0][:, :3])) for n in case.interfaces}
+    lines = [_size("size", case, len(data.cells), nodes, corners, each)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {_count(np.count_nonzero(data.cell_tags == tag))} cells")
     for name, note in data.notes.items():
@@ -94,13 +119,41 @@ def exact_size(case: Case, data: MeshData) -> str:
     return "\n".join(lines)
 
 
-def _size(title: str, cells: float, nodes: float, jumps: float) -> str:
-    unknowns = 3 * (nodes + jumps)
+def _size(
+    title: str,
+    case: Case,
+    cells: float,
+    nodes: float,
+    corners: float,
+    interfaces: Mapping[str, float],
+) -> str:
+    """Unknowns of what there is: displacements, temperatures, jumps of either.
+
+    Args:
+        title: First line.
+        case: The case.
+        cells: Cells.
+        nodes: Nodes of the displacement.
+        corners: Nodes of the temperature.
+        interfaces: Nodes on each interface.
+    """
+    laws = case.interfaces.items()
+    parts, unknowns = [f"{_count(cells)} cells"], 0.0
+    if _solid(case):
+        jumps = sum(interfaces[name] for name, law in laws if not isinstance(law, Bonded))
+        parts += [
+            f"{_count(nodes)} displacement nodes",
+            f"{_count(jumps)} interface nodes with a jump",
+        ]
+        unknowns += 3 * (nodes + jumps)
+    if case.conducts:
+        steps = sum(interfaces[name] for name, law in laws if law.conductance is not None)
+        parts += [f"{_count(corners)} temperatures", f"{_count(steps)} temperature jumps"]
+        unknowns += corners + steps
     # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
     memory = 0.4 + 2e-6 * unknowns + 25 * 8e-9 * unknowns ** (4 / 3)
     return (
-        f"{title}\n  {_count(cells)} cells, {_count(nodes)} displacement nodes, "
-        f"{_count(jumps)} interface nodes with a jump\n"
+        f"{title}\n  {', '.join(parts)}\n"
         f"  {_count(unknowns)} unknowns, about {memory:.1f} GB with a direct solver"
     )
 
@@ -117,6 +170,11 @@ def _entries(model: Model, given: object, indent: int = 2) -> Iterable[str]:
     for key, value in written.items():
         if value in ([], {}) or (indent > 2 and key in ("kind", "rigid")):
             continue  # nothing to say, or said already in the line above
+        if isinstance(part := getattr(model, key), Model):
+            kind = f" {value['kind']}" if "kind" in value else ""
+            yield f"{' ' * indent}{key}:{kind}"
+            yield from _entries(part, source.get(key), indent + 2)
+            continue
         text = _plain(value)
         raw = _plain(source[key]) if key in source else None
         note = "" if raw is None or raw == text else f"  ({raw})"
@@ -145,14 +203,16 @@ def _plain(value: object) -> str:
         return text
 
 
-def _table(entries: Mapping[str, Any], given: object) -> Iterable[str]:
-    """A line per support or load."""
+def _table(entries: Mapping[str, Any]) -> list[str]:
+    """A line per support, load, condition or probe."""
+    lines = []
     for name, entry in entries.items():
         fields = entry.model_dump(mode="json", exclude_none=True)
-        kind, place = fields.pop("kind"), fields.pop("boundary", "")
-        words = [f"{kind} on {place}" if place else kind]
+        kind, place = fields.pop("kind", ""), fields.pop("boundary", "")
+        words = [f"{kind} on {place}" if place else kind] if kind else []
         words += [f"{k} {_plain(v)}" for k, v in fields.items()]
-        yield f"  {name}: {', '.join(words)}"
+        lines.append(f"  {name}: {', '.join(words)}")
+    return lines
 
 
 def _resultant(case: Case) -> Iterable[str]:
@@ -170,12 +230,8 @@ def _resultant(case: Case) -> Iterable[str]:
 def warnings(case: Case) -> list[str]:
     """What is allowed but rarely meant, for `mantle check` and the log of a run."""
     messages = []
-    contacts = [law for law in case.interfaces.values() if isinstance(law, Contact)]
-    if not case.loads and not any(law.gap for law in contacts):
-        moved = any(any(getattr(s, a, None) for a in "xyz") for s in case.supports.values())
-        strained = any(getattr(r, "eigenstrains", ()) for r in case.regions.values())
-        if not moved and not strained:
-            messages.append("nothing acts on the model: the result will be zero")
+    if not case.conducts and not _acts(case):
+        messages.append("nothing acts on the model: the result will be zero")
     if case.mesh.order == 1:
         messages += [
             f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far too "
@@ -183,4 +239,34 @@ def warnings(case: Case) -> list[str]:
             for name, region in case.regions.items()
             if getattr(region, "nearly_incompressible", False)
         ]
+    for name, region in case.regions.items():
+        if region.thermal is not None:
+            messages += _unusual(f"regions.{name}.thermal", region.thermal)
+    for name, condition in case.heat.items():
+        for key in ("temperature", "ambient"):
+            if isinstance(getattr(condition, key, None), float):
+                messages += _far_off(f"heat.{name}.{key}", condition, key, *TEMPERATURES)
     return messages
+
+
+def _acts(case: Case) -> bool:
+    """Whether anything moves or strains the model."""
+    gaps = any(isinstance(law, Contact) and law.gap for law in case.interfaces.values())
+    moved = any(any(getattr(s, a, None) for a in "xyz") for s in case.supports.values())
+    strained = any(getattr(r, "eigenstrains", ()) for r in case.regions.values())
+    return bool(case.loads) or gaps or moved or strained
+
+
+def _unusual(place: str, thermal: Thermal) -> Iterable[str]:
+    """Data of a region a thousand times off what any material has: a wrong unit."""
+    for key, (low, high) in USUAL.items():
+        yield from _far_off(f"{place}.{key}", thermal, key, low, high)
+    if thermal.cure is not None:
+        yield from _far_off(f"{place}.cure.heat", thermal.cure, "heat", 1.0, 1e4)
+
+
+def _far_off(place: str, model: Model, key: str, low: float, high: float) -> Iterable[str]:
+    value = getattr(model, key)
+    if value and not low <= abs(value) <= high:
+        text = _plain(model.model_dump(mode="json")[key])
+        yield f"{place} is {text}: a wrong unit?"
