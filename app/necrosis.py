@@ -20,8 +20,8 @@ Bools = NDArray[np.bool_]
 
 CELSIUS = 273.15  # K at 0 degC
 LEVELS = (47.0, 50.0, 56.0)  # degC
-# Bone dies after a minute at 47 degC (Eriksson & Albrektsson 1983, doi:10.1016/
-# 0022-3913(83)90174-9). The minute may be made of parts: bone does not recover between them.
+# Bone dies after a minute at 47 degC (Eriksson & Albrektsson 1983, J Prosthet Dent 50). The minute
+# may be made of parts: exposure is cumulative, bone does not recover in between.
 MINUTE = 60.0
 # Sapareto & Dewey 1984, doi:10.1016/0360-3016(84)90379-1: minutes at 43 degC that do the same; one
 # degree more is half the time above 43 degC, a quarter below, and nothing counts below 39 degC.

@@ -1,0 +1,103 @@
+r"""Heat that came in, is stored and left, with the sums of the integrator and beside them.
+
+The integrator's own sum of a step of length Δt with weights :math:`b_i` is exact for what it
+solved, to the tolerance of its equations,
+
+.. math:: E(t) - E(0) = \sum_{steps} Δt \sum_i b_i \sum_c Q_c(t_i),
+
+with E the stored heat and :math:`Q_c` the flow into the model by condition c. The second sum takes
+the flows at the ends of the steps by the trapezoidal rule: it knows nothing of the stages, and what
+is missing in it is the error of that rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+Flows = Mapping[str, float]
+
+
+class HeatBalance:
+    """Sums kept from step to step.
+
+    Attributes:
+        heat: The most that was missing in the integrator's sum after any step, over the heat that
+            had moved.
+        quadrature: What is missing in the trapezoidal sum.
+        flows: Heat that came in by each condition so far, by the integrator's sum [N mm].
+    """
+
+    def __init__(self, stored: float, flows: Flows) -> None:
+        """Begin.
+
+        Args:
+            stored: Heat stored at the start [N mm].
+            flows: Flow into the model by each condition at the start [N mm/s]; empty if it is not
+                known (it is infinite where temperatures differ from given ones): the first step is
+                then summed with the flows at its end.
+        """
+        self._stored = self._now = stored
+        self._last = dict(flows)
+        self._stage_sum = self._end_sum = self._moved = 0.0
+        self.heat = self.quadrature = 0.0
+        self.flows: dict[str, float] = {}
+
+    def update(
+        self,
+        step: float,
+        weights: Sequence[float],
+        stages: Sequence[Flows],
+        end: Flows,
+        stored: float,
+        moved: float,
+    ) -> None:
+        """Take in an accepted step.
+
+        Args:
+            step: Its length [s].
+            weights: Weights b_i of its stages.
+            stages: Flows into the model at each stage, by condition [N mm/s].
+            end: Flows at its end.
+            stored: Heat stored then [N mm].
+            moved: Heat that moved within the model in the step [N mm], of which balances are parts
+                (`ThermalRecord.moved`).
+        """
+        through = 0.0
+        for b, stage in zip(weights, stages, strict=True):
+            for name, flow in stage.items():
+                self.flows[name] = self.flows.get(name, 0.0) + step * b * flow
+                through += abs(step * b * flow)
+            self._stage_sum += step * b * sum(stage.values())
+        begin = self._last or end
+        self._end_sum += step * (sum(begin.values()) + sum(end.values())) / 2
+        self._last = dict(end)
+        self._moved += max(through, moved)
+        self._compare(stored)
+
+    def event(self, flows: Flows) -> None:
+        """Flows just after a moment at which they jump, such as the end of a course [N mm/s]."""
+        self._last = dict(flows)
+
+    def steady(self, flows: Flows, stored: float) -> None:
+        """Take in a steady state: what comes in leaves, and how much is stored says nothing.
+
+        Args:
+            flows: Flows into the model, by condition [N mm/s].
+            stored: Heat stored [N mm].
+        """
+        through = sum(abs(f) for f in flows.values())
+        self.heat = max(self.heat, abs(sum(flows.values())) / through if through else 0.0)
+        # The sums go on from here.
+        self._end_sum += stored - self._now
+        self._stage_sum += stored - self._now
+        self._now, self._last = stored, dict(flows)
+
+    def _compare(self, stored: float) -> None:
+        self._now = stored
+        gained = stored - self._stored
+
+        def part(total: float) -> float:
+            return abs(total - gained) / self._moved if self._moved else abs(total - gained)
+
+        self.heat = max(self.heat, part(self._stage_sum))
+        self.quadrature = part(self._end_sum)

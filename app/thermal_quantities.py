@@ -1,0 +1,408 @@
+"""How hot it gets, where and when, for how long, and what that kills: sections thermal and cure.
+
+A record is told the temperatures after every accepted step. Peaks are those of the nodes; between
+steps the peak in time is that of the parabola through three steps, where the middle one is the
+hottest (raised by at most an eighth of what the flanks fall, which is the most that equal steps
+can hide, and only between steps that differ by less than four times). Heat doses follow the
+parabola through the step and the one before it in straight pieces, bent no further than it takes to
+stay between the ends of the step.
+
+Temperatures are K inside and degC in what is reported; the other units are those of ``UNITS``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from app.necrosis import CELSIUS, LEVELS, Exposure
+from app.temperature_jumps import TemperatureJumps
+from app.thermal_nodes import Nodes, Probe, Probes, Side, pairs_of, region_nodes, sides_of
+from app.timing import Timing
+from forms import interface_heat
+from meshes.distribute import TaggedMesh
+
+Floats = NDArray[np.float64]
+Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
+
+W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
+# A piece of a step departs from the parabola by this [K] at most, unless it takes too many.
+_STRAIGHT = 0.01
+_MOST_PIECES = 8
+_HIDDEN = 1 / 8
+_UNEQUAL = 4.0
+
+
+@dataclass
+class _Region:
+    """What is kept of the nodes of one region (n,)."""
+
+    nodes: Nodes
+    now: Floats
+    peak: Floats
+    peak_time: Floats
+    lowest: float
+    exposure: Exposure
+    # The states before, newest last: seconds, temperatures.
+    before: list[tuple[float, Floats]] = field(default_factory=list)
+
+    @property
+    def begin(self) -> Floats:
+        """Temperatures before the step last taken in."""
+        return self.before[-1][1]
+
+
+@dataclass
+class _Extremes:
+    """Largest jump and flux, entropy production of one interface on this rank."""
+
+    jump: float = 0.0
+    flux: float = 0.0
+    entropy_min: float = np.inf
+    entropy_max: float = -np.inf
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """What passes the interfaces of finite conductance at this rank's points (n,).
+
+    Attributes:
+        names: Names of the interfaces.
+        interface: Which of them each point belongs to.
+        flux: Heat from master to slave per area [N/(mm s)].
+        entropy: Entropy production per area [N/(mm s K)].
+    """
+
+    names: tuple[str, ...]
+    interface: NDArray[np.int64]
+    flux: Floats
+    entropy: Floats
+
+
+def exchange(
+    names: Sequence[str],
+    jumps: TemperatureJumps,
+    temperatures: Sequence[fem.Function],
+    τ: Floats,
+    friction: Floats,
+    share: Floats,
+) -> Exchange:
+    """Flux and entropy production at the points of finite conductance.
+
+    Args:
+        names: Names of the interfaces.
+        jumps: Their points.
+        temperatures: Of the bodies [K].
+        τ: Jumps at own points (n,) [K].
+        friction: Friction heat per area there (n,) [N/(mm s)].
+        share: The part of it that goes into the slave (n,).
+    """
+    table = np.stack([t.x.array[jumps.dof] for t in temperatures])
+    master, slave = (table[jumps.bodies[:, k], np.arange(len(jumps.dof))] for k in (0, 1))
+    q = jumps.flux(τ)[0]
+    s = np.asarray(interface_heat.entropy_production(q, friction, share, master, slave))
+    return Exchange(tuple(names), jumps.interface, q, s)
+
+
+class ThermalRecord:
+    """Temperatures of a run, as far as they are reported.
+
+    Attributes:
+        seconds: Times of the states taken in, the initial one first [s].
+        rows: What `row` gave at each of them.
+        hottest: Temperatures of the bodies (own nodes) [K] when the bone side of the interfaces, or
+            without bone the whole model after the start, was hottest.
+        hottest_time: When that was [s].
+    """
+
+    def __init__(
+        self,
+        tagged: TaggedMesh,
+        space: fem.FunctionSpace,
+        of_region: Mapping[str, int],
+        interfaces: Interfaces,
+        probes: Sequence[Probe],
+        timing: Timing,
+    ) -> None:
+        """Find nodes, sides and probes; collective. `start` comes next.
+
+        Args:
+            tagged: The mesh.
+            space: First-order temperature.
+            of_region: Thermal body of each region.
+            interfaces: Regions on the first and second side of each interface, in the order of the
+                case.
+            probes: Named points.
+            timing: Where compiling is counted.
+
+        Raises:
+            InputError: A probe is not in its region.
+        """
+        self._comm = tagged.mesh.comm
+        self._owned = space.dofmap.index_map.size_local
+        self._nodes = region_nodes(tagged, space, of_region, timing)
+        self._sides = {name: sides_of(self._nodes, sides) for name, sides in interfaces.items()}
+        self._pairs = {name: pairs_of(self._nodes, sides) for name, sides in interfaces.items()}
+        self._bone_sides = _bone_sides(interfaces, self._sides)
+        self._probes = Probes(tagged, space, of_region, probes)
+        self._extremes = {name: _Extremes() for name in interfaces}
+        self._regions: dict[str, _Region] = {}
+        self.seconds: list[float] = []
+        self.rows: list[dict[str, float]] = []
+
+    def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
+        """Take in the initial state; collective."""
+        for name, nodes in self._nodes.items():
+            T = nodes.values(temperatures)
+            self._regions[name] = _Region(
+                nodes,
+                T,
+                T.copy(),
+                np.full(len(T), seconds),
+                float(T.min(initial=np.inf)),
+                Exposure.of(len(T)),
+            )
+        self._watched = -np.inf
+        self._take(seconds, temperatures)
+
+    def update(
+        self,
+        seconds: float,
+        temperatures: Sequence[fem.Function],
+        exchanges: Sequence[Exchange] = (),
+    ) -> None:
+        """Take in an accepted step; collective.
+
+        A steady state is a step that takes no time: it adds to peaks, not to doses.
+
+        Args:
+            seconds: Time at its end [s].
+            temperatures: Of the bodies then [K].
+            exchanges: What passes the interfaces of finite conductance then, if there are any.
+        """
+        step = seconds - self.seconds[-1]
+        for r in self._regions.values():
+            r.before = [*r.before[-1:], (self.seconds[-1], r.now)]
+            r.now = r.nodes.values(temperatures)
+            r.lowest = min(r.lowest, float(r.now.min(initial=np.inf)))
+        if step > 0:
+            self._expose(seconds)
+        for r in self._regions.values():
+            _raise(r.peak, r.peak_time, r.now, np.full(len(r.now), seconds))
+            if len(r.before) == 2 and _comparable(step, r.before[1][0] - r.before[0][0]):
+                _raise(r.peak, r.peak_time, *_vertex(*r.before, (seconds, r.now)))
+        for e in exchanges:
+            for i, name in enumerate(e.names):
+                self._extremes_of(name, e.flux[e.interface == i], e.entropy[e.interface == i])
+        self._take(seconds, temperatures)
+
+    def _expose(self, seconds: float) -> None:
+        """Count the doses of a step, in as many straight pieces as its curvature asks for."""
+        bends = {name: _bend(r.before, seconds, r.now) for name, r in self._regions.items()}
+        warm = {
+            name: np.maximum(r.begin, r.now) > CELSIUS + 39.0 for name, r in self._regions.items()
+        }
+        local = max(float(np.abs(b[warm[n]]).max(initial=0.0)) for n, b in bends.items())
+        worst = self._comm.allreduce(local, MPI.MAX)
+        pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
+        at = np.linspace(0.0, 1.0, pieces + 1)
+        step = seconds - self.seconds[-1]
+        for name, r in self._regions.items():
+            curve = [r.begin + s * (r.now - r.begin) - 4 * s * (1 - s) * bends[name] for s in at]
+            for begin, end in pairwise(curve):
+                r.exposure.add(begin, end, step / pieces)
+
+    def _extremes_of(self, name: str, flux: Floats, entropy: Floats) -> None:
+        x = self._extremes[name]
+        x.flux = max(x.flux, float(np.abs(flux).max(initial=0.0)))
+        x.entropy_min = min(x.entropy_min, float(entropy.min(initial=np.inf)))
+        x.entropy_max = max(x.entropy_max, float(entropy.max(initial=-np.inf)))
+
+    def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
+        """Keep what is shown over time, and the hottest state."""
+        now = {name: r.now for name, r in self._regions.items()}
+        names, values = [], []
+        for name, T in now.items():
+            names.append(f"{name} temperature_max [degC]")
+            values.append(T.max(initial=-np.inf) - CELSIUS)
+        for name, sides in self._sides.items():
+            for which, side in zip(("first", "second"), sides, strict=True):
+                names.append(f"{name} temperature_max_{which} [degC]")
+                values.append(side.gather(now).max(initial=-np.inf) - CELSIUS)
+            jump = np.abs(self._pairs[name].jump(temperatures)).max(initial=0.0)
+            names.append(f"{name} temperature_jump_max [K]")
+            values.append(jump)
+            self._extremes[name].jump = max(self._extremes[name].jump, float(jump))
+        watched = [side.gather(now).max(initial=-np.inf) for side in self._bone_sides]
+        if not watched and self.seconds:
+            watched = [T.max(initial=-np.inf) for T in now.values()]
+        values.append(max(watched, default=-np.inf))
+        over_all = np.array(values, dtype=np.float64)
+        self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
+        *largest, hot = over_all
+        row = dict(zip(names, map(float, largest), strict=True))
+        probed = self._probes.values(temperatures) - CELSIUS
+        row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
+        self.seconds.append(seconds)
+        self.rows.append(row)
+        if hot > self._watched or len(self.seconds) == 1:
+            self._watched = hot
+            self.hottest_time = seconds
+            self.hottest = [t.x.array.copy() for t in temperatures]
+
+    def row(self) -> dict[str, float]:
+        """Columns of history.csv for the state last taken in."""
+        return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
+
+    def moved(self, capacities: Mapping[str, float]) -> float:
+        """Heat that has moved since the state before the last step, however it went [N mm].
+
+        Args:
+            capacities: Heat capacity of each region [N/(mm2 K)].
+        """
+        local = sum(
+            capacities[name] * float(r.nodes.volume @ np.abs(r.now - r.begin))
+            for name, r in self._regions.items()
+        )
+        return float(self._comm.allreduce(local, MPI.SUM))
+
+    def exposure(self, region: str) -> tuple[Nodes, Exposure]:
+        """Nodes of a region and what they have been exposed to so far."""
+        return self._nodes[region], self._regions[region].exposure
+
+    # The summary
+
+    def summary(self) -> dict[str, Any]:
+        """Section ``thermal`` of the summary; collective."""
+        surface = self._bone_surface()
+        return {
+            "regions": {name: self._region(name, r, surface) for name, r in self._regions.items()},
+            "interfaces": {name: self._interface(name) for name in self._sides},
+        }
+
+    def _region(self, name: str, r: _Region, surface: Floats) -> dict[str, Any]:
+        comm, volume = self._comm, r.nodes.volume
+
+        def total(values: Floats) -> float:
+            return float(comm.allreduce(float(values.sum()), MPI.SUM))
+
+        def largest(values: Floats) -> float:
+            return float(comm.allreduce(float(values.max(initial=0.0)), MPI.MAX))
+
+        peak, place, when = _largest(comm, r.peak, r.nodes.x, r.peak_time)
+        result: dict[str, Any] = {
+            "temperature_max": peak - CELSIUS,
+            "temperature_max_at": place,
+            "temperature_max_time": when,
+            "temperature_min": comm.allreduce(r.lowest, MPI.MIN) - CELSIUS,
+            "temperature_mean": total(volume * r.now) / total(volume) - CELSIUS,
+            "temperature_end_max": comm.allreduce(r.now.max(initial=-np.inf), MPI.MAX) - CELSIUS,
+        }
+        for k, level in enumerate(LEVELS):
+            result[f"seconds_over_{level:g}"] = largest(r.exposure.over[k])
+            result[f"volume_over_{level:g}"] = total(volume[r.peak - CELSIUS > level])
+        if "bone" not in name:
+            return result
+        result["cem43_max"] = largest(r.exposure.cem43)
+        result["henriques_moritz_max"] = largest(r.exposure.damage)
+        distance = cKDTree(surface).query(r.nodes.x)[0] if len(surface) else None
+        for criterion, dead in r.exposure.necrotic().items():
+            result[f"necrosis_{criterion}_volume"] = total(volume[dead])
+            if distance is not None:
+                result[f"necrosis_{criterion}_depth"] = largest(distance[dead])
+        return result
+
+    def _bone_surface(self) -> Floats:
+        """Where bone meets what is not bone (n, 3) [mm], on every rank."""
+        places = {name: n.x for name, n in self._nodes.items()}
+        own = [side.gather(places) for side in self._bone_sides]
+        return np.concatenate(self._comm.allgather(np.concatenate([*own, np.zeros((0, 3))])))
+
+    def _interface(self, name: str) -> dict[str, Any]:
+        comm, e = self._comm, self._extremes[name]
+        result: dict[str, Any] = {}
+        columns = [
+            {n: values(r) for n, r in self._regions.items()}
+            for values in (lambda r: r.peak, lambda r: r.nodes.x, lambda r: r.peak_time)
+        ]
+        for which, side in zip(("first", "second"), self._sides[name], strict=True):
+            peak, place, when = _largest(comm, *(side.gather(c) for c in columns))
+            result[f"temperature_max_{which}"] = peak - CELSIUS
+            result[f"temperature_max_{which}_at"] = place
+            result[f"temperature_max_{which}_time"] = when
+        result["temperature_jump_max"] = float(comm.allreduce(e.jump, MPI.MAX))
+        low = float(comm.allreduce(e.entropy_min, MPI.MIN))
+        if low < np.inf:
+            # Where both sides have one temperature nothing of this is known.
+            result["heat_flux_max"] = W_PER_M2 * float(comm.allreduce(e.flux, MPI.MAX))
+            result["entropy_production_min"] = W_PER_M2 * low
+            high = float(comm.allreduce(e.entropy_max, MPI.MAX))
+            result["entropy_production_max"] = W_PER_M2 * high
+        return result
+
+
+def _bone_sides(interfaces: Interfaces, sides: Mapping[str, tuple[Side, Side]]) -> list[Side]:
+    """The bone side of each interface between bone and something else."""
+    found = []
+    for name, regions in interfaces.items():
+        bone = [any("bone" in r for r in side) for side in regions]
+        found += [sides[name][k] for k in (0, 1) if bone[k] and not bone[1 - k]]
+    return found
+
+
+def _raise(peak: Floats, time: Floats, value: Floats, when: Floats) -> None:
+    """Keep what is higher, in place."""
+    higher = value > peak
+    peak[higher], time[higher] = value[higher], when[higher]
+
+
+def _comparable(step: float, other: float) -> bool:
+    """Whether two steps tell what is between them."""
+    return 0 < max(step, other) < _UNEQUAL * min(step, other)
+
+
+def _vertex(*states: tuple[float, Floats]) -> tuple[Floats, Floats]:
+    """Height and time of the parabola's vertex where the middle of three states is the hottest."""
+    (t0, a), (t1, b), (t2, c) = states
+    top = (b >= a) & (b >= c) & (2 * b > a + c)
+    back, ahead = (b - a) / (t1 - t0), (c - b) / (t2 - t1)
+    curvature = np.where(top, (ahead - back) / (t2 - t0), -1.0)
+    slope = back + curvature * (t1 - t0)
+    rise = np.minimum(-(slope**2) / (4 * curvature), _HIDDEN * (b - np.minimum(a, c)))
+    when = np.clip(t1 - slope / (2 * curvature), t0, t2)
+    return np.where(top, b + rise, -np.inf), np.where(top, when, t1)
+
+
+def _bend(before: list[tuple[float, Floats]], seconds: float, now: Floats) -> Floats:
+    """How far below its chord the parabola through three states is in the middle of the last step.
+
+    Not further than leaves it between the ends of the step.
+    """
+    if len(before) < 2 or before[0][0] == before[1][0]:
+        return np.zeros_like(now)
+    (t0, a), (t1, b) = before
+    h = seconds - t1
+    curvature = ((now - b) / h - (b - a) / (t1 - t0)) / (seconds - t0)
+    limit = np.abs(now - b) / 4
+    return np.asarray(np.clip(curvature * h**2 / 4, -limit, limit))
+
+
+def _largest(
+    comm: MPI.Comm, values: Floats, x: Floats, times: Floats
+) -> tuple[float, list[float], float]:
+    """Largest value of all ranks with place and time; of equal ones the first place."""
+    best = (-np.inf, [0.0, 0.0, 0.0], 0.0)
+    if len(values):
+        equal = np.flatnonzero(values == values.max())
+        k = equal[np.lexsort(x[equal].T[::-1])[0]]
+        best = (float(values[k]), [float(c) for c in x[k]], float(times[k]))
+    return min(comm.allgather(best), key=lambda b: (-b[0], b[1]))

@@ -1,0 +1,328 @@
+"""What is reported of temperatures and cure, against formulas, on any number of ranks."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from dolfinx import fem, mesh
+from scipy.integrate import quad
+
+from app.cure_quantities import CureRecord
+from app.errors import InputError
+from app.thermal_nodes import Probe
+from app.thermal_quantities import Exchange, ThermalRecord
+from app.timing import Timing
+from meshes.distribute import TaggedMesh
+from tests import support
+
+ZERO = 273.15
+CYLINDERS = """
+geometry: {kind: cylinders, stem_radius: 6 mm, cement_thickness: 3 mm, bone_thickness: 5 mm,
+           length: 8 mm}
+mesh: {size: 3 mm, order: 2}
+regions:
+  stem: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
+interfaces: {stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}
+supports: {outer: {kind: fixed, boundary: bone_surface}}
+"""
+BODIES = {"bone": 0, "cement": 1}
+SIDES = {"bone_cement": (("bone",), ("cement",))}
+State = Callable[[np.ndarray, float], np.ndarray]
+
+
+def two_blocks(comm: MPI.Comm) -> TaggedMesh:
+    """Bone under cement, each 4 x 4 x 2 mm, nodes every half millimetre."""
+    box = mesh.create_box(comm, [[0, 0, 0], [4, 4, 4]], [8, 8, 8])
+    box.topology.create_connectivity(3, 0)
+    box.topology.create_entities(2)
+    box.topology.create_connectivity(2, 3)
+    index_map = box.topology.index_map(3)
+    cells = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
+    above = mesh.compute_midpoints(box, 3, cells)[:, 2] > 2
+    tags = mesh.meshtags(box, 3, cells, above.astype(np.int32) + 1)
+    none = mesh.meshtags(box, 2, np.zeros(0, np.int32), np.zeros(0, np.int32))
+    return TaggedMesh(box, tags, none, {"bone": 1, "cement": 2}, {}, SIDES)
+
+
+@pytest.fixture(scope="module")
+def stack() -> TaggedMesh:
+    return two_blocks(MPI.COMM_WORLD)
+
+
+class Play:
+    """Plays temperatures in degC, functions of place (n, 3) and time, to a record."""
+
+    def __init__(
+        self, tagged: TaggedMesh, bone: State, cement: State, probes: tuple[Probe, ...] = ()
+    ) -> None:
+        self.space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
+        self.states = (bone, cement)
+        self.functions = [fem.Function(self.space) for _ in self.states]
+        self.record = ThermalRecord(tagged, self.space, BODIES, SIDES, probes, Timing())
+        self.record.start(self.at(0.0))
+
+    def at(self, time: float) -> list[fem.Function]:
+        x = self.space.tabulate_dof_coordinates()
+        for function, state in zip(self.functions, self.states, strict=True):
+            function.x.array[:] = state(x, time) + ZERO
+        return self.functions
+
+    def through(self, *times: float) -> dict[str, Any]:
+        for time in times:
+            self.record.update(time, self.at(time))
+        return self.record.summary()
+
+
+def constant(value: float) -> State:
+    return lambda x, t: np.full(len(x), value)
+
+
+def falling(x: np.ndarray, t: float) -> np.ndarray:
+    """47 degC between the nodes at 1.0 and 1.5 mm, 52.5 at the interface, in the bone."""
+    return 43.0 + 4.75 * x[:, 2]
+
+
+def test_necrosis_of_a_known_field(stack: TaggedMesh) -> None:
+    play = Play(stack, falling, constant(80.0))
+    early = play.through(59.0)["regions"]["bone"]
+    assert early["necrosis_47C_1min_volume"] == 0 and early["necrosis_47C_1min_depth"] == 0
+    late = play.through(61.0)
+    bone, cement = late["regions"]["bone"], late["regions"]["cement"]
+    # Nodes at 1.0 (47.75), 1.5 and 2.0 mm: layers of a half, a half and a quarter millimetre.
+    assert bone["necrosis_47C_1min_volume"] == pytest.approx(16 * 1.25)
+    assert bone["necrosis_47C_1min_depth"] == pytest.approx(1.0)
+    assert bone["volume_over_47"] == pytest.approx(16 * 1.25)
+    assert bone["volume_over_50"] == pytest.approx(16 * 0.75)
+    assert bone["volume_over_56"] == 0
+    assert (bone["seconds_over_47"], bone["seconds_over_56"]) == (61.0, 0.0)
+    assert bone["cem43_max"] == pytest.approx(2**9.5 * 61 / 60)
+    # 2^(T - 43) 61/60 of 0, 2.4, 4.75, 7.1, 9.5 degC above 43: 1.0, 5.3, 27.3, 142, 736 minutes.
+    assert bone["necrosis_cem43_16_depth"] == pytest.approx(1.0)
+    assert bone["necrosis_cem43_60_depth"] == pytest.approx(0.5)
+    assert bone["necrosis_cem43_240_depth"] == 0
+    assert bone["necrosis_cem43_240_volume"] == pytest.approx(16 * 0.25)
+    rate = 3.1e98 * np.exp(-6.28e5 / (8.314462618 * 325.65))
+    assert bone["henriques_moritz_max"] == pytest.approx(61 * rate)
+    assert bone["temperature_mean"] == pytest.approx(47.75)
+    assert bone["temperature_min"] == pytest.approx(43.0)
+    assert not [key for key in cement if "necrosis" in key]
+    assert cement["volume_over_56"] == pytest.approx(32)
+
+
+def test_the_sides_of_an_interface_are_apart(stack: TaggedMesh) -> None:
+    play = Play(stack, falling, lambda x, t: 80.0 - t + x[:, 0])
+    summary = play.through(5.0)
+    q = summary["interfaces"]["bone_cement"]
+    assert q["temperature_max_first"] == pytest.approx(52.5)
+    assert q["temperature_max_second"] == pytest.approx(84.0)
+    assert q["temperature_max_second_time"] == 0
+    assert q["temperature_max_second_at"] == pytest.approx([4, 0, 2])  # the first of equal places
+    assert q["temperature_jump_max"] == pytest.approx(84 - 52.5)
+    row = play.record.row()
+    assert row["bone_cement temperature_max_second [degC]"] == pytest.approx(79.0)
+    assert row["cement temperature_max [degC]"] == pytest.approx(79.0)
+    assert summary["regions"]["cement"]["temperature_end_max"] == pytest.approx(79.0)
+
+
+def test_a_peak_between_steps_is_found(stack: TaggedMesh) -> None:
+    def parabola(x: np.ndarray, t: float) -> np.ndarray:
+        return 60.0 - (t - 3.2) ** 2 - x[:, 2]
+
+    bone = Play(stack, parabola, constant(20.0)).through(1.0, 2.5, 4.5, 6.0)["regions"]["bone"]
+    assert bone["temperature_max"] == pytest.approx(60.0)
+    assert bone["temperature_max_time"] == pytest.approx(3.2)
+    assert bone["temperature_max_at"] == pytest.approx([0, 0, 0])
+
+
+def test_very_unequal_steps_do_not_make_up_a_peak(stack: TaggedMesh) -> None:
+    def jump(x: np.ndarray, t: float) -> np.ndarray:
+        return np.full(len(x), 37.0 if t == 0 else 60.0 - 1e-3 * t)
+
+    bone = Play(stack, jump, constant(20.0)).through(1e-3, 100.0)["regions"]["bone"]
+    assert 60.0 - 1e-6 <= bone["temperature_max"] < 60.02
+
+
+def test_the_hottest_moment_of_the_bone_is_kept(stack: TaggedMesh) -> None:
+    play = Play(
+        stack, lambda x, t: 50.0 - (t - 2) ** 2 + x[:, 2], lambda x, t: 90.0 - t + 0 * x[:, 0]
+    )
+    play.through(1.0, 2.0, 3.0)
+    assert play.record.hottest_time == 2.0
+    assert play.record.hottest[0].max() == pytest.approx(54.0 + ZERO)  # at the top, 4 mm up
+    assert play.record.hottest[1].max() == pytest.approx(88.0 + ZERO)
+
+
+@pytest.mark.parametrize("step", [0.15, 0.3])
+def test_doses_follow_the_curve_and_not_its_chords(stack: TaggedMesh, step: float) -> None:
+    """Cooling 25 exp(-t): chords alone would overstate the damage integral by 7 and 30 %."""
+
+    def cooling(x: np.ndarray, t: float) -> np.ndarray:
+        return np.full(len(x), 37.0 + 25.0 * np.exp(-t / 60))
+
+    def rate(t: float) -> float:
+        return float(
+            np.exp(np.log(3.1e98) - 6.28e5 / 8.314462618 / (310.15 + 25 * np.exp(-t / 60)))
+        )
+
+    times = 60.0 * step * np.arange(1, round(3 / step) + 1)
+    bone = Play(stack, cooling, constant(20.0)).through(*times)["regions"]["bone"]
+    # The first step has nothing before it and stays a chord.
+    exact = quad(rate, times[0], times[-1], epsrel=1e-10)[0]
+    first = (37 + 25 * np.exp(-step) - 62.0) / times[0]
+    chord = quad(
+        lambda t: np.exp(np.log(3.1e98) - 6.28e5 / 8.314462618 / (335.15 + first * t)),
+        0,
+        times[0],
+        epsrel=1e-10,
+    )[0]
+    assert bone["henriques_moritz_max"] - chord == pytest.approx(exact, rel=0.25 * step)
+
+
+def test_a_steady_state_takes_no_time(stack: TaggedMesh) -> None:
+    play = Play(stack, constant(30.0), constant(30.0))
+    play.states = (constant(60.0), constant(60.0))
+    bone = play.through(0.0)["regions"]["bone"]
+    assert bone["temperature_max"] == pytest.approx(60.0)
+    assert bone["seconds_over_47"] == 0 and bone["necrosis_47C_1min_volume"] == 0
+    assert play.through(10.0)["regions"]["bone"]["seconds_over_47"] == pytest.approx(10)
+
+
+def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
+    play = Play(stack, constant(30.0), constant(40.0))
+    for flux, entropy in ((-2e-3, 3e-9), (1e-3, -1e-25)):
+        one = np.array([flux]), np.array([entropy])
+        play.record.update(
+            1.0 + entropy, play.at(1.0), [Exchange(("bone_cement",), np.array([0]), *one)]
+        )
+    q = play.record.summary()["interfaces"]["bone_cement"]
+    assert q["heat_flux_max"] == pytest.approx(2.0)  # W/m2
+    assert q["entropy_production_min"] == pytest.approx(-1e-22)
+    assert q["entropy_production_max"] == pytest.approx(3e-6)
+    assert "heat_flux_max" not in Play(stack, falling, falling).through(1.0)["interfaces"]
+
+
+def test_probes_see_their_own_region(stack: TaggedMesh) -> None:
+    probes = (
+        Probe("tip", (1.3, 2.2, 2.0), "bone"),
+        Probe("above", (1.3, 2.2, 2.0), "cement"),
+        Probe("anywhere", (0.2, 0.3, 3.3)),
+    )
+    play = Play(stack, falling, lambda x, t: 60.0 + x[:, 0] - 2 * x[:, 1] + t, probes)
+    play.through(1.0)
+    row = play.record.row()
+    assert row["tip [degC]"] == pytest.approx(52.5)
+    assert row["above [degC]"] == pytest.approx(61 + 1.3 - 4.4)
+    assert row["anywhere [degC]"] == pytest.approx(61 + 0.2 - 0.6)
+
+
+def test_probes_in_curved_cells() -> None:
+    tagged = support.mesh(support.case(CYLINDERS))
+    assert tagged.mesh.geometry.dofmap.shape[1] == 10
+    space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
+    angles = np.linspace(0, 2, 5)
+    probes = [
+        Probe(f"p{k}", (8.999 * np.cos(a), 8.999 * np.sin(a), 3.1), "cement")
+        for k, a in enumerate(angles)
+    ]
+    bodies = {"stem": 0, "cement": 0, "bone": 0}
+    record = ThermalRecord(tagged, space, bodies, tagged.interfaces, probes, Timing())
+    T = fem.Function(space)
+    x = space.tabulate_dof_coordinates()
+    T.x.array[:] = ZERO + np.hypot(x[:, 0], x[:, 1])
+    record.start([T])
+    row = record.row()
+    # The cell bulges to the true radius, where linear functions take the value of its corners.
+    for k in range(len(angles)):
+        assert row[f"p{k} [degC]"] == pytest.approx(9.0, abs=0.02)
+    assert row["cement_bone temperature_max_first [degC]"] == pytest.approx(9.0)
+
+
+def test_a_probe_outside_is_refused(stack: TaggedMesh) -> None:
+    with pytest.raises(InputError, match=r"probes\.far: .* region 'bone'"):
+        Play(stack, falling, falling, (Probe("far", (1.0, 1.0, 3.0), "bone"),))
+
+
+def logistic(t: np.ndarray | float, k: float = 6.82396e-3, seed: float = 1e-3) -> Any:
+    return 1 / (1 + (1 / seed - 1) * np.exp(-k * np.asarray(t)))
+
+
+def test_cure_of_a_logistic_curve() -> None:
+    """Isothermal autocatalysis, m = n = 1: t50 = 1012.133 s; a second node half a minute late."""
+    k = 6.82396e-3
+    start = np.array([logistic(0.0), logistic(-30.0)])
+    record = CureRecord(MPI.COMM_SELF, {"cement": start})
+    for time in np.arange(40.0, 1800.0, 40.0):
+        a = np.array([logistic(time), logistic(time - 30.0)])
+        record.update(time, {"cement": a}, {"cement": k * a * (1 - a)})
+    cement = record.summary()["cement"]
+    assert cement["time_50"] == pytest.approx(1042.133, rel=2e-6)
+    assert cement["time_90"] == pytest.approx(1042.133 + np.log(9) / k, rel=2e-6)
+    assert cement["rate_max"] == pytest.approx(k / 4, rel=5e-3)
+    assert cement["degree_max"] == pytest.approx(float(logistic(1760.0)))
+    assert cement["degree_min"] == pytest.approx(float(logistic(1730.0)))
+
+
+def test_a_degree_that_is_not_reached_has_no_time() -> None:
+    record = CureRecord(MPI.COMM_SELF, {"cement": np.array([0.0, 0.0])})
+    record.update(1.0, {"cement": np.array([0.6, 0.4])}, {"cement": np.array([0.0, 0.1])})
+    assert record.summary()["cement"]["time_50"] is None
+    record.update(2.0, {"cement": np.array([0.6, 0.6])}, {"cement": np.zeros(2)})
+    assert 1.0 < record.summary()["cement"]["time_50"] < 2.0
+
+
+def wandering(x: np.ndarray, t: float) -> np.ndarray:
+    return 45.0 + 5 * np.sin(x[:, 0] + 0.03 * t) + x[:, 1] + 2.1 * x[:, 2] - 0.01 * t
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_ranks_agree(ranks: int, tmp_path: Path) -> None:
+    found = []
+    for n in (1, ranks):
+        out = tmp_path / f"{n}.json"
+        done = subprocess.run(
+            support.mpirun(n, __file__, out),
+            env=support.environment(),
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert done.returncode == 0, done.stderr
+        found.append(json.loads(out.read_text()))
+
+    def close(a: Any, b: Any) -> None:
+        if isinstance(a, dict):
+            assert a.keys() == b.keys()
+            for key in a:
+                close(a[key], b[key])
+        else:
+            assert a == pytest.approx(b, rel=1e-9, abs=1e-12)
+
+    close(*found)
+
+
+def main(path: str) -> None:
+    comm = MPI.COMM_WORLD
+    probes = (Probe("tip", (1.3, 2.2, 2.0), "bone"), Probe("any", (0.2, 0.3, 3.3)))
+    play = Play(two_blocks(comm), wandering, wandering, probes)
+    summary = play.through(*np.arange(10.0, 120.0, 10.0))
+    summary["row"] = play.record.row()
+    summary["moved"] = play.record.moved({"bone": 2.0, "cement": 3.0})
+    summary["hottest"] = play.record.hottest_time
+    if comm.rank == 0:
+        Path(path).write_text(json.dumps(summary))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
