@@ -114,7 +114,7 @@ def step(
         if found is None:
             return None
         end = found
-        slope = [(a - b) / h for a, b in zip(end, start, strict=True)]
+        slope = _slope(start, end, h)
         slopes.append(slope)
     zero = [np.zeros_like(part) for part in y]
     if len(method.embedded):
@@ -129,7 +129,7 @@ def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> Stat
     found = solve(y, shortest, seconds, y)
     if found is None:
         return None
-    return [(a - b) / shortest for a, b in zip(found, y, strict=True)]
+    return _slope(y, found, shortest)
 
 
 def first_step(slope: State, norm: Norm, longest: float) -> float:
@@ -189,6 +189,11 @@ class Controller:
     def failed(self, dt: float) -> None:
         """A step could not be solved: try one of half its length."""
         self._next = dt / 2
+
+
+def _slope(start: State, end: State, h: float) -> State:
+    """Rate of change from one state to another."""
+    return [np.divide(b - a, h) for a, b in zip(start, end, strict=True)]
 
 
 def _add(y: State, weights: Floats, slopes: Sequence[State]) -> State:
