@@ -12,7 +12,7 @@ is missing in it is the error of that rule.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 Flows = Mapping[str, float]
 
@@ -24,7 +24,7 @@ class HeatBalance:
         heat: The most that was missing in the integrator's sum after any step, over the heat that
             had moved.
         quadrature: What is missing in the trapezoidal sum.
-        flows: Heat that came in by each condition so far, by the integrator's sum [N mm].
+        heats: Heat that came in by each condition so far, by the integrator's sum [N mm].
     """
 
     def __init__(self, stored: float, flows: Flows) -> None:
@@ -40,38 +40,26 @@ class HeatBalance:
         self._last = dict(flows)
         self._stage_sum = self._end_sum = self._moved = 0.0
         self.heat = self.quadrature = 0.0
-        self.flows: dict[str, float] = {}
+        self.heats: dict[str, float] = {}
 
-    def update(
-        self,
-        step: float,
-        weights: Sequence[float],
-        stages: Sequence[Flows],
-        end: Flows,
-        stored: float,
-        moved: float,
-    ) -> None:
+    def update(self, step: float, heats: Flows, end: Flows, stored: float, moved: float) -> None:
         """Take in an accepted step.
 
         Args:
             step: Its length [s].
-            weights: Weights b_i of its stages.
-            stages: Flows into the model at each stage, by condition [N mm/s].
-            end: Flows at its end.
+            heats: Heat that came in by each condition, as the integrator sums its stages [N mm].
+            end: Flows at the end [N mm/s].
             stored: Heat stored then [N mm].
             moved: Heat that moved within the model in the step [N mm], of which balances are parts
                 (`ThermalRecord.moved`).
         """
-        through = 0.0
-        for b, stage in zip(weights, stages, strict=True):
-            for name, flow in stage.items():
-                self.flows[name] = self.flows.get(name, 0.0) + step * b * flow
-                through += abs(step * b * flow)
-            self._stage_sum += step * b * sum(stage.values())
+        for name, heat in heats.items():
+            self.heats[name] = self.heats.get(name, 0.0) + heat
+        self._stage_sum += sum(heats.values())
         begin = self._last or end
         self._end_sum += step * (sum(begin.values()) + sum(end.values())) / 2
         self._last = dict(end)
-        self._moved += max(through, moved)
+        self._moved += max(sum(map(abs, heats.values())), moved)
         self._compare(stored)
 
     def event(self, flows: Flows) -> None:

@@ -10,16 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
-import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.bodies import cell_tags
 from app.errors import InputError
-from app.timing import Timing
+from app.heat_forms import HeatForms
 from meshes.distribute import TaggedMesh
 
 Floats = NDArray[np.float64]
@@ -77,29 +75,19 @@ class Pair:
 
 
 def region_nodes(
-    tagged: TaggedMesh, space: fem.FunctionSpace, of_region: Mapping[str, int], timing: Timing
+    forms: HeatForms, regions: Sequence[str], of_region: Mapping[str, int]
 ) -> dict[str, Nodes]:
-    """Nodes of every region; collective.
+    """Nodes of regions; collective.
 
     Args:
-        tagged: The mesh.
-        space: First-order temperature.
-        of_region: Body of each region.
-        timing: Where compiling is counted.
+        forms: The forms of heat.
+        regions: The regions.
+        of_region: Body of each.
     """
-    tags = cell_tags(tagged)
-    inside = fem.Function(fem.functionspace(tagged.mesh, ("DG", 0)))
-    with timing.phase("compile"):
-        form = fem.form(inside * ufl.TestFunction(space) * ufl.dx)
-    owned = space.dofmap.index_map.size_local
-    x = space.tabulate_dof_coordinates()[:owned]
+    x = forms.space.tabulate_dof_coordinates()
     found = {}
-    for region, tag in tagged.regions.items():
-        inside.x.array[:] = tags == tag
-        vector = fem.petsc.assemble_vector(form)
-        vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
-        volume = vector.array[:owned].copy()
-        vector.destroy()
+    for region in regions:
+        volume = forms.volumes(region)
         dof = np.flatnonzero(volume > 0)
         found[region] = Nodes(of_region[region], dof, x[dof], volume[dof])
     return found

@@ -24,10 +24,10 @@ from dolfinx import fem
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from app.heat_forms import HeatForms
 from app.necrosis import CELSIUS, LEVELS, Exposure
 from app.temperature_jumps import TemperatureJumps
 from app.thermal_nodes import Nodes, Probe, Probes, Side, pairs_of, region_nodes, sides_of
-from app.timing import Timing
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
 
@@ -127,33 +127,30 @@ class ThermalRecord:
     def __init__(
         self,
         tagged: TaggedMesh,
-        space: fem.FunctionSpace,
+        forms: HeatForms,
         of_region: Mapping[str, int],
         interfaces: Interfaces,
         probes: Sequence[Probe],
-        timing: Timing,
     ) -> None:
         """Find nodes, sides and probes; collective. `start` comes next.
 
         Args:
             tagged: The mesh.
-            space: First-order temperature.
+            forms: The forms of heat on it.
             of_region: Thermal body of each region.
             interfaces: Regions on the first and second side of each interface, in the order of the
                 case.
             probes: Named points.
-            timing: Where compiling is counted.
 
         Raises:
             InputError: A probe is not in its region.
         """
-        self._comm = tagged.mesh.comm
-        self._owned = space.dofmap.index_map.size_local
-        self._nodes = region_nodes(tagged, space, of_region, timing)
+        self._comm = forms.comm
+        self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
         self._sides = {name: sides_of(self._nodes, sides) for name, sides in interfaces.items()}
         self._pairs = {name: pairs_of(self._nodes, sides) for name, sides in interfaces.items()}
         self._bone_sides = _bone_sides(interfaces, self._sides)
-        self._probes = Probes(tagged, space, of_region, probes)
+        self._probes = Probes(tagged, forms.space, of_region, probes)
         self._extremes = {name: _Extremes() for name in interfaces}
         self._regions: dict[str, _Region] = {}
         self.seconds: list[float] = []

@@ -16,8 +16,10 @@ import pytest
 from dolfinx import fem, mesh
 from scipy.integrate import quad
 
+from app.bodies import Bodies, bodies_of
 from app.cure_quantities import CureRecord
 from app.errors import InputError
+from app.heat_forms import HeatForms
 from app.thermal_nodes import Probe
 from app.thermal_quantities import Exchange, ThermalRecord
 from app.timing import Timing
@@ -36,7 +38,7 @@ regions:
 interfaces: {stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}
 supports: {outer: {kind: fixed, boundary: bone_surface}}
 """
-BODIES = {"bone": 0, "cement": 1}
+BODIES = Bodies(("bone", "cement"), {"bone": 0, "cement": 1}, np.array([-1, 0, 1]))
 SIDES = {"bone_cement": (("bone",), ("cement",))}
 State = Callable[[np.ndarray, float], np.ndarray]
 
@@ -66,10 +68,11 @@ class Play:
     def __init__(
         self, tagged: TaggedMesh, bone: State, cement: State, probes: tuple[Probe, ...] = ()
     ) -> None:
-        self.space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
+        forms = HeatForms(tagged, BODIES, Timing())
+        self.space = forms.space
         self.states = (bone, cement)
         self.functions = [fem.Function(self.space) for _ in self.states]
-        self.record = ThermalRecord(tagged, self.space, BODIES, SIDES, probes, Timing())
+        self.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, probes)
         self.record.start(self.at(0.0))
 
     def at(self, time: float) -> list[fem.Function]:
@@ -229,16 +232,16 @@ def test_probes_see_their_own_region(stack: TaggedMesh) -> None:
 def test_probes_in_curved_cells() -> None:
     tagged = support.mesh(support.case(CYLINDERS))
     assert tagged.mesh.geometry.dofmap.shape[1] == 10
-    space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
+    bodies = bodies_of(tagged, (), ())
+    forms = HeatForms(tagged, bodies, Timing())
     angles = np.linspace(0, 2, 5)
     probes = [
         Probe(f"p{k}", (8.999 * np.cos(a), 8.999 * np.sin(a), 3.1), "cement")
         for k, a in enumerate(angles)
     ]
-    bodies = {"stem": 0, "cement": 0, "bone": 0}
-    record = ThermalRecord(tagged, space, bodies, tagged.interfaces, probes, Timing())
-    T = fem.Function(space)
-    x = space.tabulate_dof_coordinates()
+    record = ThermalRecord(tagged, forms, bodies.of_region, tagged.interfaces, probes)
+    T = fem.Function(forms.space)
+    x = forms.space.tabulate_dof_coordinates()
     T.x.array[:] = ZERO + np.hypot(x[:, 0], x[:, 1])
     record.start([T])
     row = record.row()
