@@ -1,0 +1,271 @@
+"""Integration in time: the methods' tables, their orders and damping, how steps are chosen."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from app.integrator import METHODS, Controller, Method, State, first_step, start_slope, step
+
+Floats = NDArray[np.float64]
+SDIRK4, EULER = METHODS["sdirk4"], METHODS["backward_euler"]
+BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+
+
+def test_only_methods_that_damp_are_offered() -> None:
+    assert set(METHODS) == {"sdirk4", "backward_euler"}
+
+
+def conditions(a: Floats, b: Floats, c: Floats) -> list[list[float]]:
+    """Residuals of the order conditions of weights b, for orders 1 to 4 (Butcher's trees)."""
+    return [
+        [b.sum() - 1],
+        [b @ c - 1 / 2],
+        [b @ c**2 - 1 / 3, b @ a @ c - 1 / 6],
+        [b @ c**3 - 1 / 4, b * c @ a @ c - 1 / 8, b @ a @ c**2 - 1 / 12, b @ a @ a @ c - 1 / 24],
+    ]
+
+
+@BOTH
+def test_order_conditions(method: Method) -> None:
+    found = conditions(method.a, method.a[-1], method.c)
+    assert np.abs(np.concatenate(found[: method.order])).max() < 1e-14
+    if method.order < 4:
+        assert np.abs(found[method.order]).max() > 1e-3
+
+
+def test_embedded_weights_are_of_the_order_below() -> None:
+    found = conditions(SDIRK4.a, SDIRK4.embedded, SDIRK4.c)
+    assert np.abs(np.concatenate(found[:3])).max() < 1e-14
+    assert np.abs(found[3]).max() > 1e-3
+
+
+@BOTH
+def test_stable_for_all_decay_and_damping_what_is_fast(method: Method) -> None:
+    """The stability function is at most one on the imaginary axis and tends to zero."""
+    size = len(method.a)
+
+    def growth(z: complex) -> float:
+        slopes = np.linalg.solve(np.eye(size) - z * method.a, np.ones(size))
+        return abs(1 + z * method.a[-1] @ slopes)
+
+    assert np.allclose(np.diag(method.a), method.a[0, 0])
+    assert np.array_equal(np.triu(method.a, 1), np.zeros((size, size)))
+    axis = [1j * y for y in 10 ** np.linspace(-3, 6, 300)]
+    assert max(map(growth, axis)) <= 1 + 1e-12
+    assert growth(-1e6) < 1e-5
+
+
+def rotating(start: State, h: float, seconds: float, guess: State) -> State:
+    """y' = cos(t) y, y' = -y^2 / 2: solutions exp(sin t) and 1 / (1 + t / 2)."""
+    a, b = start
+    return [a / (1 - h * np.cos(seconds)), 2 * b / (1 + np.sqrt(1 + 2 * h * b))]
+
+
+def exact(t: float) -> Floats:
+    return np.array([math.exp(math.sin(t)), 1 / (1 + t / 2)])
+
+
+def slope_at(t: float) -> State:
+    y = exact(t)
+    return [np.array([math.cos(t) * y[0]]), np.array([-(y[1] ** 2) / 2])]
+
+
+def fitted(steps: list[float], errors: list[float]) -> float:
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+
+
+@BOTH
+def test_error_falls_with_the_order(method: Method) -> None:
+    steps, errors = [], []
+    for n in (10, 20, 40, 80):
+        dt, slope = 2 / n, slope_at(0.0)
+        y = [np.array([v]) for v in exact(0.0)]
+        for k in range(n):
+            done = step(method, y, slope, dt, k * dt, rotating)
+            assert done is not None
+            y, slope = done.state, done.slope
+        steps.append(dt)
+        errors.append(float(np.abs(np.concatenate(y) - exact(2.0)).max()))
+    assert fitted(steps, errors) == pytest.approx(method.order, abs=0.25)
+    # The slope at the end is that of the equations there.
+    assert np.concatenate(slope) == pytest.approx(np.concatenate(slope_at(2.0)), abs=2 * errors[-1])
+
+
+@BOTH
+def test_estimate_bounds_the_error_of_a_step_and_goes_with_its_power(method: Method) -> None:
+    steps, true, estimated = [], [], []
+    for dt in (0.2, 0.1, 0.05):
+        slope, y = slope_at(1.0 - dt), [np.array([v]) for v in exact(1.0)]
+        if len(method.embedded):
+            slope = slope_at(1.0)
+        done = step(method, y, slope, dt, 1.0, rotating)
+        assert done is not None
+        steps.append(dt)
+        true.append(np.abs(np.concatenate(done.state) - exact(1.0 + dt)).max())
+        estimated.append(np.abs(np.concatenate(done.error)).max())
+    assert fitted(steps, estimated) == pytest.approx(method.estimate_order, abs=0.25)
+    assert all(t < 1.5 * e for t, e in zip(true, estimated, strict=True))
+
+
+def test_first_slope_and_first_step() -> None:
+    y = [np.array([v]) for v in exact(0.3)]
+    slope = start_slope(y, 0.3, 1e-6, rotating)
+    assert slope is not None
+    assert np.concatenate(slope) == pytest.approx(np.concatenate(slope_at(0.3)), rel=1e-5)
+
+    def norm(state: State) -> float:
+        return float(np.abs(np.concatenate(state)).max()) / 1e-3
+
+    dt = first_step(slope, norm, 100.0)
+    assert norm([dt * k for k in slope]) == pytest.approx(100)
+    assert first_step([np.zeros(2)], norm, 7.0) == 7.0
+
+
+@BOTH
+def test_a_stage_without_a_solution_is_a_step_without_one(method: Method) -> None:
+    assert step(method, [np.ones(1)], [np.zeros(1)], 1.0, 0.0, lambda *_: None) is None
+    assert start_slope([np.ones(1)], 0.0, 1e-3, lambda *_: None) is None
+
+
+def test_no_part_of_a_state_may_be_missing_or_shared() -> None:
+    """Parts may be empty on a rank; the state handed in is not changed."""
+    y = [np.ones(2), np.zeros(0)]
+    done = step(SDIRK4, y, [np.zeros(2), np.zeros(0)], 0.1, 0.0, lambda s, *_: [v / 2 for v in s])
+    assert done is not None
+    assert [len(v) for v in done.state] == [len(v) for v in done.error] == [2, 0]
+    assert np.array_equal(y[0], np.ones(2))
+
+
+# Crank-Nicolson
+
+
+def bar(n: int = 40) -> tuple[Floats, Floats]:
+    """Conduction in a bar of length 1, lumped: -K/C, and 100 degC but for the ends, held at 37."""
+    laplace = np.diag(np.full(n + 1, -2.0)) + np.eye(n + 1, k=1) + np.eye(n + 1, k=-1)
+    laplace[[0, -1]] = 0
+    start = np.full(n + 1, 100.0)
+    start[[0, -1]] = 37
+    return laplace * n**2, start
+
+
+def crank_nicolson(A: Floats, T: Floats, dt: float) -> Floats:
+    one = np.eye(len(T))
+    return np.linalg.solve(one - dt / 2 * A, T + dt / 2 * A @ T)
+
+
+def euler(A: Floats, T: Floats, dt: float) -> Floats:
+    def solve(start: State, h: float, seconds: float, guess: State) -> State:
+        return [np.linalg.solve(np.eye(len(T)) - h * A, start[0])]
+
+    done = step(EULER, [T], [A @ T], dt, 0.0, solve)
+    assert done is not None
+    return done.state[0]
+
+
+@pytest.mark.parametrize("ratio", [10.0, 100.0, 3000.0])
+def test_crank_nicolson_leaves_the_data_where_backward_euler_does_not(ratio: float) -> None:
+    """Why it is not offered: one step of `ratio` times size^2 over diffusivity after a jump.
+
+    It multiplies the fastest part by nearly -1: temperatures lie outside of those they start from.
+    Backward Euler's matrix is an M-matrix with rows that sum to one, so that every new temperature
+    is a mean of old ones.
+    """
+    A, T = bar()
+    dt = ratio / 40**2
+    new = euler(A, T, dt)
+    assert new.min() >= 37 - 1e-9 and new.max() <= 100 + 1e-9
+    assert crank_nicolson(A, T, dt).min() < 37 - 10
+
+
+def test_crank_nicolson_still_swings_when_backward_euler_is_at_rest() -> None:
+    A, T = bar()
+    dt = 3000 / 40**2
+    damped, swinging = T, T
+    for _ in range(20):
+        damped, swinging = euler(A, damped, dt), crank_nicolson(A, swinging, dt)
+    assert np.abs(damped - 37).max() < 1e-6
+    assert np.abs(swinging - 37).max() > 5
+
+
+# Steps
+
+
+@BOTH
+def test_steps_follow_the_error(method: Method) -> None:
+    """An error that goes with the step's power is brought to just below the tolerance."""
+    control = Controller(method, [], 1.0)
+    for _ in range(30):
+        dt = control.propose(0.0)
+        ratio = (dt / 40) ** method.estimate_order
+        assert control.judge(dt, ratio) == (ratio <= 1)
+    assert 0.5 < ratio <= 1
+
+
+def test_steps_shrink_ahead_of_an_ignition() -> None:
+    """Errors that grow with each step as before a blow-up: y' = y^2, which ends at 1."""
+    control, seconds, accepted, rejected = Controller(SDIRK4, [], 1e-3), 0.0, 0, 0
+    while 1 - seconds > 1e-6:
+        dt = control.propose(seconds)
+        left = 1 - seconds
+        # Error of order four, relative to what is left of the time.
+        if dt < left and control.judge(dt, 3e3 * (dt / left) ** 4 / left):
+            seconds, accepted = seconds + dt, accepted + 1
+        else:
+            rejected += 1
+            if dt >= left:
+                control.failed(dt)
+    assert rejected < accepted / 10
+
+
+def test_rejected_and_failed_steps_are_shorter() -> None:
+    control = Controller(SDIRK4, [], 1.0)
+    assert not control.judge(1.0, 1e9)
+    assert control.propose(0.0) == pytest.approx(0.2)
+    assert not control.judge(0.2, 1.01)
+    assert 0.2 * 0.8 < control.propose(0.0) < 0.2
+    control.failed(0.1)
+    assert control.propose(0.0) == pytest.approx(0.05)
+    assert control.judge(0.05, 0.0)
+    assert control.propose(0.0) == pytest.approx(0.15)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    events=st.lists(st.floats(1e-3, 1e4), min_size=1, max_size=8),
+    first=st.floats(1e-4, 1e5),
+    ratios=st.lists(st.floats(0, 3), min_size=1, max_size=20),
+)
+def test_events_are_met_and_never_crossed(
+    events: list[float], first: float, ratios: list[float]
+) -> None:
+    control, seconds, met, k = Controller(SDIRK4, events, first), 0.0, [0.0], 0
+    while seconds < max(events) * (1 - 1e-9) and k < 5000:
+        dt = control.propose(seconds)
+        assert dt > 0
+        ratio = ratios[k % len(ratios)] if k < 60 else 0.5
+        k += 1
+        if control.judge(dt, ratio):
+            seconds += dt
+            met.append(seconds)
+    for event in events:
+        assert min(abs(event - t) for t in met) <= 2e-9 * event
+    for a, b in pairwise(met):
+        assert not any(a + 1e-8 * e < e < b - 1e-8 * e for e in events)
+
+
+def test_no_sliver_is_left_before_an_event() -> None:
+    control = Controller(SDIRK4, [10.0], 9.99)
+    dt = control.propose(0.0)
+    assert dt == 5.0
+    assert control.judge(dt, 0.5)
+    assert control.propose(5.0) == 5.0
+    # A step cut short by an event does not make the next one short.
+    assert control.judge(5.0, 0.5)
+    assert control.propose(10.0) >= 9.99
