@@ -179,8 +179,8 @@ def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | No
 
     Args:
         summary: Its content; may be empty.
-        name: ``<interface or region>.<key>``, ``stem.<key>``, ``solver.<key>``, ``timing.<key>``;
-            ``.x`` .. for a component.
+        name: ``<interface or region>.<key>``, ``stem.<key>``, ``solver.<key>``, ``timing.<key>``,
+            ``balance.<key>``; ``.x`` .. for a component.
         suffix: Of the key, e.g. ``_error``.
 
     Returns:
@@ -191,7 +191,11 @@ def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | No
     if name in OF_RUN or (owner == "stem" and key in STEM_UNITS):
         tables = [summary.get(owner, {})]
     else:
-        tables = [summary.get(part, {}).get(owner, {}) for part in ("interfaces", "regions")]
+        tables = [
+            section.get(part, {}).get(owner, {})
+            for section in (summary, summary.get("thermal", {}))
+            for part in ("interfaces", "regions", "cure")
+        ]
     for table in tables:
         value = table.get(key + suffix)
         if axis and isinstance(value, list):

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from app.fields import ITEMS, MAPPING, Model, Name, Text, did_you_mean, fail, show
-from app.units import Dimension, Plain, PositiveNumber
+from app.units import Dimension, Plain, PositiveNumber, TemperatureDifference
 
 # Keys of summary.json that are numbers, and their units.
 INTERFACE_UNITS = {
@@ -39,11 +39,40 @@ REGION_UNITS = {
     "mean_stress_max": "MPa",
 }
 STEM_UNITS = {"subsidence": "mm", "retroversion": "deg", "varus": "deg"}
-# Whole names: what a run costs, which is right whatever it is.
+# Sections thermal and cure.
+NECROSIS = ("47C_1min", "cem43_16", "cem43_60", "cem43_240", "henriques_moritz")
+HEATED_REGION_UNITS = {
+    **{f"temperature_{what}": "degC" for what in ("max", "min", "mean", "end_max")},
+    "temperature_max_time": "s",
+    **{f"seconds_over_{level}": "s" for level in (47, 50, 56)},
+    **{f"volume_over_{level}": "mm^3" for level in (47, 50, 56)},
+    "cem43_max": "min",
+    "henriques_moritz_max": "-",
+    **{f"necrosis_{rule}_volume": "mm^3" for rule in NECROSIS},
+    **{f"necrosis_{rule}_depth": "mm" for rule in NECROSIS},
+}
+HEATED_INTERFACE_UNITS = {
+    **{f"temperature_max_{side}": "degC" for side in ("first", "second")},
+    **{f"temperature_max_{side}_time": "s" for side in ("first", "second")},
+    "temperature_jump_max": "K",
+    "heat_flux_max": "W/m^2",
+    "entropy_production_min": "W/(m^2 K)",
+    "entropy_production_max": "W/(m^2 K)",
+}
+CURE_UNITS = {
+    "degree_min": "-",
+    "degree_max": "-",
+    "time_50": "s",
+    "time_90": "s",
+    "rate_max": "1/s",
+}
+# Whole names: what a run costs and how well it balances, which is no approximation of anything.
 OF_RUN = {
     "solver.newton_iterations": "-",
     "solver.linear_iterations": "-",
     "solver.condition": "-",
+    "balance.heat": "-",
+    "balance.heat_quadrature": "-",
     "timing.solve": "s",
     "timing.total": "s",
 }
@@ -53,7 +82,15 @@ EXAMPLES: dict[str, Dimension | Plain] = {
     "MPa": Dimension("MPa", "a pressure", "2 MPa"),
     "N": Dimension("N", "a force", "1800 N"),
     "N mm": Dimension("N*mm", "an energy", "2 N*mm"),
+    "mm^3": Dimension("mm^3", "a volume", "500 mm^3"),
     "deg": Dimension("deg", "an angle", "0.1 deg"),
+    "s": Dimension("s", "a time", "600 s"),
+    "min": Dimension("min", "a time", "60 min"),
+    "1/s": Dimension("1/s", "a rate", "0.1 1/s"),
+    "degC": Dimension("degC", "a temperature", "50 degC"),
+    "K": TemperatureDifference(),
+    "W/m^2": Dimension("W/m^2", "a power per area", "200 W/m^2"),
+    "W/(m^2 K)": Dimension("W/(m^2*K)", "an entropy production", "1 W/(m^2 K)"),
     "-": Plain(),
 }
 
@@ -71,8 +108,9 @@ def unit(quantity: str) -> str:
         return OF_RUN[quantity]
     name, _, key = quantity.partition(".")
     known = INTERFACE_UNITS | REGION_UNITS | (STEM_UNITS if name == "stem" else {})
+    known |= HEATED_REGION_UNITS | HEATED_INTERFACE_UNITS | CURE_UNITS
     if key not in known:
-        if name in ("solver", "timing"):
+        if name in ("solver", "timing", "balance"):
             fail(f"{show(quantity)} is not one of {', '.join(OF_RUN)}")
         hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
         fail(f"{show(quantity)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
