@@ -45,17 +45,20 @@ def heat(case: config.Case, sides: Mapping[str, Sides]) -> dict[str, Any]:
     conductors = tuple(_conductor(n, t, case.regions[n]) for n, t in thermal.items())
     effusivity = {c.region: _effusivity(c) for c in conductors}
     laws = case.interfaces.items()
+    contacts = tuple(term for name, law in laws for term in _contact(name, law, sides[name]))
+    friction = tuple(
+        term
+        for name, law in laws
+        for term in _friction(name, law, case.geometry.interface_sides[name], sides, effusivity)
+    )
+    coupled = bool(friction) or any(c.per_pressure > 0 for c in contacts)
+    staggered = case.solver.coupling == "staggered"
     return {
         "conductors": conductors,
         "heat": tuple(_condition(name, c) for name, c in case.heat.items()),
-        "thermal_contacts": tuple(
-            term for name, law in laws for term in _contact(name, law, sides[name])
-        ),
-        "friction_heat": tuple(
-            term
-            for name, law in laws
-            for term in _friction(name, law, case.geometry.interface_sides[name], sides, effusivity)
-        ),
+        "thermal_contacts": contacts,
+        "friction_heat": friction,
+        "coupling": ("staggered" if staggered else "monolithic",) if coupled else (),
         "expansions": tuple(
             Expansion(name, t.thermal_expansion, t.reference_temperature or t.initial_temperature)
             for name, t in thermal.items()

@@ -139,8 +139,12 @@ class Solver:
 
     def parts(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
         """Displacement and jumps, if any, of a state, of the current one by default."""
-        named = dict(zip(self._names, self.blocks(x), strict=True))
+        named = self.named(x)
         return named["displacement"], named.get("jump")
+
+    def named(self, x: PETSc.Vec | None = None) -> dict[str, PETSc.Vec]:
+        """Blocks of a state by name, of the current one by default."""
+        return dict(zip(self._names, self.blocks(x), strict=True))
 
     def _configure(self) -> None:
         """Hand the options to PETSc under the prefix, and take them out of its database again."""

@@ -1,22 +1,258 @@
-"""Through the stages of a scene: load steps where a stage takes no time, else time steps."""
+"""Through the stages of a scene: load steps where a stage takes no time, else time steps.
+
+Heat walks in steps of its own. Mechanics that heat does not depend on follow it: they are solved at
+the ends of the increments of a stage and whenever a temperature has moved far enough, along the
+straight line between two states of the heat. Mechanics that it does depend on are part of every
+one of its stages.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
 
-from app.motion import Motion
+from dolfinx import fem
+
+from app.coupling import Coupled
+from app.errors import ConvergenceError
+from app.heating import Accepted, Heating
+from app.integrator import Controller
+from app.motion import Motion, Step, Summary
 from app.terms import Stage
 
+# A time step below this part of its stage is given up.
+SHORTEST = 1e-10
 
-def run(stages: Sequence[Stage], motion: Motion) -> None:
+OnHeat = Callable[[Step, Accepted], None]
+
+
+class Companion(Protocol):
+    """The mechanics beside the heat."""
+
+    def begin(self, k: int, stage: Stage, heating: Heating) -> None:
+        """Begin a stage that takes time."""
+
+    def after(self, time: float, whole: bool) -> None:
+        """A heat step is history: ``time`` is that of its end, ``whole`` whether it ends an increment."""
+
+
+def run(
+    stages: Sequence[Stage],
+    motion: tuple[Motion, ...],
+    march: tuple[March, ...],
+    begin: Callable[[int], None] = lambda k: None,
+) -> None:
     """Take a model through its stages.
 
     Args:
         stages: Parts of the loading.
-        motion: Its mechanics, at rest at time 0.
+        motion: Its mechanics, at rest at time 0, if it has any.
+        march: Its heat, if it has any.
+        begin: Called before each stage with its number.
 
     Raises:
         ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
     """
     for k, stage in enumerate(stages):
-        motion.load(k, stage)
+        begin(k)
+        for m in motion:
+            m.problem.set_stage(k)
+        if stage.duration > 0 or stage.steady:
+            for h in march:
+                h.go(k, stage)
+        else:
+            for m in motion:
+                m.load(k, stage)
+
+
+@dataclass
+class March:
+    """The heat of a scene on its way through time.
+
+    Attributes:
+        heating: Its state.
+        companions: The mechanics beside it, if there are any.
+        events: Times that no step may cross [s].
+        on_heat: Called after each step, once it is history and the mechanics have followed.
+        on_trouble: Told in plain words what is tried when a step fails.
+        numbered: Counts steps, shared with the mechanics.
+    """
+
+    heating: Heating
+    companions: tuple[Companion, ...]
+    events: Sequence[float]
+    on_heat: OnHeat
+    on_trouble: Callable[[str], None]
+    rejected: int = 0
+    steps: int = field(default=0)
+
+    def go(self, k: int, stage: Stage) -> None:
+        """Through a stage that takes time, or to a steady state."""
+        for c in self.companions:
+            c.begin(k, stage, self.heating)
+        if stage.steady:
+            self._rest(k, stage)
+        elif stage.adaptive:
+            self._adaptive(k, stage)
+        else:
+            self._fixed(k, stage)
+
+    def _rest(self, k: int, stage: Stage) -> None:
+        started = clock.perf_counter()
+        accepted = self.heating.rest()
+        if accepted is None:
+            raise ConvergenceError(
+                f"no steady state in stage '{stage.name}': "
+                "heat and what depends on it did not converge\n"
+                "  what to change: give the stage a duration instead"
+            )
+        self._tell(k, stage, 1.0, accepted, started, True)
+
+    def _fixed(self, k: int, stage: Stage) -> None:
+        """Equal steps, whatever their error."""
+        dt = stage.duration / stage.increments
+        self.heating.start(dt)
+        for n in range(stage.increments):
+            started = clock.perf_counter()
+            found = self.heating.attempt(dt)
+            if found is None:
+                raise ConvergenceError(self._text(stage, n / stage.increments, dt))
+            accepted = self.heating.accept(*found, dt)
+            self._tell(k, stage, (n + 1) / stage.increments, accepted, started, True)
+
+    def _adaptive(self, k: int, stage: Stage) -> None:
+        """Steps chosen by their error."""
+        heating = self.heating
+        begin = heating.seconds
+        whole = stage.duration / stage.increments
+        ends = [begin + (n + 1) * whole for n in range(stage.increments)]
+        events = [*ends, *(e for e in self.events if begin < e < ends[-1])]
+        first = heating.start(whole)
+        controller = Controller(heating.method, events, min(first, whole))
+        tiny = SHORTEST * stage.duration
+        while heating.seconds < ends[-1] - tiny:
+            started = clock.perf_counter()
+            while True:
+                dt = controller.propose(heating.seconds)
+                found = heating.attempt(dt)
+                if found is None:
+                    controller.failed(dt)
+                elif controller.judge(dt, heating.norm(found[0].error)):
+                    break
+                self.rejected += 1
+                if dt < tiny:
+                    part = (heating.seconds - begin) / stage.duration
+                    raise ConvergenceError(self._text(stage, part, dt))
+            accepted = heating.accept(*found, dt)
+            at_end = min(abs(heating.seconds - e) for e in ends) < tiny
+            part = (heating.seconds - begin) / stage.duration
+            self._tell(k, stage, min(part, 1.0), accepted, started, at_end)
+
+    def _tell(
+        self, k: int, stage: Stage, part: float, accepted: Accepted, started: float, whole: bool
+    ) -> None:
+        """Let the mechanics follow, and report."""
+        self.steps += 1
+        time = k + (1.0 if part > 1 - SHORTEST else part)
+        for c in self.companions:
+            c.after(time, whole)
+        seconds = clock.perf_counter() - started
+        step = Step(self.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
+        self.on_heat(step, accepted)
+
+    def _text(self, stage: Stage, part: float, dt: float) -> str:
+        """Why a time step failed."""
+        outcome = self.heating.outcome
+        tail = ", ".join(f"{r:.1e}" for r in outcome.residuals[-6:]) if outcome else "none"
+        advice = (
+            "a larger time.tolerance or smaller changes (a slower reaction, weaker coupling)"
+            if stage.adaptive
+            else "more increments, or adaptive: true"
+        )
+        return (
+            f"no convergence in stage '{stage.name}' at {100 * part:.3g} % of it, "
+            f"with a time step of {dt:.3g} s\n"
+            f"  last residuals (of the scale of heat or forces): {tail}\n"
+            f"  what to change: {advice}"
+        )
+
+
+@dataclass
+class Following:
+    """Mechanics that heat does not depend on: solved after it.
+
+    Attributes:
+        motion: The mechanics.
+        limit: Change of temperature after which they are solved again [K].
+    """
+
+    motion: Motion
+    limit: float
+    _k: int = 0
+    _time: float = 0.0
+
+    def begin(self, k: int, stage: Stage, heating: Heating) -> None:
+        """Remember where the mechanics stand."""
+        self._k, self._stage, self._heating = k, stage, heating
+        self._time = float(k)
+        self._before = heating.warmth()
+
+    def after(self, time: float, whole: bool) -> None:
+        """Follow if it is time to."""
+        now = self._heating.warmth()
+        if not whole and self._heating.distance(self._before, now) < self.limit:
+            return
+        before, begin = self._before, self._time
+
+        def place(s: float) -> None:
+            self._heating.warm(self.motion.problem, before, now, s)
+            self.motion.problem.set_time(begin + s * (time - begin))
+
+        self.motion.advance(self._stage, 1.0, place, begin, time)
+        self._before, self._time = now, time
+
+
+@dataclass
+class Joint:
+    """Mechanics that heat depends on: in one system with it.
+
+    Attributes:
+        motion: The mechanics.
+        system: Heat and mechanics.
+    """
+
+    motion: Motion
+    system: Coupled
+    _time: float = 0.0
+
+    def begin(self, k: int, stage: Stage, heating: Heating) -> None:
+        """Begin where the mechanics stand."""
+        self._k, self._stage, self._heating = k, stage, heating
+        self._seconds = heating.seconds
+        self._begin = heating.seconds
+        self._take(self.motion, heating)
+
+    @staticmethod
+    def _take(motion: Motion, heating: Heating) -> None:
+        """Give the mechanics' state to the common solver."""
+        named = heating.solver.named()
+        for name, vector in motion.solver.named().items():
+            vector.copy(named[name])
+
+    def place(self, seconds: float) -> None:
+        """Set the mechanics to the time of a stage."""
+        duration = self._stage.duration or 1.0
+        part = min((seconds - self._begin) / duration, 1.0) if self._stage.duration else 1.0
+        self.motion.problem.set_time(self._k + part)
+        self.system.elapsed = max(seconds - self._seconds, 1e-12) if part else 1.0
+
+    def after(self, time: float, whole: bool) -> None:
+        """The mechanics of an accepted step become history."""
+        started = clock.perf_counter()
+        named = self._heating.solver.named()
+        for name, vector in self.motion.solver.named().items():
+            named[name].copy(vector)
+        self._seconds = self._heating.seconds
+        self.motion.commit(self._stage, time, self._heating.outcome, started)

@@ -411,3 +411,5 @@ class Scene:
     cures: tuple[Cure, ...] = ()
     # Of stages that take time; empty in scenes without heat.
     time: tuple[TimeStepping, ...] = ()
+    # How heat that depends on contact is solved with it: monolithic or staggered; else empty.
+    coupling: tuple[str, ...] = ()

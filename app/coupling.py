@@ -1,0 +1,402 @@
+r"""Heat and mechanics in one system, where heat depends on contact: pressure or friction.
+
+Blocks are those of both. The residual of heat sees the pressures p and the friction power D of the
+trial state, that of the mechanics its temperatures T: the forces of thermal expansion are G T, in
+the rows of the contact points too, where equilibrium is e = C^T u + D q - f_q - G_q T. With the law
+of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P', pressure
+p = |F_n| and friction power per area F_T · Δq/Δt change by
+
+.. math:: dp = m·P' dS, \qquad d(F_T·Δq)/Δt = (P' dS)_T·Δq/Δt + F_T·dq/Δt,
+          \qquad dS = -de/W + r\,dq
+
+with m the direction of the pressure: the products of these rows with C^T, D and G are the blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.bodies import contact_facets
+from app.conduction import Conduction
+from app.heat_system import HeatSystem
+from app.points import PointForces
+from app.problem import Problem, Trial
+from app.sparse import from_triplets
+from app.systems import Contact, Measure, Options
+from app.terms import FrictionHeat, Scene
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+
+
+@dataclass(frozen=True)
+class Rows:
+    """How a scalar of each own contact point changes: with equilibrium and with the jump (n, 3)."""
+
+    by_equilibrium: Floats
+    by_jump: Floats
+
+
+class Exchange:
+    """What the contact points tell the heat: pressures and the power of friction.
+
+    Attributes:
+        heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
+        pressed: Pressure at the points of finite conductance by that at contact points, if any.
+    """
+
+    def __init__(self, scene: Scene, problem: Problem, conduction: Conduction) -> None:
+        """Find who is where; collective."""
+        self._problem, self._conduction = problem, conduction
+        (j,) = problem.jumps
+        comm, points = problem.comm, j.points
+        # Contact points are numbered rank by rank.
+        number = np.empty(len(points.weight), dtype=np.int64)
+        number[np.concatenate(comm.allgather(j.mine))] = np.arange(len(number))
+        self._n = len(j.mine)
+        self.heats = _heats(scene, problem, conduction, number)
+        self.rubbing = np.isin(
+            j.interface, [i for i, c in enumerate(scene.contacts) if c.name in _names(scene)]
+        )
+        names = [c.name for c in scene.contacts]
+        known = {
+            (names[i], v): n
+            for i, v, n in zip(points.interface, points.vertex, number, strict=True)
+        }
+        self.pressed: tuple[PETSc.Mat, ...] = ()
+        for t in conduction.jumps:
+            name = [scene.thermal_contacts[i].name for i in t.interface]
+            found = np.array(
+                [known.get(key, -1) for key in zip(name, t.points.vertex[t.mine], strict=True)],
+                dtype=np.int64,
+            )
+            on = np.flatnonzero(found >= 0)
+            self.pressed = (
+                from_triplets(comm, len(found), self._n, on, found[on], np.ones(len(on))),
+            )
+
+    def power(self, trial: Trial, elapsed: float) -> Floats:
+        """Power of friction per area at own contact points (n,) [N/(mm s)]."""
+        (j,) = self._problem.jumps
+        slip = trial.jump - j.history.jump
+        tangential = trial.law.force - _normal(trial.law, j.normals)
+        # The rounding of sticking points is no heat, and none cools.
+        return np.where(self.rubbing, np.maximum(_dot(tangential, slip), 0.0), 0.0) / elapsed
+
+    def tell(self, trial: Trial, elapsed: float) -> None:
+        """Hand pressures and friction to the heat."""
+        (j,) = self._problem.jumps
+        pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
+        for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
+            t.pressure = _times(P, pressure)
+        power = self.power(trial, elapsed)
+        for b, H in self.heats.items():
+            self._conduction.friction[b] = _times(H, power)
+
+    def pressure_rows(self, trial: Trial) -> Rows:
+        """How the pressure changes."""
+        (j,) = self._problem.jumps
+        force = _normal(trial.law, j.normals)
+        size = np.linalg.norm(force, axis=1)
+        direction = force / np.where(size > 0, size, 1.0)[:, None]
+        return self._rows(np.einsum("pi,pij->pj", direction, trial.law.jacobian))
+
+    def power_rows(self, trial: Trial, elapsed: float) -> Rows:
+        """How the friction power changes."""
+        (j,) = self._problem.jumps
+        slip = trial.jump - j.history.jump
+        tangential = trial.law.force - _normal(trial.law, j.normals)
+        warm = self.rubbing & (_dot(tangential, slip) > 0)
+        along = np.einsum("pi,pki->pk", slip, j.normals)
+        slides = slip - np.einsum("pk,pki->pi", along, j.normals)
+        rows = self._rows(np.einsum("pi,pij->pj", slides, trial.law.jacobian))
+        scale = np.where(warm, 1 / elapsed, 0.0)[:, None]
+        return Rows(scale * rows.by_equilibrium, scale * (rows.by_jump + tangential))
+
+    def _rows(self, by_trial_force: Floats) -> Rows:
+        """From derivatives by S (n, 3): -de/W for augmented interfaces, r dq for all."""
+        (j,) = self._problem.jumps
+        by_e = np.where(j.augmented[:, None], -by_trial_force / j.weight[:, None], 0.0)
+        return Rows(by_e, j.stiffness[:, None] * by_trial_force)
+
+
+class Coupled:
+    """One `app.systems.System` of heat and mechanics.
+
+    Attributes:
+        elapsed: Time since the last committed state of the mechanics [s], set from outside.
+    """
+
+    prefix = "mantle_"
+
+    def __init__(
+        self,
+        scene: Scene,
+        conduction: Conduction,
+        problem: Problem,
+        heat: HeatSystem,
+        motion: Contact,
+    ) -> None:
+        """Set up the blocks between the two; collective."""
+        self.comm = problem.comm
+        self._conduction, self._problem = conduction, problem
+        self._heat, self._motion = heat, motion
+        self.exchange = Exchange(scene, problem, conduction)
+        self._expands = {x.region for x in scene.expansions}
+        self._forces = self._thermal_forces() if self._expands else ()
+        self.elapsed = 1.0
+        self._n = len(heat.blocks())
+        # Heat enters the rows of its nodes and of its jumps.
+        self._nodes, self._points = self._entries()
+        fresh = list(self.blocks().values())
+        up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
+        self._up, self._back = up, back
+        own = heat.matrices()
+        # With expansion pressures depend on temperatures directly too.
+        self._own = [
+            [_joined(a, b) for a, b in zip(row, more, strict=True)]
+            for row, more in zip(own, back, strict=False)
+        ] or own
+        self._down = self._from_heat()
+
+    @property
+    def version(self) -> int:
+        """Changes of either's matrices."""
+        return self._heat.version + self._motion.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Those of the heat, then those of the mechanics."""
+        return self._heat.blocks() | self._motion.blocks()
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """Heat, mechanics, and what either does to the other."""
+        none: list[PETSc.Mat | None] = [None] * self._n
+        down = self._down or [none, none]
+        top = [[*a, *b] for a, b in zip(self._own, self._up, strict=True)]
+        return [*top, *([*a, *b] for a, b in zip(down, self._motion.matrices(), strict=True))]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Those of either."""
+        return self._heat.options(linear) | self._motion.options(linear)
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given temperatures, displacements and jumps into a state."""
+        self._heat.impose(x[: self._n])
+        self._motion.impose(x[self._n :])
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """Heat that is lacking with the contact as it is, forces with the heat as it is."""
+        self._warm(x)
+        self._motion.residual(x[self._n :], f[self._n :])
+        self.exchange.tell(self._problem.trial(*x[self._n :]), self.elapsed)
+        self._heat.residual(x[: self._n], f[: self._n])
+
+    def _warm(self, x: list[PETSc.Vec]) -> None:
+        """Hand the temperatures to the mechanics."""
+        if self._expands:
+            self._conduction.temperatures(x[: self._n])
+            self._problem.set_temperature({r: self._conduction.of_region(r) for r in self._expands})
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """All blocks."""
+        self._warm(x)
+        trial = self._problem.trial(*x[self._n :])
+        self.exchange.tell(trial, self.elapsed)
+        self._heat.jacobian(x[: self._n])
+        self._motion.jacobian(x[self._n :])
+        up, back = self._from_motion(trial, x)
+        _copy(up, self._up)
+        for total, own, more in zip(self._own, self._heat.matrices(), back, strict=False):
+            for S, A, B in zip(total, own, more, strict=True):
+                S.zeroEntries()
+                S.axpy(1.0, A, structure=SUBSET)
+                S.axpy(1.0, B, structure=SUBSET)
+        _copy(self._from_heat(), self._down)
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Heat and forces, each beside its own scale."""
+        heat = self._heat.measure(x[: self._n], f[: self._n])
+        return [*heat, *self._motion.measure(x[self._n :], f[self._n :])]
+
+    def flips(self) -> int:
+        """Contact points whose state changed."""
+        return self._motion.flips()
+
+    def forget(self) -> None:
+        """Count flips from the next Jacobian on."""
+        self._motion.forget()
+
+    # Blocks between the two
+
+    def _thermal_forces(self) -> tuple[list[list[PETSc.Mat]], ...]:
+        """Forces of temperatures and temperature jumps on displacement and jumps, negative."""
+        moves = {
+            r: j.moves[b]
+            for j in self._conduction.jumps
+            for r, b in self._conduction.bodies.of_region.items()
+            if b in j.moves
+        }
+        G = self._problem.thermal_stiffness(moves)
+        rows = [[G.u_θ, G.u_τ], [G.q_θ, G.q_τ]]
+        shapes = [v.getSizes() for v in self.blocks().values()]
+        found = []
+        for row, height in zip(rows, shapes[self._n :], strict=True):
+            blocks = []
+            for A, width in zip(row[: self._n], shapes[: self._n], strict=True):
+                negative = _empty(self.comm, height, width) if A is None else A.copy()
+                negative.scale(-1.0)
+                blocks.append(negative)
+            found.append(blocks)
+        return (found,)
+
+    def _from_heat(self) -> list[list[PETSc.Mat]]:
+        """Rows of displacement and jumps, columns of the heat."""
+        if not self._forces:
+            return []
+        by_u, by_q = self._forces[0]
+        return [by_u, [self._motion.rows.matMult(A) for A in by_q]]
+
+    def _entries(self) -> tuple[list[PETSc.Mat], tuple[PETSc.Mat, ...]]:
+        """By friction power: in the rows of temperature and of jumps; by pressure: in those."""
+        conduction = self._conduction
+        total = _total(list(self.exchange.heats.values()))
+        keep = conduction.vectors()
+        keep[0].array[:] = np.where(conduction.held, 0.0, -1.0)
+        total.diagonalScale(keep[0])
+        nodes = [total]
+        for j in conduction.jumps:
+            parts = [B.transposeMatMult(self.exchange.heats[b]) for b, B in j.moves.items()]
+            keep[1].array[:] = np.where(j.held, 0.0, -1.0)
+            jumps = _total(parts)
+            jumps.diagonalScale(keep[1])
+            nodes.append(jumps)
+        return nodes, self.exchange.pressed
+
+    def _from_motion(
+        self, trial: Trial, x: list[PETSc.Vec]
+    ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
+        """Rows of the heat: columns of the mechanics, and what comes back to its own."""
+        (j,) = self._problem.jumps
+        power = self._matrices(self.exchange.power_rows(trial, self.elapsed))
+        rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
+        for t, P, τ in zip(self._conduction.jumps, self._points, x[1:2], strict=True):
+            squeezed = P.copy()
+            by_pressure = τ.duplicate()
+            growth = t.weight * t.flux(τ.array)[2]
+            by_pressure.array[:] = np.where(t.held, 0.0, -growth)
+            squeezed.diagonalScale(by_pressure)
+            pressure = self._matrices(self.exchange.pressure_rows(trial))
+            rows[1] = [
+                _plus(A, squeezed.matMult(R)) for A, R in zip(rows[1], pressure, strict=True)
+            ]
+        up = [[E.matMult(j.Ct), _plus(E.matMult(j.D), Q)] for E, Q in rows]
+        back = [[E.matMult(G) for G in forces[1]] for forces in self._forces for E, _ in rows]
+        return up, back
+
+    def _matrices(self, rows: Rows) -> list[PETSc.Mat]:
+        """Rows of scalars of the contact points as matrices (points x components)."""
+        n = len(rows.by_jump)
+        (j,) = self._problem.jumps
+        start = j.D.getOwnershipRange()[0]
+        i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
+        return [
+            from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())
+            for values in (rows.by_equilibrium, rows.by_jump)
+        ]
+
+
+def _names(scene: Scene) -> dict[str, FrictionHeat]:
+    """Interfaces that friction heats."""
+    return {f.interface: f for f in scene.friction_heat}
+
+
+def _heats(
+    scene: Scene, problem: Problem, conduction: Conduction, number: Ints
+) -> dict[int, PETSc.Mat]:
+    """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
+    (j,) = problem.jumps
+    points, space = j.points, conduction.space
+    facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts)
+    vertices, first = np.unique(facets.vertices, return_index=True)
+    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
+    start, end = space.dofmap.index_map.local_range
+    own = (dof >= start) & (dof < end)
+    shares = [
+        _names(scene)[c.name].slave_share if c.name in _names(scene) else 0.0
+        for c in scene.contacts
+    ]
+    β = np.array(shares)[points.interface]
+    sides = [
+        (np.array([conduction.bodies.of_region[c.master[0]] for c in scene.contacts]), 1 - β),
+        (np.array([conduction.bodies.of_region[c.slave[0]] for c in scene.contacts]), β),
+    ]
+    found: dict[int, PETSc.Mat] = {}
+    for b in range(len(conduction.bodies.names)):
+        value = sum(np.where(body[points.interface] == b, share, 0.0) for body, share in sides)
+        found[b] = from_triplets(
+            problem.comm,
+            conduction.owned,
+            len(j.mine),
+            dof[own] - start,
+            number[own],
+            (points.weight * value)[own],
+        )
+    return found
+
+
+def _normal(law: PointForces, normals: Floats) -> Floats:
+    """Normal part of the forces of contact points (n, 3): what presses slave from master."""
+    return -np.asarray(np.einsum("pk,pki->pi", law.pressures, normals))
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("pi,pi->p", a, b))
+
+
+def _times(A: PETSc.Mat, values: Floats) -> Floats:
+    """A matrix times own values."""
+    right, left = A.createVecs()
+    right.array[:] = values
+    A.mult(right, left)
+    return np.asarray(left.array.copy())
+
+
+def _plus(A: PETSc.Mat, B: PETSc.Mat) -> PETSc.Mat:
+    A.axpy(1.0, B, structure=DIFFERENT)
+    return A
+
+
+def _total(parts: list[PETSc.Mat]) -> PETSc.Mat:
+    total = parts[0].copy()
+    for part in parts[1:]:
+        total.axpy(1.0, part, structure=DIFFERENT)
+    return total
+
+
+def _joined(A: PETSc.Mat | None, B: PETSc.Mat) -> PETSc.Mat:
+    """A new matrix with the patterns of both."""
+    assert A is not None
+    return _plus(A.copy(), B)
+
+
+def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:
+    """Put the values of matrices of the same pattern into those that are kept."""
+    for row, places in zip(new, kept, strict=True):
+        for A, place in zip(row, places, strict=True):
+            if A is not place:
+                A.copy(place, structure=DIFFERENT)
+
+
+def _empty(comm: PETSc.Comm, height: tuple[int, int], width: tuple[int, int]) -> PETSc.Mat:
+    """A matrix without entries."""
+    A = PETSc.Mat().createAIJ((height, width), nnz=0, comm=comm)
+    A.assemble()
+    return A
