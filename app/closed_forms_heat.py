@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from scipy.special import erfcx, expi, j0, j1, jn_zeros
+from scipy.special import erfc, erfcx, expi, j0, j1, jn_zeros
 
 Floats = NDArray[np.float64]
 Conductor = tuple[float, float]
@@ -159,9 +159,12 @@ class HalfSpaces:
         return np.asarray(start + (self.contact - start) * drop * np.exp(-(ξ**2)))
 
 
-def surface_rise(flux: float, t: float, effusivity: float) -> float:
-    """Rise of the surface of a half-space heated by a constant flux (Carslaw & Jaeger, 2.9)."""
-    return 2 * flux * math.sqrt(t / math.pi) / effusivity
+def heated_half_space(x: Floats, t: float, flux: float, material: Conductor) -> Floats:
+    """Rise (n,) of the temperature at depths (n,) under a constant flux (Carslaw & Jaeger, 2.9)."""
+    k, c = material
+    ξ = np.abs(x) / (2 * math.sqrt(k / c * t))
+    ierfc = np.exp(-(ξ**2)) / math.sqrt(math.pi) - ξ * erfc(ξ)
+    return np.asarray(2 * flux * math.sqrt(t) / effusivity(material) * ierfc)
 
 
 # Cure

@@ -78,6 +78,19 @@ class Run:
         """Displacement of the nodes at a written step (n, 3) [mm]."""
         return self._field("PointData/displacement", "Points", step)
 
+    def temperature(self, step: int = -1) -> Floats:
+        """Temperature of the nodes at a written step (n,) [degC]."""
+        return self._field("PointData/temperature", "Points", step)
+
+    def nodes_of(self, region: int) -> Ints:
+        """The nodes of a region, which may have some in common with others."""
+        return np.unique(self.cells[self.region == region])
+
+    def volumes(self) -> Floats:
+        """Volume of each cell (m,), as if its edges were straight [mm3]."""
+        x = self.points[self.cells[:, :4]]
+        return np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6
+
     def stress(self, step: int = -1) -> Floats:
         """Mean stress of each cell at a written step (m, 3, 3) [MPa]."""
         return self._field("CellData/stress", "Cells", step).reshape(-1, 3, 3)
@@ -118,24 +131,29 @@ class Run:
         return areas
 
     def norms(
-        self, exact: Callable[[Floats, Ints], Floats], degree: int = 6
+        self,
+        exact: Callable[[Floats, Ints], Floats],
+        values: Floats | None = None,
+        degree: int = 6,
     ) -> tuple[float, float, float]:
-        """L2 norms of the error of the displacement, of the displacement and of the exact one.
+        """L2 norms of the error of a field, of the field and of the exact one.
 
         Args:
-            exact: The exact displacement (n, 3) [mm] at points (n, 3), and their regions (n,).
+            exact: The exact values (q, k) at points (q, 3), and their regions (q,).
+            values: Those of the nodes (n, k); the displacement at the end by default.
             degree: Of the quadrature.
 
         Returns:
-            Norms of the difference, of the displacement and of the exact one [mm^(5/2)].
+            Norms of the difference, of the field and of the exact one.
         """
         rule = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         points, weights = (np.asarray(a) for a in rule)
         N, dN = shape_functions(points, self.cells.shape[1])
-        x, u = self.points[self.cells], self.displacement()[self.cells]
+        nodal = self.displacement() if values is None else values
+        x, u = self.points[self.cells], nodal[self.cells]
         measure = np.abs(np.linalg.det(np.einsum("cni,qnj->cqij", x, dN))) * weights
         place = np.einsum("qn,cni->cqi", N, x).reshape(-1, 3)
-        should = exact(place, np.repeat(self.region, len(weights))).reshape(*measure.shape, 3)
+        should = exact(place, np.repeat(self.region, len(weights))).reshape(*measure.shape, -1)
         have = np.einsum("qn,cni->cqi", N, u)
 
         def norm(values: Floats) -> float:

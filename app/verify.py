@@ -19,7 +19,8 @@ from app.folders import write_json
 from app.results import Run
 from app.verify_measures import Sample
 from app.verify_picture import picture
-from app.verify_problems import CASES, Problem, problems
+from app.verify_problem import CASES, Problem
+from app.verify_problems import problems
 from app.work_precision import fitted_order
 
 log = logging.getLogger("mantle")
@@ -47,7 +48,7 @@ class Outcome:
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """Mesh sizes of a ladder [mm]; empty if the runs are none."""
+        """Mesh sizes [mm] or time steps [s] of a ladder; empty if the runs are none."""
         return tuple(p.size for p in self.problem.points) if self.problem.order else ()
 
     @property
@@ -86,7 +87,9 @@ class Outcome:
             "quantity": p.quantity,
             "value": _number(sample.value) if sample else None,
             "reference": _number(sample.reference) if sample else None,
+            "note": sample.note if sample else "",
             "sizes": list(self.sizes),
+            "rung": p.rung,
             "errors": [_number(s.error) for s in self.samples],
             "runs": list(self.runs),
             "message": self.message,
@@ -167,6 +170,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
         lines.append(
             f"{p.name:<{width}} {error:>9} {p.tolerance:>9.1e} {orders[0]:>6} {orders[1]:>8} "
             f"{o.seconds:>8.1f}  {'pass' if o.passed else 'FAIL'}"
+            f"{f'  {sample.note}' if sample and sample.note else ''}"
         )
     for o in outcomes:
         if o.message:

@@ -48,7 +48,7 @@ def _families(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
 
 
 def _ladder(axes: Any, entries: Sequence[Entry]) -> None:
-    """Errors over mesh sizes, each with the slope that theory gives through its last point."""
+    """Errors over sizes, each with the slope that theory gives through its last point."""
     for e, colour in zip(entries, COLOURS, strict=False):
         sizes, errors = np.array(e["sizes"]), np.array(e["errors"], dtype=float)
         label = f"{e['name']}: order {e['order']:.2f} ({e['expected_order']:g})"
@@ -64,7 +64,7 @@ def _ladder(axes: Any, entries: Sequence[Entry]) -> None:
     shown = [d for d in decades if low <= d <= high]
     axes.set_yticks(shown, [f"{d:.0e}".replace("e-0", "e-") for d in shown])
     axes.yaxis.minorticks_off()
-    axes.set_xlabel("mesh size (mm)")
+    axes.set_xlabel(entries[0]["rung"])
     axes.set_ylabel("relative error")
     axes.set_title(entries[0]["quantity"], fontsize=9, loc="left")
     axes.legend(fontsize=8, frameon=False)

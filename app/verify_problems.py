@@ -1,62 +1,18 @@
-"""The problems of ``mantle verify``: which runs of which case, and what is tolerated.
-
-A problem is a case of `configs/verification`, one or more runs of it, and a measure of each. Where
-the runs are a ladder of mesh sizes their order is fitted too.
-"""
+"""The problems of ``mantle verify``: which runs of which case, and what is tolerated."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
 from app import closed_forms as exact
 from app import verify_measures as measures
-from app.verify_measures import BONE, CEMENT, TITANIUM, Measure, Sample
-
-CASES = Path(__file__).resolve().parents[1] / "configs" / "verification"
-
-
-@dataclass(frozen=True)
-class Point:
-    """One run of a problem.
-
-    Attributes:
-        overrides: Of its case, as after ``--set``.
-        measure: How far off the run is.
-        size: Mesh size [mm] where the runs are a ladder, else 0.
-    """
-
-    overrides: tuple[str, ...]
-    measure: Measure
-    size: float = 0.0
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A problem with a known answer.
-
-    Attributes:
-        name: Short name.
-        quantity: What is compared, with its unit, and what its error is relative to.
-        tolerance: Largest error of any run; of the last if they are a ladder.
-        case: The case file, in `CASES`.
-        points: Its runs; a ladder goes from coarse to fine.
-        order: Order in the mesh size that theory gives; None where the runs are no ladder.
-        direct: Measure of a problem that needs no run.
-    """
-
-    name: str
-    quantity: str
-    tolerance: float
-    case: str = ""
-    points: tuple[Point, ...] = ()
-    order: float | None = None
-    direct: Callable[[], Sample] | None = None
+from app.verify_heat import heat_problems
+from app.verify_measures import BONE, CEMENT, TITANIUM, Measure
+from app.verify_problem import Point, Problem, ladder
 
 
 def problems(fine: bool = False) -> list[Problem]:
@@ -81,14 +37,8 @@ def problems(fine: bool = False) -> list[Problem]:
             1e-9,
             direct=measures.klarbring,
         ),
+        *heat_problems(fine),
     ]
-
-
-def _ladder(
-    sizes: Sequence[float], overrides: Sequence[str], measure: Measure
-) -> tuple[Point, ...]:
-    """Runs from coarse to fine; ``{}`` in an override stands for the size."""
-    return tuple(Point(tuple(o.format(h) for o in overrides), measure, h) for h in sizes)
 
 
 def _patches() -> Iterator[Problem]:
@@ -135,7 +85,7 @@ def _sines(fine: bool) -> Iterator[Problem]:
             "displacement of a manufactured solution, relative in L2",
             0.05 if order == 1 else 0.005,
             "sine.yaml",
-            _ladder(sizes, (f"mesh.order={order}", "mesh.size={!r} mm"), measures.sine),
+            ladder(sizes, (f"mesh.order={order}", "mesh.size={!r} mm"), measures.sine),
             order + 1.0,
         )
 
@@ -157,7 +107,7 @@ def _press_fits(fine: bool) -> Iterator[Problem]:
             f"mean pressure of a shrink fit, {t} mm [MPa], relative",
             0.005,
             f"lame_{kind}.yaml",
-            _ladder(sizes, (*half, *_SLICE), measure),
+            ladder(sizes, (*half, *_SLICE), measure),
             2.0 if len(sizes) > 1 else None,
         )
     size = 0.8
@@ -168,7 +118,7 @@ def _press_fits(fine: bool) -> Iterator[Problem]:
         "the same, plane strain, 3 mm, by curved cells of second order [MPa], relative",
         1e-3,
         "lame_plane_strain.yaml",
-        _ladder([size], overrides, partial(measures.mean_pressure, reference=reference)),
+        ladder([size], overrides, partial(measures.mean_pressure, reference=reference)),
     )
 
 
@@ -188,7 +138,7 @@ def _oval_fits(fine: bool) -> Iterator[Problem]:
             "displacement of a press fit of varying interference, relative in L2",
             0.005,
             "oval_fit.yaml",
-            _ladder(sizes, overrides, partial(measures.oval_displacement, fit=fit)),
+            ladder(sizes, overrides, partial(measures.oval_displacement, fit=fit)),
             2.0,
         )
         yield Problem(
@@ -196,7 +146,7 @@ def _oval_fits(fine: bool) -> Iterator[Problem]:
             "its pressure [MPa], relative in L2",
             tolerance,
             "oval_fit.yaml",
-            _ladder(sizes[-1:], overrides, partial(measures.oval_pressure, fit=fit)),
+            ladder(sizes[-1:], overrides, partial(measures.oval_pressure, fit=fit)),
         )
 
 

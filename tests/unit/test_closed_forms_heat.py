@@ -7,13 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from scipy.integrate import quad, solve_ivp
 
 from app import closed_forms_coupled as coupled
 from app import closed_forms_heat as exact
+from app.expressions import evaluate
+
+CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 
 CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
 PMMA = exact.Kinetics(2.6397e8, 62866.0, 0.98, 1.064)
@@ -113,23 +119,17 @@ def test_resistance_fades_with_time_and_conductance() -> None:
 def test_frictional_heating() -> None:
     """Physics reference 5.12: 75 kW/m2 for 10 s between cement and cortical bone.
 
-    Shared by effusivity, each half-space alone becomes as hot as both together.
+    Shared by effusivity e, both half-spaces are as hot at their surface; what has entered is there.
     """
     e, f = exact.effusivity(CEMENT), exact.effusivity(CORTICAL)
-    together = exact.surface_rise(75.0, 10.0, e + f)
-    assert together == pytest.approx(152.66, rel=3e-4)
     assert e / (e + f) == pytest.approx(0.34, abs=0.005)
-    assert exact.surface_rise(75.0 * e / (e + f), 10.0, e) == pytest.approx(together)
-    assert exact.surface_rise(75.0 * f / (e + f), 10.0, f) == pytest.approx(together)
-    # Heat that has entered: c times the integral of 2 q sqrt(t)/e ierfc, by the flux itself.
-    k, c = CEMENT
-    depth = math.sqrt(k / c * 10.0)
-    stored = 2 * 75.0 * math.sqrt(10.0) / e * c * 2 * depth * quad(_ierfc, 0, 10)[0]
-    assert stored == pytest.approx(75.0 * 10.0, rel=1e-6)
-
-
-def _ierfc(ξ: float) -> float:
-    return math.exp(-(ξ**2)) / math.sqrt(math.pi) - ξ * math.erfc(ξ)
+    for material in (CEMENT, CORTICAL):
+        flux = 75.0 * exact.effusivity(material) / (e + f)
+        x = np.linspace(0, 20, 20001)
+        rise = exact.heated_half_space(x, 10.0, flux, material)
+        assert rise[0] == pytest.approx(152.66, rel=3e-4)
+        assert np.trapezoid(material[1] * rise, x) == pytest.approx(flux * 10.0, rel=1e-6)
+        assert -material[0] * (rise[1] - rise[0]) / 1e-3 == pytest.approx(flux, rel=1e-3)
 
 
 def test_adiabatic_cure() -> None:
@@ -285,3 +285,55 @@ def test_sides_of_a_wavy_contact_slide_without_shear_and_are_insulated(
 
 def at(x: float, z: float) -> np.ndarray:
     return np.array([[x, 0.0, z]])
+
+
+def second(f: Callable[[np.ndarray], float], x: np.ndarray, d: np.ndarray, e: np.ndarray) -> float:
+    """Second derivative along d and e."""
+    return slope(lambda s: slope(lambda t: f(x + s * d + t * e), 0.0, 1e-2), 0.0, 1e-2)
+
+
+@pytest.mark.parametrize("upper", [False, True])
+def test_what_the_wavy_case_prescribes_is_what_its_fields_need(upper: bool) -> None:
+    """Sources balance the divergences of flux and stress; the ends are those of the fields."""
+    case: dict[str, Any] = YAML(typ="safe").load(CASES / "wavy_contact.yaml")
+    name, end = ("bone", "above") if upper else ("cement", "below")
+    x = np.array([0.7, 0.1, 1.6 if upper else 0.3])
+    E, ν = WAVY.materials[upper]
+    λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+    β = (3 * λ + 2 * μ) * WAVY.expansions[upper]
+
+    def T(y: np.ndarray) -> float:
+        return float(WAVY.temperature(y[None], upper)[0])
+
+    def w(y: np.ndarray) -> float:
+        return float(WAVY.displacement(y[None], upper)[0, 2])
+
+    def given(text: str, at: np.ndarray) -> float:
+        return float(evaluate(text, at[None])[0])
+
+    def laplacian(f: Callable[[np.ndarray], float]) -> float:
+        return sum(second(f, x, e, e) for e in np.eye(3))
+
+    source = given(case["heat"]["source"]["density"], x)
+    assert source == pytest.approx(-WAVY.conductivities[upper] * laplacian(T), rel=1e-6)
+    # u = (0, 0, w): div sigma = mu lap u + (lambda + mu) grad div u - beta grad T.
+    ex, _, ez = np.eye(3)
+    along_x = (λ + μ) * second(w, x, ex, ez) - β * slope(lambda s: T(x + s * ex), 0.0)
+    along_z = (λ + μ) * second(w, x, ez, ez) - β * slope(lambda s: T(x + s * ez), 0.0)
+    force = [-along_x, -along_z - μ * laplacian(w)]
+    density = case["loads"][name]["density"]
+    assert [given(density[i], x) for i in (0, 2)] == pytest.approx(force, rel=1e-6)
+    x[2] = 2.0 if upper else 0.0
+    assert given(case["supports"][end]["z"], x) == pytest.approx(w(x), rel=1e-9)
+    assert given(case["heat"][end]["temperature"], x) == pytest.approx(T(x) + 273.15, rel=1e-12)
+
+
+def test_source_of_the_fibre_case() -> None:
+    """Minus the divergence of K grad T, for the tensor of the case."""
+    case: dict[str, Any] = YAML(typ="safe").load(CASES / "fibre_heat.yaml")
+    m = np.array([1, 1, 1]) / math.sqrt(3)
+    K = 0.3 * np.eye(3) + 0.3 * np.outer(m, m)
+    hessian = np.array([[2, 2, 0], [2, 0, 0], [0, 0, 0]])
+    assert case["heat"]["surface"]["temperature"] == "310 + x * x + 2 * x * y"
+    density = case["heat"]["sink"]["density"]
+    assert float(density.split()[0]) == pytest.approx(-(K * hessian).sum())

@@ -12,7 +12,7 @@ import pytest
 from app import closed_forms, config, verify, verify_problems
 from app.errors import InputError
 from app.verify_measures import Sample
-from app.verify_problems import Point, Problem
+from app.verify_problem import CASES, Point, Problem
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "passed"}
 
@@ -118,17 +118,15 @@ def test_problems_are_well_posed() -> None:
             assert bool(p.points) != bool(p.direct)
             assert not p.points or f"run configs/verification/{p.case}" in _text(p.case)
             for point in p.points:
-                config.load(verify_problems.CASES / p.case, point.overrides)
+                config.load(CASES / p.case, point.overrides)
             sizes = [point.size for point in p.points]
             assert sizes == sorted(sizes, reverse=True)
             assert p.order is None or len(set(sizes)) == len(sizes) >= 3
-    assert {p.case for p in everything} - {""} == {
-        p.name for p in verify_problems.CASES.glob("*.yaml")
-    }
+    assert {p.case for p in everything} - {""} == {p.name for p in CASES.glob("*.yaml")}
 
 
 def _text(case: str) -> str:
-    return (verify_problems.CASES / case).read_text(encoding="utf-8")
+    return (CASES / case).read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
