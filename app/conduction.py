@@ -22,9 +22,12 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.bodies import Bodies, bodies_of
+from app.cure_heat import CureHeat
+from app.friction_heat import FrictionHeating
 from app.heat_forms import HeatForms
 from app.heat_loads import FixedTemperatures, HeatLoads
 from app.heat_matrices import HeatMatrices, with_diagonal
+from app.monotone import Bounds, Extremes, Monotone
 from app.systems import Measure
 from app.temperature_jumps import TemperatureJumps
 from app.terms import Scene, multiplier
@@ -88,13 +91,23 @@ class Conduction:
         # Heat is counted from a temperature that is near all of them: less is lost to rounding.
         self._reference = float(np.mean([c.initial for c in scene.conductors]))
         self._exchange, self._brought = self._loads.exchanges(self._reference)
-        self._K = self._conduction()
-        self._blocks = HeatMatrices(self._K, self.jumps, self.held)
+        self.cures: tuple[CureHeat, ...] = (
+            (CureHeat(scene, self.bodies, self.forms),) if scene.cures else ()
+        )
+        self.frictions: tuple[FrictionHeating, ...] = (
+            (FrictionHeating(scene, tagged, self.bodies, self.forms),)
+            if scene.friction_heat
+            else ()
+        )
+        self._monotone = Monotone(self.comm, self._conduction(), self.capacity)
+        data = [c.initial for c in scene.conductors] + [e.outside for e in self._loads.exchange]
+        self._data = Extremes(self.comm, min(data), max(data), bool(scene.cures))
+        self._blocks = HeatMatrices(self._monotone.matrices, self.jumps, self.held)
         self._seconds = 0.0
         self._rate = -1.0
         self._start, self._heats = self.forms.zeros(), self.forms.zeros()
         self._given: list[Floats] = []
-        self._work = [self._K[0].createVecRight(), self._K[0].createVecLeft()]
+        self._work = [self.matrix[0][0].createVecRight(), self.matrix[0][0].createVecLeft()]
         self._θ = fem.Function(self.space, name="temperature")
         self._moved = {
             b: fem.Function(self.space, name=f"temperature {self.bodies.names[b]}")
@@ -178,28 +191,50 @@ class Conduction:
 
     # One implicit solve
 
-    def begin(self, start: Sequence[PETSc.Vec], h: float, seconds: float) -> None:
+    def begin(
+        self, start: Sequence[Floats], degrees: Sequence[Floats], h: float, seconds: float
+    ) -> bool:
         """Prepare a solve; collective.
 
         Args:
-            start: State from which the interval starts.
+            start: Temperatures of own nodes, and with jumps those of own points, from which the
+                interval starts [K].
+            degrees: Degrees of cure from which it starts, of own nodes of each region that sets.
             h: Its length [s]; infinite for a steady state.
             seconds: Time at its end, since the start of the run.
+
+        Returns:
+            Whether the degrees are ones to start from; if not, there is nothing to solve.
         """
-        self._start = self.nodal(start)
+        x = self.vectors()
+        for vector, values in zip(x, start, strict=True):
+            vector.array[:] = values
+        self._start = self.nodal(x)
         self._seconds = seconds
         self._heats = self._loads.heats(seconds)
+        for friction in self.frictions:
+            self._heats = [a + b for a, b in zip(self._heats, friction.nodal, strict=True)]
         self._set_given(seconds)
         rate = 0.0 if math.isinf(h) else 1 / h
         if rate != self._rate:
             self._rate = rate
-            added = [m * rate + r for m, r in zip(self.capacity, self._exchange, strict=True)]
-            self._blocks.fill(self._K, added)
+            self._fill()
+        return all([cure.begin(degrees, h, seconds) for cure in self.cures])
+
+    def _fill(self) -> None:
+        """Set the linear part of the Jacobian."""
+        added = [m * self._rate + r for m, r in zip(self.capacity, self._exchange, strict=True)]
+        self._blocks.fill(self._monotone.matrices, added)
 
     def _set_given(self, seconds: float) -> None:
         values = self._fixed.values(seconds)
         self._given = [self._fixed.continuous(values)]
         self._given += [self._fixed.jumps(values, j) for j in self.jumps]
+        self._data.see(
+            *self._fixed.extremes(values),
+            min(float(h.min(initial=0.0)) for h in self._heats),
+            max(float(h.max(initial=0.0)) for h in self._heats),
+        )
 
     def impose(self, x: Sequence[PETSc.Vec]) -> None:
         """Put given temperatures and jumps into a state."""
@@ -213,8 +248,10 @@ class Conduction:
         for b in self._every:
             above, flow = self._work
             above.array[:] = T[b] - self._reference
-            self._K[b].mult(above, flow)
+            self._monotone.matrices[b].mult(above, flow)
             r = flow.array + self._exchange[b] * above.array - self._brought[b] - self._heats[b]
+            for cure in self.cures:
+                r = r - cure.heats(T)[b]
             lacking.append(r + self._rate * self.capacity[b] * (T[b] - self._start[b]))
         return lacking
 
@@ -234,7 +271,7 @@ class Conduction:
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
         by_jump = [-j.weight * j.flux(τ.array)[1] for j, τ in zip(self.jumps, x[1:], strict=True)]
-        self._blocks.set(by_jump, {})
+        self._blocks.set(by_jump, [cure.growth(self.nodal(x)) for cure in self.cures])
 
     @property
     def matrix(self) -> list[list[PETSc.Mat]]:
@@ -245,6 +282,41 @@ class Conduction:
     def version(self) -> int:
         """Changes of the matrix that outdate its preconditioner."""
         return self._blocks.version
+
+    def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
+        """Degrees of cure in a state, of own nodes of each region that sets."""
+        return [d.degree for cure in self.cures for d in cure.at(self.nodal(x))]
+
+    @property
+    def adiabatic_rises(self) -> list[float]:
+        """By how much full cure would warm each region that sets [K]."""
+        return [n.adiabatic_rise for cure in self.cures for n in cure.nodes]
+
+    # Extremes
+
+    def bounds(self, x: Sequence[PETSc.Vec]) -> Bounds:
+        """Between what the temperatures of a state have to be; collective."""
+        return self._data.bounds(x[0].array)
+
+    def outside(self, x: Sequence[PETSc.Vec]) -> bool:
+        """Whether a state leaves its bounds; collective."""
+        return self._monotone.outside(self.nodal(x), self.bounds(x))
+
+    def correct(self, x: Sequence[PETSc.Vec]) -> bool:
+        """Correct conduction where a state leaves its bounds; collective.
+
+        Returns:
+            Whether that may help: the step is to be done again.
+        """
+        changed = self._monotone.correct(self.nodal(x), self.bounds(x))
+        if changed:
+            self._fill()
+        return changed
+
+    def settle(self, x: Sequence[PETSc.Vec]) -> None:
+        """Take corrections back where an accepted state no longer needs them; collective."""
+        if self._monotone.settle(self.nodal(x), self.bounds(x)):
+            self._fill()
 
     # Size of a residual
 
@@ -261,6 +333,8 @@ class Conduction:
             parts.append(self._rate * self.capacity[b] * (T[b] - self._start[b]))
             parts.append(self._exchange[b] * (T[b] - self._reference) - self._brought[b])
             parts.append(self._heats[b])
+        for cure in self.cures:
+            parts += cure.heats(T)
         for j, τ in zip(self.jumps, x[1:], strict=True):
             parts.append(j.weight * j.flux(τ.array)[0])
         noise = [d * v.array for d, v in zip(self._blocks.diagonal(), x, strict=True)]
@@ -288,6 +362,9 @@ class Conduction:
             found[e.name] = sum(
                 float((nodal * (e.outside - T[b])).sum()) for b, nodal in e.per_kelvin.items()
             )
+        for cure in self.cures:
+            for n, heat in zip(cure.nodes, cure.released(T), strict=True):
+                found[f"cure {n.region}"] = float(heat.sum())
         lacking = self._lacking(T)
         for j, τ in zip(self.jumps, x[1:], strict=True):
             q = j.weight * j.flux(τ.array)[0]
@@ -300,7 +377,12 @@ class Conduction:
                 float(lacking[b][condition == s].sum())
                 for b, condition in self._fixed.of_body.items()
             )
-        return {name: float(self.comm.allreduce(v, MPI.SUM)) for name, v in found.items()}
+        names = list(found)
+        sums = self.comm.allreduce(np.array(list(found.values())), MPI.SUM)
+        every = {name: float(v) for name, v in zip(names, sums, strict=True)}
+        for friction in self.frictions:
+            every |= friction.flows
+        return every
 
     def stored(self, x: Sequence[PETSc.Vec]) -> float:
         """Heat stored, from an arbitrary but fixed temperature on [N mm]; collective."""

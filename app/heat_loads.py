@@ -150,6 +150,16 @@ class FixedTemperatures:
             for c, v in zip(self.conditions, self._values, strict=True)
         ]
 
+    def extremes(self, values: list[Floats]) -> tuple[float, float]:
+        """Least and largest given temperature at own nodes [K]."""
+        given = [
+            values[s][condition == s]
+            for condition in self.of_body.values()
+            for s in range(len(values))
+        ]
+        every = np.concatenate([np.zeros(0), *given])
+        return float(every.min(initial=np.inf)), float(every.max(initial=-np.inf))
+
     def continuous(self, values: list[Floats]) -> Floats:
         """The continuous temperature where it is given (owned,) [K], else zero."""
         given: Floats = np.zeros(len(self.base))

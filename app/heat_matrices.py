@@ -100,25 +100,25 @@ class HeatMatrices:
         self._A.zeroRowsColumns(self._rows, diag=self._typical)
         self._A.getDiagonal(self._diagonal)
 
-    def set(self, by_jump: Sequence[Floats], heating: dict[int, Floats]) -> None:
+    def set(self, by_jump: Sequence[Floats], growth: Sequence[dict[int, Floats]]) -> None:
         """Complete the Jacobian; collective.
 
         Args:
             by_jump: What the interfaces add to the diagonal of the jumps, if any [N mm/(s K)].
-            heating: For some bodies, how heat released at own nodes grows with their temperature
-                [N mm/(s K)].
+            growth: How heat released at own nodes of some bodies grows with their temperature, if
+                any is [N mm/(s K)].
         """
-        if heating:
+        for by_body in growth:
             new = self._diagonal.copy()
-            new.array[:] -= np.where(self._held, 0.0, sum(heating.values()))
+            new.array[:] -= np.where(self._held, 0.0, sum(by_body.values()))
             self._A.setDiagonal(new)
         for j, added in zip(self._jumps, by_jump, strict=True):
             (_, C), (Ct, D) = self.matrix
             for linear, full in zip(self._linear, (C, D), strict=True):
                 linear.copy(full, structure=SAME)
-            for b, growth in heating.items():
+            for b, released in ((b, r) for by_body in growth for b, r in by_body.items()):
                 if b in j.moves:
-                    self._diagonal_of(b, growth, j.moves[b], C, D)
+                    self._diagonal_of(released, j.moves[b], C, D)
             free = [v.duplicate() for v in self._vectors]
             for v, held in zip(free, (self._held, j.held), strict=True):
                 v.array[:] = ~held
@@ -132,10 +132,10 @@ class HeatMatrices:
             C.transpose(Ct)
 
     @staticmethod
-    def _diagonal_of(b: int, growth: Floats, B: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
-        """Take a diagonal of body b out of the blocks of the jumps."""
+    def _diagonal_of(released: Floats, B: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
+        """Take a diagonal of a body out of the blocks of the jumps."""
         scaled, left = B.copy(), B.createVecLeft()
-        left.array[:] = growth
+        left.array[:] = released
         scaled.diagonalScale(left)
         C.axpy(-1.0, scaled, structure=SUBSET)
         D.axpy(-1.0, B.transposeMatMult(scaled), structure=SUBSET)

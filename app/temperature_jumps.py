@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from app.bodies import Bodies, contact_facets
 from app.heat_forms import HeatForms
 from app.pointwise import Pointwise
-from app.sparse import from_triplets, owners
+from app.sparse import at_vertices, from_triplets, owners
 from app.terms import ThermalContact
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
@@ -68,7 +68,9 @@ class TemperatureJumps:
         Raises:
             InputError: An interface has no facets on this mesh.
         """
+        self._names = [c.name for c in contacts]
         comm, index_map = forms.comm, forms.space.dofmap.index_map
+        self._comm = comm
         facets = contact_facets(tagged, bodies, forms.space, contacts)
         holds = _holds(forms, facets, held)
         self.points, entries = contact_points(facets, holds, len(contacts))
@@ -107,6 +109,20 @@ class TemperatureJumps:
             )
         laws = np.array([[c.open, c.per_pressure, c.cap] for c in contacts])[self.interface]
         self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])
+
+    def set_pressure(self, interface: str, vertex: Ints, pressure: Floats) -> None:
+        """Set the contact pressure of an interface; collective.
+
+        Args:
+            interface: Its name; nothing happens if its conductance is perfect.
+            vertex: Vertex numbers of the mesh file of this rank's contact points (n,).
+            pressure: Pressure at them (n,) [MPa].
+        """
+        if interface not in self._names:
+            return
+        here = self.interface == self._names.index(interface)
+        wanted = self.points.vertex[self.mine[here]]
+        self.pressure[here] = at_vertices(self._comm, vertex, pressure, wanted)
 
     def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
         """Heat q from master to slave at own points [N/(mm s)], dq/dτ and dq/dp (n,).

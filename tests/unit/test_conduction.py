@@ -61,7 +61,7 @@ def solve(
     iterations: int = 4,
 ) -> list[PETSc.Vec]:
     """One implicit solve by Newton's method with a direct solver."""
-    conduction.begin(x, h, seconds)
+    assert conduction.begin([v.array for v in x], [], h, seconds)
     y = [v.copy() for v in x]
     conduction.impose(y)
     ksp = PETSc.KSP().create(conduction.comm)
