@@ -14,7 +14,8 @@ others are closer to the truth, by chance, than any estimate can know.
 Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
 minimisation is an implicit Euler method). The coarser companions take half the steps, which is
 cheaper; one more on the coarsest mesh takes all of them (or two where the run takes one), and the
-difference gives C.
+difference gives C. Where time passes, half the steps means a tolerance with which the error of the
+time steps is twice as large.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ MOTIONS = (
 )
 TRACTIONS = ("pressure_p99", "shear_p99", "von_mises_p99", "hoop_p99", "principal_p99")
 PEAKS = ("gap_max", "slip_max", "pressure_max", "shear_max", "von_mises_max", "principal_max")
+# The power of the error of all time steps with which the tolerance of one of them goes.
+TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak that still changes by more than this part of itself when the mesh is halved.
 UNSETTLED = 0.1
 # A mesh that is not coarser than this tells nothing.
@@ -51,7 +54,7 @@ class Companion:
     Attributes:
         case: What is solved.
         coarsening: Its mesh size over that of the run.
-        steps: Its increments over those of the run.
+        steps: Its increments over those of the run, and the error of its time steps the other way.
     """
 
     case: config.Case
@@ -60,7 +63,7 @@ class Companion:
 
     def __str__(self) -> str:
         """What it is, for people."""
-        fewer = f", {self.steps:g} times the increments" if self.steps != 1 else ""
+        fewer = f", {self.steps:g} times the steps" if self.steps != 1 else ""
         return f"mesh {self.case.mesh.size:g} mm{fewer}"
 
 
@@ -75,14 +78,18 @@ def companions(case: config.Case) -> tuple[Companion, ...]:
     frictional = any(
         getattr(law, "friction_coefficient", 0) > 0 for law in case.interfaces.values()
     )
-    half = most // 2 / most if frictional and most > 1 else 1.0
+    timed = any(stage.duration for stage in case.stages)
+    if frictional:
+        half = most // 2 / most if most > 1 else 1.0
+    else:
+        half = 0.5 if timed else 1.0
     coarsenings = _coarsenings(case)
     meshes = tuple(_companion(case, c, half) for c in coarsenings)
-    if not frictional or (len(meshes) == 1 and most > 1):
+    if not (frictional or timed) or (len(meshes) == 1 and half < 1):
         # On one coarser mesh the difference itself shows half the steps well enough.
         return meshes
     coarsest = (1.0, *coarsenings)[-1]
-    steps = 2.0 if most == 1 else 1.0 if meshes else half
+    steps = 2.0 if half == 1 else 1.0 if meshes else half
     return (*meshes, _companion(case, coarsest, steps))
 
 
@@ -95,7 +102,10 @@ def _companion(case: config.Case, coarsening: float, steps: float) -> Companion:
         s.model_copy(update={"increments": max(1, round(s.increments * steps))})
         for s in case.stages
     )
-    changed = {"mesh": mesh, "stages": stages}
+    changed: dict[str, Any] = {"mesh": mesh, "stages": stages}
+    if case.time is not None:
+        tolerance = case.time.tolerance / steps ** TOLERANCE_POWER[case.time.method]
+        changed["time"] = case.time.model_copy(update={"tolerance": tolerance})
     return Companion(case.model_copy(update=changed), coarsening, steps)
 
 

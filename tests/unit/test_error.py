@@ -82,6 +82,38 @@ def test_without_friction_the_path_does_not_matter() -> None:
     assert [c.steps for c in error.companions(frictionless)] == [1, 1]
 
 
+HEAT = """
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}]}
+mesh: {size: 1 mm}
+regions:
+  lower:
+    kind: conductor
+    thermal:
+      conductivity: 1 W/(m K)
+      density: 1000 kg/m^3
+      specific_heat: 1000 J/(kg K)
+      initial_temperature: 37 degC
+heat:
+  cold: {kind: temperature, boundary: bottom, temperature: 20 degC}
+stages: [{name: cool, duration: 60 s}]
+output: {error: true}
+"""
+
+
+@pytest.mark.parametrize(("method", "power"), [("sdirk4", 1), ("backward_euler", 2)])
+def test_companions_in_time_have_a_larger_tolerance(method: str, power: int) -> None:
+    """Of order p with an estimate of order q, error goes with tolerance^(p / q): 4/4 and 1/2."""
+    found = error.companions(support.case(HEAT, f"time.method={method}", "time.tolerance=3e-4 K"))
+    assert [c.case.mesh.size for c in found] == [2, 3, 3]
+    larger = 3e-4 * 2**power
+    assert [c.case.time.tolerance for c in found] == pytest.approx([larger, larger, 3e-4])  # type: ignore[union-attr]
+
+
+def test_a_steady_state_has_no_time_steps() -> None:
+    steady = support.case(HEAT, "stages=[{name: cool, steady: true}]")
+    assert [c.steps for c in error.companions(steady)] == [1, 1]
+
+
 @pytest.mark.parametrize(("increments", "step"), [(1, 0.02), (8, 0.02), (9, 0.02)])
 def test_the_estimate_is_exact_for_its_model(increments: int, step: float) -> None:
     this = case(f"stages.0.increments={increments}")
