@@ -1,0 +1,25 @@
+"""Stiff and extreme thermal cases: they pass, and the table tells what they took."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from pathlib import Path
+
+import pytest
+
+from app import verify
+
+
+@pytest.mark.slow
+def test_stiff_cases_pass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Bounds of temperature and cure, and heat, in every case; steps told for each."""
+    caplog.set_level(logging.INFO, "mantle")
+    passed = verify.run("stiff", tmp_path, fine=False, cores=2)
+    entries = json.loads((tmp_path / "verify.json").read_text())
+    assert passed, [(e["name"], e["error"], e["message"]) for e in entries if not e["passed"]]
+    assert len(entries) > 15
+    for e in entries:
+        assert re.match(r"steps \d+, rejected \d+, balance \d", e["note"])
+        assert e["note"] in caplog.text
