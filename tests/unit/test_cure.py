@@ -1,0 +1,456 @@
+"""Setting: rates, the implicit local step, closed forms and reference times, strains, energy.
+
+Reference times: the adiabatic and isothermal equations integrated to 1e-11 by a Radau method, and
+closed forms where there are any; none of them comes from the code under test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from app.curing import UNREACTED, Curing, Degrees, FreeStrain
+from app.integrator import METHODS, Controller, Method, State, first_step, start_slope, step
+from app.pointwise import Pointwise
+from app.terms import Autocatalytic, Cure, Expansion, Prescribed
+from forms import cure as forms
+
+Floats = NDArray[np.float64]
+
+R = 8.314462618
+BALIGA = Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ())
+# Heat 1.55e8 J/m3 over an adiabatic rise of 89.0805 K.
+CAPACITY = 155 / 89.0805
+CEMENT = Cure("cement", BALIGA, 155.0, 1e-3, 0.85, 0.01, 1.0, 0.02)
+TOLERANCE = 1e-3
+# What is all but cured may waver by less than the tolerance, in degrees of cure.
+WAVERS = 1e-5
+
+
+def setting(kinetics: Autocatalytic | Prescribed = BALIGA, nodes: int = 1) -> Curing:
+    return Curing(MPI.COMM_SELF, [replace(CEMENT, kinetics=kinetics)], [nodes])
+
+
+def rate(k: Autocatalytic, a: Floats, T: Floats) -> Floats:
+    limit = np.interp(T, *np.array(k.limit).T) if k.limit else 1.0
+    left = np.maximum(limit - a, 0)
+    return k.rate_constant * np.exp(-k.activation_energy / (R * T)) * a**k.m * left**k.n
+
+
+def doubled(T: float = 330.0) -> Autocatalytic:
+    """Twice the activation energy, as fast as before at one temperature."""
+    faster = BALIGA.rate_constant * np.exp(BALIGA.activation_energy / (R * T))
+    return replace(BALIGA, activation_energy=2 * BALIGA.activation_energy, rate_constant=faster)
+
+
+LIMITED = replace(BALIGA, limit=((293.15, 0.7), (353.15, 0.9), (373.15, 1.0)))
+KINETICS = {
+    "bone cement": BALIGA,
+    "activation energy doubled": doubled(),
+    "limited": LIMITED,
+    "first order": replace(BALIGA, m=0.0, n=1.0),
+    "no order": replace(BALIGA, m=0.0, n=0.0),
+    "half order": replace(BALIGA, m=0.5, n=0.5),
+    "third order": replace(BALIGA, m=1.0, n=2.0),
+}
+ALL = pytest.mark.parametrize("kinetics", KINETICS.values(), ids=KINETICS)
+
+
+# Forms
+
+
+def evaluate(function: object, **values: Floats) -> Floats:
+    n = len(next(iter(values.values())))
+    law = Pointwise(
+        MPI.COMM_SELF,
+        n,
+        dict.fromkeys(values, 1),
+        lambda x: [function(*(x[k] for k in values))],  # type: ignore[operator]
+    )
+    return law(**values)[0]
+
+
+def test_limit_is_linear_between_its_pairs() -> None:
+    T = np.linspace(250, 400, 31)
+    for pairs in (LIMITED.limit, LIMITED.limit[:1]):
+        temperatures, limits = np.array(pairs).T
+        found = evaluate(
+            lambda x, t=temperatures, a=limits: forms.conversion_limit(x, t, a),  # type: ignore[misc]
+            T=T,
+        )
+        assert found == pytest.approx(np.interp(T, temperatures, limits), abs=1e-14)
+
+
+def test_modulus_grows_from_its_floor_past_gelation() -> None:
+    a = np.array([0.0, 0.5, 0.85, 0.9, 1.0])
+    found = evaluate(lambda x: forms.modulus_factor(x, 0.85, 0.01, 2.0), a=a)
+    assert found == pytest.approx([0.01, 0.01, 0.01, 0.01 + 0.99 / 9, 1.0], abs=1e-14)
+
+
+# The local step
+
+
+@ALL
+@pytest.mark.parametrize("h", [1e-3, 1.0, 60.0, 3600.0])
+def test_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
+    """a = a* + h f(a, T), but for what may stay unreacted, and its derivative by T."""
+    rng = np.random.default_rng(2)
+    n = 300
+    start = np.concatenate([10 ** rng.uniform(-6, 0, n), 1 - 10 ** rng.uniform(-8, 0, n)])
+    T = rng.uniform(270, 420, 2 * n)
+    curing = setting(kinetics, 2 * n)
+    found = curing.update([start], [T], h, 0.0)[0]
+    a, limit = found.degree, np.interp(T, *np.array(kinetics.limit or ((300, 1.0),)).T)
+    assert (a >= start).all() and (a <= np.maximum(limit, start)).all()
+
+    free = (a < limit - 2 * UNREACTED) & (start < limit)
+    missing = a - start - h * rate(kinetics, a, T)
+    stiffness = 1 + h * kinetics.n * rate(kinetics, a, T) / np.maximum(limit - a, UNREACTED)
+    assert np.abs(missing / stiffness)[free].max() < 1e-13
+    # Where the reaction has ended, it would have gone further.
+    ended = ~free & (start < limit - 2 * UNREACTED)
+    assert (missing[ended] <= UNREACTED * (1 + h * 1e-6)).all()
+
+    ΔT = 1e-3
+    up, down = (curing.update([start], [T + d], h, 0.0)[0].degree for d in (ΔT, -ΔT))
+    slope = (up - down) / (2 * ΔT)
+    smooth = free & (up < limit - 2 * UNREACTED)
+    for knot, _ in kinetics.limit:
+        smooth &= np.abs(T - knot) > 1
+    assert np.abs(found.by_temperature - slope)[smooth].max() < 1e-5 * max(slope.max(), 1e-3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    start=st.floats(0, 1),
+    T=st.floats(250, 500),
+    h=st.floats(-3, 3.6).map(lambda x: 10.0**x),
+    which=st.sampled_from(sorted(KINETICS)),
+)
+def test_degree_stays_within_bounds_and_rises_with_temperature_and_time(
+    start: float, T: float, h: float, which: str
+) -> None:
+    curing = compiled(which)
+    a = np.full(3, start)
+    found = curing.update([a], [np.array([T, T + 5, T + 50])], h, 0.0)[0]
+    degree = found.degree
+    assert (degree >= start).all() and (degree <= 1).all()
+    assert (np.diff(degree) >= -1e-12).all()
+    assert (found.by_temperature >= 0).all()
+    assert (curing.update([a], [np.full(3, T)], 2 * h, 0.0)[0].degree[0] >= degree[0] - 1e-12).all()
+
+
+_compiled: dict[str, Curing] = {}
+
+
+def compiled(which: str) -> Curing:
+    if which not in _compiled:
+        _compiled[which] = setting(KINETICS[which], 3)
+    return _compiled[which]
+
+
+def test_senseless_temperatures_do_no_harm() -> None:
+    """Iterates of a solver may be anywhere; nothing sets where there is no heat."""
+    found = setting(nodes=4).update(
+        [np.full(4, 0.3)], [np.array([-500.0, 0.0, 1.0, 1e7])], 1.0, 0.0
+    )[0]
+    assert np.isfinite(found.by_temperature).all()
+    assert found.degree[:3] == pytest.approx(0.3) and 0.3 < found.degree[3] <= 1
+
+
+def test_steps_that_make_no_sense_are_refused() -> None:
+    curing = setting(nodes=2)
+    with pytest.raises(ValueError, match="finite"):
+        curing.update(curing.initial(), [np.full(2, 310.0)], np.inf, 0.0)
+    assert curing.admissible(curing.initial())
+    assert curing.admissible([np.array([0.0, 1.0])])
+    assert curing.admissible([np.array([-1e-15, 1 + 1e-15])])
+    for outside in (-1e-6, 1 + 1e-6, np.nan):
+        assert not curing.admissible([np.array([0.5, outside])])
+
+
+def test_a_rank_without_nodes_takes_part() -> None:
+    curing = setting(nodes=0)
+    assert curing.admissible(curing.initial())
+    found = curing.update(curing.initial(), [np.zeros(0)], 1.0, 0.0)[0]
+    assert len(found.degree) == len(found.by_temperature) == 0
+
+
+# Time
+
+
+@dataclass
+class Run:
+    """A point of cement in time: what an integration did."""
+
+    times: list[float] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
+    slopes: list[State] = field(default_factory=list)
+    rejected: int = 0
+    failed: int = 0
+    solves: int = 0
+
+    @property
+    def degree(self) -> Floats:
+        return np.array([s[1][0] for s in self.states])
+
+    @property
+    def temperature(self) -> Floats:
+        return np.array([s[0][0] for s in self.states])
+
+    def reaches(self, level: float) -> float:
+        """When the degree reaches a level, by the cubic through degrees and rates."""
+        rates = [k[1][0] for k in self.slopes]
+        spline = CubicHermiteSpline(self.times, self.degree, rates)
+        return float(spline.solve(level, extrapolate=False)[0])
+
+
+@dataclass
+class Point:
+    """Cement that keeps its heat (gain is the rise of full cure [K]) or its temperature (0)."""
+
+    curing: Curing
+    gain: float
+    start: State
+    solves: int = 0
+
+    def solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
+        """Newton's method from below: the first root, which goes on from that of short steps."""
+        self.solves += 1
+        T_start, a_start = start
+        if not self.curing.admissible([a_start]):
+            return None
+        T = T_start
+        for _ in range(50):
+            found: Degrees = self.curing.update([a_start], [T], h, seconds)[0]
+            slope = 1 - self.gain * found.by_temperature
+            if slope[0] <= 0:
+                return None
+            step = (T_start + self.gain * (found.degree - a_start) - T) / slope
+            T = T + step
+            if abs(step[0]) < 1e-11 * T[0]:
+                # What is released is what warms, to the last bit.
+                return [T_start + self.gain * (found.degree - a_start), found.degree]
+        return None
+
+
+def point(
+    kinetics: Autocatalytic | Prescribed = BALIGA,
+    T: float = 310.15,
+    initial: float = 1e-3,
+    gain: float = 89.0805,
+) -> Point:
+    cure = replace(CEMENT, kinetics=kinetics, initial=initial)
+    curing = Curing(MPI.COMM_SELF, [cure], [1])
+    return Point(curing, gain, [np.array([T]), *curing.initial()])
+
+
+def integrate(p: Point, end: float, method: str = "sdirk4", tolerance: float = TOLERANCE) -> Run:
+    """As a run does: first slope, steps by their error, repeated where they fail."""
+    table, y, run = METHODS[method], p.start, Run()
+    slope = start_slope(y, 0.0, 1e-6 * end, p.solve)
+    assert slope is not None
+    # An adiabatic point knows no capacity but that which its rise tells.
+    capacity = CEMENT.heat / max(p.gain, 89.0805)
+
+    def norm(errors: State) -> float:
+        cure = p.curing.as_temperature([y[1]], [errors[1]], [capacity])[0]
+        return float(max(np.abs(errors[0]).max(), np.abs(cure).max())) / tolerance
+
+    control = Controller(table, [*p.curing.events, end], first_step(slope, norm, end))
+    run.times, run.states, run.slopes = [0.0], [y], [slope]
+    while run.times[-1] < end * (1 - 1e-9):
+        dt = control.propose(run.times[-1])
+        done = step(table, y, slope, dt, run.times[-1], p.solve)
+        if done is None or not p.curing.admissible([done.state[1]]):
+            control.failed(dt)
+            run.failed += 1
+        elif control.judge(dt, norm(done.error)):
+            y, slope = done.state, done.slope
+            run.times.append(run.times[-1] + dt)
+            run.states.append(y)
+            run.slopes.append(slope)
+        else:
+            run.rejected += 1
+        assert run.failed + run.rejected < 500
+    run.solves = p.solves
+    return run
+
+
+@pytest.mark.parametrize(
+    ("T", "gain", "t50"),
+    [(310.15, 89.0805, 622.12888), (296.15, 89.0805, 1923.72256), (296.15, 0.0, 3009.468)],
+    ids=["adiabatic 37 degC", "adiabatic 23 degC", "isothermal 23 degC"],
+)
+def test_reference_times(T: float, gain: float, t50: float) -> None:
+    run = integrate(point(T=T, gain=gain), 2 * t50)
+    assert run.reaches(0.5) == pytest.approx(t50, rel=1e-4)
+    assert len(run.times) < 80 and run.rejected + run.failed < 8 and run.solves < 450
+    assert (np.diff(run.degree) > -WAVERS).all() and run.degree[-1] <= 1
+
+
+def test_reference_history() -> None:
+    """Degrees and temperatures at given times, adiabatic from 37 degC."""
+    run = integrate(point(), 620.0)
+    for t, a in ((100, 0.00217920), (300, 0.01032774), (500, 0.05708639), (600, 0.22178809)):
+        found = CubicHermiteSpline(run.times, run.degree, [k[1][0] for k in run.slopes])(t)
+        # The shift in time that is allowed, times the rate.
+        assert found == pytest.approx(a, rel=5e-3)
+    found = [integrate(point(), t).temperature[-1] - 273.15 for t in (500.0, 600.0)]
+    assert found == pytest.approx([41.99620, 56.66790], abs=0.05)
+    exact = integrate(point(), 600.0, tolerance=1e-6)
+    assert exact.degree[-1] == pytest.approx(0.22178809, abs=2e-6)
+    assert exact.temperature[-1] - 273.15 == pytest.approx(56.66790, abs=1e-4)
+
+
+def test_closed_forms() -> None:
+    k = 6.82396e-3
+    logistic = integrate(point(replace(BALIGA, m=1.0, n=1.0), gain=0.0), 1500.0)
+    assert logistic.reaches(0.5) == pytest.approx(1012.133, rel=1e-4)
+    first = integrate(point(replace(BALIGA, m=0.0, n=1.0), gain=0.0, initial=0.0), 300.0)
+    assert first.degree[-1] == pytest.approx(1 - np.exp(-300 * k), rel=1e-4)
+    for rise, t in ((10, 11.46931286), (40, 21.07563528)):
+        warm = integrate(point(replace(BALIGA, m=0.0, n=0.0), initial=0.0), t)
+        assert warm.temperature[-1] - 310.15 == pytest.approx(rise, rel=5e-4)
+
+
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+def test_order_of_the_cure(method: Method) -> None:
+    """Logistic cure, isothermal: error after a fixed time against the number of equal steps."""
+    k = BALIGA.rate_constant * np.exp(-BALIGA.activation_energy / (R * 310.15))
+    p = point(replace(BALIGA, m=1.0, n=1.0), gain=0.0, initial=0.05)
+    end = 500.0
+    true = 1 / (1 + (1 / 0.05 - 1) * np.exp(-k * end))
+    sizes, errors = [], []
+    for n in (16, 32, 64):
+        y, slope = p.start, [np.zeros(1), np.array([k * 0.05 * 0.95])]
+        for i in range(n):
+            done = step(method, y, slope, end / n, i * end / n, p.solve)
+            assert done is not None
+            y, slope = done.state, done.slope
+        sizes.append(end / n)
+        errors.append(abs(y[1][0] - true))
+    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert order == pytest.approx(method.order, abs=0.25)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("kinetics", "initial", "gain", "t50"),
+    [
+        (BALIGA, 1e-6, 89.0805, 1440.6097),
+        (doubled(), 1e-3, 89.0805, 2230.54),
+        (BALIGA, 1e-3, 2 * 89.0805, 518.312),
+    ],
+    ids=["initial cure 1e-6", "activation energy doubled", "heat doubled"],
+)
+def test_stiff_cure(
+    method: str, kinetics: Autocatalytic, initial: float, gain: float, t50: float
+) -> None:
+    """An exotherm of seconds within an hour: bounds, energy and few steps."""
+    tolerance = TOLERANCE if method == "sdirk4" else 0.1
+    run = integrate(point(kinetics, initial=initial, gain=gain), 3600.0, method, tolerance)
+    a, T = run.degree, run.temperature
+    assert (a >= initial).all() and (a <= 1).all() and (np.diff(a) > -WAVERS).all()
+    assert a[-1] > 0.999
+    released = gain * (a - initial)
+    assert np.abs(T - T[0] - released).max() < 1e-9 * gain
+    assert run.reaches(0.5) == pytest.approx(t50, rel=1e-4 if method == "sdirk4" else 0.3)
+    assert len(run.times) < 150 and run.rejected + run.failed < 10
+
+
+@ALL
+@pytest.mark.parametrize("dt", [1e-3, 1.0, 60.0, 3600.0])
+def test_forced_steps(kinetics: Autocatalytic, dt: float) -> None:
+    """Backward Euler at any step, temperature given: within bounds, and cured after a day."""
+    curing = setting(kinetics)
+    y = [np.array([1e-6])]
+    for _ in range(20):
+        T = np.array([310.15 + 80 * y[0][0]])
+        new = curing.update(y, [T], dt, 0.0)[0].degree
+        assert y[0] <= new <= 1
+        y = [new]
+    assert dt < 3600 or y[0] > 0.75
+
+
+# Prescribed cure
+
+COURSE = ((300.0, 0.0), (400.0, 2.0), (600.0, 0.0))
+
+
+def test_clock_is_met_whatever_its_scale() -> None:
+    """Degree = initial + (1 - initial) times the part of the course's integral that has passed."""
+    p = point(Prescribed(COURSE))
+    assert p.curing.events == (300.0, 400.0, 600.0)
+    run = integrate(p, 1800.0)
+    times = np.array(run.times)
+    passed = np.interp(times, [300, 400, 600], [0, 1 / 3, 1])
+    for low, high, part in (
+        (300, 400, lambda t: (t - 300) ** 2 / 30000),
+        (400, 600, lambda t: 1 - (600 - t) ** 2 / 60000),
+    ):
+        inside = (times >= low) & (times <= high)
+        passed[inside] = part(times[inside])
+    assert run.degree == pytest.approx(1e-3 + 0.999 * passed, abs=1e-12)
+    assert run.degree.max() <= 1 and run.failed + run.rejected < 3
+    assert {300.0, 400.0, 600.0} <= {round(t, 6) for t in run.times}
+
+
+def test_clock_stops_at_full_cure() -> None:
+    """Long backward Euler steps see the rate at their ends only; the degree ends at one at most."""
+    curing = setting(Prescribed(((0.0, 1.0), (100.0, 1.0))))
+    y = curing.initial()
+    for k in range(1, 8):
+        found = curing.update(y, [np.full(1, 310.0)], 30.0, 30.0 * k)[0]
+        assert y[0] <= found.degree <= 1
+        assert found.by_temperature == 0
+        y = [found.degree]
+    assert y[0] == pytest.approx(1e-3 + 0.999 * 0.9)
+
+
+# Strains
+
+
+def free_strain(states: Sequence[tuple[float, float]]) -> float:
+    """Strain of a path of (degree, temperature)."""
+    law = FreeStrain(MPI.COMM_SELF, CEMENT, Expansion("cement", 80e-6, 310.0), 1)
+    total = 0.0
+    for (a0, T0), (a1, T1) in pairwise(states):
+        total += law.increment(*(np.array([v]) for v in (a0, T0, a1, T1)))[0]
+    return total
+
+
+def test_strain_counts_from_gelation() -> None:
+    assert free_strain([(0.1, 310.0), (0.85, 390.0)]) == 0
+    # Cured: what cooling makes; half shrunk: half the shrinkage.
+    assert free_strain([(1.0, 390.0), (1.0, 310.0)]) == pytest.approx(-80 * 80e-6)
+    assert free_strain([(0.85, 350.0), (0.925, 350.0)]) == pytest.approx(-0.02 / 3 / 2)
+    # A third of this step lies past gelation.
+    assert free_strain([(0.55, 310.0), (1.0, 355.0)]) == pytest.approx(80e-6 * 15 - 0.02 / 3)
+
+
+def test_strain_does_not_depend_on_the_steps_of_a_straight_path() -> None:
+    whole = [(0.2, 315.0), (1.0, 375.0)]
+    for parts in (2, 7, 50):
+        path = list(
+            zip(np.linspace(0.2, 1, parts + 1), np.linspace(315, 375, parts + 1), strict=True)
+        )
+        assert free_strain(path) == pytest.approx(free_strain(whole), rel=1e-12)
+
+
+def test_errors_count_as_the_heat_they_stand_for() -> None:
+    curing = setting(nodes=3)
+    degrees = [np.array([0.5, 1e-3, 0.0])]
+    found = curing.as_temperature(degrees, [np.full(3, 1e-6)], [CAPACITY])[0]
+    assert found[:2] == pytest.approx([89.0805e-6, 10 * 89.0805e-6])
+    assert np.isfinite(found[2])
