@@ -119,9 +119,10 @@ class ThermalRecord:
     Attributes:
         seconds: Times of the states taken in, the initial one first [s].
         rows: What `row` gave at each of them.
-        hottest: Temperatures of the bodies (own nodes) [K] when the bone side of the interfaces, or
-            without bone the whole model after the start, was hottest.
+        hottest: Temperatures of the bodies (nodes of this rank, ghosts too) [K] when the bone side
+            of the interfaces, or without bone the whole model after the start, was hottest.
         hottest_time: When that was [s].
+        hottest_at: Where it was hottest then (3,) [mm].
     """
 
     def __init__(
@@ -147,6 +148,7 @@ class ThermalRecord:
         """
         self._comm = forms.comm
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
+        self._interfaces = interfaces
         self._sides = {name: sides_of(self._nodes, sides) for name, sides in interfaces.items()}
         self._pairs = {name: pairs_of(self._nodes, sides) for name, sides in interfaces.items()}
         self._bone_sides = _bone_sides(interfaces, self._sides)
@@ -239,26 +241,44 @@ class ThermalRecord:
             names.append(f"{name} temperature_jump_max [K]")
             values.append(jump)
             self._extremes[name].jump = max(self._extremes[name].jump, float(jump))
-        watched = [side.gather(now).max(initial=-np.inf) for side in self._bone_sides]
-        if not watched and self.seconds:
-            watched = [T.max(initial=-np.inf) for T in now.values()]
-        values.append(max(watched, default=-np.inf))
         over_all = np.array(values, dtype=np.float64)
         self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
-        *largest, hot = over_all
-        row = dict(zip(names, map(float, largest), strict=True))
+        row = dict(zip(names, map(float, over_all), strict=True))
         probed = self._probes.values(temperatures) - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
         self.seconds.append(seconds)
         self.rows.append(row)
-        if hot > self._watched or len(self.seconds) == 1:
-            self._watched = hot
-            self.hottest_time = seconds
+        self._watch(seconds, temperatures)
+
+    def _watch(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
+        """Keep the state if it is the hottest where it matters."""
+        every = [Side({name: np.arange(len(n.dof)) for name, n in self._nodes.items()})]
+        sides = self._bone_sides or every
+        now = {name: r.now for name, r in self._regions.items()}
+        places = {name: n.x for name, n in self._nodes.items()}
+        T, x = (np.concatenate([side.gather(f) for side in sides]) for f in (now, places))
+        hot, place, _ = _largest(self._comm, T, x, T)
+        initial = not self._bone_sides and len(self.seconds) == 2
+        if hot > self._watched or initial:
+            self._watched, self.hottest_time, self.hottest_at = hot, seconds, place
             self.hottest = [t.x.array.copy() for t in temperatures]
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv for the state last taken in."""
         return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
+
+    def curves(self) -> dict[str, Floats]:
+        """Temperatures over time by what they are of [degC]: hottest nodes, and probes."""
+        labels = {}
+        for name, sides in self._interfaces.items():
+            for which, regions in zip(("first", "second"), sides, strict=True):
+                column = f"{name} temperature_max_{which} [degC]"
+                labels[column] = f"{name}, {' + '.join(regions)} side"
+        labels |= {f"{name} temperature_max [degC]": f"{name}, hottest" for name in self._nodes}
+        labels |= {f"{p} [degC]": f"probe {p}" for p in self._probes.names}
+        return {
+            label: np.array([row[column] for row in self.rows]) for column, label in labels.items()
+        }
 
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that has moved since the state before the last step, however it went [N mm].

@@ -75,7 +75,7 @@ def picture(data: MeshData, path: Path) -> None:
     from matplotlib.patches import Patch
 
     low, high = data.points.min(axis=0), data.points.max(axis=0)
-    levels = [_level(low[i], high[i]) for i in range(3)]
+    levels = [middle_plane(low[i], high[i]) for i in range(3)]
     planes = [(1, levels[1]), (0, levels[0]), (2, levels[2])]
     extent = high - low
     widths = [extent[0], extent[1], max(extent[0], extent[1])]
@@ -95,7 +95,7 @@ def picture(data: MeshData, path: Path) -> None:
     figure.savefig(path, dpi=130, format="png")
 
 
-def _level(low: float, high: float) -> float:
+def middle_plane(low: float, high: float) -> float:
     """The coordinate plane where it passes inside, else the middle."""
     if low < -0.1 * (high - low) and high > 0.1 * (high - low):
         return 0.0
