@@ -104,9 +104,10 @@ class Conduction:
         self._data = Extremes(self.comm, min(data), max(data), bool(scene.cures))
         self._blocks = HeatMatrices(self._monotone.matrices, self.jumps, self.held)
         self._seconds = 0.0
-        self._rate = -1.0
+        self._rate = 1.0
         self._start, self._heats = self.forms.zeros(), self.forms.zeros()
         self._given: list[Floats] = []
+        self._fill()
         self._work = [self.matrix[0][0].createVecRight(), self.matrix[0][0].createVecLeft()]
         self._θ = fem.Function(self.space, name="temperature")
         self._moved = {
@@ -174,12 +175,12 @@ class Conduction:
 
     def nodal(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
         """Temperature of own nodes of each body [K]; what a body has not is without meaning."""
-        return [x[0].array + added for added in self._added(x[1:])]
+        return [x[0].array_r + added for added in self._added(x[1:])]
 
     def temperatures(self, x: Sequence[PETSc.Vec]) -> list[fem.Function]:
         """Temperature of each body as a function, overwritten by the next call."""
         T = self.nodal(x)
-        values = {-1: x[0].array} | {b: T[b] for b in self._moved}
+        values = {-1: x[0].array_r} | {b: T[b] for b in self._moved}
         for function, nodal in zip((self._θ, *self._moved.values()), values.values(), strict=True):
             function.x.array[: self.owned] = nodal
             function.x.scatter_forward()
@@ -212,8 +213,6 @@ class Conduction:
         self._start = self.nodal(x)
         self._seconds = seconds
         self._heats = self._loads.heats(seconds)
-        for friction in self.frictions:
-            self._heats = [a + b for a, b in zip(self._heats, friction.nodal, strict=True)]
         self._set_given(seconds)
         rate = 0.0 if math.isinf(h) else 1 / h
         if rate != self._rate:
@@ -250,8 +249,8 @@ class Conduction:
             above.array[:] = T[b] - self._reference
             self._monotone.matrices[b].mult(above, flow)
             r = flow.array + self._exchange[b] * above.array - self._brought[b] - self._heats[b]
-            for cure in self.cures:
-                r = r - cure.heats(T)[b]
+            for source in (*(c.heats(T) for c in self.cures), *(f.nodal for f in self.frictions)):
+                r = r - source[b]
             lacking.append(r + self._rate * self.capacity[b] * (T[b] - self._start[b]))
         return lacking
 
@@ -260,7 +259,7 @@ class Conduction:
         r = self._lacking(self.nodal(x))
         out[0].array[:] = np.where(self.held, 0.0, sum(r))
         for j, τ, f in zip(self.jumps, x[1:], out[1:], strict=True):
-            total = -j.weight * j.flux(τ.array)[0]
+            total = -j.weight * j.flux(τ.array_r)[0]
             for b, B in j.moves.items():
                 self._work[1].array[:] = r[b]
                 moved = f.duplicate()
@@ -270,7 +269,7 @@ class Conduction:
 
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
-        by_jump = [-j.weight * j.flux(τ.array)[1] for j, τ in zip(self.jumps, x[1:], strict=True)]
+        by_jump = [-j.weight * j.flux(τ.array_r)[1] for j, τ in zip(self.jumps, x[1:], strict=True)]
         self._blocks.set(by_jump, [cure.growth(self.nodal(x)) for cure in self.cures])
 
     @property
@@ -296,7 +295,7 @@ class Conduction:
 
     def bounds(self, x: Sequence[PETSc.Vec]) -> Bounds:
         """Between what the temperatures of a state have to be; collective."""
-        return self._data.bounds(x[0].array)
+        return self._data.bounds(x[0].array_r)
 
     def outside(self, x: Sequence[PETSc.Vec]) -> bool:
         """Whether a state leaves its bounds; collective."""
@@ -333,11 +332,11 @@ class Conduction:
             parts.append(self._rate * self.capacity[b] * (T[b] - self._start[b]))
             parts.append(self._exchange[b] * (T[b] - self._reference) - self._brought[b])
             parts.append(self._heats[b])
-        for cure in self.cures:
-            parts += cure.heats(T)
+        for source in (*(c.heats(T) for c in self.cures), *(f.nodal for f in self.frictions)):
+            parts += source
         for j, τ in zip(self.jumps, x[1:], strict=True):
-            parts.append(j.weight * j.flux(τ.array)[0])
-        noise = [d * v.array for d, v in zip(self._blocks.diagonal(), x, strict=True)]
+            parts.append(j.weight * j.flux(τ.array_r)[0])
+        noise = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
         local = [float(np.sum(a**2)) for a in (*parts, *noise)]
         norms = np.sqrt(np.array(self.comm.allreduce(np.array(local), MPI.SUM)))
         rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
@@ -367,7 +366,7 @@ class Conduction:
                 found[f"cure {n.region}"] = float(heat.sum())
         lacking = self._lacking(T)
         for j, τ in zip(self.jumps, x[1:], strict=True):
-            q = j.weight * j.flux(τ.array)[0]
+            q = j.weight * j.flux(τ.array_r)[0]
             for side, sign in ((0, 1.0), (1, -1.0)):
                 for b in self._every:
                     here = j.bodies[:, side] == b
