@@ -89,23 +89,6 @@ class Curing:
         inside = all(bool((np.abs(a - 0.5) <= 0.5 + ROUNDING).all()) for a in start)
         return bool(self._comm.allreduce(inside, op=MPI.LAND))
 
-    def as_temperature(
-        self, degrees: Sequence[Floats], errors: Sequence[Floats], capacities: Sequence[float]
-    ) -> list[Floats]:
-        """Errors of the degrees as temperatures [K], by the heat that they release.
-
-        At small degrees an error counts by its part of the degree, for both grow together.
-
-        Args:
-            degrees: Degrees of cure (n,) per region.
-            errors: Their errors.
-            capacities: Heat capacity per volume of each region [N/(mm2 K)].
-        """
-        return [
-            e * cure.heat / c * np.maximum(1, _SMALL / np.maximum(a, _SMALLEST))
-            for cure, a, e, c in zip(self._cures, degrees, errors, capacities, strict=True)
-        ]
-
     def update(
         self, start: Sequence[Floats], temperatures: Sequence[Floats], h: float, seconds: float
     ) -> list[Degrees]:
@@ -241,6 +224,19 @@ class _Autocatalytic:
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = reacted * f_T / f / (1 - reacted * f_a / f)
         return Degrees(degree, np.where(solved, slope, np.where(ends, limit_by_T, 0.0)))
+
+
+def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
+    """Errors of degrees of cure as temperatures (n,) [K], by the heat that they release.
+
+    At small degrees an error counts by its part of the degree, for both grow together.
+
+    Args:
+        degree: Degrees of cure (n,).
+        error: Their errors (n,).
+        rise: By how much full cure would warm the region that keeps its heat [K].
+    """
+    return rise * error * np.maximum(1, _SMALL / np.maximum(degree, _SMALLEST))
 
 
 class FreeStrain:

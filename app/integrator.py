@@ -174,7 +174,7 @@ class Controller:
         """
         ratio = max(ratio, 1e-10)
         factor = _SAFETY * ratio**-self._power
-        if ratio > 1:
+        if not ratio <= 1:
             self._next = dt * max(_CUT, factor)
             return False
         if self._last is not None:

@@ -209,19 +209,18 @@ def test_steps_follow_the_error(method: Method) -> None:
 
 
 def test_steps_shrink_ahead_of_an_ignition() -> None:
-    """Errors that grow with each step as before a blow-up: y' = y^2, which ends at 1."""
+    """Errors of order four in the step over the time that is left until a blow-up.
+
+    Steps that go by the last error alone are rejected nearly every time.
+    """
     control, seconds, accepted, rejected = Controller(SDIRK4, [], 1e-3), 0.0, 0, 0
     while 1 - seconds > 1e-6:
         dt = control.propose(seconds)
-        left = 1 - seconds
-        # Error of order four, relative to what is left of the time.
-        if dt < left and control.judge(dt, 3e3 * (dt / left) ** 4 / left):
+        if control.judge(dt, 100 * (dt / (1 - seconds)) ** 4):
             seconds, accepted = seconds + dt, accepted + 1
         else:
             rejected += 1
-            if dt >= left:
-                control.failed(dt)
-    assert rejected < accepted / 10
+    assert accepted < 60 and rejected < 4
 
 
 def test_rejected_and_failed_steps_are_shorter() -> None:
@@ -230,6 +229,9 @@ def test_rejected_and_failed_steps_are_shorter() -> None:
     assert control.propose(0.0) == pytest.approx(0.2)
     assert not control.judge(0.2, 1.01)
     assert 0.2 * 0.8 < control.propose(0.0) < 0.2
+    for senseless in (math.nan, math.inf):
+        assert not control.judge(0.2, senseless)
+        assert control.propose(0.0) == pytest.approx(0.04)
     control.failed(0.1)
     assert control.propose(0.0) == pytest.approx(0.05)
     assert control.judge(0.05, 0.0)
