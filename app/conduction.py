@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 
 from app.bodies import Bodies, bodies_of
 from app.cure_heat import CureHeat
-from app.friction_heat import FrictionHeating
 from app.heat_forms import HeatForms
-from app.heat_loads import FixedTemperatures, HeatLoads
+from app.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
 from app.heat_matrices import HeatMatrices, with_diagonal
 from app.monotone import Bounds, Extremes, Monotone
 from app.systems import Measure
@@ -76,11 +75,7 @@ class Conduction:
         self._loads = HeatLoads(scene, self.bodies, self.forms)
         self._fixed = FixedTemperatures(scene, self.forms)
         self.jumps: tuple[TemperatureJumps, ...] = (
-            (
-                TemperatureJumps(
-                    scene.thermal_contacts, tagged, self.bodies, self.forms, self._fixed.of_body
-                ),
-            )
+            (TemperatureJumps(scene, tagged, self.bodies, self.forms, self._fixed.of_body),)
             if scene.thermal_contacts
             else ()
         )
@@ -95,13 +90,13 @@ class Conduction:
             (CureHeat(scene, self.bodies, self.forms),) if scene.cures else ()
         )
         self.frictions: tuple[FrictionHeating, ...] = (
-            (FrictionHeating(scene, tagged, self.bodies, self.forms),)
+            (FrictionHeating(self.forms.zeros(), {f"friction {f.interface}": 0.0 for f in scene.friction_heat}),)
             if scene.friction_heat
             else ()
         )
         self._monotone = Monotone(self.comm, self._conduction(), self.capacity)
         data = [c.initial for c in scene.conductors] + [e.outside for e in self._loads.exchange]
-        self._data = Extremes(self.comm, min(data), max(data), bool(scene.cures))
+        self._data = Extremes(self.comm, min(data), max(data), bool(scene.cures or scene.friction_heat))
         self._blocks = HeatMatrices(self._monotone.matrices, self.jumps, self.held)
         self._seconds = 0.0
         self._rate = 1.0

@@ -14,7 +14,8 @@ with m the direction of the pressure: the products of these rows with C^T, D and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
@@ -26,6 +27,7 @@ from app.conduction import Conduction
 from app.heat_system import HeatSystem
 from app.points import PointForces
 from app.problem import Problem, Trial
+from app.solver import Outcome, Solver
 from app.sparse import from_triplets
 from app.systems import Contact, Measure, Options
 from app.terms import FrictionHeat, Scene
@@ -35,6 +37,8 @@ Ints = NDArray[np.int64]
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+# Turns of heat and mechanics before giving up.
+TURNS = 60
 
 
 @dataclass(frozen=True)
@@ -45,17 +49,19 @@ class Rows:
     by_jump: Floats
 
 
-class Exchange:
+class ContactHeat:
     """What the contact points tell the heat: pressures and the power of friction.
 
     Attributes:
         heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
+        expands: Regions that expand.
     """
 
     def __init__(self, scene: Scene, problem: Problem, conduction: Conduction) -> None:
         """Find who is where; collective."""
         self._problem, self._conduction = problem, conduction
+        self.expands = {x.region for x in scene.expansions}
         (j,) = problem.jumps
         comm, points = problem.comm, j.points
         # Contact points are numbered rank by rank.
@@ -83,6 +89,13 @@ class Exchange:
                 from_triplets(comm, len(found), self._n, on, found[on], np.ones(len(on))),
             )
 
+    def warm(self, heat: Sequence[PETSc.Vec]) -> None:
+        """Hand temperatures to the mechanics."""
+        if self.expands:
+            self._conduction.temperatures(heat)
+            regions = {r: self._conduction.of_region(r) for r in self.expands}
+            self._problem.set_temperature(regions)
+
     def power(self, trial: Trial, elapsed: float) -> Floats:
         """Power of friction per area at own contact points (n,) [N/(mm s)]."""
         (j,) = self._problem.jumps
@@ -95,11 +108,16 @@ class Exchange:
         """Hand pressures and friction to the heat."""
         (j,) = self._problem.jumps
         pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
+        power = self.power(trial, elapsed)
         for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
             t.pressure = _times(P, pressure)
-        power = self.power(trial, elapsed)
-        for b, H in self.heats.items():
-            self._conduction.friction[b] = _times(H, power)
+            t.friction = _times(P, power)
+        for friction in self._conduction.frictions:
+            friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
+            for i, c in enumerate(self._problem.scene.contacts):
+                if f"friction {c.name}" in friction.flows:
+                    mine = float((j.weight * power)[j.interface == i].sum())
+                    friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
     def pressure_rows(self, trial: Trial) -> Rows:
         """How the pressure changes."""
@@ -149,9 +167,8 @@ class Coupled:
         self.comm = problem.comm
         self._conduction, self._problem = conduction, problem
         self._heat, self._motion = heat, motion
-        self.exchange = Exchange(scene, problem, conduction)
-        self._expands = {x.region for x in scene.expansions}
-        self._forces = self._thermal_forces() if self._expands else ()
+        self.exchange = ContactHeat(scene, problem, conduction)
+        self._forces = self._thermal_forces() if self.exchange.expands else ()
         self.elapsed = 1.0
         self._n = len(heat.blocks())
         # Heat enters the rows of its nodes and of its jumps.
@@ -194,20 +211,14 @@ class Coupled:
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Heat that is lacking with the contact as it is, forces with the heat as it is."""
-        self._warm(x)
+        self.exchange.warm(x[: self._n])
         self._motion.residual(x[self._n :], f[self._n :])
         self.exchange.tell(self._problem.trial(*x[self._n :]), self.elapsed)
         self._heat.residual(x[: self._n], f[: self._n])
 
-    def _warm(self, x: list[PETSc.Vec]) -> None:
-        """Hand the temperatures to the mechanics."""
-        if self._expands:
-            self._conduction.temperatures(x[: self._n])
-            self._problem.set_temperature({r: self._conduction.of_region(r) for r in self._expands})
-
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """All blocks."""
-        self._warm(x)
+        self.exchange.warm(x[: self._n])
         trial = self._problem.trial(*x[self._n :])
         self.exchange.tell(trial, self.elapsed)
         self._heat.jacobian(x[: self._n])
@@ -311,6 +322,76 @@ class Coupled:
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())
             for values in (rows.by_equilibrium, rows.by_jump)
         ]
+
+
+class Staggered:
+    """Heat and mechanics in turns, until both hold: the same solution by another way.
+
+    Each turn solves the heat with the contact of the turn before and the mechanics with that heat.
+    It takes the place of a solver of both.
+
+    Attributes:
+        elapsed: Time since the last committed state of the mechanics [s], set from outside.
+    """
+
+    def __init__(
+        self,
+        exchange: ContactHeat,
+        conduction: Conduction,
+        problem: Problem,
+        heat: Solver,
+        motion: Solver,
+    ) -> None:
+        """Join two solvers."""
+        self._exchange, self._conduction, self._problem = exchange, conduction, problem
+        self._heat, self._motion = heat, motion
+        self.elapsed = 1.0
+
+    def named(self) -> dict[str, PETSc.Vec]:
+        """Blocks of the current state by name."""
+        return self._heat.named() | self._motion.named()
+
+    @property
+    def block_sizes(self) -> dict[str, int]:
+        """Unknowns by block."""
+        return self._heat.block_sizes | self._motion.block_sizes
+
+    def solve(self) -> Outcome:
+        """Solve from the current state."""
+        outcome = Outcome(False, 0, 0, (), (), False)
+        for _ in range(TURNS):
+            self._tell()
+            outcome = _after(outcome, self._heat.solve())
+            if not outcome.converged:
+                break
+            self._exchange.warm(self._heat.blocks())
+            outcome = _after(outcome, self._motion.solve())
+            if not outcome.converged:
+                break
+            self._tell()
+            if self._holds():
+                return outcome
+        return replace(outcome, converged=False)
+
+    def _tell(self) -> None:
+        u, q = self._motion.parts()
+        assert q is not None
+        self._exchange.tell(self._problem.trial(u, q), self.elapsed)
+
+    def _holds(self) -> bool:
+        """Whether the heat still balances with the contact that follows from it; collective."""
+        x, f = self._heat.blocks(), self._conduction.vectors()
+        self._conduction.residual(x, f)
+        return self._heat.meets(self._conduction.measure(x, f))
+
+
+def _after(done: Outcome, last: Outcome) -> Outcome:
+    """Two solves as one."""
+    return replace(
+        last,
+        iterations=done.iterations + last.iterations,
+        linear_iterations=done.linear_iterations + last.linear_iterations,
+    )
 
 
 def _names(scene: Scene) -> dict[str, FrictionHeat]:

@@ -6,21 +6,25 @@ of heat and mechanics together where heat depends on contact (`app.coupling`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
+from dolfinx import fem
 from numpy.typing import NDArray
 
 from app import integrator
 from app.conduction import Conduction
+from app.curing import FreeStrain
 from app.integrator import METHODS, Method, State
 from app.motion import Summary
-from app.solver import Outcome, Solver
-from app.terms import Scene
+from app.problem import Problem
+from app.solver import Outcome
+from app.terms import Expansion, Scene
 
 Floats = NDArray[np.float64]
 
@@ -44,41 +48,88 @@ class Accepted:
     outcome: Outcome
 
 
+class Beside(Protocol):
+    """What else is in the system of the heat."""
+
+    def place(self, seconds: float) -> None:
+        """Set it to the time of a stage [s]."""
+
+    def soften(self) -> bool:
+        """Make it converge more easily, if that can be done."""
+
+
+class Partner(Protocol):
+    """What solves the heat, alone or with what else is in its system."""
+
+    def named(self) -> dict[str, PETSc.Vec]:
+        """Blocks of the current state."""
+
+    def solve(self) -> Outcome:
+        """Solve from the current state."""
+
+    @property
+    def block_sizes(self) -> dict[str, int]:
+        """Unknowns by block."""
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """What the mechanics have to know of a state of the heat.
+
+    Attributes:
+        temperatures: Of the nodes of each thermal body, ghosts included [K].
+        degrees: Of cure, of the nodes of each region that sets, ghosts included.
+        strains: Its free strain since gelation.
+    """
+
+    temperatures: list[Floats]
+    degrees: list[Floats]
+    strains: list[Floats]
+
+
 class Heating:
     """Temperatures, jumps and degrees of cure in time.
 
     Attributes:
         conduction: The operators.
+        solver: What solves a stage.
+        beside: What else is in its system, if anything.
+        outcome: What the solver said last.
         state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
         seconds: Time since the start of the run [s].
         total: What it took so far.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        conduction: Conduction,
-        solver: Solver,
-        place: Callable[[float], None] = lambda seconds: None,
-    ) -> None:
+    def __init__(self, scene: Scene, conduction: Conduction, solver: Partner) -> None:
         """Begin at the initial temperatures; collective.
 
         Args:
             scene: The scene.
             conduction: Its heat.
             solver: Solver of its heat, or of heat and mechanics.
-            place: Sets what else is in the solver's system to the time of a stage.
         """
         (self.options,) = scene.time
-        self.conduction, self.solver, self._place = conduction, solver, place
+        self.conduction, self.solver = conduction, solver
+        self.beside: tuple[Beside, ...] = ()
+        self.outcome = Outcome(False, 0, 0, (), (), False)
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
         self.total = Summary()
         self.state = self._state(conduction.initial())
         self._slope: State = [np.zeros_like(part) for part in self.state]
         self._stages: list[dict[str, float]] = []
-        self._outcome: Outcome | None = None
         self.put(self.state)
+        # What the mechanics are told: temperatures of bodies, cure and free strain of regions.
+        n = len(conduction.bodies.names)
+        self._temperatures = [fem.Function(conduction.space) for _ in range(n)]
+        self._curing = [node for cure in conduction.cures for node in cure.nodes]
+        self._degrees = [fem.Function(conduction.space) for _ in self._curing]
+        self._strains = [fem.Function(conduction.space) for _ in self._curing]
+        expansion = {x.region: x for x in scene.expansions}
+        self._free = [
+            FreeStrain(conduction.comm, c, expansion.get(c.region, Expansion(c.region, 0, 0)), n)
+            for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
+        ]
 
     # Between lists of arrays and the vectors of the solver
 
@@ -111,13 +162,16 @@ class Heating:
         n = len(self.vectors())
         if not self.conduction.begin(start[:n], start[n:], h, seconds):
             return None
-        self.put(guess)
-        self._place(seconds)
-        outcome = self.solver.solve()
-        self.total.count(outcome)
-        self._outcome = outcome
-        if not outcome.converged:
-            return None
+        while True:
+            self.put(guess)
+            for other in self.beside:
+                other.place(seconds)
+            self.outcome = self.solver.solve()
+            self.total.count(self.outcome)
+            if self.outcome.converged:
+                break
+            if not any([other.soften() for other in self.beside]):
+                return None
         self._stages.append(self.conduction.flows(self.vectors()))
         return self._state(self.vectors())
 
@@ -157,12 +211,12 @@ class Heating:
             * sum(b * flows[name] for b, flows in zip(method.a[-1], self._stages, strict=True))
             for name in self._stages[-1]
         }
+        self._strain(found.state)
         self.conduction.settle(self.vectors())
         self.state, self._slope = found.state, found.slope
         self.seconds += dt
         self.total.steps += 1
-        assert self._outcome is not None
-        return Accepted(self.seconds, dt, heats, self._stages[-1], self._outcome)
+        return Accepted(self.seconds, dt, heats, self._stages[-1], self.outcome)
 
     def rest(self) -> Accepted | None:
         """Go to the steady state; None if it does not converge."""
@@ -172,5 +226,99 @@ class Heating:
             return None
         self.state, self._slope = found, [np.zeros_like(part) for part in found]
         self.total.steps += 1
-        assert self._outcome is not None
-        return Accepted(self.seconds, 0.0, {}, self._stages[-1], self._outcome)
+        return Accepted(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
+
+    # What others ask of the state
+
+    @property
+    def sets(self) -> bool:
+        """Whether anything cures."""
+        return bool(self._curing)
+
+    @property
+    def events(self) -> tuple[float, ...]:
+        """Times that no step may cross [s]."""
+        scene = self.conduction.scene
+        courses = [t for c in scene.heat for t, _ in getattr(c, "course", ())]
+        curing = [t for cure in self.conduction.cures for t in cure.curing.events]
+        return tuple(sorted({*courses, *curing}))
+
+    def degrees(self) -> dict[str, Floats]:
+        """Degrees of cure of own nodes of each region that sets."""
+        n = len(self.vectors())
+        return {c.region: a for c, a in zip(self._curing, self.state[n:], strict=True)}
+
+    def rates(self) -> dict[str, Floats]:
+        """Their rates [1/s]."""
+        n = len(self.vectors())
+        return {c.region: a for c, a in zip(self._curing, self._slope[n:], strict=True)}
+
+    def _nodal(self, state: State) -> list[Floats]:
+        """Temperatures of own nodes of each body in a state [K]."""
+        x = self.conduction.vectors()
+        for v, values in zip(x, state, strict=False):
+            v.array[:] = values
+        return self.conduction.nodal(x)
+
+    def _strain(self, after: State) -> None:
+        """Add the free strain of a step."""
+        if not self._curing:
+            return
+        n = len(self.vectors())
+        T_old, T = self._nodal(self.state), self._nodal(after)
+        for k, c in enumerate(self._curing):
+            self._strains[k].x.array[c.dof] += self._free[k].increment(
+                self.state[n + k], T_old[c.body][c.dof], after[n + k], T[c.body][c.dof]
+            )
+            self._strains[k].x.scatter_forward()
+
+    def warmth(self) -> Warmth:
+        """What the mechanics have to know of the state."""
+        owned = self.conduction.owned
+        for function, values in zip(self._temperatures, self._nodal(self.state), strict=True):
+            function.x.array[:owned] = values
+            function.x.scatter_forward()
+        n = len(self.vectors())
+        for function, c, values in zip(self._degrees, self._curing, self.state[n:], strict=True):
+            function.x.array[c.dof] = values
+            function.x.scatter_forward()
+        return Warmth(
+            *(
+                [f.x.array.copy() for f in functions]
+                for functions in (self._temperatures, self._degrees, self._strains)
+            )
+        )
+
+    def distance(self, a: Warmth, b: Warmth) -> float:
+        """Largest difference [K], of cure as the temperature it releases; collective."""
+        rises = self.conduction.adiabatic_rises
+        sizes = [
+            float(np.abs(s - t).max()) for s, t in zip(a.temperatures, b.temperatures, strict=True)
+        ]
+        sizes += [
+            rise * float(np.abs(s - t).max())
+            for rise, s, t in zip(rises, a.degrees, b.degrees, strict=True)
+        ]
+        return float(self.conduction.comm.allreduce(max(sizes), MPI.MAX))
+
+    def warm(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
+        """Tell the mechanics of a state between two others: a at s = 0, b at s = 1."""
+        strains = [f.x.array.copy() for f in self._strains]
+        for functions, before, after in (
+            (self._temperatures, a.temperatures, b.temperatures),
+            (self._degrees, a.degrees, b.degrees),
+            (self._strains, a.strains, b.strains),
+        ):
+            for function, x, y in zip(functions, before, after, strict=True):
+                function.x.array[:] = (1 - s) * x + s * y
+        of_region = self.conduction.bodies.of_region
+        expanding = [x.region for x in self.conduction.scene.expansions]
+        problem.set_temperature({r: self._temperatures[of_region[r]] for r in expanding})
+        names = [c.region for c in self._curing]
+        problem.set_cure(
+            dict(zip(names, self._degrees, strict=True)),
+            dict(zip(names, self._strains, strict=True)),
+        )
+        # The sum of the free strain goes on from where the heat is.
+        for function, values in zip(self._strains, strains, strict=True):
+            function.x.array[:] = values

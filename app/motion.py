@@ -57,6 +57,14 @@ class Summary:
     rejected: int = 0
     augmentation: float = 1.0
 
+    def add(self, other: Summary) -> None:
+        """Add what another part took."""
+        self.steps += other.steps
+        self.newton_iterations += other.newton_iterations
+        self.linear_iterations += other.linear_iterations
+        self.rejected += other.rejected
+        self.augmentation = min(self.augmentation, other.augmentation)
+
     def count(self, outcome: Outcome) -> None:
         """Add the iterations of a solve."""
         self.newton_iterations += outcome.iterations
@@ -114,6 +122,7 @@ class Motion:
             start = solver.x.copy()
             while True:
                 place(reach)
+                problem.restiffen()
                 problem.scale_augmentation(AUGMENTATIONS[self.level])
                 outcome = solver.solve()
                 self.total.count(outcome)
@@ -122,10 +131,7 @@ class Motion:
                 self.total.rejected += 1
                 start.copy(solver.x)
                 why = explain(problem, solver, outcome)
-                if problem.augmented and self.level + 1 < len(AUGMENTATIONS):
-                    self.level += 1
-                    r = AUGMENTATIONS[self.level]
-                    self.on_trouble(f"{why.short}; augmentation lowered to {r:g} r")
+                if self.soften(why.short):
                     continue
                 # A smaller step does not hold a body that nothing holds: one is tried, no more.
                 hopeless = bool(why.free) and cuts > 0
@@ -141,6 +147,15 @@ class Motion:
             done = reach
             if outcome.iterations <= EASY_ITERATIONS and step < whole:
                 step, cuts = min(GROWTH * step, whole), max(cuts - 1, 0)
+
+    def soften(self, why: str = "no convergence") -> bool:
+        """Lower the augmentation, if there is any left to lower."""
+        if not self.problem.augmented or self.level + 1 == len(AUGMENTATIONS):
+            return False
+        self.level += 1
+        self.problem.scale_augmentation(AUGMENTATIONS[self.level])
+        self.on_trouble(f"{why}; augmentation lowered to {AUGMENTATIONS[self.level]:g} r")
+        return True
 
     def commit(self, stage: Stage, time: float, outcome: Outcome, started: float) -> None:
         """Make the state of the solver history, and tell of it; collective.

@@ -210,8 +210,12 @@ class Solver:
             return reasons.DIVERGED_FUNCTION_NANORINF
         parts = self._measure(snes.getSolution(), snes.getFunction()[0])
         self._residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
-        done = all(p.norm <= max(self._tolerance * p.scale, p.rounding) for p in parts)
+        done = all(map(self.meets, parts))
         return reasons.CONVERGED_FNORM_ABS if done else reasons.ITERATING
+
+    def meets(self, part: Measure) -> bool:
+        """Whether a residual is within the tolerance."""
+        return part.norm <= max(self._tolerance * part.scale, part.rounding)
 
     def _measure(self, x: PETSc.Vec, f: PETSc.Vec) -> list[Measure]:
         """Residual by part, beside the scale of this state or of the converged ones before it."""

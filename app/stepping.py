@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
-from dolfinx import fem
-
-from app.coupling import Coupled
+from app.coupling import Coupled, Staggered
 from app.errors import ConvergenceError
 from app.heating import Accepted, Heating
 from app.integrator import Controller
@@ -31,18 +29,18 @@ OnHeat = Callable[[Step, Accepted], None]
 class Companion(Protocol):
     """The mechanics beside the heat."""
 
-    def begin(self, k: int, stage: Stage, heating: Heating) -> None:
+    def begin(self, k: int, stage: Stage) -> None:
         """Begin a stage that takes time."""
 
     def after(self, time: float, whole: bool) -> None:
-        """A heat step is history: ``time`` is that of its end, ``whole`` whether it ends an increment."""
+        """A heat step is history that ends at a time, and perhaps ends an increment."""
 
 
 def run(
     stages: Sequence[Stage],
     motion: tuple[Motion, ...],
     march: tuple[March, ...],
-    begin: Callable[[int], None] = lambda k: None,
+    begin: Callable[[Stage], None] = lambda stage: None,
 ) -> None:
     """Take a model through its stages.
 
@@ -50,15 +48,15 @@ def run(
         stages: Parts of the loading.
         motion: Its mechanics, at rest at time 0, if it has any.
         march: Its heat, if it has any.
-        begin: Called before each stage with its number.
+        begin: Called before each stage.
 
     Raises:
         ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
     """
     for k, stage in enumerate(stages):
-        begin(k)
+        begin(stage)
         for m in motion:
-            m.problem.set_stage(k)
+            m.problem.set_stage(k, m.solver.parts()[0])
         if stage.duration > 0 or stage.steady:
             for h in march:
                 h.go(k, stage)
@@ -74,24 +72,24 @@ class March:
     Attributes:
         heating: Its state.
         companions: The mechanics beside it, if there are any.
-        events: Times that no step may cross [s].
         on_heat: Called after each step, once it is history and the mechanics have followed.
         on_trouble: Told in plain words what is tried when a step fails.
-        numbered: Counts steps, shared with the mechanics.
     """
 
     heating: Heating
     companions: tuple[Companion, ...]
-    events: Sequence[float]
     on_heat: OnHeat
     on_trouble: Callable[[str], None]
-    rejected: int = 0
-    steps: int = field(default=0)
+
+    @property
+    def total(self) -> Summary:
+        """What it took so far."""
+        return self.heating.total
 
     def go(self, k: int, stage: Stage) -> None:
         """Through a stage that takes time, or to a steady state."""
         for c in self.companions:
-            c.begin(k, stage, self.heating)
+            c.begin(k, stage)
         if stage.steady:
             self._rest(k, stage)
         elif stage.adaptive:
@@ -128,7 +126,7 @@ class March:
         begin = heating.seconds
         whole = stage.duration / stage.increments
         ends = [begin + (n + 1) * whole for n in range(stage.increments)]
-        events = [*ends, *(e for e in self.events if begin < e < ends[-1])]
+        events = [*ends, *(e for e in heating.events if begin < e < ends[-1])]
         first = heating.start(whole)
         controller = Controller(heating.method, events, min(first, whole))
         tiny = SHORTEST * stage.duration
@@ -141,7 +139,7 @@ class March:
                     controller.failed(dt)
                 elif controller.judge(dt, heating.norm(found[0].error)):
                     break
-                self.rejected += 1
+                heating.total.rejected += 1
                 if dt < tiny:
                     part = (heating.seconds - begin) / stage.duration
                     raise ConvergenceError(self._text(stage, part, dt))
@@ -154,18 +152,16 @@ class March:
         self, k: int, stage: Stage, part: float, accepted: Accepted, started: float, whole: bool
     ) -> None:
         """Let the mechanics follow, and report."""
-        self.steps += 1
         time = k + (1.0 if part > 1 - SHORTEST else part)
         for c in self.companions:
             c.after(time, whole)
         seconds = clock.perf_counter() - started
-        step = Step(self.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
+        step = Step(self.total.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
         self.on_heat(step, accepted)
 
     def _text(self, stage: Stage, part: float, dt: float) -> str:
         """Why a time step failed."""
-        outcome = self.heating.outcome
-        tail = ", ".join(f"{r:.1e}" for r in outcome.residuals[-6:]) if outcome else "none"
+        tail = ", ".join(f"{r:.1e}" for r in self.heating.outcome.residuals[-6:]) or "none"
         advice = (
             "a larger time.tolerance or smaller changes (a slower reaction, weaker coupling)"
             if stage.adaptive
@@ -179,80 +175,103 @@ class March:
         )
 
 
-@dataclass
 class Following:
-    """Mechanics that heat does not depend on: solved after it.
+    """Mechanics that heat does not depend on: solved after it."""
 
-    Attributes:
-        motion: The mechanics.
-        limit: Change of temperature after which they are solved again [K].
-    """
+    def __init__(self, motion: Motion, heating: Heating, limit: float) -> None:
+        """Let the mechanics follow.
 
-    motion: Motion
-    limit: float
-    _k: int = 0
-    _time: float = 0.0
+        Args:
+            motion: The mechanics.
+            heating: The heat.
+            limit: Change of temperature after which they are solved again [K].
+        """
+        self._motion, self._heating, self._limit = motion, heating, limit
+        start = heating.warmth()
+        heating.warm(motion.problem, start, start, 1.0)
 
-    def begin(self, k: int, stage: Stage, heating: Heating) -> None:
+    def begin(self, k: int, stage: Stage) -> None:
         """Remember where the mechanics stand."""
-        self._k, self._stage, self._heating = k, stage, heating
-        self._time = float(k)
-        self._before = heating.warmth()
+        self._stage, self._time = stage, float(k)
+        self._before = self._heating.warmth()
 
     def after(self, time: float, whole: bool) -> None:
         """Follow if it is time to."""
-        now = self._heating.warmth()
-        if not whole and self._heating.distance(self._before, now) < self.limit:
+        heating, problem = self._heating, self._motion.problem
+        before, now = self._before, heating.warmth()
+        if not whole and heating.distance(before, now) < self._limit:
             return
-        before, begin = self._before, self._time
+        begin = self._time
 
         def place(s: float) -> None:
-            self._heating.warm(self.motion.problem, before, now, s)
-            self.motion.problem.set_time(begin + s * (time - begin))
+            problem.set_time(begin + s * (time - begin))
+            heating.warm(problem, before, now, s)
 
-        self.motion.advance(self._stage, 1.0, place, begin, time)
+        self._motion.advance(self._stage, 1.0, place, begin, time)
         self._before, self._time = now, time
 
 
-@dataclass
 class Joint:
-    """Mechanics that heat depends on: in one system with it.
+    """Mechanics that heat depends on: in one system with it."""
 
-    Attributes:
-        motion: The mechanics.
-        system: Heat and mechanics.
-    """
+    def __init__(self, motion: Motion, heating: Heating, system: Coupled | Staggered) -> None:
+        """Put the mechanics beside the heat.
 
-    motion: Motion
-    system: Coupled
-    _time: float = 0.0
+        Args:
+            motion: The mechanics.
+            heating: The heat, whose solver solves both.
+            system: What is told how much time friction has.
+        """
+        self._motion, self._heating, self._system = motion, heating, system
+        heating.beside = (self,)
+        self._before = heating.warmth()
+        heating.warm(motion.problem, self._before, self._before, 1.0)
 
-    def begin(self, k: int, stage: Stage, heating: Heating) -> None:
+    def begin(self, k: int, stage: Stage) -> None:
         """Begin where the mechanics stand."""
-        self._k, self._stage, self._heating = k, stage, heating
-        self._seconds = heating.seconds
-        self._begin = heating.seconds
-        self._take(self.motion, heating)
+        self._k, self._stage = k, stage
+        self._start = self._committed = self._heating.seconds
+        self._restore()
 
-    @staticmethod
-    def _take(motion: Motion, heating: Heating) -> None:
-        """Give the mechanics' state to the common solver."""
-        named = heating.solver.named()
-        for name, vector in motion.solver.named().items():
-            vector.copy(named[name])
+    def _restore(self) -> None:
+        """Give the committed state of the mechanics to the common solver."""
+        named = self._heating.solver.named()
+        for name, vector in self._motion.solver.named().items():
+            if named[name] is not vector:
+                vector.copy(named[name])
 
     def place(self, seconds: float) -> None:
         """Set the mechanics to the time of a stage."""
-        duration = self._stage.duration or 1.0
-        part = min((seconds - self._begin) / duration, 1.0) if self._stage.duration else 1.0
-        self.motion.problem.set_time(self._k + part)
-        self.system.elapsed = max(seconds - self._seconds, 1e-12) if part else 1.0
+        part = (
+            min((seconds - self._start) / self._stage.duration, 1.0)
+            if not self._stage.steady
+            else 1.0
+        )
+        self._motion.problem.set_time(self._k + part)
+        self._system.elapsed = (seconds - self._committed) or 1.0
+        if not self._heating.outcome.converged:
+            self._restore()
+
+    def soften(self) -> bool:
+        """Lower the augmentation, if there is any left to lower."""
+        return self._motion.soften()
 
     def after(self, time: float, whole: bool) -> None:
         """The mechanics of an accepted step become history."""
         started = clock.perf_counter()
         named = self._heating.solver.named()
-        for name, vector in self.motion.solver.named().items():
-            named[name].copy(vector)
-        self._seconds = self._heating.seconds
-        self.motion.commit(self._stage, time, self._heating.outcome, started)
+        for name, vector in self._motion.solver.named().items():
+            if named[name] is not vector:
+                named[name].copy(vector)
+        self._committed = self._heating.seconds
+        if not self._heating.sets:
+            self._motion.commit(self._stage, time, self._heating.outcome, started)
+            return
+        # Within the step stiffness and free strain were those before it.
+        before, now = self._before, self._heating.warmth()
+        self._before = now
+
+        def place(s: float) -> None:
+            self._heating.warm(self._motion.problem, before, now, s)
+
+        self._motion.advance(self._stage, 1.0, place, time, time)

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from app.bodies import Bodies, contact_facets
 from app.heat_forms import HeatForms
 from app.pointwise import Pointwise
-from app.sparse import at_vertices, from_triplets, owners
-from app.terms import ThermalContact
+from app.sparse import from_triplets, owners
+from app.terms import Scene
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import Holds, InterfaceFacets, contact_points, gather
@@ -45,11 +45,14 @@ class TemperatureJumps:
         given: Which given temperatures (master, slave), -1 where the jump is free (n, 2).
         moves: B_b of each body that jumps move.
         pressure: Contact pressure at own points (n,) [MPa], set from outside.
+        friction: Friction heat per area at own points (n,) [N/(mm s)], set from outside.
+        share: The part of it that goes into the slave (n,).
+        friction: Friction power per area there (n,) [N/(mm s)], set from outside.
     """
 
     def __init__(
         self,
-        contacts: tuple[ThermalContact, ...],
+        scene: Scene,
         tagged: TaggedMesh,
         bodies: Bodies,
         forms: HeatForms,
@@ -58,7 +61,7 @@ class TemperatureJumps:
         """Find the points and compile the law; collective.
 
         Args:
-            contacts: Interfaces of finite conductance, at least one.
+            scene: A scene with at least one interface of finite conductance.
             tagged: The mesh.
             bodies: Thermal bodies.
             forms: The forms of heat.
@@ -68,9 +71,8 @@ class TemperatureJumps:
         Raises:
             InputError: An interface has no facets on this mesh.
         """
-        self._names = [c.name for c in contacts]
+        contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
-        self._comm = comm
         facets = contact_facets(tagged, bodies, forms.space, contacts)
         holds = _holds(forms, facets, held)
         self.points, entries = contact_points(facets, holds, len(contacts))
@@ -97,7 +99,10 @@ class TemperatureJumps:
                 place[point[mine]],
                 entries.value[first][mine],
             )
-        self.pressure = np.zeros(n)
+        self.pressure, self.friction = np.zeros(n), np.zeros(n)
+        shares = {f.interface: f.slave_share for f in scene.friction_heat}
+        self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
+        self.friction = np.zeros(n)
         with forms.compiling():
             self._law = Pointwise(
                 comm,
@@ -109,20 +114,6 @@ class TemperatureJumps:
             )
         laws = np.array([[c.open, c.per_pressure, c.cap] for c in contacts])[self.interface]
         self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])
-
-    def set_pressure(self, interface: str, vertex: Ints, pressure: Floats) -> None:
-        """Set the contact pressure of an interface; collective.
-
-        Args:
-            interface: Its name; nothing happens if its conductance is perfect.
-            vertex: Vertex numbers of the mesh file of this rank's contact points (n,).
-            pressure: Pressure at them (n,) [MPa].
-        """
-        if interface not in self._names:
-            return
-        here = self.interface == self._names.index(interface)
-        wanted = self.points.vertex[self.mine[here]]
-        self.pressure[here] = at_vertices(self._comm, vertex, pressure, wanted)
 
     def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
         """Heat q from master to slave at own points [N/(mm s)], dq/dτ and dq/dp (n,).

@@ -1,0 +1,289 @@
+"""A case made ready to be solved: mesh, mechanics, heat, and what is published of its states."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+import meshes
+from app import config, folders, quantities, scene, stepping
+from app.conduction import Conduction
+from app.coupling import ContactHeat, Coupled, Staggered
+from app.cure_quantities import CureRecord
+from app.heat_balance import HeatBalance
+from app.heat_system import HeatSystem
+from app.heating import Accepted, Heating
+from app.motion import Motion, OnStep, Step, Summary
+from app.output import on_root
+from app.problem import Problem, Trial
+from app.quantities import Samples, Stresses
+from app.solver import Solver
+from app.stepping import Companion, Following, Joint, March, OnHeat
+from app.systems import Contact, System, mechanical
+from app.terms import Scene, Stage
+from app.thermal_nodes import Probe
+from app.thermal_quantities import ThermalRecord, exchange
+from app.timing import Timing
+from meshes.data import MeshData
+from meshes.distribute import TaggedMesh, distribute
+
+log = logging.getLogger("mantle")
+
+
+@dataclass(frozen=True)
+class Mechanical:
+    """The mechanics of a model."""
+
+    problem: Problem
+    solver: Solver
+    stresses: Stresses
+
+
+class Thermal:
+    """The heat of a model, and what is kept of it.
+
+    Attributes:
+        conduction: The operators.
+        heating: Its state.
+        record: Temperatures as far as they are reported.
+        cure: Degrees of cure, if anything sets.
+        balance: What came in, is stored and left.
+    """
+
+    def __init__(self, case: config.Case, heating: Heating) -> None:
+        """Begin with the initial state; collective."""
+        conduction = heating.conduction
+        self.conduction, self.heating = conduction, heating
+        self._capacities = {c.region: c.capacity for c in conduction.scene.conductors}
+        self._names = [c.name for c in conduction.scene.thermal_contacts]
+        shares = {f.interface: f.slave_share for f in conduction.scene.friction_heat}
+        self._shares = np.array([shares.get(name, 0.0) for name in self._names])
+        self.record = ThermalRecord(
+            conduction.tagged,
+            conduction.forms,
+            conduction.bodies.of_region,
+            case.geometry.interface_sides,
+            [Probe(name, p.at, p.region or "") for name, p in case.output.probes.items()],
+        )
+        self.record.start(conduction.temperatures(heating.vectors()))
+        self.cure: tuple[CureRecord, ...] = tuple(
+            CureRecord(conduction.comm, heating.degrees()) for _ in conduction.cures
+        )
+        self.balance = HeatBalance(conduction.stored(heating.vectors()), {})
+
+    def update(self, accepted: Accepted) -> None:
+        """Take in a step; collective."""
+        heating, conduction = self.heating, self.conduction
+        x = heating.vectors()
+        temperatures = conduction.temperatures(x)
+        exchanges = [
+            exchange(self._names, j, temperatures, τ.array, j.friction, self._shares[j.interface])
+            for j, τ in zip(conduction.jumps, x[1:], strict=True)
+        ]
+        self.record.update(accepted.seconds, temperatures, exchanges)
+        for cure in self.cure:
+            cure.update(accepted.seconds, heating.degrees(), heating.rates())
+        stored = conduction.stored(x)
+        if accepted.dt == 0.0:
+            self.balance.steady(accepted.flows, stored)
+            return
+        moved = self.record.moved(self._capacities)
+        self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved)
+
+    def row(self) -> dict[str, float]:
+        """Columns of history.csv."""
+        row = self.record.row()
+        for cure in self.cure:
+            row |= cure.row()
+        return row | {"heat balance [-]": self.balance.heat}
+
+
+class Model:
+    """A case made ready to be solved.
+
+    Attributes:
+        scene: What is solved.
+        tagged: On what mesh.
+        mesh_hash: Digest of that mesh.
+        mechanics: Its mechanics, if it has any.
+        thermal: Its heat, if it has any.
+    """
+
+    def __init__(
+        self, case: config.Case, options: dict[str, str], timing: Timing, stop: Callable[[], str]
+    ) -> None:
+        """Mesh, assemble and set the solvers up; collective.
+
+        Args:
+            case: The configuration.
+            options: Raw PETSc options from the command line.
+            timing: Where the seconds go.
+            stop: Names a signal that asks this rank to stop, or gives an empty text.
+        """
+        self._case, self._timing = case, timing
+        self.options, self.stop = options, stop
+        comm = MPI.COMM_WORLD
+        with timing.phase("mesh"):
+            data = on_root(
+                comm,
+                lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
+                share=False,
+            )
+            self.tagged: TaggedMesh = distribute(data, comm)
+            self.mesh_hash = comm.bcast(_mesh_hash(data) if data is not None else "")
+        with timing.phase("assemble"):
+            self.scene: Scene = scene.build(case)
+            self.mechanics = self._mechanics()
+            self._common, heatings = self._heat()
+            self.thermal = tuple(Thermal(case, h) for h in heatings)
+
+    def _solver(self, system: System) -> Solver:
+        chosen = self._case.solver
+        options = dict(chosen.petsc) | self.options
+        return Solver(
+            system,
+            chosen.tolerance,
+            chosen.max_iterations,
+            chosen.linear,
+            options,
+            self._timing,
+            self.stop,
+        )
+
+    def _mechanics(self) -> tuple[Mechanical, ...]:
+        """Problem and solver, where anything deforms."""
+        if not self.scene.elastic:
+            return ()
+        factor = self._case.solver.augmentation_factor
+        problem = Problem(self.scene, self.tagged, factor, self._timing)
+        solver = self._solver(mechanical(problem))
+        return (Mechanical(problem, solver, Stresses(problem, self._timing)),)
+
+    def _heat(self) -> tuple[tuple[Coupled | Staggered, ...], tuple[Heating, ...]]:
+        """Heat and what solves it, where anything conducts."""
+        if not self.scene.conductors:
+            return (), ()
+        conduction = Conduction(self.scene, self.tagged, self._timing)
+        heat = HeatSystem(conduction)
+        match self.scene.coupling:
+            case ("monolithic",):
+                (m,) = self.mechanics
+                system = Coupled(self.scene, conduction, m.problem, heat, Contact(m.problem))
+                return (system,), (Heating(self.scene, conduction, self._solver(system)),)
+            case ("staggered",):
+                (m,) = self.mechanics
+                contact = ContactHeat(self.scene, m.problem, conduction)
+                both = Staggered(contact, conduction, m.problem, self._solver(heat), m.solver)
+                return (both,), (Heating(self.scene, conduction, both),)
+            case _:
+                return (), (Heating(self.scene, conduction, self._solver(heat)),)
+
+    def sizes(self) -> dict[str, int]:
+        """Unknowns by block."""
+        parts = [t.heating.solver.block_sizes for t in self.thermal]
+        parts += [m.solver.block_sizes for m in self.mechanics]
+        return {name: size for part in parts for name, size in part.items()}
+
+    def go(
+        self,
+        on_step: OnStep,
+        on_heat: OnHeat,
+        on_trouble: Callable[[str], None],
+        begin: Callable[[Stage], None] = lambda stage: None,
+    ) -> Summary:
+        """Solve all stages.
+
+        Args:
+            on_step: Called after each step of the mechanics.
+            on_heat: Called after each step of the heat, the mechanics having followed.
+            on_trouble: Told what is tried when a step fails.
+            begin: Called before each stage.
+
+        Returns:
+            What it took.
+
+        Raises:
+            ConvergenceError: As `stepping.run`.
+        """
+
+        def heated(step: Step, accepted: Accepted) -> None:
+            for t in self.thermal:
+                t.update(accepted)
+            on_heat(step, accepted)
+
+        motion = tuple(Motion(m.problem, m.solver, on_step, on_trouble) for m in self.mechanics)
+        march = tuple(
+            March(t.heating, self._companions(t, motion), heated, on_trouble) for t in self.thermal
+        )
+        stepping.run(self.scene.stages, motion, march, begin)
+        total = Summary()
+        for part in (*(m.total for m in motion), *(m.total for m in march)):
+            total.add(part)
+        return total
+
+    def _companions(self, thermal: Thermal, motion: tuple[Motion, ...]) -> tuple[Companion, ...]:
+        """The mechanics beside the heat: in one system with it, or after it."""
+        heating = thermal.heating
+        if self._common:
+            (system,) = self._common
+            return tuple(Joint(m, heating, system) for m in motion)
+        return tuple(Following(m, heating, heating.options.mechanical_step) for m in motion)
+
+    # What is published of the state last committed
+
+    def numbers(self, samples: Samples | None) -> dict[str, Any]:
+        """All numbers; collective.
+
+        Args:
+            samples: Of the contact points, if there are any.
+        """
+        numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
+        for m in self.mechanics:
+            elastic = m.problem.scene.elastic
+            numbers["interfaces"] = self.interfaces(samples)
+            numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
+            numbers["stem"] = quantities.stem_motion(m.problem)
+        for t in self.thermal:
+            numbers["thermal"] = t.record.summary()
+            for cure in t.cure:
+                numbers["cure"] = cure.summary()
+        return numbers
+
+    def interfaces(self, samples: Samples | None) -> dict[str, dict[str, Any]]:
+        """What is published of the contact interfaces; collective."""
+        if samples is None:
+            return {}
+        (m,) = self.mechanics
+        return {
+            c.name: quantities.interface(m.problem, samples, i)
+            for i, c in enumerate(self.scene.contacts)
+        }
+
+    def relative(self, case: config.Case) -> dict[str, Any]:
+        """Solve another case in the same way, for its numbers only; collective."""
+        other = Model(case, self.options, Timing(), self.stop)
+        last: list[Samples | None] = [None]
+
+        def keep(step: Step, trial: Trial | None) -> None:
+            if step.time == len(other.scene.stages) and trial is not None:
+                last[0] = Samples(other.mechanics[0].problem, trial)
+
+        def trouble(text: str) -> None:
+            log.debug("     %s", text)
+
+        other.go(keep, lambda step, accepted: None, trouble)
+        return other.numbers(last[0])
+
+
+def _mesh_hash(data: MeshData) -> str:
+    digest = hashlib.sha256()
+    for array in (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
