@@ -25,7 +25,8 @@ class Balance:
 
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
-    forces.
+    forces. What sets has no energy to come back to: there the work of its stress in its strain,
+    trapezoidal too, takes the place of stored energy and of the work of free strain.
     """
 
     def __init__(self, problem: Problem, about: Floats) -> None:
@@ -55,8 +56,13 @@ class Balance:
         ]
         elastic = {e.region: e for e in scene.elastic}
         self._swelling = [
-            (mechanics.swelling[x.region], mechanics.form(self._swelling_work(elastic[x.region])))
-            for x in scene.expansions
+            (free, mechanics.form(self._swelling_work(elastic[region])))
+            for region, free in mechanics.swelling.items()
+        ]
+        self._setting = [
+            (displacements[b], mechanics.form(s.internal_work(b, v)))
+            for s in problem.setting
+            for b in s.bodies
         ]
         # The traction k_i U_i of each bed of springs on each body.
         beds = [
@@ -80,12 +86,12 @@ class Balance:
         ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
         low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
         self._diagonal = float(np.linalg.norm(high - low))
-        self._work = self._scale = 0.0
+        self._work = self._spent = self._scale = 0.0
         self._last = self._measure(problem.K.createVecLeft(), None)
         self.force = self.moment = self.energy = 0.0
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
-        return self._strain_work_of(e, elasticity.eigenstrain(components))
+        return self._strain_work_of(e, elasticity.symmetric(components))
 
     def _swelling_work(self, e: Elastic) -> object:
         """Work by nodal swelling."""
@@ -108,6 +114,8 @@ class Balance:
         internal = np.zeros(len(problem.reduction.reacting))
         for form in self._internal:
             internal += self._assemble(form)
+        setting = [self._assemble(form) for _, form in self._setting]
+        internal += sum(setting)
         loads_u, loads_q = problem.applied()
         reaction = np.where(problem.reduction.reacting, internal - loads_u, 0.0)
 
@@ -132,6 +140,8 @@ class Balance:
             "strain_work": [scalar(f) for _, f in self._strain_work],
             "swelling": [e.x.array[: _owned(e)].copy() for e, _ in self._swelling],
             "swelling_work": [self._assemble(form) for _, form in self._swelling],
+            "setting": [U.x.array[: len(internal)].copy() for U, _ in self._setting],
+            "setting_forces": setting,
             "springs": np.array([scalar(f) for f in self._springs]).reshape(-1, 3).sum(axis=0),
             "spring_moments": np.array([scalar(f) for f in self._spring_moments])
             .reshape(-1, 3)
@@ -173,11 +183,20 @@ class Balance:
             strict=True,
         ):
             external += (a1 - a0) * (w0 + w1) / 2
+        for u0, u1, f0, f1 in zip(
+            old["setting"],
+            new["setting"],
+            old["setting_forces"],
+            new["setting_forces"],
+            strict=True,
+        ):
+            self._spent += float(comm.allreduce(np.dot((f0 + f1) / 2, u1 - u0), MPI.SUM))
         self._work += external
         contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
-        swelling = abs(problem.swelling_work(u))
-        self._scale = max(self._scale, abs(self._work), abs(new["energy"]), abs(contact), swelling)
-        self.energy = _relative(self._work - new["energy"] - contact, self._scale)
+        spent = (new["energy"], self._spent, contact)
+        swelling = problem.swelling_work(u)
+        self._scale = max(self._scale, *map(abs, (self._work, *spent, swelling)))
+        self.energy = _relative(self._work - sum(spent), self._scale)
         self._forces(new)
 
     def _forces(self, new: dict) -> None:

@@ -250,7 +250,9 @@ def held_vertices(
     number, body, support_of = gather(tagged.mesh.comm, *columns)
     keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
     held = np.full((len(keys), 3), -1, dtype=np.int64)
-    for s, support in enumerate(supports):
+    # A support that holds in every stage goes before one that is let go of.
+    for s in sorted(range(len(supports)), key=lambda s: all(supports[s].active)):
+        support = supports[s]
         here = np.unique(row.reshape(-1)[support_of == s])
         for c in np.flatnonzero(support.components):
             held[here, c] = s

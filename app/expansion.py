@@ -38,7 +38,7 @@ class Expansions:
     def __init__(self, scene: Scene, mechanics: Mechanics, bodies: Bodies) -> None:
         """Assemble the forces of each region; collective."""
         self._mechanics = mechanics
-        self._terms = scene.expansions
+        self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
         self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
         elastic = {e.region: e for e in scene.elastic}
         self._forces = {x.region: mechanics.swelling_forces(elastic[x.region]) for x in self._terms}

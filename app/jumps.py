@@ -17,6 +17,7 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
@@ -34,11 +35,11 @@ from app.errors import InputError
 from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
-from app.terms import Scene, amplitude
+from app.terms import Scene, Support, amplitude
 from app.timing import Timing
 from forms.contact import SLIP
 from meshes.distribute import TaggedMesh
-from meshes.interfaces import Entries, InterfaceFacets, contact_points
+from meshes.interfaces import ContactPoints, Entries, InterfaceFacets, contact_points
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -82,6 +83,7 @@ class Jumps:
         facets: All interface facets, replicated.
         mine: Rows of ``points`` that this rank owns (n,).
         edge_lengths: Mean edge of the facets of each interface [mm].
+        augmented: Whether each own point is of an augmented-Lagrangian interface (n,).
         stiffness: Augmentation or penalty of each own point (n,) [MPa/mm].
     """
 
@@ -109,6 +111,7 @@ class Jumps:
             tagged, bodies, space, scene.supports, np.unique(self.facets.vertices)
         )
         self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
+        _refuse_released(scene.supports, self.points)
         _refuse_moving_rigid(scene, bodies, entries)
         self.mine, place = self._distribute(space)
         n = len(self.mine)
@@ -117,7 +120,7 @@ class Jumps:
         self.faces = self.points.faces[self.mine]
         self.held = self.points.held[self.mine]
         self.interface = self.points.interface[self.mine]
-        self._augmented = np.array([c.augmented for c in scene.contacts])[self.interface]
+        self.augmented = np.array([c.augmented for c in scene.contacts])[self.interface]
         friction = np.array([c.friction for c in scene.contacts])[self.interface]
         self._frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
         with timing.phase("compile"):
@@ -138,7 +141,8 @@ class Jumps:
         zero = np.zeros((n, 3))
         none = np.zeros(n)
         self.history = History(zero, zero, zero, zero, zero, none, none, none, none)
-        self._couple(mechanics, reduction, entries, place)
+        self._find_moves(mechanics, entries, place)
+        self.C, self.D, self.Ct = self._coupling(mechanics, reduction)
         self._work = self.Ct.createVecLeft()
         self.set_time(0.0)
 
@@ -171,16 +175,13 @@ class Jumps:
         jump[rows] = sign[rows] * self._supports[s].values(self.points.x[rows])
         return jump[self.mine]
 
-    def _couple(
-        self, mechanics: Mechanics, reduction: Reduction, entries: Entries, place: Ints
-    ) -> None:
-        """Assemble C, its transpose and D."""
+    def _find_moves(self, mechanics: Mechanics, entries: Entries, place: Ints) -> None:
+        """What jumps add to each body they move, and the stiffness of the cells they move."""
         index_map = mechanics.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
         n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
         self.moves: dict[int, PETSc.Mat] = {}
-        C: list[PETSc.Mat] = []
-        D: list[PETSc.Mat] = []
+        self._strips: dict[int, fem.Form] = {}
         ghosts = index_map.ghosts
         for body in map(int, np.unique(entries.body)):
             here = entries.body == body
@@ -195,11 +196,22 @@ class Jumps:
                 np.arange(start // 3, end // 3, dtype=np.int64), nodes
             )
             marked[index_map.size_local :] = np.isin(ghosts, nodes)
-            KB = mechanics.strip_stiffness(body, marked).matMult(B)
-            C.append(KB)
-            D.append(B.transposeMatMult(KB))
-        self.C, self.D = reduction.rows(reduce(add, C)), reduce(add, D)
-        self.Ct = self.C.copy().transpose()
+            self._strips[body] = mechanics.strip_stiffness(body, marked)
+
+    def _coupling(
+        self, mechanics: Mechanics, reduction: Reduction
+    ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
+        """Assemble C, D and the transpose of C."""
+        KB = {b: mechanics.matrix(self._strips[b]).matMult(B) for b, B in self.moves.items()}
+        C = reduction.rows(reduce(add, KB.values()))
+        D = reduce(add, [B.transposeMatMult(KB[b]) for b, B in self.moves.items()])
+        return C, D, C.copy().transpose()
+
+    def restiffen(self, mechanics: Mechanics, reduction: Reduction) -> None:
+        """Assemble the coupling again, in the same matrices: stiffness or supports have changed."""
+        new = self._coupling(mechanics, reduction)
+        for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
+            values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 
     # State in time
 
@@ -214,7 +226,7 @@ class Jumps:
     def scale_augmentation(self, factor: float) -> None:
         """Set the augmentation to a multiple of its default; penalties stay."""
         scaled = self.default_stiffness * factor
-        self.stiffness = np.where(self._augmented, scaled, self.default_stiffness)
+        self.stiffness = np.where(self.augmented, scaled, self.default_stiffness)
 
     # Residual and Jacobian
 
@@ -231,7 +243,7 @@ class Jumps:
     def law(self, e: Floats, q: Floats) -> PointForces:
         """The law at own points for a trial state."""
         free = ~self.held
-        F = np.where(self._augmented[:, None], self.forces(e), self.history.friction)
+        F = np.where(self.augmented[:, None], self.forces(e), self.history.friction)
         return self._law.evaluate(
             F * free, q * free, self.gap, self.history.jump * free, self.stiffness
         )
@@ -250,7 +262,7 @@ class Jumps:
         P = law.jacobian.copy()
         P[self.held[:, :, None] | self.held[:, None, :]] = 0
         eye = np.eye(3)[None]
-        times = np.where(self._augmented[:, None, None], eye - P, np.broadcast_to(eye, P.shape))
+        times = np.where(self.augmented[:, None, None], eye - P, np.broadcast_to(eye, P.shape))
         added = self._scale[:, None, None] * P
         held = self.held[:, :, None] & np.eye(3, dtype=bool)[None]
         times = np.where(self.held[:, :, None], 0.0, times)
@@ -291,7 +303,7 @@ class Jumps:
         # Friction and slip as the law has them: none where a point is open or sticks, though the
         # solver's tolerance leaves some.
         rubbing = law.force + normal
-        multiplier = np.where(self._augmented[:, None], F, old.friction)
+        multiplier = np.where(self.augmented[:, None], F, old.friction)
         slipped = step + (multiplier - rubbing) / self.stiffness[:, None]
         rubbed = np.einsum("pi,pi->p", rubbing, self._tangential(slipped, opening, law))
         slides = self._frictional & (law.status == SLIP)
@@ -319,6 +331,21 @@ class Jumps:
         closed = (law.pressures > 0) | (gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None])
         n = np.where(closed[:, :, None], self.normals, 0.0)
         return step - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, step)
+
+
+def _refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
+    """Refuse supports that give jumps in some stages only: what is unknown may not change.
+
+    Raises:
+        InputError: One holds a body where another one holds what it touches.
+    """
+    for s, support in enumerate(supports):
+        if not all(support.active) and (points.given == s).any():
+            raise InputError(
+                f"supports.{support.name}: it is let go of, but holds its body on an interface "
+                "where the other side is held too; allowed: a boundary away from such edges, the "
+                "same stages for both, or an elastic foundation instead of one of them"
+            )
 
 
 def _refuse_moving_rigid(scene: Scene, bodies: Bodies, entries: Entries) -> None:

@@ -48,7 +48,8 @@ class Mechanics:
         space: Displacement space.
         u: The continuous displacement.
         moved: For each body that jumps move, its own displacement.
-        swelling: Free strain of each region that heat or cure lets swell, nodal [-].
+        swelling: Free strain of each elastic region that heat lets swell, at the vertices [-].
+        growth: Modulus of each region that sets over its final one, at the vertices [-].
     """
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
@@ -73,9 +74,11 @@ class Mechanics:
             for e in scene.elastic
             for k in range(len(e.eigenstrains))
         }
+        self.growth = {c.region: fem.Function(self.scalars) for c in scene.cures}
         self.swelling = {
-            x.region: fem.Function(self.scalars, name=f"swelling {x.region}")
+            x.region: fem.Function(self.scalars)
             for x in scene.expansions
+            if x.region not in self.growth
         }
         self.patches = {
             load.boundary: self._measure_patch(load.boundary)
@@ -152,22 +155,40 @@ class Mechanics:
         """Strain of a displacement minus the region's eigenstrains and its swelling."""
         ε = elasticity.strain(v)
         for k, s in enumerate(e.eigenstrains):
-            ε = ε - self._amplitude[e.region, k] * elasticity.eigenstrain(s.components)
+            ε = ε - self._amplitude[e.region, k] * elasticity.symmetric(s.components)
         if e.region in self.swelling:
             ε = ε - elasticity.swelling(self.swelling[e.region])
         return ε
 
     def body_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
-        """Energy of a body (strain and foundations) in its displacement v [N mm]."""
+        """Energy of a body (strain and foundations) in its displacement v [N mm].
+
+        Regions that set have none.
+        """
         total = 0
         for e in self._scene.elastic:
-            if self._bodies.of_region[e.region] == body:
+            if self._bodies.of_region[e.region] == body and e.region not in self.growth:
                 total += self.energy_density(e, self.elastic_strain(e, v)) * dx(self.tag(e.region))
         for f, k in zip(self._scene.foundations, self.springs, strict=True):
             ds = self.ds(f.boundary, body)
             if ds is not None:
                 total += f.energy(v, k) * ds
         return total
+
+    def tangent_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
+        """Energy of a body whose second derivative is its stiffness, as far as it has set."""
+        total = self.body_energy(body, v, dx)
+        for e in self._scene.elastic:
+            if self._bodies.of_region[e.region] == body and e.region in self.growth:
+                ψ = self.energy_density(e, elasticity.strain(v))
+                dx_e = dx(self.tag(e.region), degree=self.setting_degree)
+                total += self.growth[e.region] * ψ * dx_e
+        return total
+
+    @property
+    def setting_degree(self) -> int:
+        """Degree of quadrature where stress is history: that of the stiffness, and a bit."""
+        return 2 * self._scene.order - 1
 
     def displacements(self, moved: dict[int, fem.Function]) -> list[fem.Function]:
         """Displacement of each body: its own where jumps move it, else u."""
@@ -244,16 +265,16 @@ class Mechanics:
 
     # Assembly
 
-    def stiffness(self) -> PETSc.Mat:
+    def stiffness(self) -> fem.Form:
         """Stiffness of all bodies moving with u, supports not yet applied."""
         dx = self.cells()
         bodies = range(len(self._bodies.names))
-        return self._second_derivative(sum(self.body_energy(b, self.u, dx) for b in bodies))
+        return self._second_derivative(sum(self.tangent_energy(b, self.u, dx) for b in bodies))
 
-    def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> PETSc.Mat:
+    def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> fem.Form:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
         near = dofs[self.space.dofmap.list].any(axis=1)
-        return self._second_derivative(self.body_energy(body, self.u, self.cells(near)))
+        return self._second_derivative(self.tangent_energy(body, self.u, self.cells(near)))
 
     def swelling_forces(self, e: Elastic) -> PETSc.Mat:
         """Nodal forces of the bodies by the nodal swelling of a region, both of this rank."""
@@ -262,22 +283,24 @@ class Mechanics:
         dx = ufl.Measure("dx", domain=self.mesh, subdomain_data=[(1, self.region_cells(e.region))])
         energy = self.energy_density(e, self.elastic_strain(e, self.u)) * dx(1)
         forces = -ufl.derivative(energy, self.u, v)
-        matrix = assemble_matrix(self.form(ufl.derivative(forces, self.swelling[e.region], free)))
-        matrix.assemble()
-        return matrix
+        return self.matrix(self.form(ufl.derivative(forces, self.swelling[e.region], free)))
 
-    def _second_derivative(self, energy: Any) -> PETSc.Mat:
-        """Matrix of an energy that is quadratic in u."""
+    def _second_derivative(self, energy: Any) -> fem.Form:
+        """Form of an energy that is quadratic in u."""
         v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
-        form = ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w)
-        matrix = assemble_matrix(self.form(form))
-        matrix.assemble()
-        return matrix
+        return self.form(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
 
     def form(self, form: Any) -> fem.Form:
         """Compile a form, counting the time."""
         with self._timing.phase("compile"):
             return fem.form(form)
+
+    @staticmethod
+    def matrix(form: fem.Form) -> PETSc.Mat:
+        """Assemble a compiled bilinear form."""
+        matrix = assemble_matrix(form)
+        matrix.assemble()
+        return matrix
 
     def assemble(self, form: Any) -> PETSc.Vec:
         """Assemble a linear form into an owned vector."""

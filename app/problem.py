@@ -24,7 +24,8 @@ from app.expansion import Expansions, ThermalStiffness
 from app.jumps import Jumps
 from app.mechanics import Mechanics
 from app.points import PointForces
-from app.reduction import near_null_space, reduction_of, support_of_dofs
+from app.reduction import holds, near_null_space, reduction_of, support_of_dofs
+from app.setting import Setting
 from app.terms import Elastic, Load, Scene, amplitude
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
@@ -47,11 +48,10 @@ class Trial:
 
 @dataclass(frozen=True)
 class Action:
-    """Forces at full amplitude: on own nodes, on own unknowns, on own jumps [N]."""
+    """Forces at full amplitude: on own nodes, on own jumps [N]."""
 
     history: tuple[float, ...]
     nodal: PETSc.Vec
-    reduced: PETSc.Vec
     jump: Floats
 
 
@@ -60,8 +60,11 @@ class Problem:
 
     Attributes:
         jumps: The jump block, or an empty tuple.
+        expansions: Thermal expansion of what has constant moduli, or an empty tuple.
+        setting: What sets, or an empty tuple.
         u: Displacement, the continuous field.
         time: Current time: stage k runs from k to k + 1.
+        version: Counts how often the stiffness has changed: preconditioners are of one version.
         load_size: Norm of the nodal forces of loads and free strains [N].
     """
 
@@ -80,17 +83,13 @@ class Problem:
         self.space = self.mechanics.space
         self.u = self.mechanics.u
         self._owned = 3 * self.space.dofmap.index_map.size_local
-        support_of = support_of_dofs(scene, tagged, self.bodies, self.space)
-        self.reduction = reduction_of(scene, tagged, self.space, support_of)
-        self.held = self.reduction.held
-        nodal = self.mechanics.stiffness()
-        self.K = self.reduction.matrix(nodal)
-        self._lifts = [self._lift(unit) for unit in self.reduction.unit]
-        self.K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        held = PETSc.IS().createGeneral(self.supported_rows(), comm=self.comm)
-        self._reaction_rows = [self.K.createSubMatrix(held)]
-        self.K.zeroRowsColumns(self.supported_rows(), diag=_typical(self.K))
-        self._diagonal = self.K.getDiagonal()
+        self._stage = self.version = 0
+        self._reduce()
+        self.setting: tuple[Setting, ...] = (
+            (Setting(scene, self.mechanics, self.bodies, timing),) if scene.cures else ()
+        )
+        self._stiffness = self.mechanics.stiffness()
+        self.K = self._constrained()
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
@@ -109,7 +108,7 @@ class Problem:
             if scene.contacts
             else ()
         )
-        self._reaction_rows += [j.C.createSubMatrix(held) for j in self.jumps]
+        self._reaction_rows += [self._supported(j.C) for j in self.jumps]
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for j in self.jumps
@@ -120,20 +119,41 @@ class Problem:
             self._strain(e, k) for e in scene.elastic for k in range(len(e.eigenstrains))
         ]
         self.expansions: tuple[Expansions, ...] = (
-            (Expansions(scene, self.mechanics, self.bodies),) if scene.expansions else ()
+            (Expansions(scene, self.mechanics, self.bodies),) if self.mechanics.swelling else ()
         )
         self._thermal = [self._action((), {}) for _ in self.expansions]
+        self._prestress = [self._action((), {}) for _ in self.setting]
         self.set_time(0.0)
 
     # Construction
 
-    def _lift(self, unit: Floats) -> PETSc.Vec:
-        """Minus the forces of a support's displacements at full amplitude."""
-        given, forces = self.K.createVecRight(), self.K.createVecLeft()
-        given.array[:] = unit
-        self.K.mult(given, forces)
-        forces.scale(-1)
-        return forces
+    def _reduce(self) -> None:
+        """Find the unknowns that the supports of the current stage hold."""
+        support_of = support_of_dofs(self.scene, self.tagged, self.bodies, self.space, self._stage)
+        self.reduction = reduction_of(self.scene, self.tagged, self.space, support_of)
+        self.held = self.reduction.held
+        self._first = self.comm.exscan(len(self.held)) or 0
+
+    def _constrained(self) -> PETSc.Mat:
+        """The stiffness with the supports of the current stage; keeps what they meet of it."""
+        K = self.reduction.matrix(self.mechanics.matrix(self._stiffness))
+        self._lifts = [_lift(K, unit) for unit in self.reduction.unit]
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        rows = self.supported_rows()
+        self._reaction_rows = [self._supported(K)]
+        K.zeroRowsColumns(rows, diag=_typical(K))
+        self._diagonal = K.getDiagonal()
+        return K
+
+    def _renew(self) -> None:
+        """Assemble the stiffness and the coupling again, in the same matrices."""
+        K = self._constrained()
+        K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        for j in self.jumps:
+            j.restiffen(self.mechanics, self.reduction)
+        self._reaction_rows += [self._supported(j.C) for j in self.jumps]
+        self.version += 1
+        self.set_time(self.time)
 
     def _load(self, load: Load) -> Action:
         """A load at full amplitude."""
@@ -168,7 +188,7 @@ class Problem:
                     moved = j.moves[body].createVecRight()
                     j.moves[body].multTranspose(own, moved)
                     jump += moved.array
-        return Action(history, total, self.reduction.vector(total), jump)
+        return Action(history, total, jump)
 
     def bodies_at(self, boundary: str) -> set[int]:
         """Bodies that have facets on a boundary; collective."""
@@ -178,18 +198,37 @@ class Problem:
 
     # State in time
 
+    def set_stage(self, stage: int, u: PETSc.Vec) -> None:
+        """Let go of the supports that do not hold in a stage, and hold on by those that do.
+
+        Nothing is done unless they differ from those before.
+
+        Args:
+            stage: Number of the stage.
+            u: The displacement, which stays.
+        """
+        then, self._stage = self._stage, stage
+        if all(holds(s, then) == holds(s, stage) for s in self.scene.supports):
+            return
+        old = self.reduction
+        self._reduce()
+        self.reduction.carry(u, old)
+        self._renew()
+        self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
+
     def set_time(self, time: float) -> None:
         """Set loads, supports and gaps to a time; the state itself does not move."""
         self.time = time
-        self.f = self.K.createVecLeft()
+        total = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
         self.f_q = np.zeros(sum(3 * len(j.mine) for j in self.jumps))
         for action in (*self._loads, *self._strains):
             a = amplitude(action.history, time)
-            self.f.axpy(a, action.reduced)
+            total.axpy(a, action.nodal)
             self.f_q += a * action.jump
-        for action in self._thermal:
-            self.f.axpy(1.0, action.reduced)
+        for action in (*self._thermal, *self._prestress):
+            total.axpy(1.0, action.nodal)
             self.f_q += action.jump
+        self.f = self.reduction.vector(total)
         self.load_size = float(self.f.norm())
         self._given = np.zeros(len(self.held))
         for support, unit, lift in zip(
@@ -216,6 +255,30 @@ class Problem:
         """
         self._thermal = [self._action((), x.set(temperatures)) for x in self.expansions]
         self.set_time(self.time)
+
+    def set_cure(
+        self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]
+    ) -> None:
+        """Say how far regions have set; takes effect at the next `restiffen`.
+
+        Args:
+            degrees: For each region that sets, the degree of cure at the vertices [-].
+            strains: Its free strain accumulated since gelation at the vertices [-].
+        """
+        for s in self.setting:
+            s.set(degrees, strains)
+
+    def restiffen(self) -> None:
+        """Take in the stiffness and the stress of what has set so far; before every solve.
+
+        The matrices are assembled again, in place, only if a modulus has changed; then `version`
+        is another one.
+        """
+        for s in self.setting:
+            if s.stiffen():
+                self._renew()
+            self._prestress = [self._action((), s.forces())]
+            self.set_time(self.time)
 
     def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
         """How the forces change with temperature; zero in supported rows; collective.
@@ -264,8 +327,12 @@ class Problem:
 
     def supported_rows(self) -> NDArray[np.int32]:
         """Global rows that supports hold, of this rank."""
-        start = self.K.getOwnershipRange()[0]
-        return (start + np.flatnonzero(self.held)).astype(np.int32)
+        return (self._first + np.flatnonzero(self.held)).astype(np.int32)
+
+    def _supported(self, A: PETSc.Mat) -> PETSc.Mat:
+        """Rows of a matrix that supports hold."""
+        rows = PETSc.IS().createGeneral(self.supported_rows(), comm=self.comm)
+        return A.createSubMatrix(rows)
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
@@ -316,8 +383,9 @@ class Problem:
         return u, q
 
     def swelling_work(self, u: PETSc.Vec) -> float:
-        """Work of the forces of thermal expansion, as they are now, in a displacement [N mm]."""
-        return sum(float(action.reduced.dot(u)) / 2 for action in self._thermal)
+        """Work of the forces of free strains, as they are now, in a displacement [N mm]."""
+        nodal = self.reduction.expand(u)
+        return sum(float(a.nodal.dot(nodal)) / 2 for a in (*self._thermal, *self._prestress))
 
     def resultants(self) -> list[Floats]:
         """Resultant of each load now acting [N]."""
@@ -347,10 +415,21 @@ class Problem:
         return values
 
     def commit(self, trial: Trial | None) -> None:
-        """Make a converged state the history."""
+        """Make a converged state, whose displacements have been spread, the history."""
         for j in self.jumps:
             if trial is not None:
                 j.commit(trial.equilibrium, trial.jump, trial.law)
+        for s in self.setting:
+            s.commit(self.displacements())
+
+
+def _lift(K: PETSc.Mat, unit: Floats) -> PETSc.Vec:
+    """Minus the forces of a support's displacements at full amplitude."""
+    given, forces = K.createVecRight(), K.createVecLeft()
+    given.array[:] = unit
+    K.mult(given, forces)
+    forces.scale(-1)
+    return forces
 
 
 def _typical(K: PETSc.Mat) -> float:

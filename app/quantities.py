@@ -16,7 +16,6 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app.bodies import cell_tags
 from app.problem import Problem, Trial
 from app.terms import Elastic
 from app.timing import Timing
@@ -196,8 +195,13 @@ class Stresses:
         degree = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
         self._points, self._weights = (np.asarray(a) for a in quadrature)
-        self.cells = {e.region: _own_cells(problem, e.region) for e in problem.scene.elastic}
-        self._expressions = {e.region: self._expression(e) for e in problem.scene.elastic}
+        elastic, setting = problem.scene.elastic, problem.mechanics.growth
+        self.cells = {e.region: problem.mechanics.region_cells(e.region) for e in elastic}
+        self._expressions = {
+            e.region: self._expression(e) for e in elastic if e.region not in setting
+        }
+        # Where stress is history it is known at the points where it was summed up.
+        self._history = {r: s for s in problem.setting for r in setting}
 
     def _expression(self, e: Elastic) -> fem.Expression:
         problem, mechanics = self._problem, self._problem.mechanics
@@ -209,21 +213,29 @@ class Stresses:
 
     def evaluate(self, region: str) -> Floats:
         """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
+        if region in self._history:
+            return self._history[region].stress(region)
         cells = self.cells[region]
         if not len(cells):
             return np.zeros((0, len(self._points), 3, 3))
         values = self._expressions[region].eval(self._problem.tagged.mesh, cells)
         return values.reshape(len(cells), len(self._points), 3, 3)
 
+    def shares(self, region: str) -> Floats:
+        """Part of a cell that each of its points stands for (points,)."""
+        history = self._history.get(region)
+        weights = self._weights if history is None else history.weights
+        return weights / weights.sum()
+
     def mean(self, region: str) -> Floats:
         """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
-        share = self._weights / self._weights.sum()
+        share = self.shares(region)
         return np.asarray(np.einsum("q,cqij->cij", share, self.evaluate(region)))
 
     def region(self, region: str) -> dict[str, Any]:
         """Published stresses of a region; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
-        share = self._weights / self._weights.sum()
+        share = self.shares(region)
         volumes, x = _volumes_and_centres(self._problem, self.cells[region])
         volume = np.outer(volumes, share).ravel()
         mean = np.trace(σ, axis1=1, axis2=2) / 3
@@ -255,13 +267,6 @@ class Stresses:
                 ],
             }
         return dict(self._problem.comm.bcast(result))
-
-
-def _own_cells(problem: Problem, region: str) -> NDArray[np.int32]:
-    """Cells of a region that this rank owns."""
-    owned = problem.tagged.mesh.topology.index_map(3).size_local
-    tags = cell_tags(problem.tagged)[:owned]
-    return np.flatnonzero(tags == problem.tagged.regions[region]).astype(np.int32)
 
 
 def _volumes_and_centres(problem: Problem, cells: NDArray[np.int32]) -> tuple[Floats, Floats]:
@@ -309,7 +314,7 @@ def _rigid_fit(problem: Problem, regions: list[str]) -> tuple[Floats, Floats, Fl
     layout = problem.space.dofmap.dof_layout
     corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
     for r in regions:
-        cells = _own_cells(problem, r)
+        cells = problem.mechanics.region_cells(r)
         volumes, centres = _volumes_and_centres(problem, cells)
         v = displacements[problem.bodies.of_region[r]].x.array.reshape(-1, 3)
         us.append(v[problem.space.dofmap.list[cells][:, corner]].mean(axis=1))

@@ -7,7 +7,7 @@ supports determine come first, and then they are held like any supported compone
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, Self
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from app.bodies import Bodies, boundary_facets, cell_tags
 from app.errors import InputError, everywhere
-from app.terms import Scene
+from app.terms import Scene, Support
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import gather
 
@@ -58,11 +58,19 @@ class Reduction(Protocol):
     def expand(self, u: PETSc.Vec) -> PETSc.Vec:
         """P ũ."""
 
+    def carry(self, u: PETSc.Vec, old: Self) -> None:
+        """Express unknowns of the same scene with other supports as those of this one."""
+
+
+def holds(support: Support, stage: int) -> bool:
+    """Whether a support holds in a stage."""
+    return support.active[stage] if support.active else True
+
 
 def support_of_dofs(
-    scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
+    scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace, stage: int
 ) -> Ints:
-    """Support that holds each local dof, -1 where none does (3 per node, ghosts included).
+    """Support that holds each local dof in a stage, -1 where none does (3 per node, with ghosts).
 
     Where supports on several bodies hold a node, the body of lowest number wins: it is the base of
     that node (see `meshes.interfaces`).
@@ -73,6 +81,8 @@ def support_of_dofs(
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
     for body in reversed(range(len(bodies.names))):
         for s, (term, f) in enumerate(zip(scene.supports, patches, strict=True)):
+            if not holds(term, stage):
+                continue
             mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
             nodes = fem.locate_dofs_topological(space, 2, mine.astype(np.int32))
             for c in np.flatnonzero(term.components):
@@ -135,6 +145,9 @@ class AllFree:
         """A copy of u."""
         return u.copy()
 
+    def carry(self, u: PETSc.Vec, old: Self) -> None:
+        """Nothing to do: nodal displacements they stay."""
+
 
 class WithRigid:
     """Rigid regions: six unknowns each, on rank 0, in place of their nodes."""
@@ -170,6 +183,7 @@ class WithRigid:
         entries = np.zeros((nodes, 3, 6))
         columns[free, :, 0] = start + np.arange(3 * len(free)).reshape(-1, 3)
         entries[free, :, 0] = 1
+        self._bases: dict[int, Floats] = {}
         for k, body in enumerate(scene.rigid):
             here = np.flatnonzero(region == k)
             (nodes_of,) = gather(comm, x[here])
@@ -184,6 +198,7 @@ class WithRigid:
             entries[here] = local @ basis
             reacting[here] |= rank > 0
             if comm.rank == 0:
+                self._bases[place] = basis
                 self.held[place : place + rank] = True
                 for s, amount in enumerate(amounts):
                     self.unit[s][place : place + rank] = amount[:rank]
@@ -225,6 +240,12 @@ class WithRigid:
         out = self._P.createVecLeft()
         self._P.mult(u, out)
         return out
+
+    def carry(self, u: PETSc.Vec, old: Self) -> None:
+        """Turn the motions of rigid regions from the old axes to these."""
+        for place, basis in self._bases.items():
+            rows = slice(place, place + 6)
+            u.array[rows] = basis.T @ old._bases[place] @ u.array[rows]
 
 
 def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace) -> Ints:

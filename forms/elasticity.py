@@ -112,10 +112,10 @@ def stress(energy: Any, ε: Expr) -> Expr:
     return strip_variables(expand_derivatives(sym(diff(energy(e), e))))
 
 
-def eigenstrain(components: Sequence[Any]) -> Expr:
-    """Stress-free strain (3, 3) from its components xx, yy, zz, yz, xz, xy [-].
+def symmetric(components: Sequence[Any]) -> Expr:
+    """Symmetric tensor (3, 3) from its components xx, yy, zz, yz, xz, xy.
 
-    The off-diagonal entries are tensor components (half the engineering shear).
+    The off-diagonal entries of a strain are half the engineering shear.
     """
     xx, yy, zz, yz, xz, xy = components
     return as_matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -196,7 +196,7 @@ def test_isotropic_limit(stiffness: Stiffness) -> None:
 def test_stress_is_the_derivative_with_plus_sign() -> None:
     """Eq. 49 with its sign corrected: stretching pulls. Eigenstrains give their components."""
     mesh = create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
-    free = elasticity.eigenstrain([fem.Constant(mesh, v) for v in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)])
+    free = elasticity.symmetric([fem.Constant(mesh, v) for v in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)])
     σ = elasticity.stress(lambda e: elasticity.isotropic_energy(e, 3.0, 2.0), free)
     mises = elasticity.von_mises(ufl.as_matrix([[0, 0, 0], [0, 0, 0], [0, 0, -7.0]]))
     point = np.full((1, 3), 0.25)
@@ -217,7 +217,7 @@ def test_stress_of_a_fibrous_material(fibre: tuple[float, ...]) -> None:
     m = fem.Constant(mesh, tuple(map(float, fibre)))
     σ = elasticity.stress(
         lambda e: elasticity.transversely_isotropic_energy(e, m, *constants),
-        elasticity.eigenstrain(components),
+        elasticity.symmetric(components),
     )
     values = fem.Expression(σ, np.full((1, 3), 0.25), comm=MPI.COMM_SELF).eval(mesh, np.array([0]))
     ε = np.array([[1.0, 6, 5], [6, 2, 4], [5, 4, 3]])

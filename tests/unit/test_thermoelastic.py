@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -12,75 +9,10 @@ import pytest
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app import quantities, scene
-from app.balance import Balance
-from app.problem import Problem
-from app.quantities import Samples, Stresses
-from app.solver import Solver
-from app.systems import mechanical
-from app.terms import Expansion, Scene
-from app.timing import Timing
-from tests import support
+from app import quantities
+from tests.heated import Heated, expanding
 
 Floats = NDArray[np.float64]
-Field = Callable[[Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Heated:
-    """A scene whose temperatures are given by hand."""
-
-    problem: Problem
-    solver: Solver
-    stresses: Stresses
-    balance: Balance
-
-    @classmethod
-    def make(cls, text: str, change: Callable[[Scene], Scene], *overrides: str) -> Heated:
-        """A case, its scene changed."""
-        case = support.case(text, *overrides)
-        timing = Timing()
-        problem = Problem(change(scene.build(case)), support.mesh(case), 1.0, timing)
-        solver = Solver(mechanical(problem), 1e-12, 50, "direct", {}, timing)
-        return cls(problem, solver, Stresses(problem, timing), Balance(problem, np.zeros(3)))
-
-    def temperature(self, field: float | Field) -> fem.Function:
-        """Temperature at the vertices [K]."""
-        T = fem.Function(self.problem.mechanics.scalars)
-        T.interpolate(lambda x: field(x) if callable(field) else np.full(x.shape[1], field))
-        return T
-
-    def solve(self, fields: Mapping[str, float | Field], time: float = 1.0) -> Samples | None:
-        """One step to given temperatures of the regions."""
-        self.problem.set_time(time)
-        self.problem.set_temperature({r: self.temperature(f) for r, f in fields.items()})
-        return self.step()
-
-    def step(self) -> Samples | None:
-        """Solve, commit, balance."""
-        outcome = self.solver.solve()
-        assert outcome.converged, outcome.residuals
-        u, q = self.solver.parts()
-        trial = self.problem.trial(u, q) if q is not None else None
-        self.problem.spread(u, q)
-        self.problem.commit(trial)
-        self.balance.update(u, trial)
-        return Samples(self.problem, trial) if trial is not None else None
-
-    def stress(self, region: str) -> Floats:
-        """Stress at the points of a region (n, 3, 3) [MPa]."""
-        return self.stresses.evaluate(region).reshape(-1, 3, 3)
-
-
-def expanding(**coefficients: float) -> Callable[[Scene], Scene]:
-    """Add expansion from 300 K to regions."""
-
-    def change(old: Scene) -> Scene:
-        terms = tuple(Expansion(r, a, 300.0) for r, a in coefficients.items())
-        return replace(old, expansions=terms)
-
-    return change
-
 
 # A bar of two materials, each with a fibre of its own direction; rollers on three faces, so that it
 # is free to grow.
@@ -235,7 +167,7 @@ def test_thermal_stiffness_is_the_change_of_the_forces() -> None:
     cold = Heated.make(CYLINDERS, expanding(cement=80e-6, bone=1e-5), *UNILATERAL)
     problem = cold.problem
     f, f_q = problem.f.copy(), problem.f_q.copy()
-    T = cold.temperature(lambda x: 300 + 7 * x[0] - 3 * x[1])
+    T = cold.scalar(lambda x: 300 + 7 * x[0] - 3 * x[1])
     problem.set_temperature({"cement": T, "bone": T})
     G = problem.thermal_stiffness({})
     assert G.u_τ is None and G.q_τ is None and G.u_θ is not None and G.q_θ is not None
@@ -256,7 +188,7 @@ def test_temperature_jumps_move_the_regions_they_belong_to() -> None:
     nodes = fem.locate_dofs_geometrical(
         scalars, lambda x: np.isclose(np.hypot(x[0], x[1]), 10, atol=1e-6)
     )
-    warm = cold.temperature(300.0)
+    warm = cold.scalar(300.0)
     warm.x.array[nodes] += np.linspace(1, 2, len(nodes))
     n = scalars.dofmap.index_map.size_local
     B = PETSc.Mat().createAIJ((n, len(nodes)), nnz=1, comm=problem.comm)
@@ -266,7 +198,7 @@ def test_temperature_jumps_move_the_regions_they_belong_to() -> None:
     τ = B.createVecRight()
     τ.array[:] = np.linspace(1, 2, len(nodes))
     f, f_q = problem.f.copy(), problem.f_q.copy()
-    problem.set_temperature({"cement": warm, "bone": cold.temperature(300.0)})
+    problem.set_temperature({"cement": warm, "bone": cold.scalar(300.0)})
     G = problem.thermal_stiffness({"cement": B})
     changed = problem.f - f
     changed.array[problem.held] = 0

@@ -1,0 +1,191 @@
+"""Regions that set: stress in rate form, from the modulus as it grows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.errors import InputError
+from app.setting import free_strain, growth
+from app.terms import Cure, Prescribed, Scene
+from tests.heated import Heated, expanding
+from tests.unit.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
+
+Floats = NDArray[np.float64]
+
+E, α_T = 2200.0, 8e-5
+
+
+def cure(region: str, initial: float = 1e-3, **more: float) -> Cure:
+    values = {"gel": 0.85, "floor": 0.01, "exponent": 1.0, "shrinkage": 0.0} | more
+    return Cure(region, Prescribed(()), 155.0, initial, **values)
+
+
+def setting(*cures: Cure, **coefficients: float) -> Callable[[Scene], Scene]:
+    """Let regions expand from 300 K, and set."""
+
+    def change(old: Scene) -> Scene:
+        return replace(expanding(**coefficients)(old), cures=cures)
+
+    return change
+
+
+def test_growth_of_the_modulus() -> None:
+    c = cure("x", exponent=2.0)
+    found = growth(c, np.array([0.0, 0.85, 0.925, 1.0]))
+    assert found == pytest.approx([0.01, 0.01, 0.01 + 0.99 / 4, 1.0])
+
+
+def test_free_strain_counts_from_gelation() -> None:
+    """Half of a step that gels half-way; sums do not depend on the number of steps."""
+    c = cure("x", gel=0.5, shrinkage=0.06)
+    θ, α = np.array([300.0, 310.0]), np.array([0.4, 0.6])
+    half = free_strain(c, 1e-4, θ[:, None], α[:, None])
+    assert half == pytest.approx([1e-4 * 5 - 0.02 * 0.2])
+    one, two = np.linspace(*θ, 8), np.linspace(*α, 8)
+    steps = [free_strain(c, 1e-4, one[k : k + 2, None], two[k : k + 2, None]) for k in range(7)]
+    assert sum(steps) == pytest.approx(half)
+    none = free_strain(c, 1e-4, θ[:, None], np.array([[0.4], [0.4]]))
+    full = free_strain(c, 1e-4, θ[:, None], np.array([[0.7], [0.7]]))
+    assert (none, full) == (0.0, pytest.approx(1e-3))
+
+
+@pytest.mark.parametrize("overrides", [(), UNILATERAL])
+@ORDERS
+def test_rate_form_is_the_total_form_where_nothing_sets(
+    order: int, overrides: tuple[str, ...]
+) -> None:
+    """Fully cured from the start, in two steps, as elastic cement at once."""
+    more = (f"mesh.order={order}", "mesh.curved=false", *overrides)
+    total = Heated.make(CYLINDERS, expanding(cement=α_T), *more)
+    total.solve({"cement": 260.0})
+    rate = Heated.make(CYLINDERS, setting(cure("cement", initial=1.0), cement=α_T), *more)
+    for time, fall in ((0.5, 15.0), (1.0, 40.0)):
+        rate.problem.set_time(time)
+        rate.set(1.0, -α_T * fall, "cement")
+        rate.step()
+    assert rate.problem.version == 0
+    expected, found = (m.problem.displacements()[-1].x.array for m in (total, rate))
+    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+    for region in ("stem", "cement", "bone"):
+        whole, steps = (
+            np.einsum("q,cqij->cij", m.stresses.shares(region), m.stresses.evaluate(region))
+            for m in (total, rate)
+        )
+        assert np.abs(steps - whole).max() < 1e-9 * 12.5, region
+    assert rate.balance.energy < 1e-9
+
+
+def path(n: int) -> tuple[Floats, Floats, Floats]:
+    """Degree of cure, temperature and free strain of a bar that sets while it cools."""
+    s = np.linspace(0, 1, n + 1)
+    α, θ = 0.6 + 0.4 * s, 350.0 - 50.0 * s**2
+    e = np.zeros(n + 1)
+    for k in range(n):
+        e[k + 1] = e[k] + free_strain(cure("x"), α_T, θ[k : k + 2], α[k : k + 2])
+    return α, θ, e
+
+
+def clamped(n: int, order: int = 1) -> Heated:
+    """A bar held at both ends, of one material that sets."""
+    soft = "regions.two={youngs_modulus: 2200 MPa, poisson_ratio: 0.3}"
+    change = setting(cure("one", 0.6), cure("two", 0.6), one=α_T, two=α_T)
+    bar = Heated.make(BAR, change, CLAMPS, soft, f"mesh.order={order}")
+    α, _, e = path(n)
+    for k in range(1, n + 1):
+        bar.problem.set_time(k / n)
+        bar.set(α[k], e[k], "one", "two")
+        bar.step()
+    return bar
+
+
+def test_a_clamped_bar_that_sets_while_it_cools() -> None:
+    """σ = -∫ g E α_T dθ from gelation on, of second order in the step."""
+    s = np.linspace(0.625, 1.0, 200_001)
+    g = growth(cure("x"), 0.6 + 0.4 * s)
+    exact = float(np.trapezoid(g * E * α_T * 100 * s, s))
+    errors = []
+    for n in (8, 16, 32):
+        bar = clamped(n)
+        σ = bar.stress("one")
+        assert np.abs(σ - np.diag([0, 0, σ[0, 2, 2]])).max() < 1e-9
+        assert bar.balance.energy < 1e-9
+        errors.append(abs(σ[0, 2, 2] / exact - 1))
+    assert errors[-1] < 2e-3
+    assert errors[0] / errors[-1] > 12
+
+
+@ORDERS
+def test_a_free_bar_that_sets_is_free_of_stress(order: int) -> None:
+    soft = "regions.two={youngs_modulus: 2200 MPa, poisson_ratio: 0.3}"
+    change = setting(cure("one", 0.6), cure("two", 0.6), one=α_T, two=α_T)
+    bar = Heated.make(BAR, change, soft, f"mesh.order={order}")
+    α, _, e = path(5)
+    for k in range(1, 6):
+        bar.problem.set_time(k / 5)
+        bar.set(α[k], e[k], "one", "two")
+        bar.step()
+    assert np.abs(bar.stress("two")).max() < 1e-9 * E * α_T * 50
+
+
+def test_what_is_strained_before_gelation_keeps_no_stress() -> None:
+    """Stretched as a fluid, then set: only the floor's part of the stress is there."""
+    stretch = "supports.ceiling={kind: displacement, boundary: top, z: 0.09 mm}"
+    one = "geometry.blocks=[{name: one, size: [4 mm, 3 mm, 9 mm]}]"
+    bar = Heated.make(
+        BAR,
+        setting(cure("one", 0.5)),
+        one,
+        stretch,
+        "regions={one: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}}",
+    )
+    bar.problem.set_time(1.0)
+    bar.set(0.5, 0.0, "one")
+    bar.step()
+    assert bar.stress("one")[:, 2, 2] == pytest.approx(0.01 * E * 0.01)
+    bar.set(1.0, 0.0, "one")
+    bar.step()
+    assert bar.stress("one")[:, 2, 2] == pytest.approx(0.01 * E * 0.01)
+    assert bar.balance.energy < 1e-10
+
+
+def test_setting_in_a_model_with_contact_and_a_degree_that_varies() -> None:
+    """Second order in the step where the outside sets first; balances close in every step."""
+    found = {}
+    for n in (3, 6, 12):
+        model = Heated.make(
+            CYLINDERS,
+            setting(cure("cement", 0.7, shrinkage=0.01), cement=α_T),
+            "mesh.order=1",
+            "mesh.curved=false",
+            "mesh.size=2 mm",
+            "mesh.far_size=2 mm",
+            *UNILATERAL,
+        )
+        for k in range(1, n + 1):
+            s = k / n
+            model.problem.set_time(s)
+            model.set(
+                lambda x, s=s: 0.85 + 0.15 * s * np.hypot(x[0], x[1]) / 10,
+                lambda x, s=s: -2e-3 * s * s * np.hypot(x[0], x[1]) / 10,
+                "cement",
+            )
+            model.step()
+            assert max(model.balance.force, model.balance.energy) < 1e-8
+        assert model.problem.version >= n
+        found[n] = model.stress("cement").mean(axis=0)
+    first, second = (np.abs(found[a] - found[b]).max() for a, b in ((3, 6), (6, 12)))
+    assert first / second == pytest.approx(4, rel=0.2)
+
+
+def test_eigenstrains_know_no_rate() -> None:
+    with pytest.raises(InputError, match="eigenstrains: none in a region that sets"):
+        Heated.make(
+            BAR,
+            setting(cure("one")),
+            "regions.one.eigenstrains=[{strain: 1e-3}]",
+        )
