@@ -90,13 +90,20 @@ class Conduction:
             (CureHeat(scene, self.bodies, self.forms),) if scene.cures else ()
         )
         self.frictions: tuple[FrictionHeating, ...] = (
-            (FrictionHeating(self.forms.zeros(), {f"friction {f.interface}": 0.0 for f in scene.friction_heat}),)
+            (
+                FrictionHeating(
+                    self.forms.zeros(),
+                    {f"friction {f.interface}": 0.0 for f in scene.friction_heat},
+                ),
+            )
             if scene.friction_heat
             else ()
         )
         self._monotone = Monotone(self.comm, self._conduction(), self.capacity)
         data = [c.initial for c in scene.conductors] + [e.outside for e in self._loads.exchange]
-        self._data = Extremes(self.comm, min(data), max(data), bool(scene.cures or scene.friction_heat))
+        self._data = Extremes(
+            self.comm, min(data), max(data), bool(scene.cures or scene.friction_heat)
+        )
         self._blocks = HeatMatrices(self._monotone.matrices, self.jumps, self.held)
         self._seconds = 0.0
         self._rate = 1.0
@@ -285,6 +292,11 @@ class Conduction:
     def adiabatic_rises(self) -> list[float]:
         """By how much full cure would warm each region that sets [K]."""
         return [n.adiabatic_rise for cure in self.cures for n in cure.nodes]
+
+    @staticmethod
+    def rubbing(jumps: TemperatureJumps) -> tuple[Floats, Floats]:
+        """Friction heat per area at own points (n,) [N/(mm s)], and the slave's share of it."""
+        return jumps.friction, jumps.share
 
     # Extremes
 

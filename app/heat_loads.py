@@ -44,6 +44,19 @@ class Exchange:
     per_kelvin: dict[int, Floats]
 
 
+@dataclass
+class FrictionHeating:
+    """Heat of friction, set from outside.
+
+    Attributes:
+        nodal: Heat into own nodes of each body [N mm/s].
+        flows: Heat of each interface by its name in the balance, over all ranks [N mm/s].
+    """
+
+    nodal: list[Floats]
+    flows: dict[str, float]
+
+
 class HeatLoads:
     """Fluxes, sources, convection and perfusion of a scene.
 

@@ -56,21 +56,3 @@ def from_rows(
     )
     A.assemble()
     return A
-
-
-def at_vertices(comm: MPI.Comm, vertex: Ints, values: Floats, wanted: Ints) -> Floats:
-    """Sums of values that any rank has at vertices, zero where none has; collective.
-
-    Args:
-        comm: Communicator.
-        vertex: Vertex numbers of the mesh file, of the values of this rank (n,).
-        values: The values (n,).
-        wanted: Vertices at which this rank wants them (m,).
-    """
-    pieces = comm.allgather((vertex, values))
-    every, of = np.unique(np.concatenate([v for v, _ in pieces]), return_inverse=True)
-    if not len(every):
-        return np.zeros(len(wanted))
-    sums = np.bincount(of.reshape(-1), np.concatenate([v for _, v in pieces]))
-    at = np.minimum(np.searchsorted(every, wanted), len(every) - 1)
-    return np.where(every[at] == wanted, sums[at], 0.0)

@@ -47,7 +47,6 @@ class TemperatureJumps:
         pressure: Contact pressure at own points (n,) [MPa], set from outside.
         friction: Friction heat per area at own points (n,) [N/(mm s)], set from outside.
         share: The part of it that goes into the slave (n,).
-        friction: Friction power per area there (n,) [N/(mm s)], set from outside.
     """
 
     def __init__(
@@ -102,7 +101,6 @@ class TemperatureJumps:
         self.pressure, self.friction = np.zeros(n), np.zeros(n)
         shares = {f.interface: f.slave_share for f in scene.friction_heat}
         self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
-        self.friction = np.zeros(n)
         with forms.compiling():
             self._law = Pointwise(
                 comm,
