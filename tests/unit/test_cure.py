@@ -175,6 +175,11 @@ def test_steps_that_make_no_sense_are_refused() -> None:
     assert curing.admissible(curing.initial())
     assert curing.admissible([np.array([0.0, 1.0])])
     assert curing.admissible([np.array([-1e-15, 1 + 1e-15])])
+    for kinetics in (BALIGA, Prescribed(COURSE)):
+        found = setting(kinetics, 2).update(
+            [np.array([-1e-15, 1 + 1e-15])], [np.full(2, 310.0)], 1.0, 350.0
+        )[0]
+        assert (found.degree >= 0).all() and (found.degree <= 1).all()
     for outside in (-1e-6, 1 + 1e-6, np.nan):
         assert not curing.admissible([np.array([0.5, outside])])
 
