@@ -25,8 +25,9 @@ def cross_check(parts: Parts) -> Iterable[Problem]:
         yield from _without_heat(parts, whole=len(regions) == len(parts.regions))
         return
     for name in cold:
-        others = ", ".join(n for n in regions if n not in cold)
-        yield Problem(("regions", name), f"'thermal' is missing, which {others} has; all or none")
+        others = " and ".join(n for n in regions if n not in cold)
+        text = f"'thermal' is missing; expected in every region or in none, like {others}"
+        yield Problem(("regions", name), text)
     yield from _conductors(parts, regions)
     yield from _stages(parts, regions)
 

@@ -19,6 +19,7 @@ from pydantic_core import core_schema
 from app.expressions import Varying
 from app.fields import ITEMS, TAG, Kinds, Model, Name, Scalar, Word, fail, show
 from app.units import (
+    NUMBER,
     AbsoluteTemperature,
     ActivationEnergy,
     Axis,
@@ -240,14 +241,14 @@ class _Conductance:
         def check(value: object) -> object:
             if value == "perfect":
                 return None
+            expected = "expected perfect, a value such as '300 W/(m^2 K)', or kind: pressure"
+            if isinstance(value, str) and not NUMBER.fullmatch(value):
+                fail(f"{show(value)} is not a conductance; {expected}")
             if isinstance(value, dict) and value.get("kind") != "pressure":
-                fail(
-                    f"{show(value['kind'])} is not pressure"
-                    if "kind" in value
-                    else "is missing; "
-                    "expected kind: pressure, or a conductance such as '300 W/(m^2 K)', or perfect",
-                    at=("kind",),
+                wrong = (
+                    f"{show(value['kind'])} is not pressure" if "kind" in value else "is missing"
                 )
+                fail(f"{wrong}; {expected}", at=("kind",))
             return value
 
         def tag(value: object) -> str:

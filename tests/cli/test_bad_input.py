@@ -60,7 +60,79 @@ solver:
   tolerance: 1e-10
 """
 
-DIRECT = "'direct' or 'multigrid'"
+HOT = """\
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 4 mm
+  bone_thickness: 6 mm
+  length: 20 mm
+mesh: {size: 2 mm}
+regions:
+  stem:
+    rigid: true
+    thermal:
+      conductivity: 14.8 W/(m K)
+      density: 8300 kg/m^3
+      specific_heat: 450 J/(kg K)
+      initial_temperature: 22 degC
+  cement:
+    youngs_modulus: 2.2 GPa
+    poisson_ratio: 0.3
+    thermal:
+      conductivity: 0.2 W/(m K)
+      density: 1200 kg/m^3
+      specific_heat: 1450 J/(kg K)
+      initial_temperature: 22 degC
+      thermal_expansion: 80e-6 1/K
+      cure:
+        kinetics:
+          kind: autocatalytic
+          rate_constant: 2.6397e8 1/s
+          activation_energy: 62866 J/mol
+          m: 0.98
+          n: 1.064
+          limit: [[20 degC, 0.9], [100 degC, 1]]
+        heat: 1.55e8 J/m^3
+        gel: 0.85
+  bone:
+    youngs_modulus: 17 GPa
+    poisson_ratio: 0.3
+    thermal:
+      axial_conductivity: 0.6 W/(m K)
+      transverse_conductivity: 0.5 W/(m K)
+      fibre: [0, 0, 1]
+      density: 1850 kg/m^3
+      specific_heat: 1260 J/(kg K)
+      initial_temperature: 37 degC
+interfaces:
+  stem_cement:
+    kind: contact
+    friction_coefficient: 0.4
+    conductance: {kind: pressure, open: 100 W/(m^2 K), per_pressure: 50 W/(m^2 K MPa)}
+    friction_heating: effusivity
+  cement_bone: {kind: bonded, conductance: 1000 W/(m^2 K)}
+supports:
+  base: {kind: fixed, boundary: bone_surface}
+  hold: {kind: fixed, boundary: stem_top, stages: [setting]}
+heat:
+  blood:
+    kind: perfusion
+    regions: [bone]
+    rate: 0.003 1/s
+    blood_density: 1060 kg/m^3
+    blood_specific_heat: 3770 J/(kg K)
+    temperature: 37 degC
+  outside: {kind: temperature, boundary: bone_surface, temperature: 37 degC}
+  lamp: {kind: flux, boundary: stem_top, flux: 100 W/m^2, course: [[0 s, 1], [10 s, 0]]}
+stages:
+  - {name: setting, duration: 1 hour}
+  - {name: rest}
+time: {tolerance: 1e-3 K}
+output:
+  probes: {middle: {at: "[9, 0, 10] mm", region: cement}}
+"""
+
 SYNTAX = "not valid YAML"
 TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
     "unknown key": (
@@ -512,9 +584,461 @@ TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
 }
 
 
-def edit(edits: list[tuple[str, str]]) -> str:
-    """The good file with edits, each of which has to apply."""
-    text = GOOD
+NO_HEAT = [
+    (
+        HOT[HOT.index("regions:") : HOT.index("interfaces:")],
+        "regions:\n  stem: {rigid: true}\n  cement: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}\n"
+        "  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}\n",
+    ),
+]
+NOWHERE = "no region conducts heat; expected `thermal` in every region"
+CONDUCTORS = [
+    ("    rigid: true\n", "    kind: conductor\n"),
+    ("    youngs_modulus: 2.2 GPa\n    poisson_ratio: 0.3\n", "    kind: conductor\n"),
+    ("      thermal_expansion: 80e-6 1/K\n", ""),
+    ("    youngs_modulus: 17 GPa\n    poisson_ratio: 0.3\n", "    kind: conductor\n"),
+]
+SOFT = HOT[HOT.index("  stem_cement:\n") : HOT.index("  cement_bone:")]
+HELD = HOT[HOT.index("supports:") : HOT.index("heat:")]
+HOT_TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
+    "temperature without unit": (
+        [("initial_temperature: 37 degC", "initial_temperature: 37")],
+        ["44:7: regions.bone.thermal.initial_temperature: 37 needs a unit, e.g. '37 degC'"],
+    ),
+    "temperature in coulomb": (
+        [("initial_temperature: 37 degC", "initial_temperature: 37 C")],
+        [
+            "44:7: regions.bone.thermal.initial_temperature: '37 C' is not a temperature; did "
+            "you mean '37 degC'?"
+        ],
+    ),
+    "temperature below absolute zero": (
+        [("initial_temperature: 37 degC", "initial_temperature: -300 degC")],
+        ["44:7: regions.bone.thermal.initial_temperature: '-300 degC' is not above absolute zero"],
+    ),
+    "temperature below absolute zero in a condition": (
+        [
+            (
+                "boundary: bone_surface, temperature: 37 degC",
+                "boundary: bone_surface, temperature: -1 K",
+            )
+        ],
+        ["63:56: heat.outside.temperature: '-1 K' is not above absolute zero"],
+    ),
+    "difference for a temperature": (
+        [("initial_temperature: 37 degC", "initial_temperature: 37 delta_degC")],
+        ["44:7: regions.bone.thermal.initial_temperature: '37 delta_degC' is a difference of"],
+    ),
+    "temperature for a difference": (
+        [("tolerance: 1e-3 K", "tolerance: 1 degC")],
+        [
+            "68:8: time.tolerance: '1 degC' is a temperature; expected a difference of "
+            "temperatures such as '1 K'"
+        ],
+    ),
+    "tolerance of nothing": (
+        [("tolerance: 1e-3 K", "tolerance: 0 K")],
+        ["68:8: time.tolerance: '0 K' must be positive"],
+    ),
+    "conductivity of another dimension": (
+        [("0.2 W/(m K)", "0.2 W/(m^2 K)")],
+        [
+            "20:7: regions.cement.thermal.conductivity: '0.2 W/(m^2 K)' is a conductance per "
+            "area; expected a conductivity such as '0.2 W/(m K)'"
+        ],
+    ),
+    "activation energy per mass": (
+        [("62866 J/mol", "62866 J/kg")],
+        [
+            "29:11: regions.cement.thermal.cure.kinetics.activation_energy: '62866 J/kg' is an "
+            "energy per mass; expected an energy per amount of substance"
+        ],
+    ),
+    "expansion as a rate": (
+        [("80e-6 1/K", "80e-6 1/s")],
+        [
+            "24:7: regions.cement.thermal.thermal_expansion: '80e-6 1/s' is a rate; expected an "
+            "expansion per temperature such as '80e-6 1/K'"
+        ],
+    ),
+    "no conductivity": (
+        [("      conductivity: 0.2 W/(m K)\n", "")],
+        [
+            "19:5: regions.cement.thermal: 'conductivity' is missing; expected conductivity, or "
+            "axial_conductivity and transverse_conductivity"
+        ],
+    ),
+    "half a conductivity": (
+        [("      transverse_conductivity: 0.5 W/(m K)\n", "")],
+        [
+            "38:5: regions.bone.thermal: 'transverse_conductivity' is missing; expected "
+            "conductivity, or"
+        ],
+    ),
+    "conductivity twice": (
+        [("axial_conductivity: 0.6", "conductivity: 0.6")],
+        [
+            "40:7: regions.bone.thermal.transverse_conductivity: transverse_conductivity beside "
+            "conductivity"
+        ],
+    ),
+    "fibre for nothing": (
+        [("conductivity: 0.2 W/(m K)", "conductivity: 0.2 W/(m K)\n      fibre: [1, 0, 0]")],
+        ["21:7: regions.cement.thermal.fibre: the conductivity is the same in all directions"],
+    ),
+    "two fibres": (
+        [
+            (
+                "    youngs_modulus: 17 GPa\n    poisson_ratio: 0.3\n",
+                "    kind: transversely_isotropic\n    axial_youngs_modulus: 17 GPa\n    "
+                "transverse_youngs_modulus: 11.5 GPa\n    axial_poisson_ratio: 0.31\n    "
+                "transverse_poisson_ratio: 0.51\n    axial_shear_modulus: 3.3 GPa\n",
+            )
+        ],
+        ["45:7: regions.bone.thermal.fibre: the region has a fibre of its own"],
+    ),
+    "missing density": (
+        [("      density: 1200 kg/m^3\n", "")],
+        ["19:5: regions.cement.thermal: 'density' is missing; expected: mass per volume"],
+    ),
+    "unknown thermal key": (
+        [("specific_heat: 1450", "heat_capacity: 1450")],
+        [
+            "19:5: regions.cement.thermal: 'specific_heat' is missing",
+            "22:7: regions.cement.thermal.heat_capacity: unknown key; allowed: conductivity, "
+            "axial_conductivity",
+        ],
+    ),
+    "unknown key of kinetics": (
+        [("m: 0.98", "o: 0.98")],
+        [
+            "26:9: regions.cement.thermal.cure.kinetics: 'm' is missing; expected: exponent of "
+            "the degree",
+            "30:11: regions.cement.thermal.cure.kinetics.o: unknown key; allowed: kind, "
+            "rate_constant, activation_energy, m, n, limit",
+        ],
+    ),
+    "unknown kinetics": (
+        [("kind: autocatalytic", "kind: catalytic")],
+        [
+            "27:11: regions.cement.thermal.cure.kinetics.kind: 'catalytic' is not one of "
+            "autocatalytic, prescribed; did you mean 'autocatalytic'?"
+        ],
+    ),
+    "rigid region that expands": (
+        [
+            (
+                "initial_temperature: 22 degC\n  cement",
+                "initial_temperature: 22 degC\n      thermal_expansion: 14e-6 1/K\n  cement",
+            )
+        ],
+        [
+            "16:7: regions.stem.thermal.thermal_expansion: a rigid region does not strain; "
+            "expected an elastic region"
+        ],
+    ),
+    "rigid region that sets": (
+        [
+            ("    youngs_modulus: 2.2 GPa\n    poisson_ratio: 0.3\n", "    rigid: true\n"),
+            ("      thermal_expansion: 80e-6 1/K\n", ""),
+        ],
+        [
+            "23:7: regions.cement.thermal.cure: a rigid region does not strain; expected an "
+            "elastic region",
+        ],
+    ),
+    "reference for nothing": (
+        [
+            (
+                "initial_temperature: 37 degC",
+                "initial_temperature: 37 degC\n      reference_temperature: 20 degC",
+            )
+        ],
+        [
+            "45:7: regions.bone.thermal.reference_temperature: nothing expands; expected "
+            "thermal_expansion"
+        ],
+    ),
+    "reference of what sets": (
+        [
+            (
+                "thermal_expansion: 80e-6 1/K",
+                "thermal_expansion: 80e-6 1/K\n      reference_temperature: 20 degC",
+            )
+        ],
+        [
+            "25:7: regions.cement.thermal.reference_temperature: strains of a region that cures "
+            "count from"
+        ],
+    ),
+    "cure that never starts": (
+        [("gel: 0.85", "initial: 0")],
+        ["34:9: regions.cement.thermal.cure.initial: never starts from 0 where m > 0"],
+    ),
+    "cure that is over": (
+        [("gel: 0.85", "initial: 1")],
+        ["34:9: regions.cement.thermal.cure.initial: 1 must be below 1"],
+    ),
+    "gel above the limit": (
+        [("0.9], [100 degC, 1]", "0.6], [100 degC, 0.8]")],
+        ["34:9: regions.cement.thermal.cure.gel: is above the largest limit of the kinetics, 0.8"],
+    ),
+    "limit above one": (
+        [("[100 degC, 1]", "[100 degC, 1.1]")],
+        ["32:46: regions.cement.thermal.cure.kinetics.limit[1][1]: 1.1 must be at most 1"],
+    ),
+    "limit that falls back": (
+        [("[100 degC, 1]", "[10 degC, 1]")],
+        [
+            "32:35: regions.cement.thermal.cure.kinetics.limit[1]: its temperature is not above "
+            "that of the pair before"
+        ],
+    ),
+    "limit of three": (
+        [("[100 degC, 1]", "[100 degC, 1, 1]")],
+        [
+            "32:35: regions.cement.thermal.cure.kinetics.limit[1]: has 3 values; expected a pair "
+            "such as [20 degC, 0.8]"
+        ],
+    ),
+    "clock that does not run": (
+        [
+            (
+                HOT[HOT.index("          kind: auto") : HOT.index("        heat: 1.55")],
+                "          kind: prescribed\n          rate: [[0 s, 0], [300 s, 0]]\n",
+            )
+        ],
+        [
+            "28:11: regions.cement.thermal.cure.kinetics.rate: nothing happens; expected at "
+            "least two pairs"
+        ],
+    ),
+    "negative heat of reaction": (
+        [("1.55e8 J/m^3", "-1.55e8 J/m^3")],
+        ["33:9: regions.cement.thermal.cure.heat: '-1.55e8 J/m^3' must not be negative"],
+    ),
+    "one region without heat": (
+        [(HOT[HOT.index("    thermal:\n      conductivity: 14.8") : HOT.index("  cement:\n")], "")],
+        [
+            "9:3: regions.stem: 'thermal' is missing; expected in every region or in none, like "
+            "cement and bone"
+        ],
+    ),
+    "heat in nothing": (
+        NO_HEAT,
+        [
+            f"16:5: interfaces.stem_cement.conductance: {NOWHERE}",
+            f"17:5: interfaces.stem_cement.friction_heating: {NOWHERE}",
+            f"18:31: interfaces.cement_bone.conductance: {NOWHERE}",
+            f"22:1: heat: {NOWHERE}",
+            f"33:21: stages[0].duration: nothing takes time: {NOWHERE}",
+            f"35:1: time: {NOWHERE}",
+            f"37:3: output.probes: {NOWHERE}",
+        ],
+    ),
+    "conductor beside solids": (
+        [("    rigid: true\n", "    kind: conductor\n")],
+        [
+            "9:3: regions.stem: a conductor beside solids (cement, bone); expected conductors "
+            "only, or none"
+        ],
+    ),
+    "conductors that touch": (
+        CONDUCTORS,
+        [
+            "43:3: interfaces.stem_cement: every region is a conductor: nothing can part; "
+            "expected kind: bonded",
+            "50:3: supports.base: every region is a conductor: nothing can move",
+            "51:3: supports.hold: every region is a conductor: nothing can move",
+            "64:5: stages[1]: nothing happens in it; expected a duration, or steady: true",
+        ],
+    ),
+    "conductor that expands": (
+        [CONDUCTORS[1], (SOFT, ""), (HELD, "")],
+        ["23:7: regions.cement.thermal.thermal_expansion: a conductor does not strain"],
+    ),
+    "conductor without heat": (
+        [(HOT[HOT.index("    rigid") : HOT.index("  cement:\n")], "    kind: conductor\n")],
+        ["9:3: regions.stem: 'thermal' is missing; expected: conduction of heat"],
+    ),
+    "conductance of another dimension": (
+        [("1000 W/(m^2 K)", "1000 W/(m K)")],
+        [
+            "51:31: interfaces.cement_bone.conductance: '1000 W/(m K)' is a conductivity; "
+            "expected a conductance per area"
+        ],
+    ),
+    "conductance that is no word": (
+        [("1000 W/(m^2 K)", "perfekt")],
+        [
+            "51:31: interfaces.cement_bone.conductance: 'perfekt' is not a conductance; expected "
+            "perfect, a value"
+        ],
+    ),
+    "conductance by something else": (
+        [("{kind: pressure, open", "{kind: gap, open")],
+        [
+            "49:19: interfaces.stem_cement.conductance.kind: 'gap' is not pressure; expected "
+            "perfect, a value"
+        ],
+    ),
+    "conductance with a cap below": (
+        [("MPa)}", "MPa), cap: 10 W/(m^2 K)}")],
+        ["49:88: interfaces.stem_cement.conductance.cap: is below `open`"],
+    ),
+    "conductance by pressure where there is none": (
+        [
+            (
+                "conductance: 1000 W/(m^2 K)",
+                "conductance: {kind: pressure, open: 0 W/(m^2 K), per_pressure: 1 W/(m^2 K MPa)}",
+            )
+        ],
+        [
+            "51:31: interfaces.cement_bone.conductance: a bonded interface has no contact "
+            "pressure; expected kind: contact or penalty"
+        ],
+    ),
+    "friction heat where nothing rubs": (
+        [("1000 W/(m^2 K)", "1000 W/(m^2 K), friction_heating: 0.5")],
+        ["51:60: interfaces.cement_bone.friction_heating: unknown key; allowed: kind, conductance"],
+    ),
+    "friction heat without friction": (
+        [("friction_coefficient: 0.4", "friction_coefficient: 0")],
+        ["50:5: interfaces.stem_cement.friction_heating: there is no friction"],
+    ),
+    "more than all friction heat": (
+        [("friction_heating: effusivity", "friction_heating: 1.1")],
+        ["50:5: interfaces.stem_cement.friction_heating: 1.1 must be at most 1"],
+    ),
+    "friction heat by another word": (
+        [("friction_heating: effusivity", "friction_heating: even")],
+        [
+            "50:5: interfaces.stem_cement.friction_heating: 'even' is not effusivity or a number "
+            "from 0 to 1"
+        ],
+    ),
+    "unknown kind of heat": (
+        [("kind: perfusion", "kind: perfussion")],
+        [
+            "57:5: heat.blood.kind: 'perfussion' is not one of temperature, flux, convection, "
+            "source, perfusion; did you mean 'perfusion'?"
+        ],
+    ),
+    "unknown region of heat": (
+        [("regions: [bone]", "regions: [bones]")],
+        [
+            "58:15: heat.blood.regions[0]: the geometry (cylinders) has no region 'bones'; it "
+            "has stem, cement, bone; did you mean 'bone'?"
+        ],
+    ),
+    "unknown boundary of heat": (
+        [("kind: flux, boundary: stem_top", "kind: flux, boundary: stem_trunnion")],
+        ["64:22: heat.lamp.boundary: the geometry (cylinders) has no boundary 'stem_trunnion'"],
+    ),
+    "temperature nowhere": (
+        [("boundary: bone_surface, temperature", "temperature")],
+        ["63:3: heat.outside: expected either boundary or regions"],
+    ),
+    "temperature twice": (
+        [("temperature: 37 degC}", "temperature: 37 degC, course: [[0 s, 37 degC]]}")],
+        ["63:3: heat.outside: expected either temperature or course"],
+    ),
+    "course of temperatures without units": (
+        [("temperature: 37 degC}", "course: [[0 s, 1], [10 s, 30 degC]]}")],
+        ["63:71: heat.outside.course[0][1]: 1 needs a unit, e.g. '1 degC'"],
+    ),
+    "course that goes back": (
+        [("[10 s, 0]", "[0 s, 0]")],
+        ["64:78: heat.lamp.course[1]: its time is not above that of the pair before"],
+    ),
+    "course before the start": (
+        [("[0 s, 1]", "[-1 s, 1]")],
+        ["64:69: heat.lamp.course[0][0]: '-1 s' must not be negative"],
+    ),
+    "course of nothing": (
+        [("[[0 s, 1], [10 s, 0]]", "[]")],
+        ["64:59: heat.lamp.course: is empty; expected at least one pair"],
+    ),
+    "no time": (
+        [(", duration: 1 hour", "")],
+        [
+            "65:1: stages: heat has no time to flow; expected a duration, or steady: true, in "
+            "some stage"
+        ],
+    ),
+    "steady and a duration": (
+        [("duration: 1 hour", "duration: 1 hour, steady: true")],
+        ["66:21: stages[0].duration: a steady stage takes as long as it takes: no duration"],
+    ),
+    "cure in a steady stage": (
+        [("duration: 1 hour", "steady: true")],
+        ["66:21: stages[0].steady: cement sets with time; expected a duration"],
+    ),
+    "steady stage without a sink": (
+        [
+            ("name: rest", "name: rest, steady: true"),
+            (HOT[HOT.index("  blood:") : HOT.index("  lamp")], ""),
+            (HOT[HOT.index("      cure:") : HOT.index("  bone:\n")], ""),
+        ],
+        [
+            "49:18: stages[1].steady: nothing settles the temperature; expected heat of kind "
+            "temperature, convection or perfusion"
+        ],
+    ),
+    "duration of a length": (
+        [("1 hour", "1 m")],
+        ["66:21: stages[0].duration: '1 m' is a length; expected a time such as '600 s'"],
+    ),
+    "unknown stage of a support": (
+        [("stages: [setting]", "stages: [seting]")],
+        [
+            "54:52: supports.hold.stages[0]: 'seting' is not one of setting, rest; did you mean "
+            "'setting'?"
+        ],
+    ),
+    "support in no stage": (
+        [("stages: [setting]", "stages: []")],
+        ["54:43: supports.hold.stages: is empty; expected names of stages"],
+    ),
+    "nothing holds in one stage": (
+        [
+            (
+                "  base: {kind: fixed, boundary: bone_surface}\n",
+                "  base: {kind: roller, boundary: bone_surface, axis: z}\n",
+            )
+        ],
+        [
+            "52:1: supports: nothing holds the model along x and y in stage 'rest'; expected a "
+            "support"
+        ],
+    ),
+    "unknown time stepping": (
+        [("tolerance: 1e-3 K", "method: sdirk2")],
+        [
+            "68:8: time.method: 'sdirk2' is not one of sdirk4, backward_euler; did you mean "
+            "'sdirk4'?"
+        ],
+    ),
+    "probe in an unknown region": (
+        [("region: cement", "region: marrow")],
+        [
+            "70:42: output.probes.middle.region: the geometry (cylinders) has no region "
+            "'marrow'; it has stem, cement, bone"
+        ],
+    ),
+    "probe that is no point": (
+        [('{at: "[9, 0, 10] mm", region: cement}', "[9 mm, 0 mm]")],
+        ["70:12: output.probes.middle.at: has 2 values; expected three"],
+    ),
+    "unknown coupling": (
+        [("output:", "solver: {coupling: loose}\noutput:")],
+        ["69:10: solver.coupling: 'loose' is not one of auto, monolithic, staggered"],
+    ),
+}
+
+
+def edit(edits: list[tuple[str, str]], text: str = GOOD) -> str:
+    """A good file with edits, each of which has to apply."""
     for old, new in edits:
         assert old in text, old
         text = text.replace(old, new, 1)
@@ -531,13 +1055,15 @@ def test_good_file_is_good(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(GOOD)
     assert config.load(path).title == "press"
+    path.write_text(HOT)
+    assert config.load(path).conducts
 
 
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", [*TABLE, *HOT_TABLE])
 def test_complaint(name: str, tmp_path: Path) -> None:
-    edits, expected = TABLE[name]
+    edits, expected = (TABLE | HOT_TABLE)[name]
     path = tmp_path / "case.yaml"
-    path.write_text(edit(edits))
+    path.write_text(edit(edits, HOT if name in HOT_TABLE else GOOD))
     messages = complaints(path)
     assert len(messages) == len(expected), messages
     for message, start in zip(messages, expected, strict=True):
@@ -549,7 +1075,8 @@ def test_complaint(name: str, tmp_path: Path) -> None:
 
 
 def test_table_is_large_enough() -> None:
-    assert sum(len(expected) for _, expected in TABLE.values()) >= 60
+    assert not TABLE.keys() & HOT_TABLE.keys()
+    assert sum(len(expected) for _, expected in (TABLE | HOT_TABLE).values()) >= 130
 
 
 OVERRIDES = [
