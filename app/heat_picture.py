@@ -106,6 +106,9 @@ def section(
         temperatures: Nodal temperatures of the bodies, ghosts too [K].
         seconds: The time they belong to [s].
         at: The place (3,) [mm].
+
+    Raises:
+        OSError: The file cannot be written (on every rank).
     """
     comm = tagged.mesh.comm
     mine = _corners(tagged, dofs, body, temperatures)
@@ -117,9 +120,15 @@ def section(
     planes = [(1, middle_plane(low[1], high[1])), (2, across)]
     pieces = [_cut(*mine, axis, level) for axis, level in planes]
     gathered = comm.gather(pieces)
+    failed = None
     if gathered is not None:
         whole = [_join([p[k] for p in gathered]) for k in range(len(planes))]
-        _draw(path, planes, whole, seconds, at)
+        try:
+            _draw(path, planes, whole, seconds, at)
+        except OSError as error:
+            failed = error
+    if (failed := comm.bcast(failed)) is not None:
+        raise failed
 
 
 # Corners (k, 3, 4) of triangles with temperature [degC] behind the coordinates, and outlines of

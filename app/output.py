@@ -11,27 +11,25 @@ import hashlib
 import io
 import platform
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-import numpy as np
-from numpy.typing import NDArray
-
-from app import __version__
-from app.bodies import cell_tags
+from app import __version__, heat_picture
+from app.conduction import Conduction
 from app.errors import StoppedError, everywhere
+from app.field_output import Fields, Layer
 from app.folders import write_json, write_text
-from app.problem import Problem
-from app.quantities import Samples, Stresses
-from app.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
+from app.quantities import Samples
+from app.thermal_quantities import ThermalRecord
+from meshes.distribute import TaggedMesh
 
-Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 UNITS = {
@@ -44,8 +42,16 @@ UNITS = {
     "angle": "deg",
     "time": "s",
     "temperature": "degC",
+    "temperature difference": "K",
+    "heat flux": "W/m^2",
+    "entropy production": "W/(m^2 K)",
+    "thermal dose": "min",
 }
-RESULTS = ("DONE", "summary.json", "provenance.json", "history.csv", "fields.vtkhdf")
+HISTORY, SECTION = "temperature.png", "temperature_section.png"
+RESULTS = (
+    *("DONE", "summary.json", "provenance.json", "history.csv", "fields.vtkhdf"),
+    *(HISTORY, SECTION),
+)
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
@@ -88,8 +94,8 @@ class Writer:
 
     def __init__(
         self,
-        problem: Problem,
-        stresses: Stresses,
+        tagged: TaggedMesh,
+        layers: Sequence[Layer],
         folder: Path,
         resolved: str,
         fields: bool,
@@ -98,8 +104,8 @@ class Writer:
         """Create the directory and the field file; collective.
 
         Args:
-            problem: The problem, at rest.
-            stresses: Its stresses.
+            tagged: The mesh.
+            layers: What the fields are of: the mechanics, if there are any, then the heat.
             folder: The run directory; exists.
             resolved: The resolved configuration, as YAML.
             fields: Whether fields are written.
@@ -108,8 +114,7 @@ class Writer:
         Raises:
             StoppedError: The directory cannot be written.
         """
-        self._problem, self._stresses, self.folder = problem, stresses, folder
-        self._comm, self._record = problem.comm, record
+        self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
         self._rows: list[dict[str, Any]] = []
 
         def start() -> None:
@@ -119,8 +124,8 @@ class Writer:
 
         _write(self._comm, start, str(folder))
         with _full_disk("fields.vtkhdf"):
-            self._grids: tuple[_Fields, ...] = (
-                (_Fields(problem, stresses, folder / "fields.vtkhdf"),) if fields else ()
+            self._grids: tuple[Fields, ...] = (
+                (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
             )
 
     def fields(self, time: float, samples: Samples | None) -> None:
@@ -143,6 +148,22 @@ class Writer:
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, text.getvalue()), str(path))
 
+    def pictures(self, conduction: Conduction, record: ThermalRecord) -> None:
+        """Draw temperatures over time, and in a section when the bone was hottest; collective."""
+        path = self.folder / HISTORY
+        draw = partial(heat_picture.history, path, record.seconds, record.curves())
+        _write(self._comm, draw, str(path))
+        with _full_disk(SECTION):
+            heat_picture.section(
+                self.folder / SECTION,
+                conduction.tagged,
+                conduction.space.dofmap.list,
+                conduction.bodies.of_region,
+                record.hottest,
+                record.hottest_time,
+                record.hottest_at,
+            )
+
     def finish(self, summary: dict[str, Any], done: bool) -> None:
         """Write summary and provenance, and the marker if the run is complete; collective."""
 
@@ -155,90 +176,8 @@ class Writer:
         _write(self._comm, write, str(self.folder))
 
 
-class _Fields:
-    """The bodies with their own copies of interface nodes, so that gaps can be seen."""
-
-    def __init__(self, problem: Problem, stresses: Stresses, path: Path) -> None:
-        self._problem, self._stresses = problem, stresses
-        mesh, bodies = problem.tagged.mesh, problem.bodies
-        tags = cell_tags(problem.tagged)[: mesh.topology.index_map(3).size_local]
-        dofs = problem.space.dofmap.list[: len(tags)]
-        quadratic = problem.scene.order == 2
-        body = bodies.of_tag[tags]
-        # A node of each body it belongs to: (body, local dof) pairs.
-        node = body[:, None] * (int(dofs.max(initial=0)) + 1) + dofs
-        pairs, cells = np.unique(node, return_inverse=True)
-        self._body, self._dof = np.divmod(pairs, int(dofs.max(initial=0)) + 1)
-        cells = cells.reshape(dofs.shape)
-        if quadratic:
-            cells = cells[:, QUADRATIC_NODES]
-        self._tags = tags
-        self._point_of = self._contact_rows()
-        self._grid = GridFile(
-            problem.comm,
-            path,
-            problem.space.tabulate_dof_coordinates()[self._dof],
-            cells,
-            QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
-            {"region": tags.astype(np.int32)},
-        )
-
-    def _contact_rows(self) -> dict[int, NDArray[np.int64]]:
-        """For each interface, the contact point of each node of the grid, -1 elsewhere."""
-        rows: dict[int, NDArray[np.int64]] = {}
-        index_map = self._problem.space.dofmap.index_map
-        numbers = index_map.local_to_global(self._dof.astype(np.int32))
-        for j in self._problem.jumps:
-            p = j.points
-            for i in range(len(self._problem.scene.contacts)):
-                found = np.full(len(numbers), -1, dtype=np.int64)
-                here = np.flatnonzero(p.interface == i)
-                order = here[np.argsort(p.dof[here], kind="stable")]
-                at = np.clip(np.searchsorted(p.dof[order], numbers), 0, max(len(order) - 1, 0))
-                if len(order):
-                    k = order[at]
-                    match = (p.dof[k] == numbers) & (p.bodies[k] == self._body[:, None]).any(axis=1)
-                    found[match] = k[match]
-                rows[i] = found
-        return rows
-
-    def write(self, time: float, samples: Samples | None) -> None:
-        """Append a step."""
-        problem = self._problem
-        u = np.zeros((len(self._dof), 3))
-        for b, function in enumerate(problem.displacements()):
-            at = self._body == b
-            u[at] = function.x.array.reshape(-1, 3)[self._dof[at]]
-        point: dict[str, Floats] = {"displacement": u}
-        if samples is not None:
-            for i, contact in enumerate(problem.scene.contacts):
-                point |= self._interface(contact.name, samples, self._point_of[i])
-        σ = np.zeros((len(self._tags), 9))
-        for region, cells in self._stresses.cells.items():
-            σ[cells] = self._stresses.mean(region).reshape(-1, 9)
-        self._grid.write(time, point, {"stress": σ})
-
-    @staticmethod
-    def _interface(name: str, s: Samples, row: NDArray[np.int64]) -> dict[str, Floats]:
-        """Fields of an interface at the grid's nodes: zero away from it, status -1."""
-        on = row >= 0
-
-        def spread(values: Floats, away: float = 0.0) -> Floats:
-            out = np.full(len(row), away)
-            out[on] = values[row[on]]
-            return out
-
-        return {
-            f"{name}_gap": spread(s.gap.max(axis=1)),
-            f"{name}_slip": spread(s.slip.max(axis=1)),
-            f"{name}_pressure": spread(s.pressure),
-            f"{name}_shear": spread(s.shear),
-            f"{name}_status": spread(s.status.astype(float), -1.0),
-        }
-
-
 def provenance(
-    problem: Problem, case_path: Path, overrides: list[str], mesh_hash: str, started: datetime
+    ranks: int, case_path: Path, overrides: list[str], mesh_hash: str, started: datetime
 ) -> dict[str, Any]:
     """Where a result comes from."""
     packages = {}
@@ -254,7 +193,7 @@ def provenance(
         "case_sha256": hashlib.sha256(case_path.read_bytes()).hexdigest(),
         "overrides": overrides,
         "mesh_sha256": mesh_hash,
-        "ranks": problem.comm.size,
+        "ranks": ranks,
         "host": platform.node(),
         "python": platform.python_version(),
         "packages": packages,

@@ -21,6 +21,7 @@ from app import config, error, folders, preview, quantities, ranks, scene, stepp
 from app import log as text
 from app.balance import Balance
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
+from app.field_output import MechanicalFields
 from app.motion import Motion, Step, Summary
 from app.output import UNITS, Writer, on_root, provenance
 from app.problem import Problem, Trial
@@ -79,12 +80,12 @@ def run(
         comm.size,
     )
     writer = Writer(
-        problem,
-        model.stresses,
+        problem.tagged,
+        (MechanicalFields(problem, model.stresses),),
         output,
         config.dump(case),
         case.output.fields,
-        lambda: provenance(problem, case_path, overrides, model.mesh_hash, started),
+        lambda: provenance(comm.size, case_path, overrides, model.mesh_hash, started),
     )
     recorder = _Recorder(case, model, balance, writer, timing, begin)
     log.info("%s", text.step_header())

@@ -1,0 +1,155 @@
+"""The grid of the field file: who has nodes of his own, and the values there."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from mpi4py import MPI
+
+import h5py
+import numpy as np
+import pytest
+from dolfinx import fem
+
+from app.bodies import Bodies, bodies_of
+from app.conduction import Conduction
+from app.field_output import Copies, Fields, HeatFields
+from app.quantities import Samples
+from app.results import shape_functions
+from app.terms import Conductor, Scene, ThermalContact
+from app.thermal_quantities import ThermalRecord
+from app.timing import Timing
+from meshes.distribute import TaggedMesh
+from tests import support
+from tests.unit.test_thermal_quantities import SIDES, ZERO, two_blocks
+
+H = 0.3  # N/(mm s K): 300 W/(m2 K)
+
+
+class Motion:
+    """Stands for the mechanics: a second-order space in which nothing parts."""
+
+    def __init__(self, tagged: TaggedMesh) -> None:
+        self.bodies: Bodies = bodies_of(tagged, (), ())
+        self.space = fem.functionspace(tagged.mesh, ("Lagrange", 2, (3,)))
+
+    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Any]:
+        return {"place": self.space.tabulate_dof_coordinates()[nodes.dof]}
+
+    def cell(self, cells: int) -> dict[str, Any]:
+        return {"one": np.ones(cells)}
+
+
+def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
+    """Bone at 40 + 4 z + y degC; cement colder by 10 + x where the interface resists heat."""
+    contact = ThermalContact("bone_cement", ("cement",), ("bone",), H, 0.0, np.inf)
+    conductors = tuple(Conductor(r, (1.0,), (), 2.0, ZERO + 37) for r in ("bone", "cement"))
+    scene = Scene(
+        1, (), (), (), (), (), (), (),
+        conductors=conductors,
+        thermal_contacts=(contact,) if resists else (),
+    )  # fmt: skip
+    conduction = Conduction(scene, tagged, Timing())
+    state = conduction.vectors()
+    x = conduction.space.tabulate_dof_coordinates()[: conduction.owned]
+    # The master side has the continuous field.
+    bone = ZERO + 40 + 4 * x[:, 2] + x[:, 1]
+    colder = (10 + x[:, 0]) if resists else 0.0
+    state[0].array[:] = np.where(x[:, 2] < 1.999, bone, bone - colder)
+    for j, τ in zip(conduction.jumps, state[1:], strict=True):
+        τ.array[:] = 10 + x[j.dof, 0]
+    record = ThermalRecord(tagged, conduction.forms, conduction.bodies.of_region, SIDES, ())
+    temperatures = conduction.temperatures(state)
+    record.start(temperatures)
+    record.update(60.0, temperatures)
+    degree = x[record.exposure("cement")[0].dof, 0] / 5
+    heating: Any = SimpleNamespace(
+        conduction=conduction, vectors=lambda: state, degrees=lambda: {"cement": degree}
+    )
+    return HeatFields(heating, record, SIDES)
+
+
+def read(path: Path) -> tuple[dict[str, Any], Any, Any, Any]:
+    with h5py.File(path) as file:
+        root = file["VTKHDF"]
+        fields = {k: v[:] for k, v in root["PointData"].items()}
+        width = len(root["Connectivity"]) // len(root["Types"])
+        cells = root["Connectivity"][:].reshape(-1, width)
+        return fields, root["Points"][:], cells, root["CellData/region"][:]
+
+
+def check_heat_alone(comm: MPI.Comm, path: Path) -> None:
+    tagged = two_blocks(comm)
+    Fields(tagged, (heat(tagged, True),), path).write(1.0, None)
+    if comm.rank:
+        return
+    fields, x, cells, region = read(path)
+    assert cells.shape[1] == 4 and "displacement" not in fields
+    bone = np.isin(np.arange(len(x)), cells[region == 1])
+    cement = np.isin(np.arange(len(x)), cells[region == 2])
+    assert not (bone & cement).any()
+    T = 40 + 4 * x[:, 2] + x[:, 1]
+    assert fields["temperature"] == pytest.approx(np.where(bone, T, T - 10 - x[:, 0]))
+    at = np.abs(x[:, 2] - 2) < 1e-9
+    # First side bone: second minus first is negative, and heat flows from first to second.
+    jump = np.where(at, -10 - x[:, 0], 0)
+    assert fields["bone_cement_temperature_jump"] == pytest.approx(jump)
+    assert fields["bone_cement_heat_flux"] == pytest.approx(-1e3 * H * jump)
+    assert fields["degree_of_cure"] == pytest.approx(np.where(cement, x[:, 0] / 5, 0))
+    minutes = np.where(T >= 43, 2 ** (T - 43), np.where(T >= 39, 4 ** (T - 43.0), 0))
+    assert fields["cem43"] == pytest.approx(np.where(bone, minutes, 0))
+    assert fields["seconds_over_47"] == pytest.approx(np.where(bone & (T > 46.999), 60, 0))
+
+
+def check_both(comm: MPI.Comm, path: Path) -> None:
+    """Bonded mechanics of second order over heat that jumps, and over heat that does not."""
+    tagged = two_blocks(comm)
+    for resists in (True, False):
+        Fields(tagged, (Motion(tagged), heat(tagged, resists)), path).write(1.0, None)
+        comm.barrier()
+        if comm.rank:
+            continue
+        fields, x, cells, region = read(path)
+        assert cells.shape[1] == 10
+        assert fields["place"] == pytest.approx(x)
+        bone = np.isin(np.arange(len(x)), cells[region == 1])
+        cement = np.isin(np.arange(len(x)), cells[region == 2])
+        assert (bone & cement).any() != resists
+        T = 40 + 4 * x[:, 2] + x[:, 1] - np.where(cement & resists, 10 + x[:, 0], 0)
+        assert fields["temperature"] == pytest.approx(T)
+        # Middle nodes are where VTK wants them.
+        N, _ = shape_functions(np.array([[0.2, 0.3, 0.1]]), 10)
+        L, _ = shape_functions(np.array([[0.2, 0.3, 0.1]]), 4)
+        assert N @ fields["temperature"][cells].T == pytest.approx(
+            L @ fields["temperature"][cells[:, :4]].T
+        )
+
+
+def test_heat_alone(tmp_path: Path) -> None:
+    check_heat_alone(MPI.COMM_SELF, tmp_path / "fields.vtkhdf")
+
+
+def test_heat_and_mechanics(tmp_path: Path) -> None:
+    check_both(MPI.COMM_SELF, tmp_path / "fields.vtkhdf")
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("ranks", [2, 3])
+def test_on_ranks(ranks: int, tmp_path: Path) -> None:
+    done = subprocess.run(
+        support.mpirun(ranks, __file__, tmp_path / "fields.vtkhdf"),
+        env=support.environment(),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+if __name__ == "__main__":
+    for check in (check_heat_alone, check_both):
+        check(MPI.COMM_WORLD, Path(sys.argv[1]))
