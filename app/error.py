@@ -22,6 +22,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,9 @@ MOTIONS = (
     *("pressure_mean", "shear_mean", "subsidence", "retroversion", "varus"),
 )
 TRACTIONS = ("pressure_p99", "shear_p99", "von_mises_p99", "hoop_p99", "principal_p99")
+# Temperature is of first order on any mesh. All of its numbers are estimated but these.
+HEAT_ORDER = ORDERS[1][0]
+NOT_ESTIMATED = ("entropy_production_min", "entropy_production_max")
 PEAKS = ("gap_max", "slip_max", "pressure_max", "shear_max", "von_mises_max", "principal_max")
 # The power of the error of all time steps with which the tolerance of one of them goes.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
@@ -119,7 +124,8 @@ def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers
     """Put an ``X_error`` beside each headline number X.
 
     Args:
-        run: Sections interfaces, regions and stem of the run's summary; changed in place.
+        run: Sections interfaces, regions and stem of the run's summary, and thermal and cure where
+            there are any; changed in place.
         order: Degree of its displacement.
         solved: Its companions with the same sections.
 
@@ -130,25 +136,39 @@ def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers
     tables = _tables(run)
     largest = {k: max((abs(q[k]) for _, q in tables if k in q), default=0.0) for k in PEAKS}
     largest |= dict.fromkeys(("gap_max", "slip_max"), max(largest["gap_max"], largest["slip_max"]))
-    for (section, name), numbers in tables:
-        others = [(c, o[section][name] if name else o[section]) for c, o in solved]
-        for keys, p in zip((MOTIONS, TRACTIONS), ORDERS[order], strict=True):
-            for key in [k for k in numbers if k in keys]:
-                if (error := _error(key, p, numbers, others)) is not None:
-                    numbers[f"{key}_error"] = error
+    for path, numbers in tables:
+        others = [(c, reduce(getitem, path, o)) for c, o in solved]
+        for key, p in _orders(path, numbers, order).items():
+            if (error := _error(key, p, numbers, others)) is not None:
+                numbers[f"{key}_error"] = error
         for other in [o for c, o in others if c.coarsening > LEAST][:1]:
             for k in [k for k in PEAKS if k in numbers]:
                 # What is next to nothing beside its like on other interfaces is no peak.
                 size = max(abs(numbers[k]), UNSETTLED * largest[k])
                 if abs(numbers[k] - other[k]) > UNSETTLED * size:
-                    unsettled.append(f"{name}.{k}")
+                    unsettled.append(f"{path[-1]}.{k}")
     return unsettled
 
 
-def _tables(run: Numbers) -> list[tuple[tuple[str, str], Numbers]]:
-    """Each mapping of numbers, with its section and name."""
-    named = [((s, n), q) for s in ("interfaces", "regions") for n, q in run[s].items()]
-    return [*named, (("stem", ""), run["stem"])]
+def _tables(run: Numbers) -> list[tuple[tuple[str, ...], Numbers]]:
+    """Each mapping of numbers with its path in the summary."""
+    heat = run.get("thermal", {})
+    sections: list[tuple[tuple[str, ...], Numbers]] = [
+        *(((s,), run[s]) for s in ("interfaces", "regions")),
+        *((("thermal", s), heat[s]) for s in heat),
+        (("cure",), run.get("cure", {})),
+    ]
+    named = [((*path, n), q) for path, section in sections for n, q in section.items()]
+    return [*named, (("stem",), run["stem"])]
+
+
+def _orders(path: tuple[str, ...], numbers: Numbers, order: int) -> dict[str, float]:
+    """The numbers of a table that are estimated, and with which order of convergence."""
+    if path[0] in ("thermal", "cure"):
+        known = {k for k, v in numbers.items() if isinstance(v, float)}
+        return dict.fromkeys(sorted(known.difference(NOT_ESTIMATED)), HEAT_ORDER)
+    motion, stress = ORDERS[order]
+    return {k: motion if k in MOTIONS else stress for k in numbers if k in (*MOTIONS, *TRACTIONS)}
 
 
 def _error(
@@ -156,7 +176,9 @@ def _error(
 ) -> Any:
     """Error of one number or vector; None if nothing is known of it."""
     value = np.asarray(run[key])
-    known = [(c.coarsening, c.steps, np.asarray(o[key])) for c, o in others]
+    known = [
+        (c.coarsening, c.steps, np.asarray(o[key])) for c, o in others if o.get(key) is not None
+    ]
     if not known:
         return None
     # Two on the same mesh tell what the number of steps does: C / n.

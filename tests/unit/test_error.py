@@ -144,3 +144,51 @@ def test_no_companion_no_error() -> None:
     run = numbers(1.0, 1, 1.8)
     assert error.estimate(run, 2, []) == []
     assert "slip_p99_error" not in run["interfaces"]["lower_upper"]
+
+
+def heated(size: float, increments: float, dead: float = 2.0) -> dict[str, Any]:
+    """Numbers of heat with an error of C h^1.5 + C' / n, whatever the order of the mechanics."""
+    wrong = 0.01 * size**1.5 + 0.02 / increments
+    region = {
+        "temperature_max": 60 + 10 * wrong,
+        "temperature_max_at": [size, 0.0, 0.0],
+        "necrosis_47C_1min_depth": dead + wrong,
+        "volume_over_47": 100.0,
+    }
+    sides = {"temperature_max_first": 50 - wrong, "entropy_production_min": wrong}
+    late: float | None = 100 * (1 + wrong) if dead else None
+    return numbers(size, increments, 2.0) | {
+        "thermal": {"regions": {"lower": region}, "interfaces": {"lower_upper": sides}},
+        "cure": {"lower": {"time_50": 60 * (1 + wrong), "time_90": late}},
+    }
+
+
+def test_numbers_of_heat_converge_as_temperature_does() -> None:
+    this = case("stages.0.increments=8")
+    solved = [
+        (c, heated(c.case.mesh.size, c.case.stages[0].increments)) for c in error.companions(this)
+    ]
+    run = heated(1.0, 8)
+    error.estimate(run, 2, solved)
+    wrong = 0.01 + 0.02 / 8
+    lower = run["thermal"]["regions"]["lower"]
+    assert lower["temperature_max_error"] == pytest.approx(10 * wrong)
+    assert lower["necrosis_47C_1min_depth_error"] == pytest.approx(wrong)
+    assert lower["volume_over_47_error"] == 0
+    assert "temperature_max_at_error" not in lower
+    sides = run["thermal"]["interfaces"]["lower_upper"]
+    assert sides["temperature_max_first_error"] == pytest.approx(wrong)
+    assert "entropy_production_min_error" not in sides
+    assert run["cure"]["lower"]["time_90_error"] == pytest.approx(100 * wrong)
+    # The mechanics keep their own.
+    assert "slip_p99_error" in run["interfaces"]["lower_upper"]
+
+
+def test_what_was_not_reached_has_no_error() -> None:
+    this = case("stages.0.increments=8")
+    for mine, theirs in ((2.0, 0.0), (0.0, 2.0), (0.0, 0.0)):
+        run = heated(1.0, 8, mine)
+        others = [(c, heated(c.case.mesh.size, 8, theirs)) for c in error.companions(this)]
+        error.estimate(run, 2, others)
+        assert "time_90_error" not in run["cure"]["lower"]
+        assert "time_50_error" in run["cure"]["lower"]
