@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from app import integrator
 from app.conduction import Conduction
-from app.curing import FreeStrain
+from app.curing import FreeStrain, as_temperature
 from app.integrator import METHODS, Method, State
 from app.motion import Summary
 from app.problem import Problem
@@ -150,11 +150,13 @@ class Heating:
 
     def norm(self, error: State) -> float:
         """Largest error over its tolerance, of cure as the temperature it releases; collective."""
-        sizes = [1.0] * len(self.vectors()) + list(self.conduction.adiabatic_rises)
-        local = max(
-            (float(np.abs(e).max(initial=0.0)) * s for e, s in zip(error, sizes, strict=True)),
-            default=0.0,
-        )
+        n = len(self.vectors())
+        errors = list(error[:n])
+        for degree, e, rise in zip(
+            self.state[n:], error[n:], self.conduction.adiabatic_rises, strict=True
+        ):
+            errors.append(as_temperature(degree, e, rise))
+        local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
         return float(self.conduction.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
@@ -189,7 +191,8 @@ class Heating:
         A step that leaves the extremes of the data is done again: where the mesh makes it, with the
         edges that do (`app.monotone`), else by backward Euler.
         """
-        for method in dict.fromkeys((self.method, METHODS["backward_euler"])):
+        for name in dict.fromkeys((self.method.name, "backward_euler")):
+            method = METHODS[name]
             while True:
                 self._stages = []
                 found = integrator.step(
@@ -198,11 +201,10 @@ class Heating:
                 if found is None or not self.conduction.outside(self.vectors()):
                     break
                 if not self.conduction.correct(self.vectors()):
-                    found = None
                     break
-            if found is not None:
-                return found, method
-        return None
+            if found is None or not self.conduction.outside(self.vectors()):
+                break
+        return None if found is None else (found, method)
 
     def accept(self, found: integrator.Step, method: Method, dt: float) -> Accepted:
         """Make a step history."""

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from app.heating import Accepted
 
 log = logging.getLogger("mantle")
+
+# What has to be balanced to rounding.
+BALANCES = ("force", "moment", "energy", "heat")
 
 
 def step_header() -> str:
@@ -33,6 +39,25 @@ def step_line(
         f"{number:>4} {time:>7.4g} {newton:>6} {krylov:>6} {residual:>9.1e} "
         f"{100 * open_fraction:>5.1f}% {100 * slip_fraction:>5.1f}% {penetration:>9.1e} mm "
         f"{wall:>6.1f} s {left:>6.1f} s"
+    )
+
+
+def heat_header() -> str:
+    """Column titles of the lines of heat steps."""
+    return (
+        f"{'step':>4} {'time':>11} {'step of':>10} {'newton':>6} {'krylov':>6} {'hottest':>10} "
+        f"{'balance':>9} {'wall':>8}"
+    )
+
+
+def heat_line(number: int, accepted: Accepted, row: dict[str, float], wall: float) -> str:
+    """One line for a step of the heat."""
+    hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
+    outcome = accepted.outcome
+    return (
+        f"{number:>4} {accepted.seconds:>9.4g} s {accepted.dt:>8.3g} s {outcome.iterations:>6} "
+        f"{outcome.linear_iterations:>6} {hottest:>5.1f} degC {row['heat balance [-]']:>9.1e} "
+        f"{wall:>6.1f} s"
     )
 
 
@@ -74,7 +99,7 @@ def closing_table(summary: dict[str, Any]) -> str:
         )
     b = summary["balance"]
     lines.append(
-        f"balance of force {b['force']:.1e}, moment {b['moment']:.1e}, energy {b['energy']:.1e}"
+        "balance of " + ", ".join(f"{name} {b[name]:.1e}" for name in BALANCES if name in b)
     )
     if unsettled := summary.get("error", {}).get("unsettled"):
         lines.append(f"peaks that do not converge with the mesh: {', '.join(unsettled)}")
@@ -98,7 +123,7 @@ def with_error(numbers: dict[str, Any], key: str, scale: float, digits: int) -> 
 def verdict(summary: dict[str, Any]) -> str:
     """One sentence on how far the numbers can be trusted."""
     b, solver, t = summary["balance"], summary["solver"], summary["timing"]
-    worst = max(b.values())
+    worst = max(b[name] for name in BALANCES if name in b)
     penetration = max((q["penetration_max"] for q in summary["interfaces"].values()), default=0.0)
     balanced = "equilibrium exact to rounding" if worst < 1e-8 else "NOT balanced: do not use"
     contact = (

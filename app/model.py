@@ -17,6 +17,7 @@ from app import config, folders, quantities, scene, stepping
 from app.conduction import Conduction
 from app.coupling import ContactHeat, Coupled, Staggered
 from app.cure_quantities import CureRecord
+from app.field_output import HeatFields, Layer, MechanicalFields
 from app.heat_balance import HeatBalance
 from app.heat_system import HeatSystem
 from app.heating import Accepted, Heating
@@ -190,6 +191,14 @@ class Model:
         parts = [t.heating.solver.block_sizes for t in self.thermal]
         parts += [m.solver.block_sizes for m in self.mechanics]
         return {name: size for part in parts for name, size in part.items()}
+
+    def layers(self) -> list[Layer]:
+        """What the fields are of."""
+        sides = self._case.geometry.interface_sides
+        return [
+            *(MechanicalFields(m.problem, m.stresses) for m in self.mechanics),
+            *(HeatFields(t.heating, t.record, sides) for t in self.thermal),
+        ]
 
     def go(
         self,

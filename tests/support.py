@@ -144,7 +144,7 @@ def solve(
             balance.update(solver.parts()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
-    stepping.run(problem.scene.stages, Motion(problem, solver, on_step, print))
+    stepping.run(problem.scene.stages, (Motion(problem, solver, on_step, print),), ())
     interfaces = {
         c.name: quantities.interface(problem, samples[-1], i)
         for i, c in enumerate(problem.scene.contacts)

@@ -205,7 +205,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    stepping.run(terms.stages, Motion(problem, solver, on_step, print))
+    stepping.run(terms.stages, (Motion(problem, solver, on_step, print),), ())
     return times, states, jumps
 
 
