@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import resource
 import subprocess
 import sys
@@ -76,6 +77,96 @@ def test_check_tells_what_it_understood(capsys: pytest.CaptureFixture[str]) -> N
         assert line in out.splitlines()
     assert "size (estimated; --mesh counts)" in out
     assert all(len(line) <= 120 for line in out.splitlines())
+
+
+def test_check_tells_heat(capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(CONFIGS / "residual.yaml")
+    changes = ["time.first_step=1 ms", "interfaces.cement_bone.conductance=perfect"]
+    changes += ["output.probes={tip: [0 mm, 0 mm, -130 mm]}"]
+    assert main(["check", path, *(a for c in changes for a in ("--set", c))]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    for line in (
+        "    thermal:",
+        "      initial_temperature: 22 degC",
+        "      density: 1.2e-09 tonne/mm^3  (1200 kg/m^3)",
+        "      cure:",
+        "        kinetics: autocatalytic",
+        "          activation_energy: 62866 J/mol",
+        "        heat: 155 J/cm^3  (1.55e+08 J/m^3)",
+        "        exponent: 1",
+        "    conductance: 1 mW/(mm^2*K)  (1000 W/(m^2 K))",
+        "    conductance: perfect, one temperature",
+        "  hold: fixed on stem_trunnion, stages [setting, cooling]",
+        "  tissue: convection on bone_surface, coefficient 0.02 mW/(mm^2*K), ambient 37 degC",
+        "  setting: 3600 s, 1 increment, adaptive",
+        "  release: 1 increment, adaptive",
+        "  method: sdirk4  [default]",
+        "  first_step: 0.001 s  (1 ms)",
+        "  tip: at [0, 0, -130] mm",
+    ):
+        assert line in out.splitlines(), line
+    assert "displacement nodes" in out
+    assert "temperature jumps" in out
+
+
+def test_check_of_conductors_tells_nothing_of_mechanics(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(CONFIGS / "cure.yaml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "heat" in lines
+    assert not {"supports", "loads"} & set(lines)
+    assert not any("displacement" in line for line in lines)
+    assert main(["check", str(CONFIGS / "stance.yaml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert not {"heat", "time"} & set(lines)
+    assert not any("temperature" in line or "conductance" in line for line in lines)
+
+
+def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gmsh")
+    conductor = (
+        "{kind: conductor, thermal: {conductivity: 1 W/(m K), density: 1000 kg/m^3, "
+        "specific_heat: 1000 J/(kg K), initial_temperature: 37 degC}}"
+    )
+    glued = "{kind: bonded, conductance: 300 W/(m^2 K)}"
+    changes = [f"regions.{name}={conductor}" for name in ("stem", "cement", "bone")]
+    changes += [f"interfaces={{stem_cement: {glued}, cement_bone: {glued}}}", "supports={}"]
+    changes += ["stages=[{name: wait, duration: 1 s}]", "mesh.size=3 mm"]
+    case = [str(CONFIGS / "cylinders.yaml"), *(a for c in changes for a in ("--set", c))]
+    counts = []
+    for mesh in ([], ["--mesh"]):
+        assert main(["check", *case, *mesh]) == 0
+        (line,) = [x for x in capsys.readouterr().out.splitlines() if "temperature jumps" in x]
+        counts.append([int(part.replace(" ", "")) for part in re.findall(r"\d[\d ]*(?= \w)", line)])
+    for estimated, exact in zip(*counts, strict=True):
+        assert 0.5 < estimated / exact < 2.0
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ("regions.stem.thermal.conductivity=14.8 kW/(m mK)", "regions.stem.thermal.conductivity"),
+        ("regions.cement.thermal.conductivity=0.2 mW/(m K)", "regions.cement.thermal.conductivity"),
+        ("regions.stem.thermal.density=8.3 kg/m^3", "regions.stem.thermal.density"),
+        (
+            "regions.cement.thermal.specific_heat=1450 J/(g K)",
+            "regions.cement.thermal.specific_heat",
+        ),
+        (
+            "regions.stem.thermal.initial_temperature=37 K",
+            "regions.stem.thermal.initial_temperature",
+        ),
+        ("regions.cement.thermal.cure.heat=155 J/m^3", "regions.cement.thermal.cure.heat"),
+        ("heat.tissue.ambient=37 K", "heat.tissue.ambient"),
+        ("heat.blood_cortical.temperature=37 K", "heat.blood_cortical.temperature"),
+    ],
+)
+def test_data_that_no_material_has_are_asked_about(change: str, place: str) -> None:
+    cure = CONFIGS / "cure.yaml"
+    assert preview.warnings(config.load(cure)) == []
+    (note,) = preview.warnings(config.load(cure, [change]))
+    assert note.startswith(f"{place} is ")
+    assert note.endswith(": a wrong unit?")
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)

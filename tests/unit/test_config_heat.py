@@ -1,0 +1,353 @@
+"""What a case says of heat: units, defaults, and the terms it is made into."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from app import config, scene, terms, units
+from app.errors import InputError
+from app.terms import multiplier
+from tests import support
+
+CASE = """
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 4 mm
+  bone_thickness: 6 mm
+  length: 20 mm
+mesh: {size: 2 mm}
+regions:
+  stem:
+    rigid: true
+    thermal:
+      conductivity: 14.8 W/(m K)
+      density: 8300 kg/m^3
+      specific_heat: 450 J/(kg K)
+      initial_temperature: 22 degC
+  cement:
+    youngs_modulus: 2.2 GPa
+    poisson_ratio: 0.3
+    thermal:
+      conductivity: 0.2 W/(m K)
+      density: 1200 kg/m^3
+      specific_heat: 1450 J/(kg K)
+      initial_temperature: 22 degC
+      thermal_expansion: 80e-6 1/K
+      cure:
+        kinetics:
+          {kind: autocatalytic, rate_constant: 2.6397e8 1/s, activation_energy: 62866 J/mol,
+           m: 0.98, n: 1.064, limit: [[20 degC, 0.9], [100 degC, 1]]}
+        heat: 1.55e8 J/m^3
+        shrinkage: 0.003
+  bone:
+    youngs_modulus: 17 GPa
+    poisson_ratio: 0.3
+    thermal:
+      axial_conductivity: 0.6 W/(m K)
+      transverse_conductivity: 0.5 W/(m K)
+      fibre: [0, 3, 4]
+      density: 1850 kg/m^3
+      specific_heat: 1260 J/(kg K)
+      initial_temperature: 37 degC
+      thermal_expansion: 27.5e-6 1/K
+      reference_temperature: 20 degC
+interfaces:
+  stem_cement:
+    kind: contact
+    friction_coefficient: 0.4
+    conductance: {kind: pressure, open: 100 W/(m^2 K), per_pressure: 50 W/(m^2 K MPa)}
+    friction_heating: effusivity
+  cement_bone: {kind: bonded, conductance: 1000 W/(m^2 K)}
+supports:
+  base: {kind: fixed, boundary: bone_surface}
+  hold: {kind: fixed, boundary: stem_top, stages: [setting]}
+heat:
+  blood:
+    kind: perfusion
+    regions: [bone]
+    rate: 0.003 1/s
+    blood_density: 1060 kg/m^3
+    blood_specific_heat: 3770 J/(kg K)
+    temperature: 37 degC
+  outside: {kind: temperature, boundary: bone_surface, temperature: 300 + x}
+  held: {kind: temperature, regions: [stem], course: [[0 s, 40 degC], [1 min, 20 degC]]}
+  lamp: {kind: flux, boundary: stem_top, flux: 100 W/m^2, course: [[0 s, 1], [10 s, 0]]}
+  air: {kind: convection, boundary: cement_top, coefficient: 20 W/(m^2 K), ambient: 22 degC}
+  warm: {kind: source, regions: [stem, bone], density: 1e6 W/m^3}
+stages:
+  - {name: setting, duration: 1 hour, increments: 4}
+  - {name: rest}
+"""
+
+
+def build(*overrides: str) -> terms.Scene:
+    return scene.build(support.case(CASE, *overrides))
+
+
+def read(kind: object, text: str) -> float:
+    return TypeAdapter(kind).validate_python(text)  # type: ignore[arg-type, no-any-return]
+
+
+# ------------------------------------------------------------------------------------ units
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        (units.Temperature, "37 degC", 310.15),
+        (units.Temperature, "37 °C", 310.15),
+        (units.Temperature, "310.15 K", 310.15),
+        (units.Temperature, "98.6 degF", 310.15),
+        (units.PositiveDifference, "5 K", 5.0),
+        (units.PositiveDifference, "9 delta_degF", 5.0),
+        (units.Conductivity, "0.2 W/(m K)", 0.2),
+        (units.Conductivity, "0.2 W/m/degC", 0.2),
+        (units.Conductivity, "0.2 N/(s K)", 0.2),
+        (units.Density, "1.2 g/cm^3", 1.2e-9),
+        (units.SpecificHeat, "1450 J/(kg K)", 1.45e9),
+        (units.SpecificHeat, "1.45 kJ/kg/K", 1.45e9),
+        (units.ExpansionCoefficient, "80 ppm/K", 80e-6),
+        (units.ExpansionCoefficient, "80e-6 K^-1", 80e-6),
+        (units.ExpansionCoefficient, "80e-6 1/degC", 80e-6),
+        (units.HeatDensity, "155 MJ/m^3", 155.0),
+        (units.ConductancePerArea, "300 W/(m^2 K)", 0.3),
+        (units.ConductancePerPressure, "100 W/(m^2 K MPa)", 0.1),
+        (units.PositiveRate, "0.003 1/s", 0.003),
+        (units.PositiveRate, "0.18 / min".replace(" / ", " 1/"), 0.003),
+        (units.ActivationEnergy, "62.866 kJ/mol", 62866.0),
+        (units.PositiveTime, "10 min", 600.0),
+    ],
+)
+def test_units(kind: object, text: str, value: float) -> None:
+    assert read(kind, text) == value
+    adapter: TypeAdapter[float] = TypeAdapter(kind)
+    assert adapter.validate_python(adapter.dump_python(value, mode="json")) == value
+
+
+@pytest.mark.parametrize("text", ["0 K", "-273.15 degC", "-1 K", "-500 degF", "5 delta_degC", "37"])
+def test_what_is_no_temperature(text: str) -> None:
+    with pytest.raises(ValidationError):
+        read(units.Temperature, text)
+
+
+# ------------------------------------------------------------------------------------ terms
+
+
+def test_conductors() -> None:
+    """rho c 1e6 J/(m^3 K) is 1 N/(mm^2 K); a bone of two conductivities has a fibre."""
+    stem, cement, bone = build().conductors
+    assert (stem.region, stem.conductivity, stem.fibre) == ("stem", (14.8,), ())
+    assert stem.capacity == pytest.approx(3.735)
+    assert cement.capacity == pytest.approx(1.74)
+    assert cement.initial == 295.15
+    assert bone.conductivity == (0.6, 0.5)
+    assert bone.fibre == pytest.approx((0, 0.6, 0.8))
+
+
+def test_a_region_conducts_along_its_own_fibre() -> None:
+    bone = (
+        "{kind: transversely_isotropic, axial_youngs_modulus: 17 GPa, transverse_youngs_modulus: "
+        "11.5 GPa, axial_poisson_ratio: 0.31, transverse_poisson_ratio: 0.51, axial_shear_modulus: "
+        "3.3 GPa, fibre: [1, 0, 0], thermal: {axial_conductivity: 0.6 W/(m K), "
+        "transverse_conductivity: 0.5 W/(m K), density: 1850 kg/m^3, specific_heat: 1260 J/(kg K), "
+        "initial_temperature: 37 degC}}"
+    )
+    found = build(f"regions.bone={bone}")
+    assert found.conductors[2].fibre == found.elastic[1].fibre == (1, 0, 0)
+
+
+def test_conditions() -> None:
+    x = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+    blood, outside, held, lamp, air, warm = build().heat
+    assert isinstance(blood, terms.Perfusion)
+    assert blood.coefficient == pytest.approx(0.0119886)  # 0.003 * 1060 * 3770 W/(m^3 K)
+    assert isinstance(outside, terms.FixedTemperature)
+    assert (outside.boundary, outside.regions, outside.course) == ("bone_surface", (), ())
+    np.testing.assert_allclose(outside.temperature(x), [301, 304])
+    assert isinstance(held, terms.FixedTemperature)
+    assert (held.boundary, held.regions) == ("", ("stem",))
+    for seconds, celsius in ((0, 40), (30, 30), (60, 20), (1e4, 20)):
+        given = multiplier(held.course, seconds) * held.temperature(x)
+        np.testing.assert_allclose(given, celsius + 273.15)
+    assert isinstance(lamp, terms.HeatFlux)
+    np.testing.assert_allclose(lamp.flux(x), 0.1)
+    assert lamp.course == ((0, 1), (10, 0))
+    assert air == terms.Convection("air", "cement_top", 0.02, 295.15)
+    assert isinstance(warm, terms.HeatSource)
+    np.testing.assert_allclose(warm.density(x), 1.0)
+    assert warm.regions == ("stem", "bone")
+
+
+def test_temperatures_that_an_expression_makes_impossible() -> None:
+    outside = build("heat.outside.temperature=37 - 10 * x").heat[1]
+    assert isinstance(outside, terms.FixedTemperature)
+    with pytest.raises(InputError, match=r"heat.outside.temperature: .* not above 0 K"):
+        outside.temperature(np.array([[4.0, 0.0, 0.0]]))
+
+
+def test_interfaces() -> None:
+    found = build()
+    (contact,) = found.contacts
+    rubbing, glued = found.thermal_contacts
+    # The rigid stem is stiffer than cement, bone stiffer than cement.
+    assert (contact.master, contact.slave) == (("stem",), ("cement",))
+    assert rubbing == terms.ThermalContact(
+        "stem_cement", ("stem",), ("cement",), 0.1, 0.05, math.inf
+    )
+    assert glued == terms.ThermalContact("cement_bone", ("bone",), ("cement",), 1.0, 0.0, math.inf)
+    capped = (
+        "{kind: pressure, open: 0 W/(m^2 K), per_pressure: 1 W/(m^2 K MPa), cap: 1e4 W/(m^2 K)}"
+    )
+    assert build(f"interfaces.stem_cement.conductance={capped}").thermal_contacts[0].cap == 10.0
+
+
+@pytest.mark.parametrize("conductance", ["perfect", ""])
+def test_perfect_conductance_costs_nothing(conductance: str) -> None:
+    found = build(f"interfaces.cement_bone.conductance={conductance}")
+    assert [c.name for c in found.thermal_contacts] == ["stem_cement"]
+
+
+@pytest.mark.parametrize("conductance", ["0 W/(m^2 K)", "1e9 W/(m^2 K)"])
+def test_extreme_conductances_are_finite(conductance: str) -> None:
+    *_, glued = build(f"interfaces.cement_bone.conductance={conductance}").thermal_contacts
+    assert glued.open == pytest.approx(float(conductance.split()[0]) / 1000)
+
+
+def test_friction_heat_is_shared_by_effusivity() -> None:
+    """sqrt(k rho c) of cement is 590, of cobalt-chromium 7435 W s^1/2/(m^2 K): 7 %."""
+    (heat,) = build().friction_heat
+    e_cement, e_stem = math.sqrt(0.2 * 1200 * 1450), math.sqrt(14.8 * 8300 * 450)
+    assert heat.interface == "stem_cement"
+    assert heat.slave_share == pytest.approx(e_cement / (e_cement + e_stem))
+    assert heat.slave_share == pytest.approx(0.07, abs=0.005)
+
+
+def test_effusivity_of_a_fibrous_region_is_of_its_mean_conductivity() -> None:
+    sliding = (
+        "{kind: penalty, friction_coefficient: 1, penalty: 1 GPa/mm, friction_heating: effusivity}"
+    )
+    *_, heat = build(f"interfaces.cement_bone={sliding}").friction_heat
+    e_cement = math.sqrt(0.2 * 1200 * 1450)
+    e_bone = math.sqrt((0.6 * 0.5 * 0.5) ** (1 / 3) * 1850 * 1260)
+    assert heat.slave_share == pytest.approx(e_cement / (e_cement + e_bone))
+
+
+def test_a_given_share_is_that_of_the_first_side() -> None:
+    """The first side of stem_cement is the master, of cement_bone the slave."""
+    sliding = "{kind: contact, friction_coefficient: 1, friction_heating: 0.3}"
+    a, b = build(
+        "interfaces.stem_cement.friction_heating=0.3", f"interfaces.cement_bone={sliding}"
+    ).friction_heat
+    assert (a.slave_share, b.slave_share) == pytest.approx((0.7, 0.3))
+
+
+def test_strains_and_cure() -> None:
+    found = build()
+    assert found.expansions == (
+        terms.Expansion("cement", 80e-6, 295.15),
+        terms.Expansion("bone", 27.5e-6, 293.15),
+    )
+    (cure,) = found.cures
+    kinetics = terms.Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ((293.15, 0.9), (373.15, 1.0)))
+    assert cure == terms.Cure("cement", kinetics, 155.0, 1e-3, 0.85, 0.01, 1.0, 0.003)
+
+
+def test_cure_by_a_clock() -> None:
+    clock = "{kind: prescribed, rate: [[0 s, 0], [5 min, 2], [10 min, 0]]}"
+    (cure,) = build(f"regions.cement.thermal.cure.kinetics={clock}").cures
+    assert cure.kinetics == terms.Prescribed(((0.0, 0.0), (300.0, 2.0), (600.0, 0.0)))
+
+
+def test_stages_time_and_supports() -> None:
+    found = build("time={method: backward_euler, first_step: 1 ms}")
+    assert [(s.duration, s.steady) for s in found.stages] == [(3600, False), (0, False)]
+    assert found.time == (terms.TimeStepping("backward_euler", 1e-3, 1e-3, 5.0),)
+    assert [s.active for s in found.supports] == [(), (True, False)]
+    assert build().time == (terms.TimeStepping("sdirk4", 1e-3, 0.0, 5.0),)
+
+
+def test_conductors_alone_have_no_mechanics() -> None:
+    thermal = (
+        "{conductivity: 1 W/(m K), density: 1000 kg/m^3, specific_heat: 1000 J/(kg K), "
+        "initial_temperature: 300 K}"
+    )
+    found = build(
+        *(
+            f"regions.{r}={{kind: conductor, thermal: {thermal}}}"
+            for r in ("stem", "cement", "bone")
+        ),
+        "interfaces={cement_bone: {kind: bonded, conductance: 1 W/(m^2 K)}}",
+        "supports={}",
+        "stages=[{name: wait, steady: true}]",
+    )
+    mechanics = (*found.elastic, *found.rigid, *found.foundations, *found.supports)
+    assert mechanics + found.loads + found.contacts == ()
+    assert found.stages == (terms.Stage("wait", 1, True, 6, 0.0, True),)
+    # Neither side is stiffer: the first is the master.
+    (glued,) = found.thermal_contacts
+    assert (glued.master, glued.slave) == (("cement",), ("bone",))
+
+
+COLD = [
+    path for path in sorted(support.CONFIGS.glob("*.yaml")) if "thermal:" not in path.read_text()
+]
+
+
+@pytest.mark.parametrize("path", COLD, ids=lambda p: p.stem)
+def test_a_scene_without_heat_has_none_of_its_terms(path: Path) -> None:
+    case = config.load(path)
+    found = scene.build(case)
+    heat = (*found.conductors, *found.heat, *found.thermal_contacts, *found.friction_heat)
+    assert heat + found.expansions + found.cures + found.time == ()
+    assert all(s.duration == 0 and not s.steady for s in found.stages)
+    assert case.time is None
+
+
+# ------------------------------------------------------------------------ shipped cases
+
+
+def test_the_hot_case_is_that_of_the_paper() -> None:
+    case = config.load(support.CONFIGS / "thermal_100C.yaml")
+    assert isinstance(case.geometry, config.Femur)
+    assert case.geometry.cement_thickness == 4.0
+    initial = {n: r.thermal.initial_temperature - 273.15 for n, r in case.regions.items()}  # type: ignore[union-attr]
+    assert initial == pytest.approx(
+        {"stem": 37, "cement": 100, "cortical_bone": 37, "cancellous_bone": 37}
+    )
+    found = scene.build(case)
+    assert {c.friction for c in found.contacts} == {1.0}
+    assert [c.open for c in found.thermal_contacts] == [0.3, 0.3]
+    assert found.time[0].mechanical_step > 0
+    modulus = config.load(support.CONFIGS / "stance_cocr.yaml").regions["stem"]
+    assert case.regions["stem"].model_copy(update={"thermal": None}) == modulus
+
+
+def test_cases_of_cure_agree_on_their_materials() -> None:
+    """And with the reference values of verification: an adiabatic rise of 89.0805 K."""
+    cure, residual, hot = (
+        scene.build(config.load(support.CONFIGS / f"{n}.yaml"))
+        for n in ("cure", "residual", "thermal_100C")
+    )
+    for found in (cure, residual):
+        assert [(c.region, c.conductivity, c.capacity) for c in found.conductors] == [
+            (c.region, c.conductivity, c.capacity) for c in hot.conductors
+        ]
+        cement = next(c for c in found.conductors if c.region == "cement")
+        assert found.cures[0].heat / cement.capacity == pytest.approx(89.0805, abs=1e-4)
+        assert found.cures[0].kinetics == cure.cures[0].kinetics
+    assert cure.elastic == ()
+    assert residual.supports[1].active == (True, True, False, False)
+
+
+def test_residual_ends_in_the_stance_of_the_paper() -> None:
+    residual, stance = (config.load(support.CONFIGS / f"{n}.yaml") for n in ("residual", "stance"))
+    assert residual.loads.keys() == stance.loads.keys()
+    for name, load in residual.loads.items():
+        assert load.history == (0, 0, 0, 1)
+        assert load.model_copy(update={"history": None}) == stance.loads[name]
