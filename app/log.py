@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
+from app import heat_log
+
 if TYPE_CHECKING:
     from app.heating import Accepted
 
@@ -79,11 +81,12 @@ def closing_table(summary: dict[str, Any]) -> str:
             f"{name:<14} {gap:>{wide}} {slip:>{wide}} {pressure:>{wide + 2}} "
             f"{shear:>{wide + 2}} {states:>18}"
         )
-    lines.append(
-        f"{'region':<16} {'von Mises p99':>{wide}} {'tension max/p99':>{wide + 4}} "
-        f"{'mean stress':>18}"
-    )
-    lines.append(f"{'':<16} {'MPa':>{wide}} {'MPa':>{wide + 4}} {'MPa':>18}")
+    if summary["regions"]:
+        lines.append(
+            f"{'region':<16} {'von Mises p99':>{wide}} {'tension max/p99':>{wide + 4}} "
+            f"{'mean stress':>18}"
+        )
+        lines.append(f"{'':<16} {'MPa':>{wide}} {'MPa':>{wide + 4}} {'MPa':>18}")
     for name, r in summary["regions"].items():
         tension = _pair(r, "principal", 1.0, 2)
         mean = f"{r['mean_stress_min']:.2f} .. {r['mean_stress_max']:.2f}"
@@ -91,6 +94,7 @@ def closing_table(summary: dict[str, Any]) -> str:
             f"{name:<16} {with_error(r, 'von_mises_p99', 1.0, 2):>{wide}} {tension:>{wide + 4}} "
             f"{mean:>18}"
         )
+    lines += heat_log.tables(summary)
     if s := summary["stem"]:
         lines.append(
             f"stem against bone: subsidence {with_error(s, 'subsidence', 1e3, 1)} um, "

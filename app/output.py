@@ -139,10 +139,11 @@ class Writer:
                 grid.write(time, samples)
 
     def history(self, row: dict[str, Any]) -> None:
-        """Add a row to history.csv; collective."""
+        """Add a row to history.csv, with what there is to say then; collective."""
         self._rows.append(row)
         text = io.StringIO()
-        table = csv.DictWriter(text, fieldnames=list(self._rows[0]), lineterminator="\n")
+        names = list(dict.fromkeys(name for row in self._rows for name in row))
+        table = csv.DictWriter(text, fieldnames=names, lineterminator="\n")
         table.writeheader()
         table.writerows(self._rows)
         path = self.folder / "history.csv"

@@ -69,10 +69,10 @@ class Run:
 
     @cached_property
     def history(self) -> dict[str, Floats]:
-        """The columns of history.csv, by their titles (units and all)."""
+        """The columns of history.csv, by their titles (units and all); nan where there is none."""
         with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-        return {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+        return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
 
     def displacement(self, step: int = -1) -> Floats:
         """Displacement of the nodes at a written step (n, 3) [mm]."""
