@@ -14,9 +14,11 @@ with m the direction of the pressure: the products of these rows with C^T, D and
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -26,7 +28,7 @@ from app.bodies import contact_facets
 from app.conduction import Conduction
 from app.heat_system import HeatSystem
 from app.points import PointForces
-from app.problem import Problem, Trial
+from app.problem import ROUNDING, Problem, Trial
 from app.solver import Outcome, Solver
 from app.sparse import from_triplets
 from app.systems import Contact, Measure, Options
@@ -119,6 +121,15 @@ class ContactHeat:
                     mine = float((j.weight * power)[j.interface == i].sum())
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
+    def rounding(self, trial: Trial, elapsed: float) -> float:
+        """What rounding of long slips leaves of the power of friction; collective [N mm/s]."""
+        (j,) = self._problem.jumps
+        slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
+        stiff = j.stiffness * j.weight * np.linalg.norm(trial.jump, axis=1)
+        power = np.where(self.rubbing, stiff * slip, 0.0) / elapsed
+        total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
+        return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
+
     def pressure_rows(self, trial: Trial) -> Rows:
         """How the pressure changes."""
         (j,) = self._problem.jumps
@@ -168,9 +179,9 @@ class Coupled:
         self._conduction, self._problem = conduction, problem
         self._heat, self._motion = heat, motion
         self.exchange = ContactHeat(scene, problem, conduction)
+        self._n = len(heat.blocks())
         self._forces = self._thermal_forces() if self.exchange.expands else ()
         self.elapsed = 1.0
-        self._n = len(heat.blocks())
         # Heat enters the rows of its nodes and of its jumps.
         self._nodes, self._points = self._entries()
         fresh = list(self.blocks().values())
@@ -234,8 +245,10 @@ class Coupled:
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""
-        heat = self._heat.measure(x[: self._n], f[: self._n])
-        return [*heat, *self._motion.measure(x[self._n :], f[self._n :])]
+        (heat,) = self._heat.measure(x[: self._n], f[: self._n])
+        noise = self.exchange.rounding(self._problem.trial(*x[self._n :]), self.elapsed)
+        heat = replace(heat, rounding=heat.rounding + noise)
+        return [heat, *self._motion.measure(x[self._n :], f[self._n :])]
 
     def flips(self) -> int:
         """Contact points whose state changed."""

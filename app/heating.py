@@ -29,6 +29,10 @@ from app.terms import Expansion, Scene
 Floats = NDArray[np.float64]
 
 
+# First step of a stage, as a part of an increment, where the rate of change is not known.
+FIRST = 1e-3
+
+
 @dataclass(frozen=True)
 class Accepted:
     """A heat step that is history.
@@ -178,12 +182,18 @@ class Heating:
         return self._state(self.vectors())
 
     def start(self, longest: float) -> float:
-        """Find the rate of change at the start of a stage, and a first step for it [s]."""
-        slope = integrator.start_slope(
-            self.state, self.seconds, 1e-6 * min(longest, 1.0), self._solve
-        )
-        self._slope = slope or self._slope
-        return self.options.first_step or integrator.first_step(self._slope, self.norm, longest)
+        """Find the rate of change at the start of a stage, and a first step for it [s].
+
+        Where mechanics are in the system a step that is short beside everything would ask for slips
+        that are lost to rounding: nothing is known of the rate then.
+        """
+        first = FIRST * longest
+        if not self.beside:
+            shortest = 1e-6 * min(longest, 1.0)
+            slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
+            self._slope = slope or self._slope
+            first = integrator.first_step(self._slope, self.norm, longest)
+        return self.options.first_step or first
 
     def attempt(self, dt: float) -> tuple[integrator.Step, Method] | None:
         """Solve a time step; None where a stage does not converge.
