@@ -82,7 +82,7 @@ class HeatForms:
             for b, facets in self.facets(condition.boundary).items():
                 found.setdefault(b, []).append(fem.locate_dofs_topological(self.space, 2, facets))
         for region in condition.regions:
-            nodes = fem.locate_dofs_topological(self.space, 3, self.cells(region))
+            nodes = np.flatnonzero(self.volumes(region) > 0).astype(np.int32)
             found.setdefault(self._bodies.of_region[region], []).append(nodes)
         joined = {b: np.unique(np.concatenate(nodes)) for b, nodes in found.items()}
         return {b: nodes[nodes < self.owned].astype(np.int64) for b, nodes in joined.items()}

@@ -31,7 +31,7 @@ Bools = NDArray[np.bool_]
 # What counts as outside, and as near a bound, in parts of the range of the data.
 OUTSIDE = 1e-9
 NEAR = 1e-2
-# Entries below this part of the largest are rounding.
+# Entries of a matrix and heat into nodes below this part of the largest are rounding.
 ZERO = 1e-12
 # Spans below this [K] count as this: temperatures are no better than their rounding.
 LEAST = 1.0
@@ -71,8 +71,9 @@ class Extremes:
         every = np.array(self._comm.allgather((low, high, least, most)))
         self._low = min(self._low, float(every[:, 0].min()))
         self._high = max(self._high, float(every[:, 1].max()))
-        self._cooled = self._cooled or bool(every[:, 2].min() < 0)
-        self._heated = self._heated or bool(every[:, 3].max() > 0)
+        least, most = float(every[:, 2].min()), float(every[:, 3].max())
+        self._cooled = self._cooled or least < -ZERO * most
+        self._heated = self._heated or most > -ZERO * least
 
     def bounds(self, temperatures: Floats) -> Bounds:
         """Between what temperatures have to be, some of this rank given [K]; collective."""

@@ -1,7 +1,10 @@
-"""Conduction of bodies and across interfaces, against closed forms."""
+"""Conduction of bodies and across interfaces, against closed forms and balances."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 from mpi4py import MPI
@@ -12,108 +15,567 @@ import pytest
 from numpy.typing import NDArray
 
 from app.conduction import Conduction
-from app.terms import Conductor, FixedTemperature, HeatCondition, Scene, ThermalContact
+from app.heat_system import HeatSystem
+from app.integrator import METHODS, Method, State, step
+from app.solver import Solver
+from app.terms import (
+    Autocatalytic,
+    Conductor,
+    Convection,
+    Cure,
+    FixedTemperature,
+    FrictionHeat,
+    HeatCondition,
+    HeatFlux,
+    HeatSource,
+    Perfusion,
+    Scene,
+    ThermalContact,
+)
 from app.timing import Timing
+from app.work_precision import fitted_order
 from meshes import blocks
 from meshes.distribute import TaggedMesh, distribute
+from tests import support
 
 Floats = NDArray[np.float64]
 ZERO = 273.15
+PERFECT = np.inf
+SDIRK4, BACKWARD_EULER = METHODS["sdirk4"], METHODS["backward_euler"]
 
 
-def stack(size: float, *, tilt: float = 0.0, **heights: float) -> TaggedMesh:
-    """A stack of blocks 2 mm wide, from the bottom."""
+@cache
+def stack(size: float, *blocks_: tuple[str, float], curved: bool = False) -> TaggedMesh:
+    """A stack of blocks, 2 mm wide, from the bottom: names and heights."""
     geometry = SimpleNamespace(
-        blocks=[SimpleNamespace(name=n, size=(2.0, 2.0, z)) for n, z in heights.items()], tilt=tilt
+        blocks=[SimpleNamespace(name=n, size=(2.0, 2.0, z)) for n, z in blocks_], tilt=0.0
     )
-    mesh = SimpleNamespace(size=size, far_size=size, curved=False)
-    data = blocks.build(geometry, mesh) if MPI.COMM_WORLD.rank == 0 else None
-    return distribute(data, MPI.COMM_WORLD)
+    mesh = SimpleNamespace(size=size, far_size=size, curved=curved)
+    return distribute(blocks.build(geometry, mesh), MPI.COMM_SELF)
+
+
+def spacing(tagged: TaggedMesh) -> float:
+    """Size of the cells, but for a factor."""
+    return float(tagged.mesh.topology.index_map(3).size_global ** (-1 / 3))
+
+
+CEMENT_ON_BONE = (("cement", 5.0), ("bone", 5.0))
 
 
 def scene(
-    conductors: list[Conductor],
-    heat: list[HeatCondition],
-    contacts: list[ThermalContact] | None = None,
+    conductors: Sequence[Conductor],
+    heat: Sequence[HeatCondition] = (),
+    contacts: Sequence[ThermalContact] = (),
 ) -> Scene:
     """A scene without mechanics."""
+    none = ((),) * 7
     return Scene(
-        1, (), (), (), (), (), (), (),
-        conductors=tuple(conductors),
-        heat=tuple(heat),
-        thermal_contacts=tuple(contacts or []),
-    )  # fmt: skip
+        1, *none, conductors=tuple(conductors), heat=tuple(heat), thermal_contacts=tuple(contacts)
+    )
 
 
 def conductor(region: str, k: float, initial: float = 37.0, capacity: float = 2.0) -> Conductor:
     return Conductor(region, (k,), (), capacity, ZERO + initial)
 
 
+CEMENT = conductor("cement", 0.2, 100.0, 1.752)
+BONE = conductor("bone", 0.58, 37.0, 2.52)
+
+
+def uniform(value: float) -> Callable[[Floats], Floats]:
+    return lambda x: np.full(len(x), value)
+
+
 def fixed(name: str, boundary: str, celsius: float) -> FixedTemperature:
-    return FixedTemperature(name, boundary, (), lambda x: np.full(len(x), ZERO + celsius), ())
+    return FixedTemperature(name, boundary, (), uniform(ZERO + celsius), ())
 
 
-def solve(
-    conduction: Conduction,
-    x: list[PETSc.Vec],
-    h: float = np.inf,
-    seconds: float = 0.0,
-    iterations: int = 4,
-) -> list[PETSc.Vec]:
-    """One implicit solve by Newton's method with a direct solver."""
-    assert conduction.begin([v.array for v in x], [], h, seconds)
-    y = [v.copy() for v in x]
-    conduction.impose(y)
-    ksp = PETSc.KSP().create(conduction.comm)
-    ksp.setType("preonly")
-    ksp.getPC().setType("lu")
-    ksp.getPC().setFactorSolverType("mumps")
-    for _ in range(iterations):
-        f, dx = conduction.vectors(), conduction.vectors()
-        conduction.residual(y, f)
-        conduction.jacobian(y)
-        A = PETSc.Mat().createNest(conduction.matrix, comm=conduction.comm)
-        right, left = PETSc.Vec().createNest(f), PETSc.Vec().createNest(dx)
-        A.assemble()
-        flat = A.convert("aij", PETSc.Mat()) if len(f) > 1 else conduction.matrix[0][0]
-        one, two = flat.createVecLeft(), flat.createVecRight()
-        one.array[:] = right.array if len(f) == 1 else np.concatenate([v.array for v in f])
-        ksp.setOperators(flat)
-        ksp.solve(one, two)
-        at = 0
-        for v, w in zip(y, left.getNestSubVecs(), strict=True):
-            n = v.getLocalSize()
-            w.array[:] = two.array[at : at + n]
-            at += n
-            v.axpy(-1.0, w)
-    return y
+def contact(h: float, name: str = "cement_bone") -> tuple[ThermalContact, ...]:
+    """A constant conductance [W/(m2 K)] between the cement, the slave, and the bone."""
+    if h == PERFECT:
+        return ()
+    return (ThermalContact(name, ("bone",), ("cement",), h * 1e-3, 0.0, np.inf),)
 
 
-@pytest.mark.parametrize("h", [0.2, 30.0, 300.0, 1e6, 1e9, 1e12])
+class Solved:
+    """A scene with its solver, at its initial state."""
+
+    def __init__(self, terms: Scene, tagged: TaggedMesh, tolerance: float = 1e-11) -> None:
+        self.conduction = Conduction(terms, tagged, Timing())
+        self.solver = Solver(HeatSystem(self.conduction), tolerance, 30, "direct", {}, Timing())
+        initial = self.conduction.initial()
+        self.state: State = [v.array.copy() for v in initial]
+        self.n = len(initial)
+        self.state += self.conduction.degrees(initial)
+        self.stages: list[dict[str, float]] = []
+
+    @property
+    def x(self) -> list[PETSc.Vec]:
+        return self.solver.blocks()
+
+    def solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
+        """One implicit solve."""
+        if not self.conduction.begin(start[: self.n], start[self.n :], h, seconds):
+            return None
+        for v, values in zip(self.x, guess, strict=False):
+            v.array[:] = values
+        if not self.solver.solve().converged:
+            return None
+        self.stages.append(self.conduction.flows(self.x))
+        return [v.array.copy() for v in self.x] + self.conduction.degrees(self.x)
+
+    def steady(self) -> Solved:
+        """Go to the steady state."""
+        found = self.solve(self.state, np.inf, 0.0, self.state)
+        assert found is not None
+        self.state = found
+        return self
+
+    def advance(self, dt: float, seconds: float, method: Method = SDIRK4) -> float:
+        """A time step that ends at a time; heat that came in, by the integrator's sum [N mm]."""
+        self.stages = []
+        slope = [np.zeros_like(part) for part in self.state]
+        found = step(method, self.state, slope, dt, seconds - dt, self.solve)
+        assert found is not None
+        self.state = found.state
+        return dt * sum(
+            b * sum(flows.values()) for b, flows in zip(method.a[-1], self.stages, strict=True)
+        )
+
+    @property
+    def stored(self) -> float:
+        return self.conduction.stored(self.x)
+
+    def celsius(self, region: str) -> tuple[Floats, Floats]:
+        """Positions (n, 3) and temperatures (n,) of the nodes of a region."""
+        conduction = self.conduction
+        nodes = np.flatnonzero(conduction.forms.volumes(region) > 0)
+        T = conduction.nodal(self.x)[conduction.bodies.of_region[region]][nodes] - ZERO
+        return conduction.space.tabulate_dof_coordinates()[nodes], T
+
+
+# Steady states
+
+
+@pytest.mark.parametrize("h", [0.2, 30.0, 300.0, 1e6, 1e9, 1e12, PERFECT])
 def test_two_bars_with_resistance(h: float) -> None:
     """physics.md 5.8: q = (T1 - T2)/(L1/k1 + 1/h + L2/k2)."""
-    tagged = stack(1.5, cement=5.0, bone=5.0)
-    contact = ThermalContact("cement_bone", ("bone",), ("cement",), h * 1e-3, 0.0, np.inf)
-    conduction = Conduction(
-        scene(
-            [conductor("cement", 0.2), conductor("bone", 0.58)],
-            [fixed("hot", "bottom", 100.0), fixed("cold", "top", 37.0)],
-            [contact],
-        ),
-        tagged,
-        Timing(),
-    )
-    x = solve(conduction, conduction.initial())
+    ends = [fixed("hot", "bottom", 100.0), fixed("cold", "top", 37.0)]
+    s = Solved(scene([CEMENT, BONE], ends, contact(h)), stack(1.5, *CEMENT_ON_BONE)).steady()
     q = 63.0 / (5.0 / 0.2 + 1e3 / h + 5.0 / 0.58)
-    T = conduction.nodal(x)
-    b = conduction.bodies.of_region
-    j = conduction.jumps[0]
-    assert T[b["cement"]][j.dof] - ZERO == pytest.approx(100 - q * 25, abs=1e-9)
-    assert T[b["bone"]][j.dof] - ZERO == pytest.approx(37 + q * 5 / 0.58, abs=1e-9)
-    flux = j.flux(x[1].array)[0]
-    assert flux == pytest.approx(-q, rel=1e-9)
-    flows = conduction.flows(x)
-    assert flows["hot"] == pytest.approx(4 * q, rel=1e-9)
-    assert flows["cold"] == pytest.approx(-4 * q, rel=1e-9)
-    if h == 300:
+    for region, line in (
+        ("cement", lambda z: 100 - q * z / 0.2),
+        ("bone", lambda z: 37 + q * (10 - z) / 0.58),
+    ):
+        x, T = s.celsius(region)
+        assert T == pytest.approx(line(x[:, 2]), abs=1e-9)
+    assert s.stages[-1]["hot"] == pytest.approx(4 * q, rel=1e-9)
+    assert s.stages[-1]["cold"] == pytest.approx(-4 * q, rel=1e-9)
+    for j, τ in zip(s.conduction.jumps, s.x[1:], strict=True):
+        # From bone, the master, to cement.
+        assert j.flux(τ.array)[0] == pytest.approx(-q, rel=1e-8)
+    if h == 300.0:
         assert q == pytest.approx(1.704821, abs=1e-6)
+        assert s.celsius("cement")[1].min() == pytest.approx(57.3795, abs=1e-4)
+        assert s.celsius("bone")[1].max() == pytest.approx(51.6967, abs=1e-4)
+
+
+def test_perfect_interfaces_have_no_unknowns() -> None:
+    tagged = stack(1.5, *CEMENT_ON_BONE)
+    perfect = Solved(scene([CEMENT, BONE]), tagged)
+    finite = Solved(scene([CEMENT, BONE], (), contact(300.0)), tagged)
+    nodes = tagged.mesh.topology.index_map(0).size_global
+    z = tagged.mesh.geometry.x[:, 2]
+    assert perfect.solver.block_sizes == {"temperature": nodes}
+    assert finite.solver.block_sizes == {
+        "temperature": nodes,
+        "temperature_jump": int((np.abs(z - 5) < 1e-9).sum()),
+    }
+
+
+def test_order_two_with_a_jump() -> None:
+    r"""T = cos x cos y f(z) with a jump at z = 5 that the conductance asks for."""
+    k1, k2, h = 0.2, 0.58, 0.3
+
+    def f1(z: Floats) -> Floats:
+        return np.sin(0.7 * z)
+
+    slope = 0.7 * np.cos(0.7 * 5)
+    # The same flux on both sides, and the jump it makes.
+    b, a = k1 * slope / k2, np.sin(0.7 * 5) + k1 * slope / h
+
+    def f2(z: Floats) -> Floats:
+        return a + b * (z - 5) + 0.1 * (z - 5) ** 2
+
+    def exact(x: Floats) -> Floats:
+        f = np.where(x[:, 2] < 5, f1(x[:, 2]), f2(x[:, 2]))
+        return ZERO + np.cos(x[:, 0]) * np.cos(x[:, 1]) * f
+
+    def source(k: float, f: Callable, bend: Callable) -> Callable[[Floats], Floats]:
+        # -k div grad T, where div grad cos x cos y = -2 cos x cos y.
+        return lambda x: k * np.cos(x[:, 0]) * np.cos(x[:, 1]) * (2 * f(x[:, 2]) - bend(x[:, 2]))
+
+    heat: list[HeatCondition] = [
+        HeatSource("one", ("cement",), source(k1, f1, lambda z: -(0.7**2) * f1(z)), ()),
+        HeatSource("two", ("bone",), source(k2, f2, lambda z: 0.2 + 0 * z), ()),
+        FixedTemperature("ends", "bottom", (), exact, ()),
+        FixedTemperature("top", "top", (), exact, ()),
+    ]
+
+    def side(f: Callable, name: str) -> list[HeatCondition]:
+        given = lambda x: ZERO + np.cos(x[:, 0]) * np.cos(x[:, 1]) * f(x[:, 2])  # noqa: E731
+        return [
+            FixedTemperature(f"{name} {s}", f"{name}_{s}", (), given, ())
+            for s in ("x_min", "x_max", "y_min", "y_max")
+        ]
+
+    heat += side(f1, "cement") + side(f2, "bone")
+    errors, sizes = [], []
+    for size in (0.7, 0.5, 0.35, 0.25):
+        s = Solved(
+            scene([CEMENT, BONE], heat, contact(h * 1e3)), stack(size, *CEMENT_ON_BONE), 1e-8
+        ).steady()
+        total = 0.0
+        for region, f in (("cement", f1), ("bone", f2)):
+            x, T = s.celsius(region)
+            V = s.conduction.forms.volumes(region)
+            off = T - np.cos(x[:, 0]) * np.cos(x[:, 1]) * f(x[:, 2])
+            total += float((V[V > 0] * off**2).sum())
+        errors.append(float(np.sqrt(total)))
+        sizes.append(spacing(s.conduction.tagged))
+    assert fitted_order(sizes, errors) == pytest.approx(2.0, abs=0.2), errors
+
+
+@pytest.mark.parametrize("fibre", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8), tuple(np.ones(3) / 3**0.5)])
+def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) -> None:
+    """A linear temperature is exact; its flux is -K g with K = k_t I + (k_l - k_t) m m^T."""
+    g = np.array([3.0, -2.0, 5.0])
+    given = lambda x: 310.0 + x @ g  # noqa: E731
+    sides = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
+    heat: list[HeatCondition] = [FixedTemperature(s, s, (), given, ()) for s in sides]
+    k_l, k_t = 0.6, 0.35
+    bone = Conductor("bone", (k_l, k_t), fibre, 2.5, 310.0)
+    s = Solved(scene([bone], heat), stack(0.8, ("bone", 3.0))).steady()
+    x, T = s.celsius("bone")
+    assert T + ZERO == pytest.approx(310.0 + x @ g, abs=1e-9)
+    K = k_t * np.eye(3) + (k_l - k_t) * np.outer(fibre, fibre)
+    # Heat into the model times position, summed, is the volume times K g.
+    r = s.conduction._lacking(s.conduction.nodal(s.x))[0]
+    moment = r @ s.conduction.space.tabulate_dof_coordinates()[: s.conduction.owned]
+    assert moment == pytest.approx(12.0 * K @ g, rel=1e-9)
+    assert sum(s.stages[-1].values()) == pytest.approx(0.0, abs=1e-9 * np.abs(K @ g).max())
+
+
+def test_convection_in_series_with_a_bar() -> None:
+    """q = (T0 - Ta)/(L/k + 1/a), exact; more so on cells that are quadratic but straight."""
+    heat: list[HeatCondition] = [
+        fixed("hot", "bottom", 80.0),
+        Convection("air", "top", 0.025, ZERO + 20.0),
+    ]
+    for curved in (False, True):
+        s = Solved(scene([conductor("bar", 0.4)], heat), stack(1.2, ("bar", 6.0), curved=curved))
+        s.steady()
+        q = 60.0 / (6.0 / 0.4 + 1 / 0.025)
+        x, T = s.celsius("bar")
+        assert T == pytest.approx(80 - q * x[:, 2] / 0.4, abs=1e-8)
+        assert s.stages[-1] == pytest.approx({"hot": 4 * q, "air": -4 * q}, rel=1e-9)
+
+
+def test_perfusion_of_a_bar() -> None:
+    """T = Tb + (T0 - Tb) cosh(λ(L - z))/cosh(λL), λ² = w/k: second order."""
+    w, k, L = 0.05, 0.5, 6.0
+    λ = np.sqrt(w / k)
+    heat: list[HeatCondition] = [
+        fixed("hot", "bottom", 60.0),
+        Perfusion("blood", ("bar",), w, ZERO + 37.0),
+    ]
+    errors, sizes = [], []
+    for size in (1.0, 0.7, 0.5, 0.35):
+        s = Solved(scene([conductor("bar", k)], heat), stack(size, ("bar", L))).steady()
+        x, T = s.celsius("bar")
+        exact = 37 + 23 * np.cosh(λ * (L - x[:, 2])) / np.cosh(λ * L)
+        errors.append(float(np.sqrt(np.mean((T - exact) ** 2))))
+        sizes.append(spacing(s.conduction.tagged))
+    assert errors[-1] < 23 * 1e-3
+    assert fitted_order(sizes, errors) == pytest.approx(2.0, abs=0.3), errors
+    q = 4 * k * 23 * λ * np.tanh(λ * L)
+    assert s.stages[-1]["hot"] == pytest.approx(q, rel=5e-3)
+    assert s.stages[-1]["blood"] == pytest.approx(-s.stages[-1]["hot"], rel=1e-9)
+
+
+# Given temperatures at interfaces
+
+
+@pytest.mark.parametrize("h", [300.0, 1e9])
+def test_a_region_held(h: float) -> None:
+    """Cement held at 100 throughout: the bone sees it through the conductance alone."""
+    heat: list[HeatCondition] = [
+        FixedTemperature("cement", "", ("cement",), uniform(ZERO + 100.0), ()),
+        fixed("cold", "top", 37.0),
+    ]
+    s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.5, *CEMENT_ON_BONE)).steady()
+    q = 63.0 / (1e3 / h + 5.0 / 0.58)
+    assert s.celsius("cement")[1] == pytest.approx(100.0, abs=1e-10)
+    x, T = s.celsius("bone")
+    assert T == pytest.approx(37 + q * (10 - x[:, 2]) / 0.58, abs=1e-9)
+    assert s.stages[-1] == pytest.approx({"cement": 4 * q, "cold": -4 * q}, rel=1e-8)
+
+
+def test_both_sides_held_at_an_edge() -> None:
+    """Where given temperatures hold both sides the jump is theirs; what they pass is counted."""
+    heat = [fixed("warm", "cement_x_min", 60.0), fixed("cool", "bone_x_min", 40.0)]
+    s = Solved(scene([CEMENT, BONE], heat, contact(300.0)), stack(1.0, *CEMENT_ON_BONE)).steady()
+    (j,) = s.conduction.jumps
+    edge = s.conduction.space.tabulate_dof_coordinates()[j.dof, 0] < 1e-9
+    assert (j.held == edge).all() and edge.any()
+    assert s.x[1].array[edge] == pytest.approx(20.0, abs=1e-10)
+    for region, given in (("cement", 60.0), ("bone", 40.0)):
+        x, T = s.celsius(region)
+        assert T[x[:, 0] < 1e-9] == pytest.approx(given, abs=1e-10)
+        assert 40.0 < T.mean() < 60.0
+    q = s.stages[-1]
+    assert q["warm"] > 1.0
+    assert q["warm"] + q["cool"] == pytest.approx(0.0, abs=1e-10 * q["warm"])
+    through = float(j.weight @ j.flux(s.x[1].array)[0])
+    assert q["cool"] == pytest.approx(through, rel=1e-9)
+
+
+def test_the_later_of_two_given_temperatures_holds() -> None:
+    heat = [fixed("first", "x_min", 60.0), fixed("second", "bottom", 40.0)]
+    s = Solved(scene([conductor("bar", 0.4)], heat), stack(1.0, ("bar", 2.0))).steady()
+    x, T = s.celsius("bar")
+    both = (x[:, 0] < 1e-9) & (x[:, 2] < 1e-9)
+    assert T[both] == pytest.approx(40.0)
+    assert sum(s.stages[-1].values()) == pytest.approx(0.0, abs=1e-9 * s.stages[-1]["first"])
+
+
+# Transients
+
+
+@pytest.mark.parametrize("h", [0.0, 300.0, 1e9, PERFECT])
+@pytest.mark.parametrize("dt", [1e-3, 1.0, 3600.0])
+def test_nothing_is_lost_between_bodies(h: float, dt: float) -> None:
+    """Without exchange the heat at the start, by volumes, stays."""
+    s = Solved(scene([CEMENT, BONE], (), contact(h)), stack(1.5, *CEMENT_ON_BONE), 1e-10)
+    reference = (100.0 + 37.0) / 2
+    start = 20 * (1.752 * (100.0 - reference) + 2.52 * (37.0 - reference))
+    for v, values in zip(s.x, s.state, strict=True):
+        v.array[:] = values
+    assert s.stored == pytest.approx(start, rel=1e-11)
+    for k in range(3):
+        s.advance(dt, (k + 1) * dt)
+        assert s.stored == pytest.approx(start, rel=1e-9)
+    if h == 0.0:
+        assert s.celsius("cement")[1] == pytest.approx(100.0, abs=1e-9)
+        assert s.celsius("bone")[1] == pytest.approx(37.0, abs=1e-9)
+    elif dt == 3600.0:
+        mixed = (1.752 * 100.0 + 2.52 * 37.0) / (1.752 + 2.52)
+        assert s.celsius("bone")[1] == pytest.approx(mixed, abs=0.1)
+
+
+@pytest.mark.parametrize("method", [SDIRK4, BACKWARD_EULER], ids=lambda m: m.name)
+@pytest.mark.parametrize("h", [300.0, PERFECT])
+def test_the_balance_closes_with_everything_at_once(h: float, method: Method) -> None:
+    """What the conditions bring in by the sums of the integrator is what is stored."""
+    course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
+    heat: list[HeatCondition] = [
+        # Its course multiplies kelvins.
+        FixedTemperature(
+            "held", "bottom", (), lambda x: ZERO + 40 + 3 * x[:, 0], ((0.0, 1.0), (8.0, 1.02))
+        ),
+        HeatFlux("lamp", "x_min", lambda x: 0.4 * x[:, 2], course),
+        HeatSource("ohmic", ("bone",), lambda x: 0.05 * x[:, 1], ()),
+        Convection("air", "top", 0.02, ZERO + 20.0),
+        Perfusion("blood", ("bone",), 0.01, ZERO + 37.0),
+    ]
+    s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.0, *CEMENT_ON_BONE), 1e-10)
+    for v, values in zip(s.x, s.state, strict=True):
+        v.array[:] = values
+    before, moved = s.stored, 0.0
+    for k in range(5):
+        came = s.advance(1.5, 1.5 * (k + 1), method)
+        moved += 1.5 * max(abs(f) for flows in s.stages for f in flows.values())
+        after = s.stored
+        assert after - before == pytest.approx(came, abs=1e-9 * moved)
+        before = after
+    # The lamp on a side of 2 mm by 10 mm: 0.4 times the first moment of its height.
+    m = np.interp(7.5, *np.array(course).T)
+    assert s.stages[-1]["lamp"] == pytest.approx(0.4 * 2 * 50 * m, rel=1e-9)
+    assert s.stages[-1]["ohmic"] == pytest.approx(0.05 * 2 * 5 * 2, rel=1e-9)
+    assert all(abs(f) > 0 for f in s.stages[-1].values())
+
+
+def test_initial_temperatures_that_meet_are_averaged_by_capacity() -> None:
+    s = Solved(scene([CEMENT, BONE]), stack(1.0, *CEMENT_ON_BONE))
+    for v, values in zip(s.x, s.state, strict=True):
+        v.array[:] = values
+    x, T = s.celsius("bone")
+    between = T[np.abs(x[:, 2] - 5) < 1e-9]
+    assert (between > 37.0).all() and (between < 100.0).all()
+    assert T[x[:, 2] > 5 + 1e-9] == pytest.approx(37.0)
+    V = [s.conduction.forms.volumes(r) for r in ("cement", "bone")]
+    shared = (V[0] > 0) & (V[1] > 0)
+    c1, c2 = 1.752 * V[0][shared], 2.52 * V[1][shared]
+    assert np.sort(between) == pytest.approx(np.sort((100 * c1 + 37 * c2) / (c1 + c2)))
+
+
+# Cure and friction
+
+
+BALIGA = Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ())
+
+
+def curing(h: float) -> Scene:
+    """Cement that sets beside bone, nothing else."""
+    cement = conductor("cement", 0.2, 75.0, 1.752)
+    cure = Cure("cement", BALIGA, 155.0, 0.05, 0.85, 0.01, 1.0, 0.0)
+    return replace(scene([cement, BONE], (), contact(h)), cures=(cure,))
+
+
+@pytest.mark.parametrize("h", [0.0, 300.0, PERFECT])
+def test_heat_of_cure_is_that_of_what_cured(h: float) -> None:
+    s = Solved(curing(h), stack(1.5, *CEMENT_ON_BONE), 1e-10)
+    for v, values in zip(s.x, s.state, strict=False):
+        v.array[:] = values
+    before, α = s.stored, s.state[-1].copy()
+    V = s.conduction.forms.volumes("cement")
+    V = V[V > 0]
+    for k in range(8):
+        came = s.advance(2.0, 2.0 * (k + 1))
+        released = 155.0 * float(V @ (s.state[-1] - α))
+        assert came == pytest.approx(released, rel=1e-9)
+        assert s.stored - before == pytest.approx(released, rel=1e-8)
+        before, α = s.stored, s.state[-1].copy()
+        assert ((α >= 0.05) & (α <= 1)).all()
+    assert α.max() > 0.5
+    if h == 0.0:
+        # Adiabatic, node by node.
+        assert s.celsius("cement")[1] == pytest.approx(75 + 155 / 1.752 * (α - 0.05), abs=1e-6)
+        assert s.celsius("bone")[1] == pytest.approx(37.0, abs=1e-9)
+
+
+def test_the_jacobian_is_the_derivative() -> None:
+    """Taylor test with conductance that depends on pressure, and cure."""
+    rng = np.random.default_rng(1)
+    law = ThermalContact("cement_bone", ("bone",), ("cement",), 0.05, 0.1, 0.4)
+    terms = replace(curing(PERFECT), thermal_contacts=(law,))
+    terms = replace(terms, heat=(fixed("cold", "top", 37.0), fixed("side", "x_min", 45.0)))
+    c = Conduction(terms, stack(1.5, *CEMENT_ON_BONE), Timing())
+    (j,) = c.jumps
+    j.pressure[:] = rng.uniform(-1.0, 6.0, len(j.pressure))
+    x, d = c.initial(), c.vectors()
+    degrees = c.degrees(x)
+    assert c.begin([v.array for v in x], degrees, 0.8, 0.8)
+    for v in x:
+        v.array[:] += rng.uniform(-5.0, 5.0, v.getLocalSize())
+    c.impose(x)
+    for v, held in zip(d, (c.held, j.held), strict=True):
+        v.array[:] = np.where(held, 0.0, rng.uniform(-1.0, 1.0, v.getLocalSize()))
+    c.jacobian(x)
+    f0 = c.vectors()
+    c.residual(x, f0)
+    slope = c.vectors()
+    for row, out in zip(c.matrix, slope, strict=True):
+        for A, v in zip(row, d, strict=True):
+            A.multAdd(v, out, out)
+    remainders = []
+    for ε in (1.0, 0.5, 0.25):
+        y, f = [v.copy() for v in x], c.vectors()
+        for v, w in zip(y, d, strict=True):
+            v.axpy(ε, w)
+        c.residual(y, f)
+        for a, b, s in zip(f, f0, slope, strict=True):
+            a.axpy(-1.0, b)
+            a.axpy(-ε, s)
+        remainders.append(np.sqrt(sum(a.norm() ** 2 for a in f)))
+    assert remainders[0] > 1e-6
+    assert fitted_order([1.0, 0.5, 0.25], remainders) == pytest.approx(2.0, abs=0.1)
+    transposed = c.matrix[0][1].copy().transpose()
+    transposed.axpy(-1.0, c.matrix[1][0])
+    assert transposed.norm() == 0
+    for k in (0, 1):
+        assert c.matrix[k][k].isSymmetric(1e-12 * c.matrix[k][k].norm())
+
+
+def test_friction_heat_goes_where_it_is_put_and_is_counted() -> None:
+    terms = replace(
+        scene([CEMENT, BONE], (), contact(300.0)),
+        friction_heat=(FrictionHeat("cement_bone", 0.25),),
+    )
+    s = Solved(terms, stack(1.5, *CEMENT_ON_BONE), 1e-10)
+    (j,), (friction,) = s.conduction.jumps, s.conduction.frictions
+    assert (j.share == 0.25).all()
+    of = s.conduction.bodies.of_region
+    friction.nodal[of["cement"]][j.dof] = 0.25 * 2.0 * j.weight
+    friction.nodal[of["bone"]][j.dof] = 0.75 * 2.0 * j.weight
+    friction.flows["friction cement_bone"] = 8.0
+    for v, values in zip(s.x, s.state, strict=True):
+        v.array[:] = values
+    before = s.stored
+    came = s.advance(5.0, 5.0)
+    assert came == pytest.approx(40.0, rel=1e-12)
+    assert s.stored - before == pytest.approx(40.0, rel=1e-8)
+
+
+# Extremes
+
+
+@cache
+def cylinders() -> TaggedMesh:
+    text = (support.CONFIGS / "cylinders.yaml").read_text()
+    return support.mesh(support.case(text, "mesh.size=2.5 mm", "mesh.far_size=5 mm"), MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.05, 1.0, 10.0, 3600.0])
+@pytest.mark.parametrize("h", [300.0, PERFECT])
+def test_temperatures_stay_between_those_of_the_data(h: float, dt: float) -> None:
+    """Cement at 100 degC between stem and bone at 37: to 1e-9 of the range, nothing lost."""
+    stem = conductor("stem", 14.8, 37.0, 3.735)
+    contacts = () if h == PERFECT else (
+        ThermalContact("stem_cement", ("stem",), ("cement",), h * 1e-3, 0.0, np.inf),
+        *contact(h),
+    )  # fmt: skip
+    terms = scene([stem, CEMENT, BONE], [fixed("outer", "bone_surface", 37.0)], contacts)
+    s = Solved(terms, cylinders(), 1e-8)
+    c = s.conduction
+    for v, values in zip(s.x, s.state, strict=True):
+        v.array[:] = values
+    before, left = s.stored, False
+    for k in range(4):
+        start = s.state
+        for method in (SDIRK4, BACKWARD_EULER):
+            while True:
+                s.state = start
+                came = s.advance(dt, (k + 1) * dt, method)
+                if not c.outside(s.x):
+                    break
+                left = True
+                if not c.correct(s.x):
+                    break
+            if not c.outside(s.x):
+                break
+        for region in ("stem", "cement", "bone"):
+            T = s.celsius(region)[1]
+            assert T.min() > 37 - 63e-9 and T.max() < 100 + 63e-9
+        assert s.stored - before == pytest.approx(came, abs=1e-9 * abs(before))
+        before = s.stored
+        c.settle(s.x)
+    # On this mesh short steps do leave them unless conduction is corrected.
+    assert left == (dt <= 1.0)
+
+
+def test_bounds_follow_the_data() -> None:
+    tagged = stack(1.5, *CEMENT_ON_BONE)
+    given = fixed("cold", "top", 20.0)
+    warm = HeatFlux("lamp", "bottom", uniform(0.1), ((0.0, 0.0), (1.0, 1.0)))
+    s = Solved(scene([CEMENT, BONE], [given, warm], contact(300.0)), tagged)
+    bounds = s.conduction.bounds(s.x)
+    assert (bounds.low, bounds.high) == pytest.approx((ZERO + 20.0, ZERO + 100.0))
+    s.advance(1.0, 1.0)
+    bounds = s.conduction.bounds(s.x)
+    assert bounds.low == pytest.approx(ZERO + 20.0) and bounds.high == np.inf
+    drain = replace(warm, flux=uniform(-0.1))
+    s = Solved(scene([CEMENT, BONE], [given, drain], contact(300.0)), tagged)
+    s.advance(1.0, 1.0)
+    bounds = s.conduction.bounds(s.x)
+    assert bounds.low == -np.inf and bounds.high == pytest.approx(ZERO + 100.0)

@@ -1,0 +1,96 @@
+"""Heat on 1, 2 and 3 ranks: the same temperatures, flows and corrections."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests import support
+
+# Run on every rank: cement of 100 degC that sets between stem and bone, finite conductance, all
+# kinds of conditions, conduction corrected.
+SCRIPT = """
+import json, sys
+from dataclasses import replace
+import numpy as np
+from mpi4py import MPI
+from app.conduction import Conduction
+from app.heat_system import HeatSystem
+from app.solver import Solver
+from app.terms import (Autocatalytic, Conductor, Convection, Cure, FixedTemperature, HeatFlux,
+                       HeatSource, Perfusion, Scene, ThermalContact)
+from app.timing import Timing
+from tests import support
+
+case = support.case((support.CONFIGS / "cylinders.yaml").read_text(),
+                    "mesh.size=4 mm", "mesh.far_size=6 mm")
+tagged = support.mesh(case)
+Z = 273.15
+terms = Scene(
+    1, (), (), (), (), (), (), (),
+    conductors=(Conductor("stem", (14.8,), (), 3.735, Z + 37),
+                Conductor("cement", (.2,), (), 1.752, Z + 100),
+                Conductor("bone", (.6, .4), (0., 0., 1.), 2.52, Z + 37)),
+    heat=(FixedTemperature("outer", "bone_surface", (), lambda x: Z + 37 + 0 * x[:, 0], ()),
+          FixedTemperature("low", "cement_bottom", (), lambda x: Z + 60 + x[:, 0], ()),
+          FixedTemperature("under", "bone_bottom", (), lambda x: Z + 40 + 0 * x[:, 0], ()),
+          HeatFlux("lamp", "stem_top", lambda x: 0.1 + 0.01 * x[:, 0], ()),
+          Convection("air", "bone_top", 0.02, Z + 20), Perfusion("blood", ("bone",), .01, Z + 37),
+          HeatSource("ohmic", ("stem",), lambda x: 0.01 * x[:, 2], ())),
+    thermal_contacts=(ThermalContact("stem_cement", ("stem",), ("cement",), .3, .1, np.inf),
+                      ThermalContact("cement_bone", ("bone",), ("cement",), .3, 0., np.inf)),
+    cures=(Cure("cement", Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ()), 155., .05, .85, .01,
+                1., 0.),),
+)
+c = Conduction(terms, tagged, Timing())
+s = Solver(HeatSystem(c), 1e-11, 30, "direct", {}, Timing())
+(j,) = c.jumps
+j.pressure[:] = 1 + j.points.x[j.mine, 2] / 10
+x = c.initial()
+for v, w in zip(s.blocks(), x): w.copy(v)
+found, degrees = {"stored": [c.stored(x)]}, c.degrees(x)
+for k, dt in enumerate((.01, .1, 1., 10.)):
+    if k == 2:
+        # As if everything had left its bounds, at 0 K: all edges out.
+        assert c.correct(c.vectors())
+    assert c.begin([v.array.copy() for v in s.blocks()], degrees, dt, dt)
+    assert s.solve().converged
+    degrees = c.degrees(s.blocks())
+    found["stored"].append(c.stored(s.blocks()))
+    for name, flow in c.flows(s.blocks()).items():
+        found.setdefault(name, []).append(flow)
+    q = float(np.sum(j.weight * j.flux(s.blocks()[1].array)[0] ** 2))
+    a = float(sum(np.sum(n.heat * d) for n, d in zip(c.cures[0].nodes, degrees)))
+    for name, value in (("flux", q), ("cured", a)):
+        found.setdefault(name, []).append(tagged.mesh.comm.allreduce(value))
+found["held"] = [tagged.mesh.comm.allreduce(int(j.held.sum()))]
+if tagged.mesh.comm.rank == 0:
+    print(json.dumps(found))
+"""
+
+
+@pytest.mark.parallel
+def test_heat_does_not_depend_on_the_number_of_ranks(tmp_path: Path) -> None:
+    script = tmp_path / "heat.py"
+    script.write_text(SCRIPT, encoding="utf-8")
+    found = {}
+    for ranks in (1, 2, 3):
+        done = subprocess.run(
+            support.mpirun(ranks, script),
+            env=support.environment(),
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        assert done.returncode == 0, done.stderr
+        found[ranks] = json.loads(done.stdout.splitlines()[-1])
+    one = found[1]
+    assert one["held"][0] > 2
+    for name, values in one.items():
+        size = max(map(abs, values))
+        assert size > 0, name
+        for ranks in (2, 3):
+            assert found[ranks][name] == pytest.approx(values, abs=1e-8 * size), (name, ranks)

@@ -1,0 +1,123 @@
+"""Heat at interfaces: signs, derivatives, second law; the forms as compiled, at points."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from app.pointwise import Pointwise
+from forms import heat, interface_heat
+
+Floats = NDArray[np.float64]
+
+N = 60
+NAMES = ("p", "τ", "open", "per_pressure", "cap")
+
+
+@pytest.fixture(scope="module")
+def law() -> Pointwise:
+    """Flux, its derivatives and the conductance at N points."""
+    return Pointwise(
+        MPI.COMM_SELF,
+        N,
+        dict.fromkeys(NAMES, 1),
+        lambda x: [
+            *interface_heat.flux_and_derivatives(*(x[n] for n in NAMES)),
+            interface_heat.conductance(*(x[n] for n in ("p", "open", "per_pressure", "cap"))),
+        ],
+    )
+
+
+def random(seed: int) -> dict[str, Floats]:
+    """Pressures of both signs, jumps of both signs, caps that do and do not bind."""
+    rng = np.random.default_rng(seed)
+    return {
+        "p": rng.uniform(-3.0, 6.0, N),
+        "τ": rng.uniform(-60.0, 60.0, N),
+        "open": 10 ** rng.uniform(-4.0, 1.0, N),
+        "per_pressure": rng.choice([0.0, 0.1, 2.0], N),
+        "cap": rng.choice([np.inf, 0.5, 2.0], N),
+    }
+
+
+def test_conductance_grows_with_the_size_of_the_pressure_up_to_its_cap(law: Pointwise) -> None:
+    """E9: h = h_o + h_p |p| in compression, never less than open, capped."""
+    x = random(0)
+    h = law(**x)[3]
+    closed = x["open"] + x["per_pressure"] * np.where(x["p"] > 0, x["p"], 0.0)
+    assert h == pytest.approx(np.minimum(closed, x["cap"]), rel=1e-14)
+    assert (closed > x["cap"]).any() and (x["p"] < 0).any()
+
+
+def test_heat_flows_from_hot_to_cold(law: Pointwise) -> None:
+    """E4: the heat into the slave is h (θ - θ'), that is -h τ; its derivatives by hand."""
+    x = random(1)
+    q, by_jump, by_pressure, h = law(**x)
+    assert q == pytest.approx(-h * x["τ"], rel=1e-14)
+    assert (q * x["τ"] <= 0).all()
+    assert by_jump == pytest.approx(-h, rel=1e-14)
+    sloped = (x["p"] > 0) & (x["open"] + x["per_pressure"] * x["p"] < x["cap"])
+    assert by_pressure == pytest.approx(np.where(sloped, -x["per_pressure"] * x["τ"], 0.0))
+    assert sloped.any() and (~sloped).any()
+
+
+def test_derivatives_by_differences(law: Pointwise) -> None:
+    x = random(2)
+    _, by_jump, by_pressure, _ = law(**x)
+    for name, slope in (("τ", by_jump), ("p", by_pressure)):
+        step = 1e-6
+        up, down = (law(**(x | {name: x[name] + s}))[0] for s in (step, -step))
+        numeric = (up - down) / (2 * step)
+        h_p = x["per_pressure"] * x["p"] + x["open"]
+        smooth = (np.abs(x["p"]) > 1e-3) & (np.abs(h_p - x["cap"]) > 1e-3)
+        assert slope[smooth] == pytest.approx(numeric[smooth], rel=1e-6, abs=1e-7)
+
+
+def test_friction_heats_both_sides_with_all_of_its_heat() -> None:
+    """E10: as printed the two sides would get +D and -D, nothing in sum."""
+    master, slave = interface_heat.friction_heat(3.0, 0.34)
+    assert (master, slave) == pytest.approx((3.0 * 0.66, 3.0 * 0.34))
+    assert master + slave == pytest.approx(3.0)
+
+
+temperatures = st.floats(200.0, 500.0)
+
+
+@given(
+    temperatures,
+    temperatures,
+    st.floats(0.0, 1e6),
+    st.floats(0.0, 100.0),
+    st.floats(0.0, 1.0),
+)
+def test_entropy_is_made_never_lost(θ: float, θ_slave: float, h: float, D: float, β: float) -> None:
+    q = h * (θ - θ_slave)
+    made = interface_heat.entropy_production(q, D, β, θ, θ_slave)
+    assert made >= 0.0
+    # Heat that leaves at one temperature and arrives at another, and friction heat.
+    gained = (q + β * D) / θ_slave - (q - (1 - β) * D) / θ
+    assert made == pytest.approx(gained, rel=1e-6, abs=1e-9 * (abs(q) + D))
+    # With the sign of the paper's first conduction law it would be lost.
+    assert interface_heat.entropy_production(-q, 0.0, β, θ, θ_slave) <= 0.0
+
+
+def test_a_fibre_with_equal_conductivities_is_none() -> None:
+    """And along it, the potential is that of the axial conductivity alone."""
+    found = Pointwise(
+        MPI.COMM_SELF,
+        1,
+        {"g": 3, "m": 3},
+        lambda x: [
+            heat.fibre_conduction(x["g"], x["m"], 0.6, 0.6),
+            heat.isotropic_conduction(x["g"], 0.6),
+            heat.fibre_conduction(x["m"], x["m"], 0.6, 0.3),
+        ],
+    )
+    same, isotropic, along = found(g=np.array([[1.0, 2.0, -3.0]]), m=np.array([[0.6, 0.0, 0.8]]))
+    assert same[0] == pytest.approx(isotropic[0]) == pytest.approx(0.6 * 14 / 2)
+    assert along[0] == pytest.approx(0.3)
