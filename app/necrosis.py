@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy.special import expn
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 CELSIUS = 273.15  # K at 0 degC
 LEVELS = (47.0, 50.0, 56.0)  # degC
@@ -32,6 +31,8 @@ FREQUENCY = 3.1e98  # 1/s
 ACTIVATION = 6.28e5 / 8.314462618  # K
 # Below this change [K] the difference of antiderivatives loses digits and three points do not.
 _SHORT = 0.1
+# Doses below this part of what kills are as good as none.
+_LEAST = 1e-4
 _GAUSS = np.polynomial.legendre.leggauss(3)
 
 
@@ -119,10 +120,17 @@ class Exposure:
         self.cem43[:] += cem43(start, end, seconds)
         self.damage[:] += henriques_moritz(start, end, seconds)
 
-    def necrotic(self) -> dict[str, Bools]:
-        """Which nodes are dead (n,), by the name of the criterion."""
+    def levels(self) -> dict[str, Floats]:
+        """What is not negative where nodes are dead (n,), by the name of the criterion.
+
+        It goes with time where time is what counts, and with temperature where that does:
+        equivalent minutes and damage are exponentials of it.
+        """
+        minutes = {
+            f"cem43_{m}": np.log(np.maximum(self.cem43 / m, _LEAST)) for m in CEM43_THRESHOLDS
+        }
         return {
-            "47C_1min": self.over[0] >= MINUTE,
-            **{f"cem43_{minutes}": self.cem43 >= minutes for minutes in CEM43_THRESHOLDS},
-            "henriques_moritz": self.damage >= 1.0,
+            "47C_1min": self.over[0] / MINUTE - 1,
+            **minutes,
+            "henriques_moritz": np.log(np.maximum(self.damage, _LEAST)),
         }

@@ -22,9 +22,9 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from app.heat_forms import HeatForms
+from app.level_sets import RegionCells
 from app.necrosis import CELSIUS, LEVELS, Exposure
 from app.temperature_jumps import TemperatureJumps
 from app.thermal_nodes import Nodes, Probe, Probes, Side, pairs_of, region_nodes, sides_of
@@ -146,7 +146,7 @@ class ThermalRecord:
         Raises:
             InputError: A probe is not in its region.
         """
-        self._comm = forms.comm
+        self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
         self._interfaces = interfaces
         self._sides = {name: sides_of(self._nodes, sides) for name, sides in interfaces.items()}
@@ -300,13 +300,17 @@ class ThermalRecord:
 
     def summary(self) -> dict[str, Any]:
         """Section ``thermal`` of the summary; collective."""
-        surface = self._bone_surface()
+        cells = {name: RegionCells(self._forms, name) for name in self._nodes}
+        surface = self._bone_surface(cells)
+        regions = {name: self._region(r, cells[name]) for name, r in self._regions.items()}
+        for name in [name for name in regions if "bone" in name]:
+            regions[name] |= self._dead(self._regions[name], cells[name], surface)
         return {
-            "regions": {name: self._region(name, r, surface) for name, r in self._regions.items()},
+            "regions": regions,
             "interfaces": {name: self._interface(name) for name in self._sides},
         }
 
-    def _region(self, name: str, r: _Region, surface: Floats) -> dict[str, Any]:
+    def _region(self, r: _Region, cells: RegionCells) -> dict[str, Any]:
         comm, volume = self._comm, r.nodes.volume
 
         def total(values: Floats) -> float:
@@ -326,23 +330,29 @@ class ThermalRecord:
         }
         for k, level in enumerate(LEVELS):
             result[f"seconds_over_{level:g}"] = largest(r.exposure.over[k])
-            result[f"volume_over_{level:g}"] = total(volume[r.peak - CELSIUS > level])
-        if "bone" not in name:
-            return result
-        result["cem43_max"] = largest(r.exposure.cem43)
-        result["henriques_moritz_max"] = largest(r.exposure.damage)
-        distance = cKDTree(surface).query(r.nodes.x)[0] if len(surface) else None
-        for criterion, dead in r.exposure.necrotic().items():
-            result[f"necrosis_{criterion}_volume"] = total(volume[dead])
-            if distance is not None:
-                result[f"necrosis_{criterion}_depth"] = largest(distance[dead])
+            result[f"volume_over_{level:g}"] = cells.volume(r.nodes.dof, r.peak - CELSIUS - level)
         return result
 
-    def _bone_surface(self) -> Floats:
-        """Where bone meets what is not bone (n, 3) [mm], on every rank."""
-        places = {name: n.x for name, n in self._nodes.items()}
-        own = [side.gather(places) for side in self._bone_sides]
-        return np.concatenate(self._comm.allgather(np.concatenate([*own, np.zeros((0, 3))])))
+    def _dead(self, r: _Region, cells: RegionCells, surface: Floats) -> dict[str, float]:
+        """What heat has done to a region of bone."""
+        result = {
+            f"{name}_max": float(self._comm.allreduce(float(dose.max(initial=0.0)), MPI.MAX))
+            for name, dose in (("cem43", r.exposure.cem43), ("henriques_moritz", r.exposure.damage))
+        }
+        for criterion, level in r.exposure.levels().items():
+            result[f"necrosis_{criterion}_volume"] = cells.volume(r.nodes.dof, level)
+            if len(surface):
+                depth = cells.depth(r.nodes.dof, level, surface)
+                result[f"necrosis_{criterion}_depth"] = depth
+        return result
+
+    def _bone_surface(self, cells: Mapping[str, RegionCells]) -> Floats:
+        """Where bone meets what is not bone, as triangles (f, 3, 3) [mm]; on every rank."""
+        found: list[Floats] = [np.zeros((0, 3, 3))]
+        for side in self._bone_sides:
+            for region, rows in side.rows.items():
+                found.append(cells[region].faces(self._nodes[region].dof[rows]))
+        return np.concatenate(found)
 
     def _interface(self, name: str) -> dict[str, Any]:
         comm, e = self._comm, self._extremes[name]

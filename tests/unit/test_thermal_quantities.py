@@ -102,21 +102,22 @@ def test_necrosis_of_a_known_field(stack: TaggedMesh) -> None:
     assert early["necrosis_47C_1min_volume"] == 0 and early["necrosis_47C_1min_depth"] == 0
     late = play.through(61.0)
     bone, cement = late["regions"]["bone"], late["regions"]["cement"]
-    # Nodes at 1.0 (47.75), 1.5 and 2.0 mm: layers of a half, a half and a quarter millimetre.
-    assert bone["necrosis_47C_1min_volume"] == pytest.approx(16 * 1.25)
-    assert bone["necrosis_47C_1min_depth"] == pytest.approx(1.0)
-    assert bone["volume_over_47"] == pytest.approx(16 * 1.25)
-    assert bone["volume_over_50"] == pytest.approx(16 * 0.75)
+    # 61 s at nodes from 1.0 mm (47.75 degC) up, none at 0.5 mm: a minute is reached in between.
+    depth = 1.0 + 0.5 / 61
+    assert bone["necrosis_47C_1min_depth"] == pytest.approx(depth)
+    assert bone["necrosis_47C_1min_volume"] == pytest.approx(16 * depth)
+    assert bone["volume_over_47"] == pytest.approx(16 * (2 - 4 / 4.75))
+    assert bone["volume_over_50"] == pytest.approx(16 * (2 - 7 / 4.75))
     assert bone["volume_over_56"] == 0
     assert (bone["seconds_over_47"], bone["seconds_over_56"]) == (61.0, 0.0)
     assert bone["cem43_max"] == pytest.approx(2**9.5 * 61 / 60)
-    # 2^(T - 43) 61/60 of 0, 2.4, 4.75, 7.1, 9.5 degC above 43: 1.0, 5.3, 27.3, 142, 736 minutes.
-    assert bone["necrosis_cem43_16_depth"] == pytest.approx(1.0)
-    assert bone["necrosis_cem43_60_depth"] == pytest.approx(0.5)
-    assert bone["necrosis_cem43_240_depth"] == 0
-    assert bone["necrosis_cem43_240_volume"] == pytest.approx(16 * 0.25)
+    for minutes in (16, 60, 240):
+        height = np.log2(minutes * 60 / 61) / 4.75
+        assert bone[f"necrosis_cem43_{minutes}_depth"] == pytest.approx(2 - height)
+        assert bone[f"necrosis_cem43_{minutes}_volume"] == pytest.approx(16 * (2 - height))
     rate = 3.1e98 * np.exp(-6.28e5 / (8.314462618 * 325.65))
     assert bone["henriques_moritz_max"] == pytest.approx(61 * rate)
+    assert bone["necrosis_henriques_moritz_volume"] == 0
     assert bone["temperature_mean"] == pytest.approx(47.75)
     assert bone["temperature_min"] == pytest.approx(43.0)
     assert not [key for key in cement if "necrosis" in key]
