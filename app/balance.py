@@ -194,8 +194,8 @@ class Balance:
         self._work += external
         contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
         spent = (new["energy"], self._spent, contact)
-        swelling = problem.swelling_work(u)
-        self._scale = max(self._scale, *map(abs, (self._work, *spent, swelling)))
+        free = problem.free_work(u)
+        self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
         self.energy = _relative(self._work - sum(spent), self._scale)
         self._forces(new)
 

@@ -219,15 +219,35 @@ def _facet_nodes(
         edge_local = np.array([layout.entity_dofs(1, e)[0] for e in range(6)])
         edges = np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
         edge_dofs = globally(np.take_along_axis(dofs, edge_local[edges], axis=1))
-    if geometry.dofmap.shape[1] == 10:
-        middles = 4 + np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
-        nodes_of_x = np.hstack([nodes, np.take_along_axis(geometry.dofmap[f.cells], middles, 1)])
-    else:
-        nodes_of_x = nodes
-    x = geometry.x[nodes_of_x]
-    centre = geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
+    x, centre = facet_coordinates(tagged, f)
     numbers = np.asarray(geometry.input_global_indices)[nodes].astype(np.int64)
     return numbers, globally(vertex_dofs), edge_dofs, x, centre
+
+
+def facets_between(tagged: TaggedMesh, inside: Sequence[str], outside: Sequence[str]) -> FacetCells:
+    """Facets between regions whose cell inside this rank owns, with that cell."""
+    tags, topology = cell_tags(tagged), tagged.mesh.topology
+    link = topology.connectivity(2, 3)
+    facets = np.flatnonzero(np.diff(link.offsets) == 2)
+    pairs = link.array[link.offsets[facets][:, None] + np.arange(2)].astype(np.int64)
+    mine, other = (
+        np.isin(tags[pairs], [tagged.regions[r] for r in side]) for side in (inside, outside)
+    )
+    found = mine & other[:, ::-1] & (pairs < topology.index_map(3).size_local)
+    rows, side = np.nonzero(found)
+    facets, cells = facets[rows].astype(np.int64), pairs[rows, side]
+    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells))
+
+
+def facet_coordinates(tagged: TaggedMesh, f: FacetCells) -> tuple[NDArray, NDArray]:
+    """Nodes of facets, vertices first (f, 3 or 6, 3), and centres of their cells (f, 3) [mm]."""
+    geometry = tagged.mesh.geometry
+    at: NDArray = np.array(FACET_VERTICES)[f.local].reshape(-1, 3)
+    if geometry.dofmap.shape[1] == 10:
+        middles = 4 + np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
+        at = np.hstack([at, middles])
+    x = geometry.x[np.take_along_axis(geometry.dofmap[f.cells], at, axis=1)]
+    return x, geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
 
 
 def held_vertices(

@@ -7,15 +7,21 @@ the forces are G e with a matrix G for each region, assembled once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 from petsc4py import PETSc
 
+import numpy as np
 from dolfinx import fem
+from numpy.typing import NDArray
 
 from app.bodies import Bodies
+from app.jumps import Jumps
 from app.mechanics import Mechanics
+from app.reduction import Reduction
 from app.terms import Expansion, Scene
 
 
@@ -63,21 +69,47 @@ class Expansions:
             G.multAdd(nodal, parts[body], parts[body])
         return parts
 
-    def by_temperature(self) -> dict[int, PETSc.Mat]:
-        """Nodal forces on each body by the nodal temperatures [N/K]."""
-        return _sums((self.body[x.region], self._scaled(x)) for x in self._terms)
-
-    def by_jump(self, moves: Mapping[str, PETSc.Mat]) -> dict[int, PETSc.Mat]:
-        """Nodal forces on each body by temperature jumps [N/K].
+    def stiffness(
+        self,
+        moves: Mapping[str, PETSc.Mat],
+        reduction: Reduction,
+        jumps: Sequence[Jumps],
+        supported: NDArray[np.int32],
+    ) -> ThermalStiffness:
+        """How the forces change with temperature.
 
         Args:
             moves: For each region whose temperatures jumps move, what they add to those.
+            reduction: From nodal displacements to unknowns.
+            jumps: The jumps of the displacement, if any.
+            supported: Rows of the displacement that supports hold: zero.
         """
-        return _sums(
+        by_θ = _sums((self.body[x.region], self._scaled(x)) for x in self._terms)
+        by_τ = _sums(
             (self.body[x.region], self._scaled(x).matMult(moves[x.region]))
             for x in self._terms
             if x.region in moves
         )
+
+        def on_u(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
+            if not parts:
+                return None
+            rows = reduction.rows(reduce(add, parts.values()))
+            rows.zeroRows(supported, diag=0.0)
+            return rows
+
+        def on_q(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
+            moved = [
+                B.transposeMatMult(parts[b])
+                for j in jumps
+                for b, B in j.moves.items()
+                if b in parts
+            ]
+            return reduce(add, moved) if moved else None
+
+        # First the jumps: without rigid regions the rows of the displacement are the parts.
+        q_θ, q_τ = on_q(by_θ), on_q(by_τ)
+        return ThermalStiffness(u_θ=on_u(by_θ), u_τ=on_u(by_τ), q_θ=q_θ, q_τ=q_τ)
 
     def _scaled(self, x: Expansion) -> PETSc.Mat:
         forces = self._forces[x.region].copy()

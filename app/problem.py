@@ -8,25 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.bodies import bodies_of, boundary_facets, cell_tags
 from app.expansion import Expansions, ThermalStiffness
+from app.forces import Forces
 from app.jumps import Jumps
 from app.mechanics import Mechanics
 from app.points import PointForces
 from app.reduction import holds, near_null_space, reduction_of, support_of_dofs
 from app.setting import Setting
-from app.terms import Elastic, Load, Scene, amplitude
+from app.terms import Scene, amplitude
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
 
@@ -44,15 +42,6 @@ class Trial:
     equilibrium: Floats
     jump: Floats
     law: PointForces
-
-
-@dataclass(frozen=True)
-class Action:
-    """Forces at full amplitude: on own nodes, on own jumps [N]."""
-
-    history: tuple[float, ...]
-    nodal: PETSc.Vec
-    jump: Floats
 
 
 class Problem:
@@ -114,15 +103,10 @@ class Problem:
             for j in self.jumps
             for b in j.moves
         }
-        self._loads = [self._load(load) for load in scene.loads]
-        self._strains = [
-            self._strain(e, k) for e in scene.elastic for k in range(len(e.eigenstrains))
-        ]
+        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
         self.expansions: tuple[Expansions, ...] = (
             (Expansions(scene, self.mechanics, self.bodies),) if self.mechanics.swelling else ()
         )
-        self._thermal = [self._action((), {}) for _ in self.expansions]
-        self._prestress = [self._action((), {}) for _ in self.setting]
         self.set_time(0.0)
 
     # Construction
@@ -155,41 +139,6 @@ class Problem:
         self.version += 1
         self.set_time(self.time)
 
-    def _load(self, load: Load) -> Action:
-        """A load at full amplitude."""
-        v, dx = ufl.TestFunction(self.space), self.mechanics.cells()
-        parts = {}
-        for b in range(len(self.bodies.names)):
-            work = self.mechanics.load_work(load, b, v, dx)
-            if work != 0:
-                parts[b] = self.mechanics.assemble(work)
-        return self._action(load.history, parts)
-
-    def _strain(self, e: Elastic, k: int) -> Action:
-        """An eigenstrain at full amplitude, as the load it is equivalent to."""
-        mechanics, v = self.mechanics, ufl.TestFunction(self.space)
-        mechanics.set_amplitudes({(e.region, k): 1.0})
-        body = self.bodies.of_region[e.region]
-        energy = mechanics.body_energy(body, self.u, mechanics.cells())
-        part = mechanics.assemble(ufl.derivative(energy, self.u, v))
-        part.scale(-1)
-        return self._action(e.eigenstrains[k].history, {body: part})
-
-    def _action(self, history: tuple[float, ...], parts: dict[int, PETSc.Vec]) -> Action:
-        """Sum the nodal forces on each body, for the displacement and for the jumps."""
-        total = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
-        jump = np.zeros(sum(3 * len(j.mine) for j in self.jumps))
-        for body, part in parts.items():
-            own = total.duplicate()
-            own.array[:] = part.array[: self._owned]
-            total.axpy(1.0, own)
-            for j in self.jumps:
-                if body in j.moves:
-                    moved = j.moves[body].createVecRight()
-                    j.moves[body].multTranspose(own, moved)
-                    jump += moved.array
-        return Action(history, total, jump)
-
     def bodies_at(self, boundary: str) -> set[int]:
         """Bodies that have facets on a boundary; collective."""
         f = boundary_facets(self.tagged, boundary)
@@ -219,16 +168,8 @@ class Problem:
     def set_time(self, time: float) -> None:
         """Set loads, supports and gaps to a time; the state itself does not move."""
         self.time = time
-        total = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
-        self.f_q = np.zeros(sum(3 * len(j.mine) for j in self.jumps))
-        for action in (*self._loads, *self._strains):
-            a = amplitude(action.history, time)
-            total.axpy(a, action.nodal)
-            self.f_q += a * action.jump
-        for action in (*self._thermal, *self._prestress):
-            total.axpy(1.0, action.nodal)
-            self.f_q += action.jump
-        self.f = self.reduction.vector(total)
+        action = self._forces.at(time)
+        self.f, self.f_q = self.reduction.vector(action.nodal), action.jump
         self.load_size = float(self.f.norm())
         self._given = np.zeros(len(self.held))
         for support, unit, lift in zip(
@@ -253,7 +194,8 @@ class Problem:
         Args:
             temperatures: For each region that expands, values at the vertices [K], ghosts included.
         """
-        self._thermal = [self._action((), x.set(temperatures)) for x in self.expansions]
+        for x in self.expansions:
+            self._forces.set_free("heat", x.set(temperatures))
         self.set_time(self.time)
 
     def set_cure(
@@ -277,7 +219,7 @@ class Problem:
         for s in self.setting:
             if s.stiffen():
                 self._renew()
-            self._prestress = [self._action((), s.forces())]
+            self._forces.set_free("cure", s.forces())
             self.set_time(self.time)
 
     def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
@@ -287,22 +229,7 @@ class Problem:
             moves: For each region whose temperatures jumps move, what they add to the nodal ones.
         """
         (x,) = self.expansions
-        θ, τ = (self._block(parts) for parts in (x.by_temperature(), x.by_jump(moves)))
-        return ThermalStiffness(u_θ=θ[0], u_τ=τ[0], q_θ=θ[1], q_τ=τ[1])
-
-    def _block(self, parts: dict[int, PETSc.Mat]) -> tuple[PETSc.Mat | None, PETSc.Mat | None]:
-        """Rows of the displacement and of the jumps, from those of the nodes of each body."""
-        if not parts:
-            return None, None
-        by_q = [
-            B.transposeMatMult(parts[b])
-            for j in self.jumps
-            for b, B in j.moves.items()
-            if b in parts
-        ]
-        by_u = self.reduction.rows(reduce(add, parts.values()))
-        by_u.zeroRows(self.supported_rows(), diag=0.0)
-        return by_u, reduce(add, by_q) if by_q else None
+        return x.stiffness(moves, self.reduction, self.jumps, self.supported_rows())
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the supported components of a displacement to their current values."""
@@ -375,25 +302,15 @@ class Problem:
 
     def applied(self) -> tuple[Floats, Floats]:
         """Loads now acting on own nodes and jumps [N]; no eigenstrains, no supports."""
-        u, q = np.zeros(self._owned), np.zeros_like(self.f_q)
-        for action in self._loads:
-            a = amplitude(action.history, self.time)
-            u += a * action.nodal.array
-            q += a * action.jump
-        return u, q
-
-    def swelling_work(self, u: PETSc.Vec) -> float:
-        """Work of the forces of free strains, as they are now, in a displacement [N mm]."""
-        nodal = self.reduction.expand(u)
-        return sum(float(a.nodal.dot(nodal)) / 2 for a in (*self._thermal, *self._prestress))
+        return self._forces.applied(self.time)
 
     def resultants(self) -> list[Floats]:
         """Resultant of each load now acting [N]."""
-        return [
-            self.comm.allreduce(action.nodal.array.reshape(-1, 3).sum(axis=0), MPI.SUM)
-            * amplitude(action.history, self.time)
-            for action in self._loads
-        ]
+        return self._forces.resultants(self.time)
+
+    def free_work(self, u: PETSc.Vec) -> float:
+        """Half the work of the free strains' forces now acting in a displacement [N mm]."""
+        return self._forces.free_work(self.reduction.expand(u))
 
     @property
     def augmented(self) -> bool:

@@ -221,11 +221,16 @@ class Stresses:
         values = self._expressions[region].eval(self._problem.tagged.mesh, cells)
         return values.reshape(len(cells), len(self._points), 3, 3)
 
+    def at(self, region: str) -> Floats:
+        """Points of a region's cells, in the reference cell (points, 3)."""
+        history = self._history.get(region)
+        return self._points if history is None else history.points
+
     def shares(self, region: str) -> Floats:
         """Part of a cell that each of its points stands for (points,)."""
         history = self._history.get(region)
         weights = self._weights if history is None else history.weights
-        return weights / weights.sum()
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
 
     def mean(self, region: str) -> Floats:
         """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
@@ -240,11 +245,13 @@ class Stresses:
         volume = np.outer(volumes, share).ravel()
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
+        eigen = np.linalg.eigvalsh(σ)
         local = np.column_stack(
             [
                 np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)),
                 _hoop(σ, np.repeat(x, len(share), axis=0)),
-                np.linalg.eigvalsh(σ)[:, 2] if len(σ) else np.zeros(0),
+                eigen[:, 2],
+                eigen[:, 0],
                 mean,
                 volume,
             ]
@@ -252,13 +259,14 @@ class Stresses:
         pieces = self._problem.comm.gather(local)
         result: dict[str, Any] = {}
         if pieces is not None:
-            mises, hoop, principal, mean, volume = np.concatenate(pieces).T
+            mises, hoop, principal, least, mean, volume = np.concatenate(pieces).T
             result = {
                 "von_mises_max": float(mises.max()),
                 "von_mises_p99": percentile(mises, volume),
                 "hoop_p99": percentile(hoop, volume),
                 "principal_max": float(principal.max()),
                 "principal_p99": percentile(principal, volume),
+                "principal_min": float(least.min()),
                 "mean_stress_min": float(mean.min()),
                 "mean_stress_max": float(mean.max()),
                 "volume": float(volume.sum()),

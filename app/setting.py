@@ -73,6 +73,8 @@ class Setting:
 
     Attributes:
         bodies: Bodies that hold such regions.
+        points: Quadrature points in the reference cell (p, 3).
+        weights: Their weights (p,).
     """
 
     def __init__(self, scene: Scene, mechanics: Mechanics, bodies: Bodies, timing: Timing) -> None:
@@ -91,9 +93,9 @@ class Setting:
                     f"regions.{e.region}.eigenstrains: none in a region that sets; allowed: "
                     "shrinkage and thermal expansion"
                 )
-        points, self.weights = basix.make_quadrature(
-            basix.CellType.tetrahedron, mechanics.setting_degree
-        )
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, mechanics.setting_degree)
+        points, weights = (np.asarray(a, dtype=np.float64) for a in quadrature)
+        self.points, self.weights = points, weights
         element = basix.ufl.quadrature_element(
             "tetrahedron", value_shape=(6,), degree=mechanics.setting_degree
         )

@@ -192,9 +192,9 @@ def sorted_facets(
     vertices, x, inside_slave = vertices[rows], x[rows], inside_slave[rows]
     flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave - x[:, 0]))
-    at_corners, _ = _surface(x, np.eye(3))
+    at_corners, _ = surface(x, np.eye(3))
     chords = (x[:, [1, 2, 0]] + x[:, [2, 0, 1]]) / 2
-    _, area = _surface(x, QUADRATURE)
+    _, area = surface(x, QUADRATURE)
     return InterfaceFacets(
         interface=interface[rows],
         vertices=vertices,
@@ -209,7 +209,7 @@ def sorted_facets(
     )
 
 
-def _surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
+def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
     """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
     # Derivatives of the shape functions by the barycentric coordinates (q, nodes, 3).
     d = np.broadcast_to(np.eye(3), (len(at), 3, 3))

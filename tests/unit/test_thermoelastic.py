@@ -10,6 +10,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app import quantities
+from app.bonds import bonds
 from tests.heated import Heated, expanding
 
 Floats = NDArray[np.float64]
@@ -204,3 +205,28 @@ def test_temperature_jumps_move_the_regions_they_belong_to() -> None:
     changed.array[problem.held] = 0
     assert (G.u_τ * τ - changed).norm() < 1e-12 * changed.norm()
     assert np.abs((G.q_τ * τ).array - (problem.f_q - f_q)).max() < 1e-12 * np.abs(problem.f_q).max()
+
+
+@pytest.mark.parametrize(("curved", "tolerance"), [("true", 0.01), ("false", 0.03)])
+def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
+    """physics.md 3.2 again: no bond stands that, none fails at an eighth of it."""
+    cold = Heated.make(CYLINDERS, expanding(cement=80e-6), f"mesh.curved={curved}")
+    found = {b.name: b for b in bonds(cold.problem, cold.stresses)}
+    for fall, fraction in ((40.0, 1.0), (5.0, 0.0)):
+        cold.solve({"cement": 300.0 - fall})
+        for name, full in (("stem_cement", 5.696), ("cement_bone", 7.884)):
+            numbers, exact = found[name].numbers(), full * fall / 40
+            assert numbers["normal_mean"] == pytest.approx(exact, rel=tolerance)
+            assert numbers["normal_max"] == pytest.approx(exact, rel=0.1)
+            assert numbers["shear_max"] < 0.1 * exact
+            assert numbers["strength_fraction"] == fraction
+    assert found["stem_cement"].numbers()["area"] == pytest.approx(np.pi * 3 * 0.5, rel=2e-2)
+
+
+def test_only_bonds_that_something_loads_are_looked_at() -> None:
+    cold = Heated.make(CYLINDERS, expanding())
+    assert bonds(cold.problem, cold.stresses) == ()
+    parting = Heated.make(CYLINDERS, expanding(cement=80e-6), UNILATERAL[0])
+    assert [b.name for b in bonds(parting.problem, parting.stresses)] == ["cement_bone"]
+    rigid = Heated.make(CYLINDERS, expanding(cement=80e-6), "regions.stem={rigid: true}")
+    assert [b.name for b in bonds(rigid.problem, rigid.stresses)] == ["stem_cement", "cement_bone"]
