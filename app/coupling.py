@@ -165,6 +165,9 @@ class Coupled:
     """
 
     prefix = "mantle_"
+    # Watts and newtons in one norm: a step that lowers it may be cut to nothing at a kink of the
+    # contact law, where whole steps converge.
+    newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
 
     def __init__(
         self,

@@ -16,6 +16,7 @@ class HeatSystem:
     """A `app.systems.System`: the implicit solve that ``conduction.begin`` prepared."""
 
     prefix = "mantle_heat_"
+    newton: Options = {}  # noqa: RUF012
 
     def __init__(self, conduction: Conduction) -> None:
         """Wrap the operators."""

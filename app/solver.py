@@ -100,7 +100,7 @@ class Solver:
         else:
             self._A = PETSc.Mat().createNest(matrices, comm=system.comm)
             self._A.assemble()
-        defaults = dict(NEWTON) | {"snes_max_it": max_iterations}
+        defaults = dict(NEWTON) | {"snes_max_it": max_iterations} | dict(system.newton)
         for name, of_block in system.options(linear).items():
             prefix = "" if len(blocks) == 1 else f"fieldsplit_{name}_"
             defaults |= {f"{prefix}{key}": value for key, value in of_block.items()}

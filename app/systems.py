@@ -54,6 +54,8 @@ class System(Protocol):
 
     comm: MPI.Comm
     prefix: str
+    # PETSc options of its Newton iteration that differ from the solver's.
+    newton: Options
 
     @property
     def version(self) -> int:
@@ -107,6 +109,7 @@ class Bonded:
     """Displacement alone: no interface can move."""
 
     prefix = "mantle_"
+    newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
         """Take the stiffness as it is."""
@@ -157,6 +160,7 @@ class Contact:
     """Displacement and jumps."""
 
     prefix = "mantle_"
+    newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
         """Set up the blocks of the Jacobian."""
