@@ -23,12 +23,13 @@ from numpy.typing import NDArray
 
 from app.bodies import Bodies, bodies_of
 from app.cure_heat import CureHeat
+from app.errors import InputError
 from app.heat_forms import HeatForms
 from app.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
 from app.heat_matrices import HeatMatrices, with_diagonal
 from app.monotone import Bounds, Extremes, Monotone
 from app.systems import Measure
-from app.temperature_jumps import TemperatureJumps
+from app.temperature_jumps import TemperatureJumps, cut_off
 from app.terms import Scene, multiplier
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
@@ -208,6 +209,9 @@ class Conduction:
 
         Returns:
             Whether the degrees are ones to start from; if not, there is nothing to solve.
+
+        Raises:
+            InputError: A steady state does not exist: nothing sets the temperature of a body.
         """
         x = self.vectors()
         for vector, values in zip(x, start, strict=True):
@@ -216,11 +220,26 @@ class Conduction:
         self._seconds = seconds
         self._heats = self._loads.heats(seconds)
         self._set_given(seconds)
+        if math.isinf(h):
+            self._refuse_cut_off()
         rate = 0.0 if math.isinf(h) else 1 / h
         if rate != self._rate:
             self._rate = rate
             self._fill()
         return all([cure.begin(degrees, h, seconds) for cure in self.cures])
+
+    def _refuse_cut_off(self) -> None:
+        here = [bool((e > 0).any()) for e in self._exchange]
+        for b, condition in self._fixed.of_body.items():
+            here[b] = here[b] or bool((condition >= 0).any())
+        reached = np.any(self.comm.allgather(here), axis=0)
+        lost = cut_off(self.scene.thermal_contacts, self.jumps, list(reached))
+        if lost:
+            raise InputError(
+                f"stages: there is no steady state: nothing sets the temperature of "
+                f"'{self.bodies.names[lost[0]]}'; allowed: a given temperature, convection or "
+                "perfusion on it, or an interface that conducts"
+            )
 
     def _fill(self) -> None:
         """Set the linear part of the Jacobian."""

@@ -13,6 +13,8 @@ temperatures hold one or both sides, are those of displacement (`meshes.interfac
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -22,7 +24,7 @@ from app.bodies import Bodies, contact_facets
 from app.heat_forms import HeatForms
 from app.pointwise import Pointwise
 from app.sparse import from_triplets, owners
-from app.terms import Scene
+from app.terms import Scene, ThermalContact
 from forms import interface_heat
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import Holds, InterfaceFacets, contact_points, gather
@@ -98,7 +100,8 @@ class TemperatureJumps:
                 place[point[mine]],
                 entries.value[first][mine],
             )
-        self.pressure, self.friction = np.zeros(n), np.zeros(n)
+        self.pressure: Floats = np.zeros(n)
+        self.friction: Floats = np.zeros(n)
         shares = {f.interface: f.slave_share for f in scene.friction_heat}
         self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
         with forms.compiling():
@@ -121,6 +124,28 @@ class TemperatureJumps:
         """
         q, by_jump, by_pressure = self._law(p=self.pressure, τ=τ)
         return q, by_jump, by_pressure
+
+
+def cut_off(
+    contacts: Sequence[ThermalContact],
+    jumps: tuple[TemperatureJumps, ...],
+    reached: Sequence[bool],
+) -> list[int]:
+    """Bodies to which heat can come from none whose temperature something outside sets.
+
+    Args:
+        contacts: Interfaces of finite conductance.
+        jumps: Their jumps, or an empty tuple.
+        reached: For each body, whether something outside sets its temperature.
+    """
+    group = list(range(len(reached)))
+    for j in jumps:
+        for i, c in enumerate(contacts):
+            if c.open > 0 or c.per_pressure > 0:
+                for a, b in np.unique(j.points.bodies[j.points.interface == i], axis=0):
+                    group = [group[a] if g == group[b] else g for g in group]
+    warm = {g for g, here in zip(group, reached, strict=True) if here}
+    return [b for b, g in enumerate(group) if g not in warm]
 
 
 def _holds(forms: HeatForms, facets: InterfaceFacets, held: dict[int, Ints]) -> Holds:

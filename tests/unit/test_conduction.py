@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.conduction import Conduction
+from app.errors import InputError
 from app.heat_system import HeatSystem
 from app.integrator import METHODS, Method, State, step
 from app.solver import Solver
@@ -347,6 +348,18 @@ def test_the_later_of_two_given_temperatures_holds() -> None:
     both = (x[:, 0] < 1e-9) & (x[:, 2] < 1e-9)
     assert T[both] == pytest.approx(40.0)
     assert sum(s.stages[-1].values()) == pytest.approx(0.0, abs=1e-9 * s.stages[-1]["first"])
+
+
+@pytest.mark.parametrize("h", [0.0, 300.0])
+def test_no_steady_state_without_anything_that_sets_a_temperature(h: float) -> None:
+    for heat, lost in (([], "cement"), ([fixed("cold", "top", 37.0)], "cement")):
+        s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.5, *CEMENT_ON_BONE))
+        if heat and h:
+            s.steady()
+            assert s.celsius("cement")[1] == pytest.approx(37.0, abs=1e-8)
+            continue
+        with pytest.raises(InputError, match=f"nothing sets the temperature of '{lost}'"):
+            s.steady()
 
 
 # Transients
