@@ -265,14 +265,14 @@ class Conduction:
     def _lacking(self, T: Sequence[Floats]) -> list[Floats]:
         """Heat that own nodes of each body lack, interfaces left out [N mm/s]."""
         lacking = []
+        above, flow = self._work
         for b in self._every:
-            above, flow = self._work
             above.array[:] = T[b] - self._reference
             self._monotone.matrices[b].mult(above, flow)
             r = flow.array + self._exchange[b] * above.array - self._brought[b] - self._heats[b]
-            for source in (*(c.heats(T) for c in self.cures), *(f.nodal for f in self.frictions)):
-                r = r - source[b]
             lacking.append(r + self._rate * self.capacity[b] * (T[b] - self._start[b]))
+        for source in (*(c.heats(T) for c in self.cures), *(f.nodal for f in self.frictions)):
+            lacking = [r - s for r, s in zip(lacking, source, strict=True)]
         return lacking
 
     def residual(self, x: Sequence[PETSc.Vec], out: Sequence[PETSc.Vec]) -> None:
