@@ -242,7 +242,7 @@ class Stresses:
         σ = self.evaluate(region).reshape(-1, 3, 3)
         share = self.shares(region)
         volumes, x = _volumes_and_centres(self._problem, self.cells[region])
-        volume = np.outer(volumes, share).ravel()
+        volume = np.asarray(np.outer(volumes, share).ravel(), dtype=np.float64)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
