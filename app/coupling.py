@@ -231,8 +231,7 @@ class Coupled:
         self._heat.residual(x[: self._n], f[: self._n])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
-        """All blocks."""
-        self.exchange.warm(x[: self._n])
+        """All blocks, of the state whose residual was asked for last."""
         trial = self._problem.trial(*x[self._n :])
         self.exchange.tell(trial, self.elapsed)
         self._heat.jacobian(x[: self._n])
