@@ -23,6 +23,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from app.curves_in_time import bend, comparable, raise_to, vertex
 from app.heat_forms import HeatForms
 from app.level_sets import RegionCells
 from app.necrosis import CELSIUS, LEVELS, Exposure
@@ -38,8 +39,6 @@ W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
 # A piece of a step departs from the parabola by this [K] at most, unless it takes too many.
 _STRAIGHT = 0.01
 _MOST_PIECES = 8
-_HIDDEN = 1 / 8
-_UNEQUAL = 4.0
 
 
 @dataclass
@@ -196,9 +195,9 @@ class ThermalRecord:
         if step > 0:
             self._expose(seconds)
         for r in self._regions.values():
-            _raise(r.peak, r.peak_time, r.now, np.full(len(r.now), seconds))
-            if len(r.before) == 2 and _comparable(step, r.before[1][0] - r.before[0][0]):
-                _raise(r.peak, r.peak_time, *_vertex(*r.before, (seconds, r.now)))
+            raise_to(r.peak, r.peak_time, r.now, np.full(len(r.now), seconds))
+            if len(r.before) == 2 and comparable(step, r.before[1][0] - r.before[0][0]):
+                raise_to(r.peak, r.peak_time, *vertex(*r.before, (seconds, r.now)))
         for e in exchanges:
             for i, name in enumerate(e.names):
                 self._extremes_of(name, e.flux[e.interface == i], e.entropy[e.interface == i])
@@ -206,7 +205,7 @@ class ThermalRecord:
 
     def _expose(self, seconds: float) -> None:
         """Count the doses of a step, in as many straight pieces as its curvature asks for."""
-        bends = {name: _bend(r.before, seconds, r.now) for name, r in self._regions.items()}
+        bends = {name: bend(r.before, seconds, r.now) for name, r in self._regions.items()}
         warm = {
             name: np.maximum(r.begin, r.now) > CELSIUS + 39.0 for name, r in self._regions.items()
         }
@@ -384,43 +383,6 @@ def _bone_sides(interfaces: Interfaces, sides: Mapping[str, tuple[Side, Side]]) 
         bone = [any("bone" in r for r in side) for side in regions]
         found += [sides[name][k] for k in (0, 1) if bone[k] and not bone[1 - k]]
     return found
-
-
-def _raise(peak: Floats, time: Floats, value: Floats, when: Floats) -> None:
-    """Keep what is higher, in place."""
-    higher = value > peak
-    peak[higher], time[higher] = value[higher], when[higher]
-
-
-def _comparable(step: float, other: float) -> bool:
-    """Whether two steps tell what is between them."""
-    return 0 < max(step, other) < _UNEQUAL * min(step, other)
-
-
-def _vertex(*states: tuple[float, Floats]) -> tuple[Floats, Floats]:
-    """Height and time of the parabola's vertex where the middle of three states is the hottest."""
-    (t0, a), (t1, b), (t2, c) = states
-    top = (b >= a) & (b >= c) & (2 * b > a + c)
-    back, ahead = (b - a) / (t1 - t0), (c - b) / (t2 - t1)
-    curvature = np.where(top, (ahead - back) / (t2 - t0), -1.0)
-    slope = back + curvature * (t1 - t0)
-    rise = np.minimum(-(slope**2) / (4 * curvature), _HIDDEN * (b - np.minimum(a, c)))
-    when = np.clip(t1 - slope / (2 * curvature), t0, t2)
-    return np.where(top, b + rise, -np.inf), np.where(top, when, t1)
-
-
-def _bend(before: list[tuple[float, Floats]], seconds: float, now: Floats) -> Floats:
-    """How far below its chord the parabola through three states is in the middle of the last step.
-
-    Not further than leaves it between the ends of the step.
-    """
-    if len(before) < 2 or before[0][0] == before[1][0]:
-        return np.zeros_like(now)
-    (t0, a), (t1, b) = before
-    h = seconds - t1
-    curvature = ((now - b) / h - (b - a) / (t1 - t0)) / (seconds - t0)
-    limit = np.abs(now - b) / 4
-    return np.asarray(np.clip(curvature * h**2 / 4, -limit, limit))
 
 
 def _largest(
