@@ -41,7 +41,10 @@ TRACTIONS = ("pressure_p99", "shear_p99", "von_mises_p99", "hoop_p99", "principa
 # Temperature is of first order on any mesh. All of its numbers are estimated but these.
 HEAT_ORDER = ORDERS[1][0]
 NOT_ESTIMATED = ("entropy_production_min", "entropy_production_max")
-PEAKS = ("gap_max", "slip_max", "pressure_max", "shear_max", "von_mises_max", "principal_max")
+PEAKS = (
+    *("gap_max", "slip_max", "pressure_max", "shear_max"),
+    *("von_mises_max", "principal_max", "principal_min"),
+)
 # The power of the error of all time steps with which the tolerance of one of them goes.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak that still changes by more than this part of itself when the mesh is halved.

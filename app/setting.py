@@ -33,9 +33,10 @@ from numpy.typing import NDArray
 from app.bodies import Bodies
 from app.errors import InputError
 from app.mechanics import Mechanics
+from app.pointwise import Pointwise
 from app.terms import Cure, Elastic, Scene
 from app.timing import Timing
-from forms import elasticity, loads
+from forms import cure, elasticity, loads
 
 Floats = NDArray[np.float64]
 
@@ -43,29 +44,6 @@ Floats = NDArray[np.float64]
 ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
 # A modulus that changes by less than this part of the final one is the same.
 SAME = 1e-12
-
-
-def growth(cure: Cure, degree: Floats) -> Floats:
-    """Modulus over the final one at degrees of cure (n,)."""
-    solid = np.clip((degree - cure.gel) / (1 - cure.gel), 0.0, 1.0)
-    return np.asarray(cure.floor + (1 - cure.floor) * solid**cure.exponent)
-
-
-def free_strain(cure: Cure, coefficient: float, θ: Sequence[Floats], α: Sequence[Floats]) -> Floats:
-    """Free strain of a time step (n,): expansion and shrinkage, counted from gelation on.
-
-    Args:
-        cure: What sets.
-        coefficient: Its thermal expansion [1/K].
-        θ: Temperature before and after (n,) [K], linear in between.
-        α: Degree of cure before and after (n,), linear in between.
-    """
-    rise = α[1] - α[0]
-    after = np.where(α[0] >= cure.gel, 1.0, 0.0)
-    np.divide(α[1] - cure.gel, rise, out=after, where=(α[0] < cure.gel) & (rise > 0))
-    after = np.clip(after, 0.0, 1.0)
-    shrunk = (np.maximum(α[1], cure.gel) - np.maximum(α[0], cure.gel)) / (1 - cure.gel)
-    return np.asarray(coefficient * after * (θ[1] - θ[0]) - cure.shrinkage / 3 * shrunk)
 
 
 class Setting:
@@ -83,7 +61,7 @@ class Setting:
         Raises:
             InputError: A region that sets has eigenstrains, which know no rate.
         """
-        self._mechanics, self._cures = mechanics, scene.cures
+        self._mechanics = mechanics
         self._body = {c.region: bodies.of_region[c.region] for c in scene.cures}
         self.bodies = sorted(set(self._body.values()))
         self._elastic = {e.region: e for e in scene.elastic if e.region in self._body}
@@ -105,9 +83,12 @@ class Setting:
         scalars = mechanics.scalars
         self._rise = {c.region: fem.Function(scalars) for c in scene.cures}
         # Growth and free strain of the last converged state, and those to come.
+        nodes = len(fem.Function(scalars).x.array)
+        with timing.phase("compile"):
+            self._growth = {c.region: _growth(mechanics.comm, c, nodes) for c in scene.cures}
         self._old = {
-            c.region: (growth(c, np.full_like(f.x.array, c.initial)), np.zeros_like(f.x.array))
-            for c, f in zip(scene.cures, self._rise.values(), strict=True)
+            c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
+            for c in scene.cures
         }
         self._new = dict(self._old)
         self.stiffen()
@@ -158,8 +139,8 @@ class Setting:
     def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
         """Take in degrees of cure and free strains at the end of the step."""
         self._new = {
-            c.region: (growth(c, degrees[c.region].x.array), strains[c.region].x.array.copy())
-            for c in self._cures
+            r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
+            for r, growth in self._growth.items()
         }
 
     def stiffen(self) -> bool:
@@ -213,3 +194,16 @@ class Setting:
                 dofs = self._stress.function_space.dofmap.list[cells]
                 self._stress.x.array.reshape(-1, 6)[dofs] += values[..., ROWS, COLUMNS]
         self._old = dict(self._new)
+
+
+def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
+    """Modulus over the final one by degree of cure, at every vertex of this rank."""
+    constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
+    law = Pointwise(
+        comm,
+        nodes,
+        dict.fromkeys(("a", *constants), 1),
+        lambda x: [cure.modulus_factor(*(x[k] for k in ("a", *constants)))],
+    )
+    law.set(**{k: np.full(nodes, v) for k, v in constants.items()})
+    return law

@@ -35,9 +35,11 @@ REGION_UNITS = {
     "hoop_p99": "MPa",
     "principal_max": "MPa",
     "principal_p99": "MPa",
+    "principal_min": "MPa",
     "mean_stress_min": "MPa",
     "mean_stress_max": "MPa",
 }
+BOND_UNITS = {"strength_fraction": "-", "normal_mean": "MPa", "normal_max": "MPa"}
 STEM_UNITS = {"subsidence": "mm", "retroversion": "deg", "varus": "deg"}
 # Sections thermal and cure.
 NECROSIS = ("47C_1min", "cem43_16", "cem43_60", "cem43_240", "henriques_moritz")
@@ -108,7 +110,7 @@ def unit(quantity: str) -> str:
         return OF_RUN[quantity]
     name, _, key = quantity.partition(".")
     known = INTERFACE_UNITS | REGION_UNITS | (STEM_UNITS if name == "stem" else {})
-    known |= HEATED_REGION_UNITS | HEATED_INTERFACE_UNITS | CURE_UNITS
+    known |= BOND_UNITS | HEATED_REGION_UNITS | HEATED_INTERFACE_UNITS | CURE_UNITS
     if key not in known:
         if name in ("solver", "timing", "balance"):
             fail(f"{show(quantity)} is not one of {', '.join(OF_RUN)}")
