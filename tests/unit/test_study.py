@@ -484,9 +484,11 @@ def test_quantities_are_found_in_a_summary() -> None:
         ("cortical_bone.cem43_max", "min", "1 hour", 60.0),
         ("cement.time_50", "s", "10 min", 600.0),
         ("cement.rate_max", "1/s", "94.0834 1/ks", 0.0940834),
+        ("cement_bone.strength_fraction", "-", 0.5, 0.5),
+        ("cement_bone.normal_max", "MPa", "1350 kPa", 1.35),
     ],
 )
-def test_quantities_of_heat(quantity: str, unit: str, given: str, value: float) -> None:
+def test_quantities_of_heat(quantity: str, unit: str, given: str | float, value: float) -> None:
     assert study_options.unit(quantity) == unit
     assert study_options.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
     owner, key = quantity.split(".")
