@@ -125,7 +125,7 @@ def _rubbing() -> Iterator[Problem]:
     ]
     for name, quantity, tolerance, overrides, measure in rows:
         yield Problem(
-            f"friction_heat_{name}",
+            f"rubbing_{name}",
             f"heat of friction, {quantity}, relative",
             tolerance,
             "rubbing.yaml",
@@ -194,7 +194,7 @@ def _setting() -> Iterator[Problem]:
 
 def _expanding(fine: bool) -> Iterator[Problem]:
     yield Problem(
-        "thermal_fit",
+        "hot_fit",
         "mean pressure of a hot stem in a cooled ring [MPa], relative",
         0.005,
         "hot_fit.yaml",
@@ -202,7 +202,7 @@ def _expanding(fine: bool) -> Iterator[Problem]:
         2.0,
     )
     yield Problem(
-        "thermal_layers_bonded",
+        "layers_bonded",
         "stresses of a mantle cooled between stem and bone [MPa], over the largest",
         0.01,
         "cooled_layers.yaml",
@@ -212,7 +212,7 @@ def _expanding(fine: bool) -> Iterator[Problem]:
     free = (f"interfaces.stem_cement={law}", f"interfaces.cement_bone={law}")
     stress = partial(measures.layers_stress, joined=(True, False))
     yield Problem(
-        "thermal_layers_unilateral",
+        "layers_unilateral",
         "the same without tension; pressure, gap [mm], relative",
         0.01,
         "cooled_layers.yaml",
@@ -221,7 +221,7 @@ def _expanding(fine: bool) -> Iterator[Problem]:
     warm = ("regions.cement.thermal.initial_temperature=75 degC",)
     for name, overrides, closed in (("open", (), False), ("closed", warm, True)):
         yield Problem(
-            f"thermal_walls_{name}",
+            f"walls_{name}",
             "conductance that depends on pressure: one of two states, relative",
             1e-4,
             "heated_walls.yaml",
@@ -243,7 +243,7 @@ def _expanding(fine: bool) -> Iterator[Problem]:
             0.005,
             "wavy_contact.yaml",
             ladder(
-                _sizes(0.25, 0.18, 0.125, 0.09, fine=fine),
+                _sizes(0.125, 0.0833, 0.0625, 0.05, fine=fine),
                 ("mesh.size={} mm", "mesh.far_size={} mm"),
                 measure,
             ),
@@ -296,7 +296,7 @@ def _stiff() -> Iterator[Problem]:
         "steps_1h_cure": ((*_forced(3600, 2), *_cure()), math.inf),
         "seed_1e-6": (_cure(initial=1e-6), math.inf),
         "energy_doubled": (_cure(energy=125732.0), math.inf),
-        "heat_doubled": (_cure(heat=3.1e8), math.inf),
+        "exotherm_doubled": (_cure(heat=3.1e8), math.inf),
         "mantle_half_mm": (("geometry.cement_thickness=0.5 mm", "mesh.size=1 mm"), 100.0),
         "mantle_half_mm_cure": (
             ("geometry.cement_thickness=0.5 mm", "mesh.size=1 mm", *_cure()),
