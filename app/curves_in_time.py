@@ -1,4 +1,4 @@
-"""What happens between and within the steps of a temperature: parabolas through three states."""
+"""What happens between and within the steps of a temperature, from the steps around."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-
-# The most that three equal steps can hide of a peak, over what its flanks fall.
-_HIDDEN = 1 / 8
-# Steps that differ by more than this do not tell what is between them.
-_UNEQUAL = 4.0
+# A time [s] and the temperatures then (n,) [K].
+State = tuple[float, Floats]
 
 
 def raise_to(peak: Floats, time: Floats, value: Floats, when: Floats) -> None:
@@ -19,44 +16,43 @@ def raise_to(peak: Floats, time: Floats, value: Floats, when: Floats) -> None:
     peak[higher], time[higher] = value[higher], when[higher]
 
 
-def comparable(step: float, other: float) -> bool:
-    """Whether two steps tell what is between them."""
-    return 0 < max(step, other) < _UNEQUAL * min(step, other)
+def peak_between(s0: State, s1: State, s2: State, s3: State) -> tuple[Floats, Floats]:
+    """Peaks between the middle ones of four states, at rising times.
 
-
-def vertex(*states: tuple[float, Floats]) -> tuple[Floats, Floats]:
-    """Height and time of the vertex of a parabola, where the middle of three states is the hottest.
-
-    Args:
-        states: Three times [s] and temperatures then (n,) [K].
+    The vertex of the parabola through three of them, of which the hottest is in the middle, but no
+    higher than straight lines through the two states before and through the two after: heating that
+    is switched off leaves no peak.
 
     Returns:
-        Temperatures (n,), minus infinity where the middle is not the hottest, and times (n,).
+        Temperatures (n,), minus infinity where there is no peak, and times (n,).
     """
-    (t0, a), (t1, b), (t2, c) = states
-    top = (b >= a) & (b >= c) & (2 * b > a + c)
-    back, ahead = (b - a) / (t1 - t0), (c - b) / (t2 - t1)
-    curvature = np.where(top, (ahead - back) / (t2 - t0), -1.0)
-    slope = back + curvature * (t1 - t0)
-    rise = np.minimum(-(slope**2) / (4 * curvature), _HIDDEN * (b - np.minimum(a, c)))
-    when = np.clip(t1 - slope / (2 * curvature), t0, t2)
-    return np.where(top, b + rise, -np.inf), np.where(top, when, t1)
+    (t0, a), (t1, b), (t2, c), (t3, d) = s0, s1, s2, s3
+    before, across, after = (b - a) / (t1 - t0), (c - b) / (t2 - t1), (d - c) / (t3 - t2)
+    early = b >= c
+    curvature = np.where(early, (across - before) / (t2 - t0), (after - across) / (t3 - t1))
+    inside = (before > 0) & (after < 0) & (curvature < 0)
+    curvature = np.where(inside, curvature, -1.0)
+    # Slope at the first of the two.
+    slope = across - curvature * (t2 - t1)
+    when = t1 - slope / (2 * curvature)
+    inside &= (when > t1) & (when < t2)
+    meet = np.divide(c - b - after * (t2 - t1), before - after, out=np.zeros_like(b), where=inside)
+    bound = np.minimum(b + before * meet, c - after * (t2 - t1 - meet))
+    bound = np.maximum(bound, np.maximum(b, c))
+    value = np.minimum(b - slope**2 / (4 * curvature), bound)
+    return np.where(inside, value, -np.inf), np.where(inside, when, t1)
 
 
-def bend(before: list[tuple[float, Floats]], seconds: float, now: Floats) -> Floats:
-    """How far below its chord the parabola through three states is in the middle of the last step.
+def bend(before: State, start: State, end: State) -> Floats:
+    """How far below its chord a parabola is in the middle of the last step (n,) [K].
 
-    Not further than leaves it between the ends of the step.
-
-    Args:
-        before: At most two states: times [s] and temperatures (n,) [K].
-        seconds: Time of the last [s].
-        now: Its temperatures (n,) [K].
+    It goes through the ends of the step and the state before, and is not bent further than leaves
+    it between the ends.
     """
-    if len(before) < 2 or before[0][0] == before[1][0]:
-        return np.zeros_like(now)
-    (t0, a), (t1, b) = before
-    h = seconds - t1
-    curvature = ((now - b) / h - (b - a) / (t1 - t0)) / (seconds - t0)
-    limit = np.abs(now - b) / 4
+    (t0, a), (t1, b), (t2, c) = before, start, end
+    if not t0 < t1 < t2:
+        return np.zeros_like(c)
+    h = t2 - t1
+    curvature = ((c - b) / h - (b - a) / (t1 - t0)) / (t2 - t0)
+    limit = np.abs(c - b) / 4
     return np.asarray(np.clip(curvature * h**2 / 4, -limit, limit))

@@ -1,11 +1,9 @@
 """How hot it gets, where and when, for how long, and what that kills: sections thermal and cure.
 
 A record is told the temperatures after every accepted step. Peaks are those of the nodes; between
-steps the peak in time is that of the parabola through three steps, where the middle one is the
-hottest (raised by at most an eighth of what the flanks fall, which is the most that equal steps
-can hide, and only between steps that differ by less than four times). Heat doses follow the
-parabola through the step and the one before it in straight pieces, bent no further than it takes to
-stay between the ends of the step.
+steps the peak in time is that of a parabola, where the steps before and after leave room for it.
+Heat doses follow the parabola through the step and the one before it in straight pieces, bent no
+further than leaves it between the ends of the step.
 
 Temperatures are K inside and degC in what is reported; the other units are those of ``UNITS``.
 """
@@ -23,7 +21,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app.curves_in_time import bend, comparable, raise_to, vertex
+from app.curves_in_time import State, bend, peak_between, raise_to
 from app.heat_forms import HeatForms
 from app.level_sets import RegionCells
 from app.necrosis import CELSIUS, LEVELS, Exposure
@@ -51,8 +49,8 @@ class _Region:
     peak_time: Floats
     lowest: float
     exposure: Exposure
-    # The states before, newest last: seconds, temperatures.
-    before: list[tuple[float, Floats]] = field(default_factory=list)
+    # The states before, newest last.
+    before: list[State] = field(default_factory=list)
 
     @property
     def begin(self) -> Floats:
@@ -189,15 +187,16 @@ class ThermalRecord:
         """
         step = seconds - self.seconds[-1]
         for r in self._regions.values():
-            r.before = [*r.before[-1:], (self.seconds[-1], r.now)]
+            r.before = [*r.before[-2:], (self.seconds[-1], r.now)]
             r.now = r.nodes.values(temperatures)
             r.lowest = min(r.lowest, float(r.now.min(initial=np.inf)))
         if step > 0:
             self._expose(seconds)
         for r in self._regions.values():
             raise_to(r.peak, r.peak_time, r.now, np.full(len(r.now), seconds))
-            if len(r.before) == 2 and comparable(step, r.before[1][0] - r.before[0][0]):
-                raise_to(r.peak, r.peak_time, *vertex(*r.before, (seconds, r.now)))
+            states = [*r.before, (seconds, r.now)]
+            if len(states) == 4 and all(a[0] < b[0] for a, b in pairwise(states)):
+                raise_to(r.peak, r.peak_time, *peak_between(*states))
         for e in exchanges:
             for i, name in enumerate(e.names):
                 self._extremes_of(name, e.flux[e.interface == i], e.entropy[e.interface == i])
@@ -205,7 +204,10 @@ class ThermalRecord:
 
     def _expose(self, seconds: float) -> None:
         """Count the doses of a step, in as many straight pieces as its curvature asks for."""
-        bends = {name: bend(r.before, seconds, r.now) for name, r in self._regions.items()}
+        bends = {
+            name: bend(r.before[max(len(r.before) - 2, 0)], r.before[-1], (seconds, r.now))
+            for name, r in self._regions.items()
+        }
         warm = {
             name: np.maximum(r.begin, r.now) > CELSIUS + 39.0 for name, r in self._regions.items()
         }
