@@ -20,10 +20,13 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     TypeAdapter,
     ValidationError,
     model_validator,
 )
+from pydantic_core import core_schema
 
 from app import case_file, checks
 from app.case_file import CaseFile, Problem
@@ -202,9 +205,24 @@ class Probe(Model):
     """Region it belongs to, where two meet."""
 
 
-def _probe(value: object) -> object:
-    """A point alone stands for a probe."""
-    return value if isinstance(value, dict | Probe) else {"at": value}
+class _PointAlone:
+    """Lets a point alone stand for a probe."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Make a probe of it first."""
+
+        def probe(value: object) -> object:
+            return value if isinstance(value, dict | Probe) else {"at": value}
+
+        return core_schema.no_info_before_validator_function(probe, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Either."""
+        return {"anyOf": [handler(schema), {"type": ["array", "string"]}]}
 
 
 class OutputOptions(Model):
@@ -218,7 +236,7 @@ class OutputOptions(Model):
     """Whether the condition of the last Jacobian is estimated: some twenty more linear solves."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
-    probes: Annotated[dict[Name, Annotated[Probe, BeforeValidator(_probe)]], MAPPING] = Field(
+    probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(
         default_factory=dict
     )
     """Points whose temperature is recorded over time."""
