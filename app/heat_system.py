@@ -5,7 +5,7 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 from app.conduction import Conduction
-from app.systems import INTERFACE, Measure, Options, block
+from app.systems import DIRECT, INTERFACE, Measure, Options, block
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
 # balance, and temperatures are kept between their bounds to 1e-9 of the range.
@@ -39,13 +39,14 @@ class HeatSystem:
         return [list(row) for row in self._conduction.matrix]
 
     def options(self, linear: str) -> dict[str, Options]:
-        """Direct or multigrid for the temperature, direct for the jumps."""
-        size = self._conduction.matrix[0][0].getSize()[0]
-        every: dict[str, Options] = {
-            "temperature": block(linear, size),
-            "temperature_jump": INTERFACE,
-        }
-        return {name: every[name] for name in self.blocks()}
+        """Both blocks at once if direct; multigrid for the temperature, direct for the jumps."""
+        chosen = block(linear, self._conduction.matrix[0][0].getSize()[0])
+        blocks = self.blocks()
+        if len(blocks) > 1 and chosen is DIRECT:
+            # Jumps are strong where conductance is low: taken in turns they take many turns.
+            return {"": INTERFACE}
+        every: dict[str, Options] = {"temperature": chosen, "temperature_jump": INTERFACE}
+        return {name: every[name] for name in blocks}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put given temperatures into a state."""

@@ -101,8 +101,11 @@ class Solver:
             self._A = PETSc.Mat().createNest(matrices, comm=system.comm)
             self._A.assemble()
         defaults = dict(NEWTON) | {"snes_max_it": max_iterations} | dict(system.newton)
-        for name, of_block in system.options(linear).items():
-            prefix = "" if len(blocks) == 1 else f"fieldsplit_{name}_"
+        parts = system.options(linear)
+        # Options of blocks, or of all at once.
+        self._split = len(blocks) > 1 and set(parts) == set(blocks)
+        for name, of_block in parts.items():
+            prefix = f"fieldsplit_{name}_" if self._split else ""
             defaults |= {f"{prefix}{key}": value for key, value in of_block.items()}
             if prefix:
                 defaults |= dict(SPLIT) | {f"{prefix}ksp_type": "preonly"}
@@ -153,7 +156,7 @@ class Solver:
             database[key] = value
         self.snes.setFromOptions()
         pc = self.snes.getKSP().getPC()
-        if len(self._names) > 1:
+        if self._split:
             fields = self._A.getNestISs()[0]
             pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
         # The inner solvers read their options when they are set up: that has to be now.
@@ -170,7 +173,7 @@ class Solver:
     def _keep(self, keep: bool) -> None:
         """Say whether preconditioners of nodal unknowns outlive the next Jacobian."""
         ksp = self.snes.getKSP()
-        if len(self._names) == 1:
+        if not self._split:
             ksp.getPC().setReusePreconditioner(keep)
             return
         for name, inner in zip(self._names, ksp.getPC().getFieldSplitSubKSP(), strict=True):
