@@ -66,15 +66,17 @@ class HeatBalance:
         """Flows just after a moment at which they jump, such as the end of a course [N mm/s]."""
         self._last = dict(flows)
 
-    def steady(self, flows: Flows, stored: float) -> None:
+    def steady(self, flows: Flows, stored: float, rounding: float) -> None:
         """Take in a steady state: what comes in leaves, and how much is stored says nothing.
 
         Args:
             flows: Flows into the model, by condition [N mm/s].
             stored: Heat stored [N mm].
+            rounding: What rounding leaves of flows that cancel [N mm/s]; less than that is none.
         """
         through = sum(abs(f) for f in flows.values())
-        self.heat = max(self.heat, abs(sum(flows.values())) / through if through else 0.0)
+        if through > rounding:
+            self.heat = max(self.heat, abs(sum(flows.values())) / through)
         # The sums go on from here.
         self._end_sum += stored - self._now
         self._stage_sum += stored - self._now

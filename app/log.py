@@ -94,6 +94,12 @@ def closing_table(summary: dict[str, Any]) -> str:
             f"{name:<16} {with_error(r, 'von_mises_p99', 1.0, 2):>{wide}} {tension:>{wide + 4}} "
             f"{mean:>18}"
         )
+    for name, bond in summary.get("bonds", {}).items():
+        lines.append(
+            f"{name}, bonded: {100 * bond['strength_fraction']:.0f} % of its area above its "
+            f"strength; normal {bond['normal_mean']:.2f} MPa (mean), shear "
+            f"{bond['shear_mean']:.2f} MPa"
+        )
     lines += heat_log.tables(summary)
     if s := summary["stem"]:
         lines.append(

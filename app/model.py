@@ -14,6 +14,7 @@ import numpy as np
 
 import meshes
 from app import config, folders, quantities, scene, stepping
+from app.bonds import Bond, bonds
 from app.conduction import Conduction
 from app.coupling import ContactHeat, Coupled, Staggered
 from app.cure_quantities import CureRecord
@@ -45,6 +46,7 @@ class Mechanical:
     problem: Problem
     solver: Solver
     stresses: Stresses
+    bonds: tuple[Bond, ...]
 
 
 class Thermal:
@@ -93,7 +95,9 @@ class Thermal:
             cure.update(accepted.seconds, heating.degrees(), heating.rates())
         stored = conduction.stored(x)
         if accepted.dt == 0.0:
-            self.balance.steady(accepted.flows, stored)
+            # A model of one temperature lets nothing through but rounding.
+            rounding = 1e2 * conduction.measure(x, conduction.vectors()).rounding
+            self.balance.steady(accepted.flows, stored, rounding)
             return
         moved = self.record.moved(self._capacities)
         self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved)
@@ -118,19 +122,24 @@ class Model:
     """
 
     def __init__(
-        self, case: config.Case, options: dict[str, str], timing: Timing, stop: Callable[[], str]
+        self,
+        case: config.Case,
+        comm: MPI.Comm,
+        options: dict[str, str],
+        timing: Timing,
+        stop: Callable[[], str],
     ) -> None:
         """Mesh, assemble and set the solvers up; collective.
 
         Args:
             case: The configuration.
+            comm: Communicator.
             options: Raw PETSc options from the command line.
             timing: Where the seconds go.
             stop: Names a signal that asks this rank to stop, or gives an empty text.
         """
         self._case, self._timing = case, timing
         self.options, self.stop = options, stop
-        comm = MPI.COMM_WORLD
         with timing.phase("mesh"):
             data = on_root(
                 comm,
@@ -165,7 +174,8 @@ class Model:
         factor = self._case.solver.augmentation_factor
         problem = Problem(self.scene, self.tagged, factor, self._timing)
         solver = self._solver(mechanical(problem))
-        return (Mechanical(problem, solver, Stresses(problem, self._timing)),)
+        stresses = Stresses(problem, self._timing)
+        return (Mechanical(problem, solver, stresses, bonds(problem, stresses)),)
 
     def _heat(self) -> tuple[tuple[Coupled | Staggered, ...], tuple[Heating, ...]]:
         """Heat and what solves it, where anything conducts."""
@@ -258,6 +268,8 @@ class Model:
             elastic = m.problem.scene.elastic
             numbers["interfaces"] = self.interfaces(samples)
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
+            if m.bonds:
+                numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
             numbers["stem"] = quantities.stem_motion(m.problem)
         for t in self.thermal:
             numbers["thermal"] = t.record.summary()
@@ -277,7 +289,7 @@ class Model:
 
     def relative(self, case: config.Case) -> dict[str, Any]:
         """Solve another case in the same way, for its numbers only; collective."""
-        other = Model(case, self.options, Timing(), self.stop)
+        other = Model(case, self.tagged.mesh.comm, self.options, Timing(), self.stop)
         last: list[Samples | None] = [None]
 
         def keep(step: Step, trial: Trial | None) -> None:

@@ -56,7 +56,7 @@ def run(
     for message in preview.warnings(case):
         log.warning("note: %s", message)
     timing = Timing()
-    model = Model(case, raw_options(petsc_options), timing, _watch_signals())
+    model = Model(case, comm, raw_options(petsc_options), timing, _watch_signals())
     log.info(
         "%s: %d cells, unknowns %s, %d rank(s)",
         case.title or case_path.stem,

@@ -194,7 +194,7 @@ def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | No
         tables = [
             section.get(part, {}).get(owner, {})
             for section in (summary, summary.get("thermal", {}))
-            for part in ("interfaces", "regions", "cure")
+            for part in ("interfaces", "regions", "cure", "bonds")
         ]
     for table in tables:
         value = table.get(key + suffix)

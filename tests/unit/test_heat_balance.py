@@ -65,7 +65,7 @@ def test_a_jump_of_the_flows_is_not_smeared_over_a_step() -> None:
 def test_steady_states_are_balanced_by_their_flows() -> None:
     balance = HeatBalance(10.0, {})
     balance.update(1.0, {"in": 1.0}, {"in": 1.0}, 11.0, 0.0)
-    balance.steady({"in": 2.0, "out": -2.0 + 4e-7}, 500.0)
+    balance.steady({"in": 2.0, "out": -2.0 + 4e-7}, 500.0, 1e-12)
     assert balance.heat == pytest.approx(1e-7, rel=1e-3)
     after = balance.heat
     balance.update(1.0, {"in": 1.0}, {"in": 1.0}, 501.0, 0.0)
