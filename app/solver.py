@@ -40,6 +40,8 @@ SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative
 KEPT = ("displacement", "temperature")
 # Krylov iterations per Newton iteration beyond which they are made again, if matrices changed.
 STALE = 25
+# A residual that has not fallen to this part of itself in so many iterations is stuck.
+STUCK, HARDLY = 6, 0.5
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,10 @@ class Solver:
         self.snes.setMonitor(self._monitor)
         self.snes.setConvergenceTest(self._converged)
         self.options = defaults | dict(options)
+        self._usual = str(self.options["snes_linesearch_type"])
+        self._other = "basic" if self._usual == "bt" else "bt"
+        self._has_kinks = "jump" in blocks
+        self._rescue = False
         self._configure()
 
     def vector(self) -> PETSc.Vec:
@@ -213,8 +219,11 @@ class Solver:
             return reasons.DIVERGED_FUNCTION_NANORINF
         parts = self._measure(snes.getSolution(), snes.getFunction()[0])
         self._residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
-        done = all(map(self.meets, parts))
-        return reasons.CONVERGED_FNORM_ABS if done else reasons.ITERATING
+        if all(map(self.meets, parts)):
+            return reasons.CONVERGED_FNORM_ABS
+        last = self._residuals
+        stuck = len(last) > STUCK and last[-1] > HARDLY * last[-1 - STUCK]
+        return reasons.DIVERGED_LINE_SEARCH if stuck and not self._rescue else reasons.ITERATING
 
     def meets(self, part: Measure) -> bool:
         """Whether a residual is within the tolerance."""
@@ -234,20 +243,22 @@ class Solver:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._system.impose(self.blocks())
         self._residuals, self._flips = [], []
-        self._system.forget()
-        with self._timing.phase("solve"):
-            try:
-                self.snes.solve(None, self.x)
-            except PETSc.Error as error:
-                # What a callback raised comes back wrapped.
-                raise error.__cause__ or error from None
+        newton, krylov = self._newton()
+        if self.snes.getConvergedReason() <= 0 and self._has_kinks and np.isfinite(self.x.norm()):
+            # At a kink of the contact law a line search may cut steps to nothing where whole steps
+            # lead on, and whole steps may circle where shorter ones do not.
+            self._rescue = True
+            self._search(self._other)
+            more = self._newton()
+            newton, krylov = newton + more[0], krylov + more[1]
+            self._search(self._usual)
+            self._rescue = False
         reason = self.snes.getConvergedReason()
         if reason > 0:
             parts = self._measure(self.x, self.snes.getFunction()[0])
             self._scales = [p.scale for p in parts]
         else:
             self.x.copy(self.failed)
-        newton, krylov = self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
         self._worn = krylov > STALE * newton
         return Outcome(
             converged=reason > 0,
@@ -257,6 +268,24 @@ class Solver:
             flips=tuple(self._flips),
             linear_failed=reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE,
         )
+
+    def _newton(self) -> tuple[int, int]:
+        """Iterate from the current state; Newton and Krylov iterations."""
+        self._system.forget()
+        with self._timing.phase("solve"):
+            try:
+                self.snes.solve(None, self.x)
+            except PETSc.Error as error:
+                # What a callback raised comes back wrapped.
+                raise error.__cause__ or error from None
+        return self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
+
+    def _search(self, kind: str) -> None:
+        """Change the line search."""
+        database, key = PETSc.Options(self._system.prefix), "snes_linesearch_type"
+        database[key] = kind
+        self.snes.setFromOptions()
+        database.delValue(key)
 
     def condition(self) -> float:
         """Condition of the last Jacobian: largest over smallest size of an eigenvalue; collective.
