@@ -26,7 +26,9 @@ KELVIN = 273.15
 Field = Callable[[Floats, int, float], Floats]
 
 
-def temperatures(run: Run, field: Field, scale: float, ends: Sequence[float] = ()) -> Sample:
+def temperatures(
+    run: Run, field: Field, scale: float, ends: Sequence[float] = (), since: float = 0.0
+) -> Sample:
     """The node whose temperature is furthest off at any written step.
 
     Args:
@@ -34,9 +36,12 @@ def temperatures(run: Run, field: Field, scale: float, ends: Sequence[float] = (
         field: Exact temperatures.
         scale: What the error is relative to [K].
         ends: Seconds at the start and at the end of each stage; empty for a steady state.
+        since: Seconds before which nothing is compared.
     """
     samples = []
     for step, seconds in _written(run, ends):
+        if seconds < since:
+            continue
         T = run.temperature(step)
         for region in np.unique(run.region):
             nodes = run.nodes_of(region)
@@ -158,7 +163,7 @@ def rubbed(run: Run, share: float) -> Sample:
         return 37 + rise(x[:, 2] - 8, region, t)
 
     most = max(float(rise(np.zeros(1), region, 10)[0]) for region in (1, 2))
-    return temperatures(run, field, most, (0, 0, 10))
+    return temperatures(run, field, most, (0, 0, 10), since=2.5)
 
 
 def rubbing_heat(run: Run) -> Sample:
