@@ -313,7 +313,7 @@ class Coupled:
         (j,) = self._problem.jumps
         power = self._matrices(self.exchange.power_rows(trial, self.elapsed))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
-        for t, P, τ in zip(self._conduction.jumps, self._points, x[1:2], strict=True):
+        for t, P, τ in zip(self._conduction.jumps, self._points, x[1 : self._n], strict=True):
             squeezed = P.copy()
             by_pressure = τ.duplicate()
             growth = t.weight * t.flux(τ.array)[2]

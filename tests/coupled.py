@@ -1,0 +1,126 @@
+"""Heat and contact that depend on each other, solved with the model of the application."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app import model, scene
+from app.heating import Accepted
+from app.model import Model
+from app.motion import Step, Summary
+from app.problem import Trial
+from app.solver import Solver
+from app.terms import Scene
+from app.timing import Timing
+from tests import support
+
+Floats = NDArray[np.float64]
+
+# A hot block tilts and rubs on a cold one: points are open, stick and slip, and heat goes through
+# where they are pressed.
+CASE = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [6 mm, 4 mm, 2 mm]}
+    - {name: upper, size: [6 mm, 4 mm, 2 mm]}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
+regions:
+  lower:
+    youngs_modulus: 1000 MPa
+    poisson_ratio: 0.3
+    thermal: {conductivity: 0.5 W/(m K), density: 1800 kg/m^3, specific_heat: 1300 J/(kg K),
+      initial_temperature: 37 degC, thermal_expansion: 20e-6 1/K}
+  upper:
+    youngs_modulus: 2000 MPa
+    poisson_ratio: 0.3
+    thermal: {conductivity: 0.3 W/(m K), density: 1200 kg/m^3, specific_heat: 1500 J/(kg K),
+      initial_temperature: 80 degC, thermal_expansion: 80e-6 1/K}
+interfaces:
+  lower_upper:
+    kind: contact
+    friction_coefficient: 0.3
+    conductance: {kind: pressure, open: 50 W/(m^2 K), per_pressure: 400 W/(m^2 K MPa)}
+    friction_heating: effusivity
+heat:
+  wall: {kind: temperature, boundary: lower_y_min, temperature: 37 degC}
+  air: {kind: convection, boundary: upper_x_max, coefficient: 200 W/(m^2 K), ambient: 20 degC}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  press: {kind: displacement, boundary: top, z: "-0.005 + 0.006 * x / 6", history: [1, 1]}
+  slide: {kind: displacement, boundary: top, x: "0.03 + 0.02 * y / 4", y: 0 mm, history: [0, 1]}
+stages:
+  - {name: press, adaptive: false}
+  - {name: slide, duration: 2 s, increments: 4, adaptive: false}
+time: {method: backward_euler, tolerance: 0.1 K}
+solver: {tolerance: 1.0e-10}
+"""
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """A solved case of heat and mechanics.
+
+    Attributes:
+        model: The model, in its last state.
+        total: What it took.
+        steps: Its heat steps.
+        dissipated: By friction up to the end of each of them, over all interfaces [N mm].
+    """
+
+    model: Model
+    total: Summary
+    steps: tuple[Accepted, ...]
+    dissipated: tuple[float, ...]
+
+    @property
+    def solver(self) -> Solver:
+        """What solves heat and mechanics, or the heat alone."""
+        solver = self.model.thermal[0].heating.solver
+        assert isinstance(solver, Solver)
+        return solver
+
+    def state(self) -> dict[str, Floats]:
+        """Blocks of the last state."""
+        blocks = dict(self.model.mechanics[0].solver.named())
+        blocks |= self.model.thermal[0].heating.solver.named()
+        return {name: v.array.copy() for name, v in blocks.items()}
+
+
+def solve(
+    monkeypatch: pytest.MonkeyPatch,
+    *overrides: str,
+    text: str = CASE,
+    change: Callable[[Scene], Scene] = lambda old: old,
+) -> Coupled:
+    """Solve a case.
+
+    Args:
+        monkeypatch: What undoes the change.
+        overrides: ``key.path=value``.
+        text: The case.
+        change: Changes its scene before it is solved.
+    """
+    build = scene.build
+    with monkeypatch.context() as patch:
+        patch.setattr(model.scene, "build", lambda case: change(build(case)))
+        case = support.case(text, *overrides)
+        made = Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
+    steps: list[Accepted] = []
+    dissipated: list[float] = []
+
+    def on_heat(step: Step, accepted: Accepted) -> None:
+        steps.append(accepted)
+        jumps = [j for m in made.mechanics for j in m.problem.jumps]
+        dissipated.append(sum(float(j.history.dissipation.sum()) for j in jumps))
+
+    def on_step(step: Step, trial: Trial | None) -> None:
+        pass
+
+    total = made.go(on_step, on_heat, print)
+    return Coupled(made, total, tuple(steps), tuple(dissipated))

@@ -1,0 +1,98 @@
+"""Heat and contact that depend on each other: one Jacobian, two ways to the same solution."""
+
+from __future__ import annotations
+
+from itertools import product
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests import coupled
+
+Floats = NDArray[np.float64]
+OPEN, STICK, SLIP = 0, 1, 2
+# Of these units, of which rounding leaves LITTLE in the remainder.
+SIZES = {"temperature": 1.0, "temperature_jump": 1.0, "displacement": 1e-5, "jump": 1e-5}
+STEPS, LITTLE = (1e-1, 1e-2), 1e-5
+HEAT, MOTION = ("temperature", "temperature_jump"), ("displacement", "jump")
+
+INTERFACE = "interfaces.lower_upper"
+PRESSED = "conductance: {kind: pressure, open: 50 W/(m^2 K), per_pressure: 400 W/(m^2 K MPa)}"
+CONTACT = "kind: contact, friction_coefficient: 0.3"
+COLD = f"{INTERFACE}={{{CONTACT}, {PRESSED}}}"
+PENALTY = (
+    f"{INTERFACE}={{kind: penalty, friction_coefficient: 0.3, penalty: 800 MPa/mm, {PRESSED}, "
+    "friction_heating: 0.3}"
+)
+PERFECT = f"{INTERFACE}={{kind: contact, friction_coefficient: 0.6, friction_heating: 0.3}}"
+CAPPED = f"{INTERFACE}.conductance.cap=600 W/(m^2 K)"
+STIFF = [f"regions.{r}.thermal.thermal_expansion=null" for r in ("lower", "upper")]
+# Heat that does not depend on contact.
+ONE_WAY = f"{INTERFACE}={{{CONTACT}, conductance: 500 W/(m^2 K)}}"
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [[], ["mesh.order=2"], [COLD], STIFF, [PERFECT], [PENALTY], [CAPPED]],
+    ids=["all", "P2", "no heat of friction", "no expansion", "perfect", "penalty", "capped"],
+)
+def test_taylor_remainder_is_of_second_order(
+    monkeypatch: pytest.MonkeyPatch, overrides: list[str]
+) -> None:
+    """Of every block, off a solution with points that are open, stick and slip."""
+    c = coupled.solve(monkeypatch, *overrides)
+    solver, problem = c.solver, c.model.mechanics[0].problem
+    conduction, (j,) = c.model.thermal[0].conduction, problem.jumps
+    held = [conduction.held, *(t.held for t in conduction.jumps), problem.held, j.held.ravel()]
+    free = dict(zip(solver.named(), map(np.logical_not, held), strict=True))
+    rng = np.random.default_rng(1)
+
+    def some(*names: str) -> PETSc.Vec:
+        v = solver.vector()
+        for name in names:
+            part = solver.named(v)[name]
+            part.array[:] = SIZES[name] * free[name] * rng.standard_normal(part.array.size)
+        return v
+
+    x, J = solver.x, solver.snes.getJacobian()[0]
+    # Off the last state, which is its own history: nothing slips there.
+    x.axpy(3.0, some(*free))
+    assert set(map(int, problem.trial(*solver.parts()).law.status)) == {OPEN, STICK, SLIP}
+    base, moved, linear, there = (solver.vector() for _ in range(4))
+    solver.snes.computeFunction(x, base)
+    solver.snes.computeJacobian(x, J)
+    blocks = set()
+    for column in free:
+        step = some(column)
+        J.mult(step, linear)
+        remainders = []
+        for ε in STEPS:
+            x.copy(there)
+            there.axpy(ε, step)
+            solver.snes.computeFunction(there, moved)
+            moved.axpy(-1.0, base)
+            moved.axpy(-ε, linear)
+            remainders.append([v.norm() / ε for v in solver.blocks(moved)])
+        for row, part, (first, second) in zip(
+            free, solver.blocks(linear), np.transpose(remainders), strict=True
+        ):
+            size = part.norm()
+            # Of second order: relative to the linear part it falls with the step.
+            assert second <= max(0.2 * first, LITTLE * size), (row, column, first, second, size)
+            assert first <= 0.1 * size, (row, column)
+            blocks |= {(row, column)} if size else set()
+    # What is in the scene is in the Jacobian.
+    heat = [name for name in HEAT if name in free]
+    expected = set(product(heat, heat)) | set(product(MOTION, MOTION))
+    if overrides is not STIFF:
+        expected |= set(product(MOTION, heat))
+    # The force of a penalty is a function of the jump alone.
+    by = ["jump"] if overrides == [PENALTY] else MOTION
+    if overrides != [COLD]:
+        expected |= set(product(["temperature"], by))
+    if overrides != [PERFECT]:
+        expected |= set(product(["temperature_jump"], by))
+    assert blocks == expected
