@@ -70,12 +70,14 @@ class Coupled:
         model: The model, in its last state.
         total: What it took.
         steps: Its heat steps.
-        dissipated: By friction up to the end of each of them, over all interfaces [N mm].
+        before: Dissipated by friction before the first of them, over all interfaces [N mm].
+        dissipated: Up to the end of each of them.
     """
 
     model: Model
     total: Summary
     steps: tuple[Accepted, ...]
+    before: float
     dissipated: tuple[float, ...]
 
     @property
@@ -113,14 +115,19 @@ def solve(
         made = Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
     steps: list[Accepted] = []
     dissipated: list[float] = []
+    before = [0.0]
+
+    def so_far() -> float:
+        jumps = [j for m in made.mechanics for j in m.problem.jumps]
+        return sum(float(j.history.dissipation.sum()) for j in jumps)
 
     def on_heat(step: Step, accepted: Accepted) -> None:
         steps.append(accepted)
-        jumps = [j for m in made.mechanics for j in m.problem.jumps]
-        dissipated.append(sum(float(j.history.dissipation.sum()) for j in jumps))
+        dissipated.append(so_far())
 
     def on_step(step: Step, trial: Trial | None) -> None:
-        pass
+        if not steps and step.stage == made.scene.stages[0].name:
+            before[0] = so_far()
 
     total = made.go(on_step, on_heat, print)
-    return Coupled(made, total, tuple(steps), tuple(dissipated))
+    return Coupled(made, total, tuple(steps), before[0], tuple(dissipated))

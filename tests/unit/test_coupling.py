@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 from petsc4py import PETSc
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.coupling import Staggered
 from tests import coupled
 
 Floats = NDArray[np.float64]
@@ -96,3 +98,89 @@ def test_taylor_remainder_is_of_second_order(
     if overrides != [PERFECT]:
         expected |= set(product(["temperature_jump"], by))
     assert blocks == expected
+
+
+def compare(one: coupled.Coupled, other: coupled.Coupled, tolerance: float) -> None:
+    """Two states, each block to a part of its largest value."""
+    a, b = one.state(), other.state()
+    assert a.keys() == b.keys()
+    for name, values in a.items():
+        size = float(np.abs(values).max())
+        assert size > 0, name
+        assert np.abs(values - b[name]).max() <= tolerance * size, name
+
+
+@pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
+@pytest.mark.parametrize("overrides", [[], [PERFECT], [PENALTY]], ids=["all", "perfect", "penalty"])
+def test_turns_of_heat_and_mechanics_lead_to_the_same_state(
+    monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
+) -> None:
+    both = [
+        coupled.solve(monkeypatch, f"time.method={method}", f"solver.coupling={way}", *overrides)
+        for way in ("monolithic", "staggered")
+    ]
+    assert isinstance(both[1].model.thermal[0].heating.solver, Staggered)
+    compare(*both, 1e-8)
+    assert both[0].dissipated == pytest.approx(both[1].dissipated, rel=1e-7)
+
+
+@pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
+def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
+    monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """Mechanics that follow the heat, and the same in one system with it."""
+    one = coupled.solve(monkeypatch, f"time.method={method}", ONE_WAY)
+    assert one.model.scene.coupling == ()
+    together = coupled.solve(
+        monkeypatch,
+        f"time.method={method}",
+        ONE_WAY,
+        change=lambda scene: replace(scene, coupling=("monolithic",)),
+    )
+    assert set(one.solver.block_sizes) == set(HEAT)
+    assert set(together.solver.block_sizes) == {*HEAT, *MOTION}
+    compare(one, together, 1e-8)
+
+
+@pytest.mark.parametrize("way", ["monolithic", "staggered"])
+def test_heat_of_friction_is_what_friction_dissipates(
+    monkeypatch: pytest.MonkeyPatch, way: str
+) -> None:
+    """With backward Euler step by step, to the tolerance of the equations; the balance closes."""
+    c = coupled.solve(monkeypatch, f"solver.coupling={way}", "solver.tolerance=1e-12")
+    before = c.before
+    for accepted, dissipated in zip(c.steps, c.dissipated, strict=True):
+        heat = accepted.heats["friction lower_upper"]
+        assert heat > 1e-3
+        assert heat == pytest.approx(dissipated - before, rel=1e-9)
+        before = dissipated
+    balance = c.model.thermal[0].balance
+    assert balance.heats["friction lower_upper"] == pytest.approx(before - c.before, rel=1e-9)
+    assert balance.heat < 1e-12
+
+
+@pytest.mark.parametrize("perfect", [False, True], ids=["conductance", "perfect"])
+def test_insulated_bodies_keep_all_of_it(monkeypatch: pytest.MonkeyPatch, perfect: bool) -> None:
+    """Nothing else warms bodies of one temperature that nothing cools; each side has its share."""
+    share = 0.3
+    law = "" if perfect else "conductance: 0 W/(m^2 K), "
+    c = coupled.solve(
+        monkeypatch,
+        f"{INTERFACE}={{{CONTACT}, {law}friction_heating: {share}}}",
+        "heat={}",
+        "regions.upper.thermal.initial_temperature=37 degC",
+        "solver.tolerance=1e-12",
+    )
+    heating = c.model.thermal[0].heating
+    conduction = heating.conduction
+    released = c.dissipated[-1] - c.before
+    warmed = [
+        float((m * (T - 310.15)).sum())
+        for m, T in zip(conduction.capacity, conduction.nodal(heating.vectors()), strict=True)
+    ]
+    assert released > 0.01
+    assert sum(warmed) == pytest.approx(released, rel=1e-8)
+    if not perfect:
+        # The first side is the lower block.
+        lower = warmed[conduction.bodies.of_region["lower"]]
+        assert lower == pytest.approx(share * released, rel=1e-8)
