@@ -198,7 +198,7 @@ def _expanding(fine: bool) -> Iterator[Problem]:
         "mean pressure of a hot stem in a cooled ring [MPa], relative",
         0.005,
         "hot_fit.yaml",
-        ladder(_sizes(1.6, 0.8, 0.4, 0.25, fine=fine), _SLICE, measures.hot_fit),
+        ladder(_sizes(1.2, 0.6, 0.3, 0.2, fine=fine), _SLICE, measures.hot_fit),
         2.0,
     )
     yield Problem(

@@ -242,7 +242,7 @@ def _layers(joined: tuple[bool, bool]) -> coupled.Layers:
 
 def hot_fit(run: Run) -> Sample:
     """Mean pressure of hot_fit.yaml [MPa]."""
-    core, ring = ((200e3, 0.3), 14e-6), ((2200.0, 0.3), 27.5e-6)
+    core, ring = ((200e3, 0.3), 14e-6), ((2200.0, 0.3), 10e-6)
     reference = coupled.hot_fit_pressure((7, 10), core, ring, 0.4, 0.3, (80, 37, 37))
     return relative(run.summary["interfaces"]["stem_cement"]["pressure_mean"], reference)
 
