@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from app import mechanics, points
+from app import heat_forms, mechanics, model, points, temperature_jumps
 from app.problem import Problem
 from app.solver import Solver
+from app.timing import Timing
 from tests import support
 
 CASE = """
@@ -155,3 +156,186 @@ def test_loads_cost_a_form_each(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     assert sprung.forms == bare.forms + 1
     assert sprung.blocks == bare.blocks
+
+
+# Scenes with heat
+
+BLOCKS = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [6 mm, 6 mm, 3 mm]}
+    - {name: upper, size: [6 mm, 6 mm, 3 mm]}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
+"""
+ELASTIC = "youngs_modulus: 1000 MPa, poisson_ratio: 0.3"
+THERMAL = """thermal: {conductivity: 0.2 W/(m K), density: 1200 kg/m^3,
+    specific_heat: 1450 J/(kg K), initial_temperature: 37 degC%s}"""
+EXPANDS = ", thermal_expansion: 8e-5 1/K"
+MECHANICAL = """
+supports: {floor: {kind: fixed, boundary: bottom}}
+loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
+"""
+FINITE = "conductance: 300 W/(m^2 K)"
+PRESSED = "conductance: {kind: pressure, open: 50 W/(m^2 K), per_pressure: 400 W/(m^2 K MPa)}"
+RUBS = "kind: contact, friction_coefficient: 0.3"
+
+
+@dataclass(frozen=True)
+class Bill:
+    """What a model cost to set up.
+
+    Attributes:
+        unknowns: By block.
+        systems: Blocks that are solved together: names in each system's matrix.
+        laws: Compiled laws of contact.
+        heat_laws: Compiled laws of heat through interfaces.
+        forms: Compiled forms of the mechanics.
+        heat_forms: Of the heat.
+        integrals: Integrals in all of them.
+    """
+
+    unknowns: dict[str, int]
+    systems: list[tuple[str, ...]]
+    laws: int
+    heat_laws: int
+    forms: int
+    heat_forms: int
+    integrals: int
+
+
+def bill(
+    monkeypatch: pytest.MonkeyPatch,
+    interface: str,
+    *overrides: str,
+    elastic: bool = True,
+    heated: bool = True,
+    expands: bool = False,
+) -> Bill:
+    """Set a model up and note what it builds and compiles."""
+    thermal = THERMAL % (EXPANDS if expands else "")
+    region = ", ".join(
+        ["kind: conductor"] * (not elastic) + [ELASTIC] * elastic + [thermal] * heated
+    )
+    text = BLOCKS + f"regions: {{lower: {{{region}}}, upper: {{{region}}}}}\n"
+    text += f"interfaces: {{lower_upper: {{{interface}}}}}\n" + MECHANICAL * elastic
+    text += "stages: [{name: first, duration: 1 s}]\n" if heated else ""
+    counts = dict.fromkeys(("laws", "heat_laws", "forms", "heat_forms", "integrals"), 0)
+    systems: list[tuple[str, ...]] = []
+
+    def count(where: Any, name: str, *keys: str) -> None:
+        real = getattr(where, name)
+
+        def counted(*arguments: Any, **more: Any) -> Any:
+            for key in keys:
+                counts[key] += len(arguments[0].integrals()) if key == "integrals" else 1
+            return real(*arguments, **more)
+
+        patch.setattr(where, name, counted)
+
+    def refuse(*arguments: Any) -> None:
+        raise AssertionError("built what the scene does not contain")
+
+    def solver(system: Any, *arguments: Any) -> Solver:
+        systems.append(tuple(system.blocks()))
+        return Solver(system, *arguments)
+
+    with monkeypatch.context() as patch:
+        count(points, "contact_law", "laws")
+        count(temperature_jumps.interface_heat, "flux_and_derivatives", "heat_laws")
+        count(mechanics.fem, "form", "forms", "integrals")
+        count(heat_forms.HeatForms, "_form", "heat_forms")
+        patch.setattr(model, "Solver", solver)
+        for name, absent in (("Problem", not elastic), ("Conduction", not heated)):
+            if absent:
+                patch.setattr(model, name, refuse)
+        case = support.case(text, *overrides)
+        made = model.Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
+    counts["forms"] -= counts["heat_forms"]
+    return Bill(made.sizes(), systems, **counts)
+
+
+# Stiffness and pressure; with contact the stiffness beside the interface.
+BONDED, CONTACT_FORMS, SWELLING = 2, 3, 2
+# Of each region: conduction, and the volumes for which its nodes stand.
+CONDUCTION = 4
+
+
+@pytest.fixture(scope="module")
+def size() -> tuple[int, int]:
+    """Nodes of the mesh, and those of its interface: 1 unknown of temperature each, 3 of motion."""
+    case = support.case(
+        BLOCKS + f"regions: {{lower: {{{ELASTIC}}}, upper: {{{ELASTIC}}}}}\n" + MECHANICAL
+    )
+    x = support.mesh(case).mesh.geometry.x
+    return len(x), int((np.abs(x[:, 2] - 3.0) < 1e-9).sum())
+
+
+def test_thermal_only_has_no_mechanics(
+    monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+) -> None:
+    """No displacement, no form of the mechanics, no problem built; perfect joints cost nothing."""
+    n, m = size
+    perfect = bill(monkeypatch, "kind: bonded", elastic=False)
+    assert perfect == Bill({"temperature": n}, [("temperature",)], 0, 0, 0, CONDUCTION, 4)
+    finite = bill(monkeypatch, f"kind: bonded, {FINITE}", elastic=False)
+    both = ("temperature", "temperature_jump")
+    unknowns = {"temperature": n, "temperature_jump": m}
+    assert finite == Bill(unknowns, [both], 0, 1, 0, CONDUCTION, 4)
+
+
+def test_mechanics_only_has_no_heat(monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]) -> None:
+    """No temperature, no form or law of the heat, no conduction built."""
+    n, m = size
+    bonded = bill(monkeypatch, "kind: bonded", heated=False)
+    assert bonded == Bill({"displacement": 3 * n}, [("displacement",)], 0, 0, BONDED, 0, 3)
+    contact = bill(monkeypatch, RUBS, heated=False)
+    unknowns = {"displacement": 3 * n, "jump": 3 * m}
+    assert contact == Bill(unknowns, [("displacement", "jump")], 1, 0, CONTACT_FORMS, 0, 4)
+
+
+def test_one_way_is_the_sum_of_both(monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]) -> None:
+    """Two systems, no block between them; expansion costs its forces and their work."""
+    n, _ = size
+    motion = bill(monkeypatch, RUBS, heated=False)
+    heat = bill(monkeypatch, f"kind: bonded, {FINITE}", elastic=False)
+    cold = bill(monkeypatch, f"{RUBS}, {FINITE}")
+    assert cold == Bill(
+        heat.unknowns | motion.unknowns,
+        motion.systems + heat.systems,
+        motion.laws,
+        heat.heat_laws,
+        motion.forms,
+        heat.heat_forms,
+        motion.integrals + heat.integrals,
+    )
+    warm = bill(monkeypatch, f"{RUBS}, {FINITE}", expands=True)
+    assert warm == replace(cold, forms=cold.forms + SWELLING, integrals=cold.integrals + SWELLING)
+    bonded = bill(monkeypatch, "kind: bonded", expands=True)
+    assert bonded.unknowns == {"temperature": n, "displacement": 3 * n}
+    assert (bonded.laws, bonded.heat_laws, bonded.forms) == (0, 0, BONDED + SWELLING)
+
+
+def test_coupling_costs_one_system_and_no_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its blocks are products of what is there. Load steps have the mechanics for themselves."""
+    one_way = bill(monkeypatch, f"{RUBS}, {FINITE}", expands=True)
+    every = ("temperature", "temperature_jump", "displacement", "jump")
+    coupled = replace(one_way, systems=[("displacement", "jump"), every])
+    for interface in (PRESSED, f"{PRESSED}, friction_heating: 0.3"):
+        assert bill(monkeypatch, f"{RUBS}, {interface}", expands=True) == coupled
+    turns = bill(monkeypatch, f"{RUBS}, {PRESSED}", "solver.coupling=staggered", expands=True)
+    assert turns == one_way
+
+
+def test_friction_heats_a_perfect_interface_without_jumps(
+    monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+) -> None:
+    n, m = size
+    cost = bill(monkeypatch, f"{RUBS}, friction_heating: 0.3")
+    assert cost.systems[1] == ("temperature", "displacement", "jump")
+    assert cost.heat_laws == 0
+    assert cost.unknowns == {
+        "temperature": n,
+        "displacement": 3 * n,
+        "jump": 3 * m,
+    }
