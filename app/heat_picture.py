@@ -115,8 +115,9 @@ def section(
     x = mine[0].reshape(-1, 4)
     ends = comm.allgather((x.min(0, initial=np.inf), x.max(0, initial=-np.inf)))
     low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
-    # Nodes in a plane count as above it: the lowest are no section.
-    across = max(float(at[2]), low[2] + 1e-6 * (high[2] - low[2]))
+    # At the ends a plane may touch no more than a node.
+    inside = 1e-3 * (high[2] - low[2])
+    across = float(np.clip(at[2], low[2] + inside, high[2] - inside))
     planes = [(1, middle_plane(low[1], high[1])), (2, across)]
     pieces = [_cut(*mine, axis, level) for axis, level in planes]
     gathered = comm.gather(pieces)
