@@ -1,7 +1,8 @@
 """A wrong sign or factor in the equations makes a problem of ``mantle verify`` fail.
 
 Each mistake is planted in a copy of the program, one at a time: eq. 48 to 50 (elasticity), eq. 57
-and 65 (contact), Coulomb's cone, loads.
+and 65 (contact), Coulomb's cone, loads; eq. 14, 66 and 68 (heat at interfaces), conduction, cure,
+thermal strain.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import pytest
 from tests import support
 
 ELASTICITY, CONTACT = "forms/elasticity.py", "forms/contact.py"
+HEAT, INTERFACE_HEAT, CURE = "forms/heat.py", "forms/interface_heat.py", "forms/cure.py"
 TRIAL = "S = f + r * (d + gap)"
 RADIUS = "radius = μ * sum(p[1:], p[0])"
 
@@ -119,6 +121,89 @@ MUTATIONS = {
         "return dot(b, v)",
         "return -dot(b, v)",
         "sine_p2",
+    ),
+    # Heat: the errors of eq. 14, 66 and 68 as printed, and others.
+    "eq14_sign_of_the_flux": (
+        INTERFACE_HEAT,
+        "q = -diff(conduction_potential(t, conductance(",
+        "q = diff(conduction_potential(t, conductance(",
+        "heat_bars",
+    ),
+    "eq66_sign_of_the_pressure": (
+        INTERFACE_HEAT,
+        "conditional(gt(p, 0), p, 0 * p)",
+        "conditional(gt(p, 0), -p, 0 * p)",
+        "wavy_temperature",
+    ),
+    "eq68_factor_of_the_flux": (
+        INTERFACE_HEAT,
+        "return h / 2 * τ**2",
+        "return h * τ**2",
+        "heat_bars",
+    ),
+    "eq68_no_net_heat_of_friction": (
+        "app/coupling.py",
+        "[c.master[0]] for c in scene.contacts]), 1 - β)",
+        "[c.master[0]] for c in scene.contacts]), -β)",
+        "rubbing_energy",
+    ),
+    "share_of_the_other_side": (
+        "app/scene_heat.py",
+        "e_s / (e_s + e_m)",
+        "e_m / (e_s + e_m)",
+        "rubbing_split",
+    ),
+    "given_share_of_the_other_side": (
+        "app/scene_heat.py",
+        "first if slave == tuple(given[0]) else 1.0 - first",
+        "1.0 - first if slave == tuple(given[0]) else first",
+        "rubbing_given",
+    ),
+    "fourier_factor": (HEAT, "return k / 2 * inner(g, g)", "return k * inner(g, g)", "heat_slab"),
+    "fourier_across_the_fibre": (
+        HEAT,
+        "(k_l - k_t) / 2 * dot(m, g) ** 2",
+        "(k_l + k_t) / 2 * dot(m, g) ** 2",
+        "heat_fibre",
+    ),
+    "exchange_factor": (
+        HEAT,
+        "return coefficient / 2 * (θ - outside) ** 2",
+        "return coefficient * (θ - outside) ** 2",
+        "heat_slab",
+    ),
+    "sign_of_the_heating": (HEAT, "return q * v\n", "return -q * v\n", "heat_slab"),
+    "capacity": (
+        "app/conduction.py",
+        "+= c.capacity * ",
+        "+= 1.1 * c.capacity * ",
+        "heat_cylinder",
+    ),
+    "heat_of_cure": (
+        "app/cure_heat.py",
+        "c.heat * volume[dof]",
+        "0.9 * c.heat * volume[dof]",
+        "cure_heat",
+    ),
+    "sign_of_the_cure": ("app/cure_heat.py", "(d.degree - a)", "(a - d.degree)", "cure_heat"),
+    "arrhenius_sign": (CURE, "exp(-Ea / (", "exp(Ea / (", "cure_isothermal"),
+    "arrhenius_exponents": (
+        CURE,
+        "a**m * max_value(limit - a, 0) ** n",
+        "a**n * max_value(limit - a, 0) ** m",
+        "cure_isothermal",
+    ),
+    "sign_of_the_thermal_strain": (
+        "app/expansion.py",
+        "(temperatures[x.region].x.array - x.reference)",
+        "(x.reference - temperatures[x.region].x.array)",
+        "layers_bonded",
+    ),
+    "factor_of_the_thermal_strain": (
+        ELASTICITY,
+        "return e * Identity(3)",
+        "return e / 3 * Identity(3)",
+        "layers_bonded",
     ),
 }
 
