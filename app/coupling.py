@@ -125,8 +125,10 @@ class ContactHeat:
         """What rounding of long slips leaves of the power of friction; collective [N mm/s]."""
         (j,) = self._problem.jumps
         slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
-        stiff = j.stiffness * j.weight * np.linalg.norm(trial.jump, axis=1)
-        power = np.where(self.rubbing, stiff * slip, 0.0) / elapsed
+        # Forces are those of equilibrium, of bodies that may be far from where they were.
+        met = np.where(j.augmented, j.D.getDiagonal().array.reshape(-1, 3).max(axis=1), 0.0)
+        force = (met + j.stiffness * j.weight) * np.linalg.norm(trial.jump, axis=1)
+        power = np.where(self.rubbing, force * slip, 0.0) / elapsed
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
