@@ -42,7 +42,15 @@ class HeatBalance:
         self.heat = self.quadrature = 0.0
         self.heats: dict[str, float] = {}
 
-    def update(self, step: float, heats: Flows, end: Flows, stored: float, moved: float) -> None:
+    def update(
+        self,
+        step: float,
+        heats: Flows,
+        end: Flows,
+        stored: float,
+        moved: float,
+        least: float = 0.0,
+    ) -> None:
         """Take in an accepted step.
 
         Args:
@@ -52,6 +60,7 @@ class HeatBalance:
             stored: Heat stored then [N mm].
             moved: Heat that moved within the model in the step [N mm], of which balances are parts
                 (`ThermalRecord.moved`).
+            least: Heat that has to have moved so far, or rounding would be compared with rounding.
         """
         for name, heat in heats.items():
             self.heats[name] = self.heats.get(name, 0.0) + heat
@@ -60,7 +69,9 @@ class HeatBalance:
         self._end_sum += step * (sum(begin.values()) + sum(end.values())) / 2
         self._last = dict(end)
         self._moved += max(sum(map(abs, heats.values())), moved)
-        self._compare(stored)
+        self._now = stored
+        if self._moved >= least:
+            self._compare(stored)
 
     def event(self, flows: Flows) -> None:
         """Flows just after a moment at which they jump, such as the end of a course [N mm/s]."""
@@ -83,7 +94,6 @@ class HeatBalance:
         self._now, self._last = stored, dict(flows)
 
     def _compare(self, stored: float) -> None:
-        self._now = stored
         gained = stored - self._stored
 
         def part(total: float) -> float:

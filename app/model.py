@@ -38,6 +38,9 @@ from meshes.distribute import TaggedMesh, distribute
 
 log = logging.getLogger("mantle")
 
+# Heat below so many times what rounding leaves of it in a step is none.
+NOTHING = 1e3
+
 
 @dataclass(frozen=True)
 class Mechanical:
@@ -94,13 +97,15 @@ class Thermal:
         for cure in self.cure:
             cure.update(accepted.seconds, heating.degrees(), heating.rates())
         stored = conduction.stored(x)
+        rounding = conduction.measure(x, conduction.vectors()).rounding
         if accepted.dt == 0.0:
             # A model of one temperature lets nothing through but rounding.
-            rounding = 1e2 * conduction.measure(x, conduction.vectors()).rounding
-            self.balance.steady(accepted.flows, stored, rounding)
+            self.balance.steady(accepted.flows, stored, 1e2 * rounding)
             return
         moved = self.record.moved(self._capacities)
-        self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved)
+        # Nor does one that waits for its first heat, such as that of friction.
+        least = NOTHING * rounding * accepted.dt
+        self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved, least)
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""

@@ -73,3 +73,12 @@ def test_steady_states_are_balanced_by_their_flows() -> None:
     balance.update(1.0, {"in": 1.0}, {"in": 1.0}, 502.5, 0.0)
     assert balance.heat == pytest.approx(0.5 / 3)
     assert np.isfinite(balance.quadrature)
+
+
+def test_rounding_is_not_compared_with_rounding() -> None:
+    """A model that waits for its first heat; once that is there all of it counts."""
+    balance = HeatBalance(0.0, {})
+    balance.update(1.0, {"friction": 2e-22}, {"friction": 0.0}, 1e-16, 2e-16, 1e-12)
+    assert balance.heat == 0
+    balance.update(1.0, {"friction": 1.0}, {"friction": 1.0}, 1.0 - 1e-5, 0.0, 1e-12)
+    assert balance.heat == pytest.approx(1e-5, rel=1e-6)
