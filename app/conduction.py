@@ -367,7 +367,10 @@ class Conduction:
         norms = np.sqrt(np.array(self.comm.allreduce(np.array(local), MPI.SUM)))
         rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
         return Measure(
-            math.sqrt(sum(v.norm() ** 2 for v in f)), float(norms[: len(parts)].sum()), rounding
+            math.sqrt(sum(v.norm() ** 2 for v in f)),
+            float(norms[: len(parts)].sum()),
+            rounding,
+            lasting=False,
         )
 
     # What is reported

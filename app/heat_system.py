@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from petsc4py import PETSc
 
 from app.conduction import Conduction
@@ -63,7 +65,7 @@ class HeatSystem:
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat that is lacking, beside that stored, brought in and let through [N mm/s]."""
         m = self._conduction.measure(x, f)
-        return [Measure(m.norm, STRICTER * m.scale, m.rounding)]
+        return [replace(m, scale=STRICTER * m.scale)]
 
     def flips(self) -> int:
         """Conduction has no states to change."""

@@ -195,8 +195,10 @@ class Heating:
             first = integrator.first_step(self._slope, self.norm, longest)
         return self.options.first_step or first
 
-    def attempt(self, dt: float) -> tuple[integrator.Step, Method] | None:
+    def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.Step, Method] | None:
         """Solve a time step; None where a stage does not converge.
+
+        A step that may not be shorter is done by backward Euler then.
 
         A step that leaves the extremes of the data is done again: where the mesh makes it, with the
         edges that do (`app.monotone`), else by backward Euler.
@@ -212,6 +214,8 @@ class Heating:
                     break
                 if not self.conduction.correct(self.vectors()):
                     break
+            if found is None and fixed:
+                continue
             if found is None or not self.conduction.outside(self.vectors()):
                 break
         return None if found is None else (found, method)

@@ -30,7 +30,7 @@ Bools = NDArray[np.bool_]
 
 # What counts as outside, and as near a bound, in parts of the range of the data.
 OUTSIDE = 1e-9
-NEAR = 1e-2
+NEAR = 1e-5
 # Entries of a matrix and heat into nodes below this part of the largest are rounding.
 ZERO = 1e-12
 # Spans below this [K] count as this: temperatures are no better than their rounding.

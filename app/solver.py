@@ -8,7 +8,7 @@ Preconditioners of the large blocks are set up once and kept while they are good
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
@@ -234,7 +234,8 @@ class Solver:
         parts = self._system.measure(self.blocks(x), self.blocks(f))
         known = self._scales or [0.0] * len(parts)
         return [
-            Measure(p.norm, max(p.scale, s), p.rounding) for p, s in zip(parts, known, strict=True)
+            replace(p, scale=max(p.scale, s)) if p.lasting else p
+            for p, s in zip(parts, known, strict=True)
         ]
 
     # Solve

@@ -114,7 +114,7 @@ class March:
         self.heating.start(dt)
         for n in range(stage.increments):
             started = clock.perf_counter()
-            found = self.heating.attempt(dt)
+            found = self.heating.attempt(dt, fixed=True)
             if found is None:
                 raise ConvergenceError(self._text(stage, n / stage.increments, dt))
             accepted = self.heating.accept(*found, dt)

@@ -42,11 +42,20 @@ INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 
 @dataclass(frozen=True)
 class Measure:
-    """A part of a residual: its norm, the size of what it balances, what rounding leaves of it."""
+    """How large a part of a residual is.
+
+    Attributes:
+        norm: Its norm.
+        scale: The size of what it balances.
+        rounding: What rounding leaves of it.
+        lasting: Whether the scale of a state that converged holds for those after it: forces that
+            have acted do, the heat that flowed in the first instant of a contact does not.
+    """
 
     norm: float
     scale: float
     rounding: float
+    lasting: bool = True
 
 
 class System(Protocol):

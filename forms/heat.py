@@ -22,11 +22,6 @@ from ufl import dot, inner
 from ufl.core.expr import Expr
 
 
-def stored_power(c: Any, rate: Any, v: Expr) -> Expr:
-    r"""Power per volume that storing takes: :math:`c\, \dotθ\, v`."""
-    return c * rate * v
-
-
 def isotropic_conduction(g: Expr, k: Any) -> Expr:
     r"""Potential of Fourier conduction :math:`φ = \tfrac12 k\, g·g`."""
     return k / 2 * inner(g, g)
