@@ -41,7 +41,7 @@ KEPT = ("displacement", "temperature")
 # Krylov iterations per Newton iteration beyond which they are made again, if matrices changed.
 STALE = 25
 # A residual that has not fallen to this part of itself in so many iterations is stuck.
-STUCK, HARDLY = 6, 0.5
+STUCK, RESCUED, HARDLY = 6, 15, 0.5
 
 
 @dataclass(frozen=True)
@@ -221,9 +221,10 @@ class Solver:
         self._residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
         if all(map(self.meets, parts)):
             return reasons.CONVERGED_FNORM_ABS
-        last = self._residuals
-        stuck = len(last) > STUCK and last[-1] > HARDLY * last[-1 - STUCK]
-        return reasons.DIVERGED_LINE_SEARCH if stuck and not self._rescue else reasons.ITERATING
+        # Whole steps may go up before they go down.
+        last, window = self._residuals, RESCUED if self._rescue else STUCK
+        stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
+        return reasons.DIVERGED_LINE_SEARCH if stuck else reasons.ITERATING
 
     def meets(self, part: Measure) -> bool:
         """Whether a residual is within the tolerance."""

@@ -114,8 +114,8 @@ def rings(run: Run) -> Sample:
         if region == 1:
             return np.full(len(x), 100.0)
         if region == 2:
-            return 100 + (hot - 100) * np.log(r / 10) / math.log(14 / 10)
-        return 37 + (cold - 37) * np.log(18 / r) / math.log(18 / 14)
+            return np.asarray(100 + (hot - 100) * np.log(r / 10) / math.log(14 / 10), dtype=float)
+        return np.asarray(37 + (cold - 37) * np.log(18 / r) / math.log(18 / 14), dtype=float)
 
     return mean_square(run, field, 37.0)
 
