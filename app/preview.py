@@ -242,6 +242,15 @@ def warnings(case: Case) -> list[str]:
     for name, region in case.regions.items():
         if region.thermal is not None:
             messages += _unusual(f"regions.{name}.thermal", region.thermal)
+    expands = any(
+        r.thermal is not None and r.thermal.thermal_expansion for r in case.regions.values()
+    )
+    messages += [
+        f"interfaces.{name}: expansion and a conductance that grows with pressure feed each other: "
+        "there may be several states, and the initial temperatures decide between them"
+        for name, law in case.interfaces.items()
+        if expands and getattr(law.conductance, "per_pressure", 0.0)
+    ]
     for name, condition in case.heat.items():
         for key in ("temperature", "ambient"):
             if isinstance(getattr(condition, key, None), float):

@@ -333,3 +333,12 @@ def test_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert folders.cache("meshes") is None
+
+
+def test_states_that_depend_on_the_start_are_told() -> None:
+    """Bars between heated walls have three: with a gap closed by expansion, and without."""
+    walls = CONFIGS / "verification" / "heated_walls.yaml"
+    (note,) = preview.warnings(config.load(walls))
+    assert "interfaces.metal_cement" in note and "initial temperatures decide" in note
+    stiff = ["interfaces.metal_cement.conductance=10 W/(m^2 K)"]
+    assert preview.warnings(config.load(walls, stiff)) == []
