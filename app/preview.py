@@ -11,7 +11,7 @@ from app.conditions import Bonded, Contact, Force
 from app.config import Case, Stage
 from app.fields import Model
 from app.materials import Conductor, Rigid
-from app.thermal_options import Thermal
+from app.thermal_options import PressureConductance, Thermal
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -249,7 +249,7 @@ def warnings(case: Case) -> list[str]:
         f"interfaces.{name}: expansion and a conductance that grows with pressure feed each other: "
         "there may be several states, and the initial temperatures decide between them"
         for name, law in case.interfaces.items()
-        if expands and getattr(law.conductance, "per_pressure", 0.0)
+        if expands and isinstance(law.conductance, PressureConductance)
     ]
     for name, condition in case.heat.items():
         for key in ("temperature", "ambient"):
