@@ -93,7 +93,8 @@ class Thermal:
             exchange(self._names, j, temperatures, τ.array, j.friction, self._shares[j.interface])
             for j, τ in zip(conduction.jumps, x[1:], strict=True)
         ]
-        self.record.update(accepted.seconds, temperatures, exchanges)
+        highest = conduction.bounds(x).high
+        self.record.update(accepted.seconds, temperatures, exchanges, highest)
         for cure in self.cure:
             cure.update(accepted.seconds, heating.degrees(), heating.rates())
         stored = conduction.stored(x)

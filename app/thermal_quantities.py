@@ -175,6 +175,7 @@ class ThermalRecord:
         seconds: float,
         temperatures: Sequence[fem.Function],
         exchanges: Sequence[Exchange] = (),
+        highest: float = np.inf,
     ) -> None:
         """Take in an accepted step; collective.
 
@@ -184,6 +185,7 @@ class ThermalRecord:
             seconds: Time at its end [s].
             temperatures: Of the bodies then [K].
             exchanges: What passes the interfaces of finite conductance then, if there are any.
+            highest: Where temperatures have to stay below [K], between steps too.
         """
         step = seconds - self.seconds[-1]
         for r in self._regions.values():
@@ -196,7 +198,8 @@ class ThermalRecord:
             raise_to(r.peak, r.peak_time, r.now, np.full(len(r.now), seconds))
             states = [*r.before, (seconds, r.now)]
             if len(states) == 4 and all(a[0] < b[0] for a, b in pairwise(states)):
-                raise_to(r.peak, r.peak_time, *peak_between(*states))
+                peak, time = peak_between(*states)
+                raise_to(r.peak, r.peak_time, np.minimum(peak, highest), time)
         for e in exchanges:
             for i, name in enumerate(e.names):
                 self._extremes_of(name, e.flux[e.interface == i], e.entropy[e.interface == i])
