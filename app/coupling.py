@@ -30,9 +30,10 @@ from app.heat_system import HeatSystem
 from app.points import PointForces
 from app.problem import ROUNDING, Problem, Trial
 from app.solver import Outcome, Solver
-from app.sparse import from_triplets
+from app.sparse import from_triplets, owners
 from app.systems import Contact, Measure, Options
 from app.terms import FrictionHeat, Scene
+from forms import interface_heat
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -66,9 +67,7 @@ class ContactHeat:
         self.expands = {x.region for x in scene.expansions}
         (j,) = problem.jumps
         comm, points = problem.comm, j.points
-        # Contact points are numbered rank by rank.
-        number = np.empty(len(points.weight), dtype=np.int64)
-        number[np.concatenate(comm.allgather(j.mine))] = np.arange(len(number))
+        number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
         self._n = len(j.mine)
         self.heats = _heats(scene, problem, conduction, number)
         self.rubbing = np.isin(
@@ -188,10 +187,9 @@ class Coupled:
         self._forces = self._thermal_forces() if self.exchange.expands else ()
         self.elapsed = 1.0
         # Heat enters the rows of its nodes and of its jumps.
-        self._nodes, self._points = self._entries()
+        self._nodes = self._entries()
         fresh = list(self.blocks().values())
-        up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
-        self._up, self._back = up, back
+        self._up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
         own = heat.matrices()
         # With expansion pressures depend on temperatures directly too.
         self._own = [
@@ -292,8 +290,8 @@ class Coupled:
         by_u, by_q = self._forces[0]
         return [by_u, [self._motion.rows.matMult(A) for A in by_q]]
 
-    def _entries(self) -> tuple[list[PETSc.Mat], tuple[PETSc.Mat, ...]]:
-        """By friction power: in the rows of temperature and of jumps; by pressure: in those."""
+    def _entries(self) -> list[PETSc.Mat]:
+        """Heat by friction power, negative: in the rows of temperature and of jumps."""
         conduction = self._conduction
         total = _total(list(self.exchange.heats.values()))
         keep = conduction.vectors()
@@ -306,7 +304,7 @@ class Coupled:
             jumps = _total(parts)
             jumps.diagonalScale(keep[1])
             nodes.append(jumps)
-        return nodes, self.exchange.pressed
+        return nodes
 
     def _from_motion(
         self, trial: Trial, x: list[PETSc.Vec]
@@ -315,7 +313,8 @@ class Coupled:
         (j,) = self._problem.jumps
         power = self._matrices(self.exchange.power_rows(trial, self.elapsed))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
-        for t, P, τ in zip(self._conduction.jumps, self._points, x[1 : self._n], strict=True):
+        jumps, pressed = self._conduction.jumps, self.exchange.pressed
+        for t, P, τ in zip(jumps, pressed, x[1 : self._n], strict=True):
             squeezed = P.copy()
             by_pressure = τ.duplicate()
             growth = t.weight * t.flux(τ.array)[2]
@@ -432,10 +431,10 @@ def _heats(
         for c in scene.contacts
     ]
     β = np.array(shares)[points.interface]
-    sides = [
-        (np.array([conduction.bodies.of_region[c.master[0]] for c in scene.contacts]), 1 - β),
-        (np.array([conduction.bodies.of_region[c.slave[0]] for c in scene.contacts]), β),
-    ]
+    body_of = conduction.bodies.of_region
+    master = np.array([body_of[c.master[0]] for c in scene.contacts])
+    slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
+    sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
     found: dict[int, PETSc.Mat] = {}
     for b in range(len(conduction.bodies.names)):
         value = sum(np.where(body[points.interface] == b, share, 0.0) for body, share in sides)

@@ -22,19 +22,18 @@ from dataclasses import dataclass
 from functools import reduce
 from operator import add
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 
 from app.bodies import Bodies, contact_facets, held_vertices
 from app.errors import InputError
 from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
+from app.sparse import from_triplets, owners
 from app.terms import Scene, Support, amplitude
 from app.timing import Timing
 from forms.contact import SLIP
@@ -113,7 +112,7 @@ class Jumps:
         self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
         _refuse_released(scene.supports, self.points)
         _refuse_moving_rigid(scene, bodies, entries)
-        self.mine, place = self._distribute(space)
+        self.mine, place = owners(self.comm, space.dofmap.index_map, self.points.dof)
         n = len(self.mine)
         self.weight = self.points.weight[self.mine]
         self.normals = self.points.normals[self.mine]
@@ -148,16 +147,6 @@ class Jumps:
 
     # Construction
 
-    def _distribute(self, space: fem.FunctionSpace) -> tuple[Ints, Ints]:
-        """Give each point to the rank that owns its vertex dof, and number the jumps."""
-        index_map = space.dofmap.index_map
-        ends = np.array(self.comm.allgather(index_map.local_range[1]))
-        owner = np.searchsorted(ends, self.points.dof, side="right")
-        order = np.argsort(owner, kind="stable")
-        place = np.empty(len(order), dtype=np.int64)
-        place[order] = np.arange(len(order))
-        return order[owner[order] == self.comm.rank], place
-
     def _default_stiffness(self, factor: float) -> Floats:
         """Stiffness of each own point: given, else factor E_soft / h with h the mean edge."""
         values = [
@@ -188,7 +177,7 @@ class Jumps:
             row, column, value = entries.row[here], entries.column[here], entries.value[here]
             column = 3 * place[column // 3] + column % 3
             own = (row >= start) & (row < end)
-            B = _matrix(self.comm, n_u, n_q, row[own] - start, column[own], value[own])
+            B = from_triplets(self.comm, n_u, n_q, row[own] - start, column[own], value[own])
             self.moves[body] = B
             marked = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
             nodes = np.unique(row // 3)
@@ -362,16 +351,3 @@ def _refuse_moving_rigid(scene: Scene, bodies: Bodies, entries: Entries) -> None
                 "none holds the region; allowed: the same components of both, e.g. a roller on the "
                 "side of the region too"
             )
-
-
-def _matrix(comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats) -> PETSc.Mat:
-    """Parallel sparse matrix from triplets: own row numbers, global columns."""
-    local = coo_array((v, (i, j)), shape=(rows, int(j.max(initial=-1)) + 1)).tocsr()
-    csr = (
-        local.indptr.astype(PETSc.IntType),
-        local.indices.astype(PETSc.IntType),
-        local.data.astype(PETSc.ScalarType),
-    )
-    A = PETSc.Mat().createAIJ(((rows, None), (columns, None)), csr=csr, comm=comm)
-    A.assemble()
-    return A

@@ -127,7 +127,7 @@ class Bonded:
     @property
     def version(self) -> int:
         """Changes of the stiffness."""
-        return getattr(self._problem, "version", 0)
+        return self._problem.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """The displacement."""
@@ -189,7 +189,7 @@ class Contact:
     @property
     def version(self) -> int:
         """Changes of the stiffness."""
-        return getattr(self._problem, "version", 0)
+        return self._problem.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """Displacement and jumps."""
