@@ -30,7 +30,7 @@ from app.heat_system import HeatSystem
 from app.points import PointForces
 from app.problem import ROUNDING, Problem, Trial
 from app.solver import Outcome, Solver
-from app.sparse import from_triplets, owners
+from app.sparse import from_triplets, matrix_sum, owners
 from app.systems import Contact, Measure, Options
 from app.terms import FrictionHeat, Scene
 from forms import interface_heat
@@ -227,15 +227,15 @@ class Coupled:
         """Heat that is lacking with the contact as it is, forces with the heat as it is."""
         self.exchange.warm(x[: self._n])
         self._motion.residual(x[self._n :], f[self._n :])
-        self.exchange.tell(self._problem.trial(*x[self._n :]), self.elapsed)
+        self.exchange.tell(self._motion.trial, self.elapsed)
         self._heat.residual(x[: self._n], f[: self._n])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """All blocks, of the state whose residual was asked for last."""
-        trial = self._problem.trial(*x[self._n :])
+        self._motion.jacobian(x[self._n :])
+        trial = self._motion.trial
         self.exchange.tell(trial, self.elapsed)
         self._heat.jacobian(x[: self._n])
-        self._motion.jacobian(x[self._n :])
         up, back = self._from_motion(trial, x)
         _copy(up, self._up)
         for total, own, more in zip(self._own, self._heat.matrices(), back, strict=False):
@@ -293,7 +293,7 @@ class Coupled:
     def _entries(self) -> list[PETSc.Mat]:
         """Heat by friction power, negative: in the rows of temperature and of jumps."""
         conduction = self._conduction
-        total = _total(list(self.exchange.heats.values()))
+        total = matrix_sum(list(self.exchange.heats.values()))
         keep = conduction.vectors()
         keep[0].array[:] = np.where(conduction.held, 0.0, -1.0)
         total.diagonalScale(keep[0])
@@ -301,7 +301,7 @@ class Coupled:
         for j in conduction.jumps:
             parts = [B.transposeMatMult(self.exchange.heats[b]) for b, B in j.moves.items()]
             keep[1].array[:] = np.where(j.held, 0.0, -1.0)
-            jumps = _total(parts)
+            jumps = matrix_sum(parts)
             jumps.diagonalScale(keep[1])
             nodes.append(jumps)
         return nodes
@@ -471,17 +471,10 @@ def _plus(A: PETSc.Mat, B: PETSc.Mat) -> PETSc.Mat:
     return A
 
 
-def _total(parts: list[PETSc.Mat]) -> PETSc.Mat:
-    total = parts[0].copy()
-    for part in parts[1:]:
-        total.axpy(1.0, part, structure=DIFFERENT)
-    return total
-
-
 def _joined(A: PETSc.Mat | None, B: PETSc.Mat) -> PETSc.Mat:
     """A new matrix with the patterns of both."""
     assert A is not None
-    return _plus(A.copy(), B)
+    return matrix_sum((A, B))
 
 
 def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:

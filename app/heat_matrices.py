@@ -17,14 +17,13 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 
-from app.sparse import from_rows
+from app.sparse import from_rows, matrix_sum
 from app.temperature_jumps import TemperatureJumps
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
-DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
 
 
@@ -49,7 +48,7 @@ class HeatMatrices:
         self.version = 0
         self._jumps, self._held = jumps, held
         self._bodies = [k.copy() for k in K]
-        self._A = _sum(self._bodies)
+        self._A = matrix_sum(self._bodies)
         self._A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
         self._A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         start = self._A.getOwnershipRange()[0]
@@ -60,7 +59,7 @@ class HeatMatrices:
         for j in jumps:
             self._C = {b: self._bodies[b].matMult(B) for b, B in j.moves.items()}
             self._D = {b: B.transposeMatMult(self._C[b]) for b, B in j.moves.items()}
-            self._linear = _sum(list(self._C.values())), _sum(list(self._D.values()))
+            self._linear = matrix_sum(list(self._C.values())), matrix_sum(list(self._D.values()))
             self._linear[1].setOption(PETSc.Mat.Option.SYMMETRIC, True)
             C, D = (m.copy() for m in self._linear)
             self._vectors.append(D.createVecRight())
@@ -152,15 +151,7 @@ def with_diagonal(A: PETSc.Mat) -> PETSc.Mat:
     zero = from_rows(
         A.comm.tompi4py(), (n, n), np.arange(n + 1), np.arange(start, end), np.zeros(n)
     )
-    zero.axpy(1.0, A, structure=DIFFERENT)
-    return zero
-
-
-def _sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
-    total = matrices[0].copy()
-    for m in matrices[1:]:
-        total.axpy(1.0, m, structure=DIFFERENT)
-    return total
+    return matrix_sum((zero, A))
 
 
 def _mean(v: PETSc.Vec) -> float:

@@ -19,8 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 
 from petsc4py import PETSc
 
@@ -33,7 +31,7 @@ from app.errors import InputError
 from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
-from app.sparse import from_triplets, owners
+from app.sparse import from_triplets, matrix_sum, owners
 from app.terms import Scene, Support, amplitude
 from app.timing import Timing
 from forms.contact import SLIP
@@ -192,8 +190,8 @@ class Jumps:
     ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         """Assemble C, D and the transpose of C."""
         KB = {b: mechanics.matrix(self._strips[b]).matMult(B) for b, B in self.moves.items()}
-        C = reduction.rows(reduce(add, KB.values()))
-        D = reduce(add, [B.transposeMatMult(KB[b]) for b, B in self.moves.items()])
+        C = reduction.rows(matrix_sum(list(KB.values())))
+        D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in self.moves.items()])
         return C, D, C.copy().transpose()
 
     def restiffen(self, mechanics: Mechanics, reduction: Reduction) -> None:

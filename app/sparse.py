@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -56,3 +58,12 @@ def from_rows(
     )
     A.assemble()
     return A
+
+
+def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
+    """A new matrix, the sum of some that may differ in pattern; collective."""
+    first, *others = matrices
+    total = first.copy()
+    for A in others:
+        total.axpy(1.0, A, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    return total

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.jumps import Jumps
-from app.problem import Problem
+from app.problem import Problem, Trial
+from app.sparse import from_rows
 
 Options = Mapping[str, str | int | float | bool]
 
@@ -166,7 +167,13 @@ class Bonded:
 
 
 class Contact:
-    """Displacement and jumps."""
+    """Displacement and jumps.
+
+    Attributes:
+        trial: The jump block at the state whose residual or Jacobian was asked for last.
+    """
+
+    trial: Trial
 
     prefix = "mantle_"
     newton: Options = {}  # noqa: RUF012
@@ -219,7 +226,7 @@ class Contact:
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
         self._problem.residual_u(x[0], x[1], f[0])
-        trial = self._problem.trial(*x)
+        trial = self.trial = self._problem.trial(*x)
         f[1].array[:] = self._jumps.residual(trial.equilibrium, trial.jump, trial.law).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
@@ -228,7 +235,7 @@ class Contact:
             self._coupled = self.version
             self._jumps.C.copy(self._C)
             self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
-        trial = self._problem.trial(*x)
+        trial = self.trial = self._problem.trial(*x)
         times, added = self._jumps.row_factors(trial.law)
         _fill(self._rows, times)
         _fill(self._added, added)
@@ -261,11 +268,7 @@ class Contact:
 def _block_diagonal(j: Jumps) -> PETSc.Mat:
     """Matrix with a dense 3 x 3 block per contact point."""
     n = len(j.mine)
-    A = PETSc.Mat().createAIJ(
-        ((3 * n, None), (3 * n, None)), csr=_csr(j.comm, np.ones((n, 3, 3))), comm=j.comm
-    )
-    A.assemble()
-    return A
+    return from_rows(j.comm, (3 * n, 3 * n), *_csr(j.comm, np.ones((n, 3, 3))))
 
 
 def _fill(A: PETSc.Mat, blocks: NDArray[np.float64]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -170,6 +171,21 @@ def difference(a: Any, b: Any) -> float:
 def mpirun(ranks_: int, *arguments: str | Path) -> list[str]:
     """Command that runs Python with these arguments on a number of ranks."""
     return ["mpirun", "-n", str(ranks_), sys.executable, *map(str, arguments)]
+
+
+def on_ranks(
+    ranks_: int, *arguments: str | Path, code: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """Run Python with these arguments on a number of ranks, to an exit code."""
+    done = subprocess.run(
+        mpirun(ranks_, *arguments),
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == code, done.stderr
+    return done
 
 
 def environment() -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,7 @@ def run(ranks: int, folder: Path, *overrides: str) -> dict[str, Any]:
     case, output = folder / "case.yaml", folder / f"{ranks}"
     case.write_text("title: Ranks\n" + coupled.CASE, encoding="utf-8")
     sets = [text for override in overrides for text in ("--set", override)]
-    done = subprocess.run(
-        support.mpirun(ranks, "-m", "app", "run", case, "-o", output, *sets),
-        env=support.environment(),
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
+    support.on_ranks(ranks, "-m", "app", "run", case, "-o", output, *sets)
     return dict(json.loads((output / "summary.json").read_text()))
 
 

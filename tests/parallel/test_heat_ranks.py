@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -78,14 +77,7 @@ def test_heat_does_not_depend_on_the_number_of_ranks(tmp_path: Path) -> None:
     script.write_text(SCRIPT, encoding="utf-8")
     found = {}
     for ranks in (1, 2, 3):
-        done = subprocess.run(
-            support.mpirun(ranks, script),
-            env=support.environment(),
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        assert done.returncode == 0, done.stderr
+        done = support.on_ranks(ranks, script)
         found[ranks] = json.loads(done.stdout.splitlines()[-1])
     one = found[1]
     assert one["held"][0] > 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +15,7 @@ CASE = Path(__file__).with_name("heated_case.py")
 
 def run(ranks: int, folder: Path) -> dict[str, Any]:
     output = folder / f"{ranks}.json"
-    done = subprocess.run(
-        support.mpirun(ranks, CASE, output),
-        env=support.environment(),
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
+    support.on_ranks(ranks, CASE, output)
     return dict(json.loads(output.read_text()))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -54,14 +53,7 @@ def summaries(tmp_path_factory: pytest.TempPathFactory) -> dict[int, dict[str, A
     found = {}
     for ranks in (1, 2, 3):
         output = folder / str(ranks)
-        done = subprocess.run(
-            support.mpirun(ranks, "-m", "app", "run", case, "-o", output),
-            env=support.environment(),
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        assert done.returncode == 0, done.stderr
+        support.on_ranks(ranks, "-m", "app", "run", case, "-o", output)
         assert (output / "DONE").exists()
         found[ranks] = json.loads((output / "summary.json").read_text())
     return found
@@ -138,12 +130,5 @@ def test_an_error_on_one_rank_is_told_once_and_ends_all(tmp_path: Path) -> None:
         ("loads.pull.density[1]", "log(z - 0.5)"),
     ):
         run = ("-m", "app", "run", case, "-o", tmp_path / "out", "--force")
-        done = subprocess.run(
-            support.mpirun(3, *run, "--set", f"{key}={value}"),
-            env=support.environment(),
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        assert done.returncode == 2, done.stderr
+        done = support.on_ranks(3, *run, "--set", f"{key}={value}", code=2)
         assert done.stderr.count(f"{key}: expression '{value}' is not finite at (") == 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -140,14 +139,7 @@ def test_heat_and_mechanics(tmp_path: Path) -> None:
 @pytest.mark.parallel
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_on_ranks(ranks: int, tmp_path: Path) -> None:
-    done = subprocess.run(
-        support.mpirun(ranks, __file__, tmp_path / "fields.vtkhdf"),
-        env=support.environment(),
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
+    support.on_ranks(ranks, __file__, tmp_path / "fields.vtkhdf")
 
 
 if __name__ == "__main__":

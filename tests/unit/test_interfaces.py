@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -346,13 +345,7 @@ def test_points_do_not_depend_on_the_partition(tmp_path: Path) -> None:
         path = tmp_path / f"{ranks}.npz"
         program = tmp_path / f"{ranks}.py"
         program.write_text(SAVE.format(root=str(support.ROOT), path=str(path)))
-        subprocess.run(
-            support.mpirun(ranks, program),
-            env=support.environment(),
-            check=True,
-            capture_output=True,
-            timeout=300,
-        )
+        support.on_ranks(ranks, program)
         results.append(dict(np.load(path)))
     for other in results[1:]:
         assert results[0].keys() == other.keys()

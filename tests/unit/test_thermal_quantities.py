@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -310,14 +309,7 @@ def test_ranks_agree(ranks: int, tmp_path: Path) -> None:
     found = []
     for n in (1, ranks):
         out = tmp_path / f"{n}.json"
-        done = subprocess.run(
-            support.mpirun(n, __file__, out),
-            env=support.environment(),
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        assert done.returncode == 0, done.stderr
+        support.on_ranks(n, __file__, out)
         found.append(json.loads(out.read_text()))
 
     def close(a: Any, b: Any) -> None:

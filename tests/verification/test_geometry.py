@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from functools import cache
 from pathlib import Path
 
@@ -193,13 +192,7 @@ def test_distributed_volumes_and_areas_are_the_serial_ones(tmp_path: Path, kind:
     for ranks in (1, 2, 3):
         out = tmp_path / f"{ranks}.json"
         program.write_text(PROGRAM.format(root=str(support.ROOT), mesh=str(mesh), out=str(out)))
-        subprocess.run(
-            support.mpirun(ranks, program),
-            env=support.environment(),
-            check=True,
-            capture_output=True,
-            timeout=300,
-        )
+        support.on_ranks(ranks, program)
         volumes, areas = json.loads(out.read_text())
         assert volumes == pytest.approx(region_volumes(data), rel=1e-10)
         assert areas == pytest.approx(boundary_areas(data), rel=1e-6)
