@@ -20,6 +20,7 @@ from app.bodies import bodies_of, boundary_facets, cell_tags
 from app.expansion import Expansions, ThermalStiffness
 from app.forces import Forces
 from app.jumps import Jumps
+from app.linear import Inverse
 from app.mechanics import Mechanics
 from app.points import PointForces
 from app.reduction import holds, near_null_space, reduction_of, support_of_dofs
@@ -54,6 +55,7 @@ class Problem:
         u: Displacement, the continuous field.
         time: Current time: stage k runs from k to k + 1.
         version: Counts how often the stiffness has changed: preconditioners are of one version.
+        inverse: Solves with the stiffness alone.
         load_size: Norm of the nodal forces of loads and free strains [N].
     """
 
@@ -82,6 +84,7 @@ class Problem:
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
+        self.inverse = Inverse(self.K, lambda: self.version)
         self.jumps: tuple[Jumps, ...] = (
             (
                 Jumps(

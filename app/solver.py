@@ -1,8 +1,7 @@
 """The bridge to PETSc SNES: one nonlinear solve of a system (`app.systems`) at its current time.
 
-Newton is semismooth, with the generalized Jacobian of the system; the Krylov method is
-preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, in the order of the blocks).
-Preconditioners of the large blocks are set up once and kept while they are good enough.
+Newton is semismooth, with the generalized Jacobian of the system; its linear solver is that of
+`app.linear`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,8 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.errors import StoppedError
-from app.systems import Measure, Options, System
+from app.linear import Linear, Options
+from app.systems import Measure, System
 from app.timing import Timing
 
 CONDITION_RTOL = 1e-4
@@ -30,16 +30,7 @@ NEWTON: Options = {
     "snes_ksp_ew_version": 2,
     "snes_ksp_ew_rtol0": 1e-2,
     "snes_ksp_ew_rtolmax": 1e-2,
-    "ksp_type": "fgmres",
-    "ksp_max_it": 200,
-    "ksp_gmres_restart": 200,
 }
-# Of several blocks: Gauss-Seidel. A block's preconditioner stays until it has to be made again.
-SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
-# Blocks of nodal unknowns keep their preconditioners from one Jacobian to the next.
-KEPT = ("displacement", "temperature")
-# Krylov iterations per Newton iteration beyond which they are made again, if matrices changed.
-STALE = 25
 # A residual that has not fallen to this part of itself in so many iterations is stuck.
 STUCK, RESCUED, HARDLY = 6, 15, 0.5
 
@@ -96,36 +87,21 @@ class Solver:
         blocks = system.blocks()
         self._names = list(blocks)
         self._vectors = list(blocks.values())
-        matrices = system.matrices()
-        if len(blocks) == 1:
-            self._A: PETSc.Mat = matrices[0][0]
-        else:
-            self._A = PETSc.Mat().createNest(matrices, comm=system.comm)
-            self._A.assemble()
+        self._linear = Linear(system, linear, timing)
+        self._A = self._linear.matrix
         defaults = dict(NEWTON) | {"snes_max_it": max_iterations} | dict(system.newton)
-        parts = system.options(linear)
-        # Options of blocks, or of all at once.
-        self._split = len(blocks) > 1 and set(parts) == set(blocks)
-        for name, of_block in parts.items():
-            prefix = f"fieldsplit_{name}_" if self._split else ""
-            defaults |= {f"{prefix}{key}": value for key, value in of_block.items()}
-            if prefix:
-                defaults |= dict(SPLIT) | {f"{prefix}ksp_type": "preonly"}
+        self.options = defaults | self._linear.options | dict(options)
         self.x = self.vector()
         self.failed = self.vector()
         self._residuals: list[float] = []
         self._flips: list[int] = []
         self._scales: list[float] = []
-        self._version = system.version
-        self._made = 0
-        self._worn = False
         self.snes = PETSc.SNES().create(system.comm)
         self.snes.setOptionsPrefix(system.prefix)
         self.snes.setFunction(self._residual, self.vector())
         self.snes.setJacobian(self._jacobian, self._A)
         self.snes.setMonitor(self._monitor)
         self.snes.setConvergenceTest(self._converged)
-        self.options = defaults | dict(options)
         self._usual = str(self.options["snes_linesearch_type"])
         self._other = "basic" if self._usual == "bt" else "bt"
         self._has_kinks = "jump" in blocks
@@ -161,30 +137,9 @@ class Solver:
         for key, value in self.options.items():
             database[key] = value
         self.snes.setFromOptions()
-        pc = self.snes.getKSP().getPC()
-        if self._split:
-            fields = self._A.getNestISs()[0]
-            pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
-        # The inner solvers read their options when they are set up: that has to be now.
-        self._system.jacobian(self.blocks())
-        self._A.assemble()
-        pc.setOperators(self._A)
-        with self._timing.phase("factorize"):
-            pc.setUp()
-            pc.setUpOnBlocks()
-        self._keep(True)
+        self._linear.attach(self.snes.getKSP(), self.blocks())
         for key in self.options:
             database.delValue(key)
-
-    def _keep(self, keep: bool) -> None:
-        """Say whether preconditioners of nodal unknowns outlive the next Jacobian."""
-        ksp = self.snes.getKSP()
-        if not self._split:
-            ksp.getPC().setReusePreconditioner(keep)
-            return
-        for name, inner in zip(self._names, ksp.getPC().getFieldSplitSubKSP(), strict=True):
-            if name in KEPT:
-                inner.getPC().setReusePreconditioner(keep)
 
     # Callbacks
 
@@ -192,15 +147,7 @@ class Solver:
         self._system.residual(self.blocks(x), self.blocks(f))
 
     def _jacobian(self, snes: PETSc.SNES, x: PETSc.Vec, J: PETSc.Mat, P: PETSc.Mat) -> None:
-        self._system.jacobian(self.blocks(x))
-        self._A.assemble()
-        if self._version != self._system.version or self._worn:
-            self._version, self._worn = self._system.version, False
-            self._keep(False)
-            self._made = 1
-        elif self._made:
-            self._made = 0
-            self._keep(True)
+        self._linear.update(self.blocks(x))
 
     def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
         # Every rank sees the same answer, so that none is left waiting for the others.
@@ -261,7 +208,7 @@ class Solver:
             self._scales = [p.scale for p in parts]
         else:
             self.x.copy(self.failed)
-        self._worn = krylov > STALE * newton
+        self._linear.took(newton, krylov)
         return Outcome(
             converged=reason > 0,
             iterations=newton,

@@ -7,7 +7,6 @@ large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,27 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.jumps import Jumps
+from app.linear import DIRECT as DIRECT
+from app.linear import INTERFACE as INTERFACE
+from app.linear import Options as Options
+from app.linear import block as block
 from app.problem import Problem, Trial
 from app.sparse import from_rows
-
-Options = Mapping[str, str | int | float | bool]
-
-# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid.
-DIRECT_LIMIT = 30_000
-DIRECT: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-MULTIGRID: Options = {
-    "pc_type": "gamg",
-    "pc_gamg_agg_nsmooths": 1,
-    "pc_gamg_threshold": 0.01,
-    "pc_gamg_aggressive_coarsening": 1,
-    "pc_gamg_coarse_eq_limit": 1000,
-    "mg_coarse_pc_type": "cholesky",
-    "mg_levels_ksp_type": "richardson",
-    "mg_levels_ksp_max_it": 1,
-    "mg_levels_pc_type": "sor",
-}
-# A block of interface unknowns.
-INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 
 
 @dataclass(frozen=True)
@@ -102,12 +86,6 @@ class System(Protocol):
 def size(vectors: list[PETSc.Vec]) -> float:
     """Norm of a state or residual in several blocks; collective."""
     return math.sqrt(sum(v.norm() ** 2 for v in vectors))
-
-
-def block(linear: str, size: int) -> Options:
-    """Options for a block of nodal unknowns."""
-    direct = linear == "direct" or (linear == "auto" and size <= DIRECT_LIMIT)
-    return DIRECT if direct else MULTIGRID
 
 
 def mechanical(problem: Problem) -> Bonded | Contact:
