@@ -6,6 +6,7 @@ points (unconnected intervals on this rank alone) with one value of each input p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 from mpi4py import MPI
@@ -56,10 +57,12 @@ class Pointwise:
         self._inputs = {name: fem.Function(spaces[size]) for name, size in sizes.items()}
         for function in self._inputs.values():
             function.x.array[:] = 1
-        centre = np.array([[0.5]])
-        self._expressions = [
-            fem.Expression(e, centre, comm=comm) for e in build(dict(self._inputs))
-        ]
+        every = build(dict(self._inputs))
+        self._shapes = [e.ufl_shape for e in every]
+        # One kernel gives all of them: what they have in common is evaluated once.
+        components = [c for e in every for c in _components(e)]
+        self._size = len(components)
+        self._together = fem.Expression(ufl.as_vector(components), np.array([[0.5]]), comm=comm)
 
     def set(self, **values: Floats) -> None:
         """Set inputs at the points: (n,) or (n, size) each; the others keep what they had."""
@@ -74,12 +77,18 @@ class Pointwise:
     def __call__(self, **values: Floats) -> list[Floats]:
         """Values of the expressions (n, ...) after setting the inputs given."""
         self.set(**values)
-        return [self._evaluate(e) for e in self._expressions]
-
-    def _evaluate(self, expression: fem.Expression) -> Floats:
-        """One expression at all points, in their order."""
-        found = np.zeros((self._n, *expression.ufl_expression.ufl_shape))
+        found = np.zeros((self._n, self._size))
         if self._n:
-            values = expression.eval(self._mesh, self._cells)
-            found[self._point_of_cell] = values.reshape(found.shape)
-        return found
+            computed = self._together.eval(self._mesh, self._cells)
+            found[self._point_of_cell] = computed.reshape(found.shape)
+        parts, begin = [], 0
+        for shape in self._shapes:
+            end = begin + math.prod(shape)
+            parts.append(found[:, begin:end].reshape(self._n, *shape))
+            begin = end
+        return parts
+
+
+def _components(e: Expr) -> list[Expr]:
+    """Its scalar components, the last index fastest."""
+    return [e[i] for i in np.ndindex(*e.ufl_shape)] if e.ufl_shape else [e]
