@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 from app.diagnosis import explain, runaway
 from app.errors import ConvergenceError
+from app.prediction import Extrapolation, Predictor
 from app.problem import Problem, Trial
 from app.solver import Outcome, Solver
 from app.terms import Stage
@@ -83,6 +84,7 @@ class Motion:
         solver: Its solver.
         on_step: Called after each converged step, once it is history.
         on_trouble: Told in plain words what is tried when a step fails.
+        predictors: What may know a better start for a step than the line through those before it.
         total: What it took so far.
         level: Augmentation in force, as an index of `AUGMENTATIONS`.
     """
@@ -91,8 +93,14 @@ class Motion:
     solver: Solver
     on_step: OnStep
     on_trouble: Callable[[str], None]
+    predictors: tuple[Predictor, ...] = ()
     total: Summary = field(default_factory=Summary)
     level: int = 0
+
+    def __post_init__(self) -> None:
+        """The line through the last states comes first."""
+        self._line = Extrapolation(self.problem, self.solver)
+        self.predictors = (self._line, *self.predictors)
 
     def load(self, k: int, stage: Stage) -> None:
         """Load steps through a stage that takes no time."""
@@ -116,20 +124,24 @@ class Motion:
         """
         problem, solver = self.problem, self.solver
         step, done, cuts = whole, 0.0, 0
+        self._line.begin(begin)
         while done < 1.0:
             started = clock.perf_counter()
             reach = 1.0 if done + 1.001 * step > 1.0 else done + step
-            start = solver.x.copy()
+            start, predictors = solver.x.copy(), self.predictors
             while True:
                 place(reach)
                 problem.restiffen()
                 problem.scale_augmentation(AUGMENTATIONS[self.level])
+                for p in predictors:
+                    p.predict(begin + reach * (end - begin))
                 outcome = solver.solve()
                 self.total.count(outcome)
                 if outcome.converged:
                     break
                 self.total.rejected += 1
                 start.copy(solver.x)
+                predictors = ()
                 why = explain(problem, solver, outcome)
                 if self.soften(why.short):
                     continue
@@ -174,6 +186,8 @@ class Motion:
             )
         problem.spread(u, q)
         problem.commit(trial)
+        for p in self.predictors:
+            p.commit(time)
         self.total.steps += 1
         self.total.augmentation = AUGMENTATIONS[self.level]
         self.on_step(
