@@ -17,7 +17,7 @@ TAG = "="
 class Model(BaseModel):
     """Base of every part of a case: immutable, no unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:

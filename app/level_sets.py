@@ -12,7 +12,6 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from app.heat_forms import HeatForms
 
@@ -121,6 +120,8 @@ def distance(points: Floats, triangles: Floats) -> Floats:
         points: The points (n, 3) [mm].
         triangles: Its triangles (f, 3, 3) [mm], not very different in size.
     """
+    from scipy.spatial import cKDTree  # imported late: few runs need it
+
     k = min(_NEAREST, len(triangles))
     near = cKDTree(triangles.mean(axis=1)).query(points, k)[1].reshape(len(points), k)
     return np.min([_from_triangle(points, triangles[near[:, i]]) for i in range(k)], axis=0)

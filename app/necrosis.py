@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expn
 
 Floats = NDArray[np.float64]
 
@@ -90,6 +89,8 @@ def _rate(temperature: Floats) -> Floats:
 
 
 def _antiderivative(temperature: Floats) -> Floats:
+    from scipy.special import expn  # imported late: only bone that heat reaches needs it
+
     x = ACTIVATION / temperature
     return np.asarray(FREQUENCY * temperature * expn(2, x))
 

@@ -10,7 +10,6 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx.common import IndexMap
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -38,9 +37,18 @@ def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:
 def from_triplets(
     comm: MPI.Comm, rows: int, columns: int, i: Ints, j: Ints, v: Floats
 ) -> PETSc.Mat:
-    """Matrix from triplets: local numbers of own rows, global columns; collective."""
-    local = coo_array((v, (i, j)), shape=(rows, int(j.max(initial=-1)) + 1)).tocsr()
-    return from_rows(comm, (rows, columns), local.indptr, local.indices, local.data)
+    """Matrix from triplets: local numbers of own rows, global columns; collective.
+
+    Values at the same place are summed.
+    """
+    order = np.lexsort((j, i))
+    i, j = i[order], j[order]
+    new = np.ones(len(i), dtype=bool)
+    new[1:] = (i[1:] != i[:-1]) | (j[1:] != j[:-1])
+    first = np.flatnonzero(new)
+    start = np.searchsorted(i[first], np.arange(rows + 1))
+    values = np.add.reduceat(v[order], first) if len(first) else v
+    return from_rows(comm, (rows, columns), start, j[first], values)
 
 
 def from_rows(

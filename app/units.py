@@ -19,6 +19,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
+from app import plain_units
 from app.fields import Scalar, did_you_mean, fail, show
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
@@ -62,7 +63,7 @@ SUGGESTIONS = (
 @lru_cache(maxsize=1)
 def registry() -> Any:
     """The unit registry: pint's own units, in rational arithmetic."""
-    import pint  # 0.4 s, and only needed once a value is read
+    import pint  # a second with the registry: only for what `plain_units` does not know
 
     return pint.UnitRegistry(non_int_type=Fraction, autoconvert_offset_to_baseunit=True)
 
@@ -78,6 +79,8 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
     text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
     if not UNIT.fullmatch(text) or TOWER.search(text):
         raise LookupError(unit)
+    if plain := plain_units.convert(text, internal):
+        return plain
     ureg = registry()
     try:
         source = ureg.parse_units(text)

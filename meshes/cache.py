@@ -6,9 +6,11 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -47,11 +49,25 @@ def key(geometry: Any, mesh: Any) -> str:
         content["geometry"].pop("path", None)
         content["file"] = geometry.content
     if geometry.kind != "file" or geometry.is_script:
-        import gmsh
-
-        content["gmsh"] = gmsh.__version__
+        content["gmsh"] = _gmsh_version()
     text = json.dumps(content, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _gmsh_version() -> str:
+    """Version of gmsh, from its text: to import it takes longer than to read a mesh.
+
+    Raises:
+        ModuleNotFoundError: There is no gmsh.
+    """
+    spec = find_spec("gmsh")
+    if spec is not None and spec.origin:
+        found = re.search(r'^GMSH_API_VERSION = "(.+)"', Path(spec.origin).read_text(), re.M)
+        if found:
+            return found[1]
+    import gmsh
+
+    return str(gmsh.__version__)
 
 
 def load(path: Path) -> MeshData | None:

@@ -28,8 +28,6 @@ from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -532,9 +530,24 @@ def _smooth_groups(facets: InterfaceFacets) -> Ints:
     a, b = a[smooth], b[smooth]
     # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
     one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
-    graph = coo_array((np.ones(2 * len(a)), (one.ravel(), two.ravel())), shape=(3 * f, 3 * f))
-    _, label = connected_components(graph, directed=False)
-    return label.astype(np.int64)
+    return _connected(3 * f, one.ravel(), two.ravel())
+
+
+def _connected(n: int, a: Ints, b: Ints) -> Ints:
+    """Label of each of n things (n,): equal where pairs join them, in the order of the first ones.
+
+    Each takes the lowest number around it until none changes; here, what is joined is near.
+    """
+    label = np.arange(n)
+    while True:
+        low = np.minimum(label[a], label[b])
+        new = label.copy()
+        np.minimum.at(new, a, low)
+        np.minimum.at(new, b, low)
+        new = new[new]
+        if np.array_equal(new, label):
+            return np.asarray(np.unique(label, return_inverse=True)[1], dtype=np.int64)
+        label = new
 
 
 def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:

@@ -1,0 +1,100 @@
+"""What a run does not pay for: imports it has no use for, and units without pint."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+import meshes
+from app import config, folders, plain_units, units
+from app.sparse import from_triplets
+from meshes.interfaces import _connected
+from tests import support
+
+
+def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_path: Path) -> None:
+    """Each costs a tenth of a second and more, in a run that could take two."""
+    path = support.CONFIGS / "blocks.yaml"
+    case = config.load(path)
+    meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+    script = (
+        "import sys; from app.cli import main; "
+        f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}]) == 0; "
+        "print(*sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=support.ROOT, capture_output=True, text=True, check=True
+    )
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert "dolfinx" in loaded
+    assert not loaded & {"gmsh", "matplotlib", "pandas", "pint", "scipy.sparse", "scipy.spatial"}
+
+
+def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:
+    import gmsh
+
+    from meshes.cache import _gmsh_version
+
+    assert _gmsh_version() == gmsh.__version__
+
+
+@pytest.mark.parametrize(
+    ("unit", "internal"),
+    [
+        *((symbol, "mm") for symbol in ("m", "cm", "mm", "um", "µm", "nm")),
+        *((symbol, "s") for symbol in ("s", "ms", "min", "minutes", "h", "hours")),
+        *((symbol, "MPa") for symbol in ("Pa", "kPa", "MPa", "GPa", "N/mm^2", "kN/m^2", "J/m^3")),
+        *((symbol, "tonne") for symbol in ("g", "kg", "tonne", "N s^2/m")),
+        *(("deg", "rad"), ("mrad", "rad"), ("degC", "K"), ("degF", "K"), ("K", "K")),
+        *(("W/(m K)", "N/s/K"), ("W/m/K", "N/s/K"), ("W m^-1 K^-1", "N/s/K")),
+        *(("J/(kg K)", "mm^2/s^2/K"), ("kJ/kg", "mm^2/s^2"), ("J/mol", "N mm/mol")),
+        *(("W/(m^2 K)", "N/mm/s/K"), ("mW/mm^3", "MPa/s"), ("1/K", "1/K"), ("1/s", "1/s")),
+        *(("MPa/mm", "N/mm^3"), ("kg/m^3", "tonne/mm^3"), ("kN*m", "N mm"), ("inch", "mm")),
+    ],
+)
+def test_units_mean_what_pint_says(unit: str, internal: str) -> None:
+    ureg = units.registry()
+    source, target = ureg.parse_units(unit), ureg.parse_units(internal)
+    zero, one = (Fraction(ureg.Quantity(Fraction(k), source).to(target).magnitude) for k in (0, 1))
+    assert units.conversion(unit, internal) == (one - zero, zero)
+
+
+@pytest.mark.parametrize(
+    "unit", ["N/(mm", "N/(mm/s)/K", "mm^^2", "mm^0.5", "/mm", "mm^12", "", "N//s"]
+)
+def test_what_is_no_plain_product_is_left_to_pint(unit: str) -> None:
+    assert plain_units.parse(unit) is None
+
+
+def test_angles_are_no_plain_numbers() -> None:
+    assert plain_units.convert("m/m", "rad") is None
+    assert plain_units.convert("1/s", "rad/s") is None
+
+
+def test_labels_are_those_of_a_graph() -> None:
+    rng = np.random.default_rng(3)
+    for n, pairs in ((1, 0), (40, 25), (200, 190), (300, 900)):
+        a, b = rng.integers(0, n, (2, pairs))
+        graph = coo_array((np.ones(pairs), (a, b)), shape=(n, n))
+        _, expected = connected_components(graph, directed=False)
+        np.testing.assert_array_equal(_connected(n, a, b), expected)
+
+
+def test_triplets_at_one_place_are_summed() -> None:
+    rng = np.random.default_rng(4)
+    i, j, v = rng.integers(0, 5, 60), rng.integers(0, 7, 60), rng.random(60)
+    expected = np.zeros((5, 7))
+    np.add.at(expected, (i, j), v)
+    A = from_triplets(MPI.COMM_SELF, 5, 7, i, j, v)
+    np.testing.assert_allclose(A[:, :], expected)
+    none = np.zeros(0, dtype=np.int64)
+    assert from_triplets(MPI.COMM_SELF, 2, 3, none, none, np.zeros(0)).norm() == 0.0
