@@ -86,8 +86,12 @@ class Balance:
         ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
         low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
         self._diagonal = float(np.linalg.norm(high - low))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin at rest; collective."""
         self._work = self._spent = self._scale = 0.0
-        self._last = self._measure(problem.K.createVecLeft(), None)
+        self._last = self._measure(self._problem.K.createVecLeft(), None)
         self.force = self.moment = self.energy = 0.0
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
@@ -89,6 +90,20 @@ def path_text(path: Path) -> str:
     return text
 
 
+def located(message: str, changes: Iterable[str], path: Path) -> Problem | None:
+    """A defect of a value that overrides put into a case, at its key; None if it is of no such.
+
+    Args:
+        message: A message about the case.
+        changes: Keys of the overrides.
+        path: Where they stand in the file.
+    """
+    for key in changes:
+        if message.startswith(start := f"--set {key}: "):
+            return Problem((*path, key), message.removeprefix(start))
+    return None
+
+
 def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
     """Read a case file and apply overrides.
 
@@ -111,13 +126,24 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
     except _BadYaml as error:
         line, column = error.place
         raise InputError([f"{path}:{line}:{column}: {error.text}"]) from error
+    _apply(case, overrides)
+    return case
+
+
+def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
+    """A copy with more overrides applied; the file itself is not read again."""
+    copy = CaseFile(case.name, deepcopy(case.data), dict(case.places))
+    _apply(copy, overrides)
+    return copy
+
+
+def _apply(case: CaseFile, overrides: Sequence[str]) -> None:
     for override in overrides:
         try:
             _override(case, override)
         except _BadYaml as error:
             place = f"--set {override.partition('=')[0]}"
             case.complaints.append((LAST, f"{place}: {error.text}"))
-    return case
 
 
 class _BadYaml(Exception):

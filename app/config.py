@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
-from app import case_file, checks
+from app import case_file, checks, study_options
 from app.case_file import CaseFile, Problem
 from app.conditions import (
     BodyForce,
@@ -35,6 +36,7 @@ from app.conditions import (
     Roller,
     Support,
 )
+from app.errors import InputError
 from app.expressions import evaluate
 from app.fields import ITEMS, MAPPING, TAG, Model, Name, Text, did_you_mean, show
 from app.geometries import (
@@ -71,6 +73,7 @@ from app.thermal_options import (
     Thermal,
     TimeOptions,
 )
+from app.variation_options import Variations, expand
 
 __all__ = [
     "Autocatalytic",
@@ -117,10 +120,12 @@ __all__ = [
     "Thermal",
     "TimeOptions",
     "TransverselyIsotropic",
+    "Varied",
     "dump",
     "evaluate",
     "load",
     "schema",
+    "variations",
 ]
 
 
@@ -151,6 +156,9 @@ class Case(Model):
     """How the equations are solved."""
     output: OutputOptions = OutputOptions()
     """What is written."""
+    variations: Variations = Field(default_factory=dict)
+    """Runs of the case on one mesh with one stiffness, by name: overrides as after ``--set``. Of
+    the lists under ``grid`` every combination is one. With it, only these are run."""
     study: Study | None = None
     """What `mantle study` varies and measures; a run does not look at it."""
 
@@ -190,6 +198,64 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     if is_study(file.data):
         text = f"this is a study of another case, not a case; use mantle study {file.name}"
         file.raise_all([Problem(("base",), text)])
+    case = _resolved(file, folder)
+    _varied(file, folder, case)
+    return case
+
+
+@dataclass(frozen=True)
+class Varied:
+    """A variation of a case.
+
+    Attributes:
+        name: Its name, and that of its folder.
+        overrides: What makes it out of the case, as after ``--set``.
+        changes: The same, as values.
+        case: The whole of it.
+    """
+
+    name: str
+    overrides: tuple[str, ...]
+    changes: dict[str, Any]
+    case: Case
+
+
+def variations(path: Path, overrides: Sequence[str] = ()) -> list[Varied]:
+    """The variations of a case, in the order of the file.
+
+    Raises:
+        InputError: As `load`.
+    """
+    path = Path(path)
+    file = case_file.read(path, overrides)
+    return _varied(file, path.parent, _resolved(file, path.parent))
+
+
+def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
+    """The variations of a case.
+
+    Raises:
+        InputError: All that is wrong with any of them, each at its place in the section.
+    """
+    found: list[Varied] = []
+    faults: list[Problem] = []
+    for v in expand(case.variations):
+        overrides = tuple(study_options.options(v.changes))
+        copy = case_file.changed(file, overrides)
+        del copy.data["variations"]
+        try:
+            found.append(Varied(v.name, overrides, v.changes, _resolved(copy, folder)))
+        except InputError as error:
+            for message in error.messages:
+                fault = case_file.located(message, v.changes, ())
+                at, text = (v.places[str(fault.path[0])], fault.text) if fault else ((), message)
+                faults.append(Problem(at or ("variations",), text if at else f"{v.name}: {text}"))
+    file.raise_all(faults)
+    return found
+
+
+def _resolved(file: CaseFile, folder: Path) -> Case:
+    """A case by itself, without its variations."""
     context: dict[str, Any] = {"folder": folder, "points": {}}
     parts = _parts(file.data, context)
     try:
@@ -220,7 +286,7 @@ def geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
 
 
 def dump(case: Case) -> str:
-    """A case without its study, as YAML in internal units; `load` reads it back equal."""
+    """A case alone, as YAML in internal units; without study and variations reads back equal."""
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedSeq
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
@@ -242,7 +308,7 @@ def dump(case: Case) -> str:
     yaml.default_flow_style = False
     yaml.width = 1 << 20
     stream = io.StringIO()
-    data = case.model_dump(mode="json", exclude_none=True, exclude={"study"})
+    data = case.model_dump(mode="json", exclude_none=True, exclude={"study", "variations"})
     yaml.dump(arrange(data), stream)
     return stream.getvalue()
 

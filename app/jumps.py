@@ -32,7 +32,7 @@ from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
 from app.sparse import from_triplets, matrix_sum, owners
-from app.terms import Scene, Support, amplitude
+from app.terms import Contact, Scene, Support, amplitude
 from app.timing import Timing
 from forms.contact import SLIP
 from meshes.distribute import TaggedMesh
@@ -99,7 +99,6 @@ class Jumps:
         Raises:
             InputError: An interface has no facets on this mesh.
         """
-        self._contacts = scene.contacts
         self._supports = scene.supports
         self.comm = tagged.mesh.comm
         space = mechanics.space
@@ -111,39 +110,60 @@ class Jumps:
         _refuse_released(scene.supports, self.points)
         _refuse_moving_rigid(scene, bodies, entries)
         self.mine, place = owners(self.comm, space.dofmap.index_map, self.points.dof)
-        n = len(self.mine)
         self.weight = self.points.weight[self.mine]
         self.normals = self.points.normals[self.mine]
         self.faces = self.points.faces[self.mine]
         self.held = self.points.held[self.mine]
         self.interface = self.points.interface[self.mine]
-        self.augmented = np.array([c.augmented for c in scene.contacts])[self.interface]
-        friction = np.array([c.friction for c in scene.contacts])[self.interface]
-        self._frictional = np.array([c.frictional for c in scene.contacts])[self.interface]
-        with timing.phase("compile"):
-            self._law = PointLaw(self.comm, self.normals, self.faces, friction, self._frictional)
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [
             float(edges[self.facets.interface == i].mean()) for i in range(len(scene.contacts))
         ]
+        self._given = [self._given_by(s) for s in range(len(scene.supports))]
+        self._find_moves(mechanics, entries, place)
+        self.C, self.D, self.Ct = self._coupling(mechanics, reduction)
+        self._work = self.Ct.createVecLeft()
+        self._laws: dict[tuple[bool, ...], PointLaw] = {}
+        self._timing = timing
+        self.begin(scene.contacts, augmentation_factor)
+
+    def begin(self, contacts: Sequence[Contact], augmentation_factor: float) -> None:
+        """Begin at rest with laws of the same interfaces; collective.
+
+        Args:
+            contacts: Interfaces of the same surfaces as ever.
+            augmentation_factor: Default augmentation over modulus and mesh size.
+        """
+        self._contacts = contacts
+        self.augmented = np.array([c.augmented for c in contacts])[self.interface]
+        self._law = self._law_of(contacts)
         self.default_stiffness = self._default_stiffness(augmentation_factor)
         self.stiffness = self.default_stiffness.copy()
         full = np.zeros(len(self.points.weight))
-        for i, c in enumerate(scene.contacts):
+        for i, c in enumerate(contacts):
             # On every rank at all points, so that an error is raised on every rank.
             here = self.points.interface == i
             full[here] = c.gap(self.points.x[here])
         self._full_gap = full[self.mine]
-        self._given = [self._given_by(s) for s in range(len(scene.supports))]
-        zero = np.zeros((n, 3))
-        none = np.zeros(n)
+        zero, none = np.zeros((len(self.mine), 3)), np.zeros(len(self.mine))
         self.history = History(zero, zero, zero, zero, zero, none, none, none, none)
-        self._find_moves(mechanics, entries, place)
-        self.C, self.D, self.Ct = self._coupling(mechanics, reduction)
-        self._work = self.Ct.createVecLeft()
         self.set_time(0.0)
 
     # Construction
+
+    def _law_of(self, contacts: Sequence[Contact]) -> PointLaw:
+        """The law of all points, compiled once for the same kinds of friction."""
+        friction = np.array([c.friction for c in contacts])[self.interface]
+        self._frictional = np.array([c.frictional for c in contacts])[self.interface]
+        kinds = tuple(c.frictional for c in contacts)
+        if kinds not in self._laws:
+            with self._timing.phase("compile"):
+                self._laws[kinds] = PointLaw(
+                    self.comm, self.normals, self.faces, friction, self._frictional
+                )
+        law = self._laws[kinds]
+        law.set_friction(friction)
+        return law
 
     def _default_stiffness(self, factor: float) -> Floats:
         """Stiffness of each own point: given, else factor E_soft / h with h the mean edge."""

@@ -5,15 +5,16 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+from numpy.typing import NDArray
 
 import meshes
 from app import config, folders, quantities, scene, stepping
+from app.balance import Balance
 from app.bonds import Bond, bonds
 from app.conduction import Conduction
 from app.coupling import ContactHeat, Coupled, Staggered
@@ -23,6 +24,7 @@ from app.heat_balance import HeatBalance
 from app.heat_system import HeatSystem
 from app.heating import Accepted, Heating
 from app.motion import Motion, OnStep, Step, Summary
+from app.neighbours import Neighbours
 from app.output import on_root
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
@@ -42,14 +44,42 @@ log = logging.getLogger("mantle")
 NOTHING = 1e3
 
 
-@dataclass(frozen=True)
 class Mechanical:
-    """The mechanics of a model."""
+    """The mechanics of a model, or of one after another that differ in loads and laws alone.
 
-    problem: Problem
-    solver: Solver
-    stresses: Stresses
-    bonds: tuple[Bond, ...]
+    Attributes:
+        problem: What is solved.
+        solver: By what.
+        stresses: Its stresses.
+        bonds: Bonded interfaces that heat or cure loads.
+        neighbours: States of the models before.
+    """
+
+    def __init__(self, problem: Problem, solver: Solver, timing: Timing) -> None:
+        """Compile what is evaluated; collective."""
+        self.problem, self.solver = problem, solver
+        self.stresses = Stresses(problem, timing)
+        self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
+        self.neighbours = Neighbours(problem, solver)
+        self._balance: list[Balance] = []
+
+    def begin(self, scene: Scene, augmentation_factor: float) -> None:
+        """Begin another model, at rest; collective."""
+        self.problem.begin(scene, augmentation_factor)
+        self.solver.begin()
+        self.neighbours.begin()
+
+    def balance(self, about: NDArray[np.float64]) -> Balance:
+        """Balances of the model at rest; collective.
+
+        Args:
+            about: Point that moments are taken about (3,) [mm], always the same.
+        """
+        if self._balance:
+            self._balance[0].begin()
+        else:
+            self._balance.append(Balance(self.problem, about))
+        return self._balance[0]
 
 
 class Thermal:
@@ -134,6 +164,7 @@ class Model:
         options: dict[str, str],
         timing: Timing,
         stop: Callable[[], str],
+        kin: list[Model] | None = None,
     ) -> None:
         """Mesh, assemble and set the solvers up; collective.
 
@@ -143,22 +174,37 @@ class Model:
             options: Raw PETSc options from the command line.
             timing: Where the seconds go.
             stop: Names a signal that asks this rank to stop, or gives an empty text.
+            kin: Models before it, with the same options, of which it takes over what it can: their
+                meshes, and their mechanics, after which they are of no use. It joins them.
         """
         self._case, self._timing = case, timing
         self.options, self.stop = options, stop
+        self._kin = [] if kin is None else kin
         with timing.phase("mesh"):
-            data = on_root(
-                comm,
-                lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
-                share=False,
-            )
-            self.tagged: TaggedMesh = distribute(data, comm)
-            self.mesh_hash = comm.bcast(_mesh_hash(data) if data is not None else "")
+            self.tagged, self.mesh_hash = self._mesh(comm)
         with timing.phase("assemble"):
             self.scene: Scene = scene.build(case)
             self.mechanics = self._mechanics()
             self._common, heatings = self._heat()
             self.thermal = tuple(Thermal(case, h) for h in heatings)
+        self._kin[:] = [m for m in self._kin if not self.deforms_like(m._case)] + [self]
+
+    def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str]:
+        """The mesh and its digest; collective."""
+        case = self._case
+        for model in self._kin:
+            if (model._case.geometry, model._case.mesh) == (case.geometry, case.mesh):
+                return model.tagged, model.mesh_hash
+        data = on_root(
+            comm,
+            lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
+            share=False,
+        )
+        return distribute(data, comm), comm.bcast(_mesh_hash(data) if data is not None else "")
+
+    def deforms_like(self, case: config.Case) -> bool:
+        """Whether a case has the matrices of this one, its contacts, and loads in its places."""
+        return _matrices(self._case) == _matrices(case)
 
     def _solver(self, system: System) -> Solver:
         chosen = self._case.solver
@@ -178,10 +224,13 @@ class Model:
         if not self.scene.elastic:
             return ()
         factor = self._case.solver.augmentation_factor
+        for model in self._kin if not self.scene.cures else ():
+            if model.deforms_like(self._case):
+                (m,) = model.mechanics
+                m.begin(self.scene, factor)
+                return (m,)
         problem = Problem(self.scene, self.tagged, factor, self._timing)
-        solver = self._solver(mechanical(problem))
-        stresses = Stresses(problem, self._timing)
-        return (Mechanical(problem, solver, stresses, bonds(problem, stresses)),)
+        return (Mechanical(problem, self._solver(mechanical(problem)), self._timing),)
 
     def _heat(self) -> tuple[tuple[Coupled | Staggered, ...], tuple[Heating, ...]]:
         """Heat and what solves it, where anything conducts."""
@@ -243,7 +292,10 @@ class Model:
                 t.update(accepted)
             on_heat(step, accepted)
 
-        motion = tuple(Motion(m.problem, m.solver, on_step, on_trouble) for m in self.mechanics)
+        motion = tuple(
+            Motion(m.problem, m.solver, on_step, on_trouble, (m.neighbours,))
+            for m in self.mechanics
+        )
         march = tuple(
             March(t.heating, self._companions(t, motion), heated, on_trouble) for t in self.thermal
         )
@@ -295,7 +347,7 @@ class Model:
 
     def relative(self, case: config.Case) -> dict[str, Any]:
         """Solve another case in the same way, for its numbers only; collective."""
-        other = Model(case, self.tagged.mesh.comm, self.options, Timing(), self.stop)
+        other = Model(case, self.tagged.mesh.comm, self.options, Timing(), self.stop, self._kin)
         last: list[Samples | None] = [None]
 
         def keep(step: Step, trial: Trial | None) -> None:
@@ -307,6 +359,18 @@ class Model:
 
         other.go(keep, lambda step, accepted: None, trouble)
         return other.numbers(last[0])
+
+
+def _matrices(case: config.Case) -> tuple[Any, ...]:
+    """All of a case that its matrices, its compiled forms and its solver depend on."""
+    loads = [
+        (name, load.kind, getattr(load, "boundary", None), getattr(load, "regions", None))
+        for name, load in case.loads.items()
+    ]
+    contacts = [name for name, law in case.interfaces.items() if law.kind != "bonded"]
+    solver = case.solver.model_copy(update={"augmentation_factor": 1.0})
+    stages = [stage.name for stage in case.stages]
+    return case.geometry, case.mesh, case.regions, case.supports, loads, contacts, solver, stages
 
 
 def _mesh_hash(data: MeshData) -> str:

@@ -61,6 +61,11 @@ class PointLaw:
             for rows in [np.flatnonzero((faces == m) & (frictional == k))]
         ]
 
+    def set_friction(self, friction: Floats) -> None:
+        """Change the friction coefficient (n,) of points that have friction."""
+        for rows, law in self._groups:
+            law.set(μ=friction[rows])
+
     @property
     def laws(self) -> int:
         """Number of compiled laws."""

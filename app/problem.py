@@ -112,6 +112,22 @@ class Problem:
         )
         self.set_time(0.0)
 
+    def begin(self, scene: Scene, augmentation_factor: float) -> None:
+        """Begin at rest, with other loads and contact laws; the matrices stay; collective.
+
+        Args:
+            scene: One that differs in the values of loads and in contact laws alone.
+            augmentation_factor: Default augmentation over modulus and mesh size.
+        """
+        self.scene = scene
+        self.set_stage(0, self.K.createVecRight())
+        for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
+            state.x.array[:] = 0
+        for j in self.jumps:
+            j.begin(scene.contacts, augmentation_factor)
+        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
+        self.set_time(0.0)
+
     # Construction
 
     def _reduce(self) -> None:

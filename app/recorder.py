@@ -63,7 +63,7 @@ class Recorder:
         self._timing, self._begin = timing, begin
         about = np.array(getattr(case.geometry, "head_centre", (0.0, 0.0, 0.0)))
         with timing.phase("assemble"):
-            self._balances = [Balance(m.problem, about) for m in model.mechanics]
+            self._balances = [m.balance(about) for m in model.mechanics]
             self._critical = [uniqueness.check(m.problem) for m in model.mechanics]
         self._samples: Samples | None = None
         self._time = 0.0

@@ -7,21 +7,26 @@ import signal
 import time as clock
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from mpi4py import MPI
 
-from app import config, error, preview, ranks
+from app import config, error, preview, ranks, variations
 from app import log as text
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
+from app.folders import prepare_run, write_text
 from app.model import Model
-from app.output import Writer, provenance
+from app.output import Writer, on_root, provenance
 from app.recorder import Recorder
 from app.timing import Timing
 
 log = logging.getLogger("mantle")
+
+# What stands in the folder of a variation that did not converge: why.
+FAILED = "FAILED"
 
 
 def run(
@@ -55,46 +60,143 @@ def run(
         )
     for message in preview.warnings(case):
         log.warning("note: %s", message)
-    timing = Timing()
-    model = Model(case, comm, raw_options(petsc_options), timing, _watch_signals())
-    log.info(
-        "%s: %d cells, unknowns %s, %d rank(s)",
-        case.title or case_path.stem,
-        model.tagged.mesh.topology.index_map(3).size_global,
-        ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
-        comm.size,
-    )
-    writer = Writer(
-        model.tagged,
-        model.layers(),
-        output,
-        config.dump(case),
-        case.output.fields,
-        lambda: provenance(comm.size, case_path, overrides, model.mesh_hash, started),
-    )
-    recorder = Recorder(case, model, writer, timing, begin)
-    try:
-        total = model.go(
-            recorder.step, recorder.heat, lambda s: log.info("     %s", s), recorder.stage
-        )
-    except (ConvergenceError, StoppedError) as failure:
-        recorder.close("stopped" if isinstance(failure, StoppedError) else "not converged")
-        raise type(failure)(f"{failure}\n{recorder.last_state()}") from failure
-    recorder.flush()
-    summary = recorder.summary("converged", total)
-    if case.output.condition:
-        for m in model.mechanics:
-            summary["solver"]["condition"] = m.solver.condition()
-    if companions := error.companions(case):
-        # The numbers are safe before their errors are looked for.
-        writer.finish(summary, done=False)
-        with timing.phase("error"):
-            summary["error"] = _errors(companions, model, summary, case.mesh.order)
-        summary["timing"] = recorder.seconds()
-    writer.finish(summary, done=True)
-    log.info("%s", text.closing_table(summary))
+    session = Session(comm, case_path, raw_options(petsc_options), _watch_signals(), begin, started)
+    if not case.variations:
+        summary = session.solve(case, overrides, output)
+        log.info("%s", text.closing_table(summary))
+    else:
+        session.vary(case, overrides, output)
     log.info("results in %s", output)
     return 0
+
+
+class Session:
+    """One case, or its variations one after another."""
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        case_path: Path,
+        options: dict[str, str],
+        stop: Callable[[], str],
+        begin: float,
+        started: datetime,
+    ) -> None:
+        """Begin.
+
+        Args:
+            comm: Communicator.
+            case_path: Where the case came from, for the record.
+            options: Raw PETSc options.
+            stop: Names a signal that asks this rank to stop, or gives an empty text.
+            begin: When the run began, by `time.perf_counter`.
+            started: The same, by the clock.
+        """
+        self._comm, self._case_path, self._options, self._stop = comm, case_path, options, stop
+        self._begin, self._started = begin, started
+        self._timing = Timing()
+        self._models: list[Model] = []
+
+    def vary(self, case: config.Case, overrides: Sequence[str], output: Path) -> None:
+        """Solve the variations of a case, each in a folder of its own; collective.
+
+        Raises:
+            ConvergenceError: Some did not converge; the others are done.
+            StoppedError: Those before are done.
+        """
+        varied = config.variations(self._case_path, overrides)
+        chain = variations.order(case, varied)
+        rows: dict[int, variations.Row] = {}
+        failed: dict[str, str] = {}
+        for number, i in enumerate(chain):
+            v, folder = varied[i], output / varied[i].name
+            log.info("variation %d of %d: %s", number + 1, len(chain), v.name)
+            on_root(self._comm, partial(_prepare, folder), share=False)
+            status = "converged"
+            summary: dict[str, Any] = {}
+            try:
+                summary = self.solve(v.case, [*overrides, *v.overrides], folder)
+                log.info("%s", text.verdict(summary))
+            except ConvergenceError as failure:
+                status, failed[v.name] = "not converged", str(failure)
+                log.warning("%s: %s", v.name, failure)
+                mark = partial(write_text, folder / FAILED, f"{failure}\n")
+                on_root(self._comm, mark, share=False)
+            except StoppedError as stop:
+                text_ = f"variation {v.name} (number {number + 1} of {len(chain)}): {stop}"
+                raise StoppedError(text_) from stop
+            rows[i] = variations.row(v, summary, status, clock.perf_counter() - self._begin)
+            done = [rows[k] for k in sorted(rows)]
+            on_root(self._comm, partial(variations.write, done, output), share=False)
+            self._begin, self._started = clock.perf_counter(), datetime.now(UTC)
+            self._timing.seconds.clear()
+        log.info("%s", variations.table(done))
+        if failed:
+            names = ", ".join(failed)
+            raise ConvergenceError(
+                f"{len(failed)} of {len(chain)} variations did not converge: {names} (in {output})"
+            )
+
+    def solve(self, case: config.Case, overrides: Sequence[str], output: Path) -> dict[str, Any]:
+        """Solve a case and write its run directory; collective.
+
+        Returns:
+            Its summary.
+
+        Raises:
+            MantleError: With the last converged state on disk where there is one.
+        """
+        comm, timing = self._comm, self._timing
+        model = Model(case, comm, self._options, timing, self._stop, self._models)
+        log.info(
+            "%s: %d cells, unknowns %s, %d rank(s)",
+            case.title or self._case_path.stem,
+            model.tagged.mesh.topology.index_map(3).size_global,
+            ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
+            comm.size,
+        )
+        started = self._started
+        writer = Writer(
+            model.tagged,
+            model.layers(),
+            output,
+            config.dump(case),
+            case.output.fields,
+            lambda: provenance(
+                comm.size, self._case_path, list(overrides), model.mesh_hash, started
+            ),
+        )
+        recorder = Recorder(case, model, writer, timing, self._begin)
+        try:
+            total = model.go(
+                recorder.step, recorder.heat, lambda s: log.info("     %s", s), recorder.stage
+            )
+        except (ConvergenceError, StoppedError) as failure:
+            recorder.close("stopped" if isinstance(failure, StoppedError) else "not converged")
+            raise type(failure)(f"{failure}\n{recorder.last_state()}") from failure
+        recorder.flush()
+        summary = recorder.summary("converged", total)
+        if case.output.condition:
+            for m in model.mechanics:
+                summary["solver"]["condition"] = m.solver.condition()
+        if companions := error.companions(case):
+            # The numbers are safe before their errors are looked for.
+            writer.finish(summary, done=False)
+            with timing.phase("error"):
+                summary["error"] = _errors(companions, model, summary, case.mesh.order)
+            summary["timing"] = recorder.seconds()
+        writer.finish(summary, done=True)
+        return summary
+
+
+def _prepare(folder: Path) -> None:
+    """Make the folder of a variation; that it failed once says nothing now.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    prepare_run(folder, force=True)
+    (folder / FAILED).unlink(missing_ok=True)
 
 
 def _errors(

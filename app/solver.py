@@ -108,6 +108,11 @@ class Solver:
         self._rescue = False
         self._configure()
 
+    def begin(self) -> None:
+        """Forget all states: the system begins at rest, with the matrices it had."""
+        self.x.zeroEntries()
+        self._scales = []
+
     def vector(self) -> PETSc.Vec:
         """A new vector of unknowns, zero."""
         vectors = [v.duplicate() for v in self._vectors]

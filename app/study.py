@@ -132,7 +132,7 @@ def _resolve(points: Sequence[Planned], source: Source) -> list[config.Case]:
 
 def _located(point: Planned, message: str, file: CaseFile) -> Problem:
     """A defect of a point, where its cause stands in the study."""
-    if found := study_file.located(message, point.changes, point.path):
+    if found := case_file.located(message, point.changes, point.path):
         item = (*found.path, point.index)
         return Problem(item, found.text) if item in file.places else found
     at = f"with {point.key} = {point.label}: " if point.key else ""

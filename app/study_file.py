@@ -89,21 +89,7 @@ def _blame(file: CaseFile, case: Path, message: str, problems: list[Problem]) ->
     """Note a defect of the case where its cause is: in an override of it, or in itself."""
     if message.startswith(f"{case}: "):  # it cannot be read
         problems.append(Problem(("base",), message))
-    elif found := located(message, file.data.get("set", {}), ("set",)):
+    elif found := case_file.located(message, file.data.get("set", {}), ("set",)):
         problems.append(found)
     else:
         file.complaints.append((case_file.LAST, message))
-
-
-def located(message: str, changes: Iterable[str], path: case_file.Path) -> Problem | None:
-    """A defect of a value that overrides put into a case, at its key; None if it is of no such.
-
-    Args:
-        message: A message about the case.
-        changes: Keys of the overrides.
-        path: Where they stand in the file.
-    """
-    for key in changes:
-        if message.startswith(start := f"--set {key}: "):
-            return Problem((*path, key), message.removeprefix(start))
-    return None

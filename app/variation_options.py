@@ -1,0 +1,129 @@
+"""The ``variations`` section of a case: what changes from one run of it to the next on one mesh.
+
+Only changes that leave mesh and bonded stiffness alone: these, and all that is made of them, are
+shared by the runs (`app/variations.py`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+
+from app.case_file import Path
+from app.fields import MAPPING, Name, did_you_mean, fail, show
+
+# The name of the entry whose lists multiply.
+GRID = "grid"
+OF_LOADS = ("force", "at", "pressure", "density", "history")
+OF_SOLVER = ("augmentation_factor", "tolerance", "max_iterations")
+MAY_VARY = re.compile(
+    rf"(interfaces\.[^.\[]+(\..+)?|loads\.[^.\[]+\.({'|'.join(OF_LOADS)})([.\[].*)?"
+    rf"|solver\.({'|'.join(OF_SOLVER)})|title)"
+)
+ALLOWED = (
+    "allowed: interfaces.<name> and all of its keys, "
+    f"loads.<name>.{'|'.join(OF_LOADS)}, solver.{'|'.join(OF_SOLVER)}, title"
+)
+# A value that can be part of the name of a folder.
+LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
+
+
+@dataclass(frozen=True)
+class Variation:
+    """One run.
+
+    Attributes:
+        name: Its folder.
+        changes: Override keys with values.
+        places: Where each of them stands in the file.
+    """
+
+    name: str
+    changes: dict[str, Any]
+    places: dict[str, Path]
+
+
+def _section(value: dict[str, Any]) -> dict[str, Any]:
+    """Names with changes that may vary; lists in the grid."""
+    for name, changes in value.items():
+        if not isinstance(changes, dict):
+            fail(f"{show(changes)} is not a mapping of keys to values", at=(name,))
+        for key, entry in changes.items():
+            if not MAY_VARY.fullmatch(key):
+                fail(_refusal(key), at=(name, key))
+            if name == GRID and not (isinstance(entry, list) and entry):
+                text = f"{show(entry)} is not a list of values; expected e.g. [0.2, 0.4]"
+                fail(text, at=(name, key))
+    if GRID in value and not value[GRID]:
+        fail("varies nothing", at=(GRID,))
+    for key, labels in _labels(value.get(GRID, {})).items():
+        for i, label in enumerate(labels):
+            if label in labels[:i]:
+                fail(f"{label} stands here twice", at=(GRID, key, i))
+    return value
+
+
+def _refusal(key: str) -> str:
+    """Why a key may not vary, and what may."""
+    words = key.split(".")
+    known = {"loads": OF_LOADS, "solver": OF_SOLVER}.get(words[0], ())
+    hint = did_you_mean(words[-1], known) if known else ""
+    return f"may not vary in one run (it may change mesh or stiffness); {ALLOWED}{hint}"
+
+
+# What stands last is checked first.
+Variations = Annotated[dict[Name, dict[str, Any]], BeforeValidator(_section), MAPPING]
+
+
+def expand(section: Mapping[str, Mapping[str, Any]]) -> list[Variation]:
+    """Every run of a section, in the order of the file: a grid's last key changes fastest."""
+    return [v for name in section for v in (_grid if name == GRID else _single)(name, section)]
+
+
+def _single(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Variation]:
+    changes = dict(section[name])
+    yield Variation(name, changes, {key: ("variations", name, key) for key in changes})
+
+
+def _grid(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Variation]:
+    grid = section[name]
+    labels, short = _labels(grid), _short(list(grid))
+    for indices in itertools.product(*(range(len(values)) for values in grid.values())):
+        point = dict(zip(grid, indices, strict=True))
+        yield Variation(
+            "_".join(f"{short[key]}={labels[key][i]}" for key, i in point.items()),
+            {key: grid[key][i] for key, i in point.items()},
+            {key: ("variations", name, key, i) for key, i in point.items()},
+        )
+
+
+def _labels(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[str]]:
+    """How the values of each key are called: by themselves if that is short, else by number."""
+    return {key: [_label(v, i) for i, v in enumerate(values)] for key, values in grid.items()}
+
+
+def _label(value: Any, i: int) -> str:
+    if isinstance(value, list) and len(value) == 1:
+        value = value[0]
+    text = str(value).replace(" ", "")
+    plain = isinstance(value, str | int | float) and LABEL.fullmatch(text)
+    return text if plain else f"#{i + 1}"
+
+
+def _short(keys: Sequence[str]) -> dict[str, str]:
+    """Each key by as many of its last words as tell it from the others."""
+    words = {key: re.sub(r"\[(\d+)\]", r".\1", key).split(".") for key in keys}
+
+    def shortened(key: str) -> str:
+        own = words[key]
+        for n in range(1, len(own)):
+            if sum(w[-n:] == own[-n:] for w in words.values()) == 1:
+                return ".".join(own[-n:])
+        return ".".join(own)
+
+    return {key: shortened(key) for key in keys}

@@ -1,0 +1,165 @@
+"""The runs of a ``variations`` section: in which order, and their common table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from app import study_options
+from app.config import Case, Varied
+from app.folders import write_json, write_text
+
+# Distance of two runs per step of a key: loads may merely scale, interfaces of other kinds share
+# little.
+LOAD, OTHER = 0.1, 100.0
+# What a row of the table has of the summary.
+OF_INTERFACES = (
+    *("gap_p99", "slip_p99", "pressure_p99", "shear_p99"),
+    *("open_fraction", "slip_fraction", "penetration_max"),
+)
+OF_REGIONS = ("von_mises_p99",)
+OF_HEATED_REGIONS = ("temperature_max",)
+
+Row = dict[str, Any]
+
+
+def order(case: Case, varied: Sequence[Varied]) -> list[int]:
+    """A chain through all variations, from one with the fewest changes, each time to the nearest.
+
+    Args:
+        case: The case without its variations.
+        varied: They.
+    """
+    keys = list(dict.fromkeys(key for v in varied for key in v.changes))
+    base = case.model_dump(mode="json")
+    places = [
+        _ranks([v.changes[key] if key in v.changes else _at(base, key) for v in varied])
+        for key in keys
+    ]
+
+    def distance(i: int, k: int) -> float:
+        steps = [(key, abs(p[i] - p[k])) for key, p in zip(keys, places, strict=True)]
+        return sum(LOAD * d if key.startswith("loads.") else d for key, d in steps)
+
+    left = sorted(range(len(varied)), key=lambda i: len(varied[i].changes))
+    chain = left[:1]
+    left = sorted(left[1:])
+    while left:
+        nearest = min(left, key=lambda i: min(distance(i, k) for k in chain))
+        chain.append(nearest)
+        left.remove(nearest)
+    return chain
+
+
+def _ranks(values: Sequence[Any]) -> list[float]:
+    """Place of each value among the numbers there are, or far from all others."""
+    numbers = [_numbers(v) for v in values]
+    known = sorted({n for n in numbers if n})
+    others = list(dict.fromkeys(str(v) for v, n in zip(values, numbers, strict=True) if not n))
+    return [
+        float(known.index(n)) if n else OTHER * (1 + others.index(str(v)))
+        for v, n in zip(values, numbers, strict=True)
+    ]
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    """The numbers of a value with units, or of a list of such; empty if there is anything else."""
+    found: list[float] = []
+    for item in value if isinstance(value, list | tuple) else [value]:
+        try:
+            found.append(float(str(item).partition(" ")[0]))
+        except ValueError:
+            return ()
+    return tuple(found)
+
+
+def _at(data: Any, key: str) -> Any:
+    """What stands at a key, or None."""
+    for item in re.sub(r"\[(\d+)\]", r".\1", key).split("."):
+        if isinstance(data, list | tuple):
+            data = data[int(item)] if item.isdigit() and int(item) < len(data) else None
+        else:
+            data = data.get(item) if isinstance(data, Mapping) else None
+    return data
+
+
+def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
+    """What a run says in the table.
+
+    Args:
+        v: Its variation.
+        summary: Its summary; empty if it has none.
+        status: converged, not converged or stopped.
+        seconds: Wall time.
+    """
+    solver = summary.get("solver", {})
+    return {
+        "name": v.name,
+        "overrides": v.changes,
+        "status": status,
+        "numbers": _headlines(summary),
+        "newton_iterations": solver.get("newton_iterations"),
+        "linear_iterations": solver.get("linear_iterations"),
+        "seconds": round(seconds, 3),
+    }
+
+
+def _headlines(summary: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers that runs are compared by, as a study names them."""
+    tables = [
+        (summary.get("interfaces", {}), OF_INTERFACES),
+        (summary.get("regions", {}), OF_REGIONS),
+        ({"stem": summary.get("stem", {})}, tuple(study_options.STEM_UNITS)),
+        (summary.get("thermal", {}).get("regions", {}), OF_HEATED_REGIONS),
+    ]
+    return {
+        f"{name}.{key}": numbers[key]
+        for table, keys in tables
+        for name, numbers in table.items()
+        for key in keys
+        if key in numbers
+    }
+
+
+def write(rows: Sequence[Row], folder: Path) -> None:
+    """Write the table as ``variations.json`` and ``variations.csv``."""
+    write_json(folder / "variations.json", list(rows))
+    flat = [
+        {
+            "name": r["name"],
+            **r["overrides"],
+            "status": r["status"],
+            **{f"{key} [{study_options.unit(key)}]": n for key, n in r["numbers"].items()},
+            "newton [-]": r["newton_iterations"],
+            "krylov [-]": r["linear_iterations"],
+            "wall [s]": r["seconds"],
+        }
+        for r in rows
+    ]
+    text = io.StringIO()
+    table = csv.DictWriter(
+        text, fieldnames=list(dict.fromkeys(k for r in flat for k in r)), lineterminator="\n"
+    )
+    table.writeheader()
+    table.writerows(flat)
+    write_text(folder / "variations.csv", text.getvalue())
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The table for people: what all have in common of the numbers, a line per run."""
+    wide = max(len(r["name"]) for r in rows)
+    lines = [f"{'variation':<{wide}} {'newton':>6} {'krylov':>6} {'wall':>8}  largest slip p99"]
+    for r in rows:
+        slips = {k: n for k, n in r["numbers"].items() if k.endswith(".slip_p99")}
+        most = max(slips, key=lambda k: slips[k], default="")
+        said = f"{1e3 * slips[most]:.1f} um on {most.partition('.')[0]}" if most else ""
+        said = said if r["status"] == "converged" else r["status"]
+        lines.append(
+            f"{r['name']:<{wide}} {r['newton_iterations'] or 0:>6} "
+            f"{r['linear_iterations'] or 0:>6} {r['seconds']:>6.1f} s  {said}"
+        )
+    return "\n".join(lines)
