@@ -42,7 +42,9 @@ MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "app", "run")
 SNAKEFILE = Path(__file__).with_name("Snakefile")
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that no run imports: changing them leaves finished runs valid.
-OUTSIDE = re.compile(r"app/(batch|cli|doctor|results|study\w*|verify\w*|work_precision)\.py")
+OUTSIDE = re.compile(
+    r"app/(batch|bench\w*|cli|doctor|results|study\w*|verify\w*|work_precision)\.py"
+)
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
 LOG_LINES = 12

@@ -1,10 +1,10 @@
-"""The command line: ``mantle run | check | mesh | study | verify | schema | doctor``.
+"""The command line: ``mantle run | check | mesh | study | verify | bench | schema | doctor``.
 
 The one module that prints to standard output. It imports what a command needs when it needs it, so
 that ``check`` works without MPI and starts at once.
 
-Exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, 4 not converged,
-5 stopped, 69 environment, 70 internal.
+Exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be measured, 2 input,
+3 geometry or mesh, 4 not converged, 5 stopped, 69 environment, 70 internal.
 """
 
 from __future__ import annotations
@@ -59,8 +59,9 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(
         prog="mantle",
         description="Thermomechanics of cemented joint replacements.",
-        epilog="exit codes: 0 ok, 1 a verification problem fails, 2 input, 3 geometry or mesh, "
-        "4 not converged, 5 stopped with the state saved, 69 environment, 70 internal error",
+        epilog="exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be "
+        "measured, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped with the state saved, "
+        "69 environment, 70 internal error",
         allow_abbrev=False,
     )
     top.add_argument("--version", action="version", version=f"mantle {__version__}")
@@ -127,6 +128,10 @@ def parser() -> argparse.ArgumentParser:
     verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
     verify.add_argument("--fine", action="store_true", help="finer meshes too, for the orders")
+    bench = add("bench", "measure what contact costs, from 50 000 unknowns up (20 minutes)")
+    bench.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
+    bench.add_argument("-o", "--output", type=Path, default=Path("out/bench"), metavar="DIR")
+    bench.add_argument("--full", action="store_true", help="a million unknowns too")
     for command in (study, verify):
         command.add_argument(
             "--cores", type=int, default=os.cpu_count() or 1, metavar="N", help="cores to use"
@@ -207,6 +212,8 @@ def _dispatch(arguments: list[str]) -> int:
             return _study(options)
         case "verify":
             return _verify(options)
+        case "bench":
+            return _bench(options)
         case "schema":
             return _schema()
         case _:
@@ -321,6 +328,15 @@ def _verify(options: argparse.Namespace) -> int:
 
     passed = verify.run(options.pattern, options.output, options.fine, options.cores)
     return 0 if passed else CHECK_FAILED
+
+
+def _bench(options: argparse.Namespace) -> int:
+    """Measure what contact costs; 1 if anything cannot be measured."""
+    _configure_log("info")
+    from app import bench
+
+    measured = bench.run(options.pattern, options.output, options.full)
+    return 0 if measured else CHECK_FAILED
 
 
 def _schema() -> int:

@@ -1,0 +1,213 @@
+"""Runs of ``mantle bench``: a process each, and what it cost."""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from app.errors import MantleError
+
+log = logging.getLogger("mantle")
+
+ROOT = Path(__file__).resolve().parents[1]
+CASES = ROOT / "configs"
+MANTLE = (sys.executable, "-m", "app")
+LOG_LINES = 6
+# A femur this coarse has the forms of any other.
+WARM = "6 mm"
+# Phases of a run that are no part of set-up and solution.
+APART = ("mesh", "compile", "output", "error", "total")
+MEGA = 1e6
+
+
+class NotMeasured(MantleError):
+    """A run failed, or does not tell what is asked."""
+
+    exit_code = 1
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is run.
+
+    Attributes:
+        name: For people, and of its folder.
+        case: The case file, in `CASES`.
+        size: ``mesh.size``; empty for that of the case.
+        overrides: ``key=value`` each, as after ``--set``.
+        ranks: Number of MPI ranks.
+    """
+
+    name: str
+    case: str
+    size: str = ""
+    overrides: tuple[str, ...] = ()
+    ranks: int = 1
+
+    @property
+    def options(self) -> list[str]:
+        """The case with its overrides, on a command line."""
+        sets = [*self.overrides, *([f"mesh.size={self.size}"] if self.size else [])]
+        return [str(CASES / self.case), *(word for s in sets for word in ("--set", s))]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a process cost.
+
+    Attributes:
+        wall: Start to finish [s].
+        cpu: CPU time, that of its ranks included [s].
+        memory: Peak memory, of all ranks together [MB].
+        summary: The ``summary.json`` of a run that wrote one.
+        history: The rows of its ``history.csv``.
+    """
+
+    wall: float
+    cpu: float
+    memory: float
+    summary: dict[str, Any]
+    history: tuple[dict[str, str], ...] = ()
+
+    @property
+    def unknowns(self) -> int:
+        """Displacements and jumps."""
+        return int(self.summary["solver"]["dofs"])
+
+    @property
+    def newton(self) -> int:
+        """Newton iterations."""
+        return int(self.summary["solver"]["newton_iterations"])
+
+    @property
+    def krylov(self) -> int:
+        """Krylov iterations."""
+        return int(self.summary["solver"]["linear_iterations"])
+
+    @property
+    def solution(self) -> float:
+        """CPU time of assembly, set-up and solution, coarse problems included [s]."""
+        return _solution(self.summary.get("cpu", self.summary["timing"]))  # TODO: cpu alone
+
+    @property
+    def solution_wall(self) -> float:
+        """The same on the wall's clock, which is what more ranks make shorter [s]."""
+        return _solution(self.summary["timing"])
+
+    @property
+    def step_seconds(self) -> list[float]:
+        """Wall time of each load step, with what was tried in vain [s]."""
+        return [float(row["step [s]"]) for row in self.history]
+
+    def interfaces(self, key: str) -> dict[str, float]:
+        """A number of each interface, by its name."""
+        return {name: float(q[key]) for name, q in self.summary["interfaces"].items()}
+
+
+def _solution(seconds: dict[str, float]) -> float:
+    return sum(value for phase, value in seconds.items() if phase not in APART)
+
+
+class Runs:
+    """Runs what is asked for, once or several times in turn, and remembers what it cost.
+
+    Attributes:
+        known: The costs of what was run so far.
+        meshing: Seconds it took to make each mesh, or to find it in the cache.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Begin with nothing.
+
+        Args:
+            folder: Where run directories and logs go.
+        """
+        self.known: dict[Setting, list[Cost]] = {}
+        self.meshing: dict[tuple[str, str], float] = {}
+        self._folder = folder
+        self._compiled: set[tuple[str, tuple[str, ...]]] = set()
+
+    def costs(self, *settings: Setting, times: int = 1) -> list[list[Cost]]:
+        """What settings cost, each of them so many times.
+
+        They run in turn, so that what else happens on the machine meets them all.
+
+        Raises:
+            NotMeasured: A run failed.
+        """
+        for setting in settings:
+            self._warm(setting)
+        for i in range(times):
+            for setting in settings:
+                known = self.known.setdefault(setting, [])
+                if len(known) <= i:
+                    known.append(self._run(setting))
+        return [self.known[setting][:times] for setting in settings]
+
+    def process(self, name: str, command: Sequence[str]) -> Cost:
+        """Run a program.
+
+        Raises:
+            NotMeasured: It failed.
+        """
+        path = self._folder / f"{name}.log"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        search = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+        begin = perf_counter()
+        with path.open("w") as output:
+            child = subprocess.Popen(
+                command,
+                env=os.environ | {"PYTHONPATH": search},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+            _, status, usage = os.wait4(child.pid, 0)
+        wall = perf_counter() - begin
+        child.returncode = code = os.waitstatus_to_exitcode(status)
+        if code:
+            lines = [x for x in path.read_text(errors="replace").splitlines() if x.strip()]
+            said = "\n".join(lines[-LOG_LINES:])
+            raise NotMeasured(f"{name} failed with exit code {code}, see {path}:\n{said}")
+        return Cost(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / MEGA, {})
+
+    def _warm(self, setting: Setting) -> None:
+        """Have mesh and compiled forms in their caches, so that no run that counts makes them."""
+        forms, mesh = (setting.case, setting.overrides), (setting.case, setting.size)
+        if forms not in self._compiled:
+            small = Setting("warm", setting.case, WARM if setting.size else "", setting.overrides)
+            self._run(small)
+            self._compiled.add(forms)
+        if mesh not in self.meshing:
+            check = [*MANTLE, "check", "--mesh", *setting.options]
+            self.meshing[mesh] = self.process("mesh", check).wall
+
+    def _run(self, setting: Setting) -> Cost:
+        """Run a case, and tell."""
+        folder = self._folder / setting.name
+        ranks = ["-n", str(setting.ranks)] if setting.ranks > 1 else []
+        command = [*MANTLE, "run", *setting.options, "-o", str(folder), "--force", *ranks]
+        cost = self.process(setting.name, command)
+        try:
+            summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+            with (folder / "history.csv").open(encoding="utf-8", newline="") as file:
+                rows = tuple(csv.DictReader(file))
+        except FileNotFoundError:
+            return cost  # of variations, which have a folder each
+        # What a process reports is the largest of its ranks.
+        memory = summary.get("memory", {}).get("peak", setting.ranks * cost.memory)
+        cost = Cost(cost.wall, cost.cpu, memory, summary, rows)
+        log.info(
+            "%-22s %9d unknowns %4d Newton %5d Krylov %7.1f CPU s %7.0f MB",
+            *(setting.name, cost.unknowns, cost.newton, cost.krylov, cost.solution, cost.memory),
+        )
+        return cost
