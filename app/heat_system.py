@@ -7,11 +7,16 @@ from dataclasses import replace
 from petsc4py import PETSc
 
 from app.conduction import Conduction
-from app.systems import DIRECT, INTERFACE, Measure, Options, block
+from app.linear import DIRECT, INTERFACE, Options, block
+from app.systems import Measure
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
 # balance, and temperatures are kept between their bounds to 1e-9 of the range.
 STRICTER = 1e-2
+KEPT_FACTORS: Options = {
+    "pc_type": "python",
+    "pc_python_type": "app.heat_preconditioner.KeptFactors",
+}
 
 
 class HeatSystem:
@@ -43,12 +48,11 @@ class HeatSystem:
     def options(self, linear: str) -> dict[str, Options]:
         """Both blocks at once if direct; multigrid for the temperature, direct for the jumps."""
         chosen = block(linear, self._conduction.matrix[0][0].getSize()[0])
-        blocks = self.blocks()
-        if len(blocks) > 1 and chosen is DIRECT:
+        if chosen is DIRECT:
             # Jumps are strong where conductance is low: taken in turns they take many turns.
-            return {"": INTERFACE}
+            return {"": KEPT_FACTORS}
         every: dict[str, Options] = {"temperature": chosen, "temperature_jump": INTERFACE}
-        return {name: every[name] for name in blocks}
+        return {name: every[name] for name in self.blocks()}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put given temperatures into a state."""
