@@ -4,10 +4,10 @@ VTKHDF is the HDF5 format of ParaView and VTK (``UnstructuredGrid``, version 2.0
 the geometry and constant cell data are stored once, and every step adds its rows to each field.
 Format: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 
-Rank 0 writes alone what it gathers, one array at a time. Collective HDF5 would save that copy, but
-on a full disk its ranks wait for each other for ever, and serial HDF5 that has met a write error
-crashes at exit. So the room for an array is reserved first, where a full disk is an ordinary
-``OSError``, and the file is open only while an array is written: a killed run leaves it readable.
+Rank 0 writes alone what it gathers, a step at a time. Collective HDF5 would save that copy, but on
+a full disk its ranks wait for each other for ever, and serial HDF5 that has met a write error
+crashes at exit. So the room for a step is reserved first, where a full disk is an ordinary
+``OSError``, and the file is open only while a step is written: a killed run leaves it readable.
 """
 
 from __future__ import annotations
@@ -78,10 +78,11 @@ class GridFile:
         number = np.concatenate([first + np.arange(len(points)), np.asarray(ghosts, np.int64)])
         shape = self._points, self._cells, cells.shape[1]
         self._on_root(lambda: _create(path, *shape, cell_type))
-        self._append("Points", np.asarray(points, np.float64), self._points)
-        self._append("Connectivity", number[cells].ravel(), self._cells * cells.shape[1])
-        for name, values in cell_data.items():
-            self._append(f"CellData/{name}", values, self._cells)
+        arrays = {
+            "Points": (np.asarray(points, np.float64), self._points),
+            "Connectivity": (number[cells].ravel(), self._cells * cells.shape[1]),
+        }
+        self._append(arrays | self._of_step({}, cell_data))
 
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
         """Add one step (collective); the file is complete and closed when this returns.
@@ -101,10 +102,7 @@ class GridFile:
         names = frozenset(point), frozenset(cell)
         if self._names not in (None, names) or not self._constant.isdisjoint(cell):
             raise ValueError(f"{self.path}: every step writes the same fields, once: not {names}")
-        for name, values in point.items():
-            self._append(f"PointData/{name}", values, self._points)
-        for name, values in cell.items():
-            self._append(f"CellData/{name}", values, self._cells)
+        self._append(self._of_step(point, cell))
         offsets = {f"PointDataOffsets/{name}": self.steps * self._points for name in point}
         offsets |= {f"CellDataOffsets/{name}": self.steps * self._cells for name in cell}
         offsets |= {f"CellDataOffsets/{name}": 0 for name in self._constant}
@@ -112,24 +110,40 @@ class GridFile:
         self._names = names
         self.steps += 1
 
-    def _append(self, name: str, values: Array, rows: int) -> None:
-        """Gather the rows of one array and write them as those of the current step."""
+    def _of_step(
+        self, point: Mapping[str, Array], cell: Mapping[str, Array]
+    ) -> dict[str, tuple[Array, int]]:
+        """Names of the datasets of a step, with values and rows of each."""
+        arrays = {f"PointData/{name}": (values, self._points) for name, values in point.items()}
+        return arrays | {f"CellData/{name}": (v, self._cells) for name, v in cell.items()}
+
+    def _append(self, arrays: Mapping[str, tuple[Array, int]]) -> None:
+        """Gather the rows of some arrays and write them as those of the current step."""
+        gathered = {name: (self._gather(values), rows) for name, (values, rows) in arrays.items()}
+
+        def write() -> None:
+            for name, (values, rows) in gathered.items():
+                if len(values) != rows:
+                    raise ValueError(f"{self.path}: {name}: {len(values)} rows instead of {rows}")
+            size = sum(values.nbytes for values, _ in gathered.values())
+            with _edit(self.path, size) as root:
+                for name, (values, rows) in gathered.items():
+                    _put(root, name, values, self.steps * rows, chunk=rows)
+
+        self._on_root(write)
+
+    def _gather(self, values: Array) -> Array:
+        """The rows of all ranks on rank 0, nothing elsewhere."""
         values = np.ascontiguousarray(values)
+        if self.comm.size == 1:
+            return values
         counts = self.comm.gather(values.size)
         received: list[Any] | None = None
         if counts is not None:
             width = int(np.prod(values.shape[1:], dtype=int))
             received = [np.empty((sum(counts) // width, *values.shape[1:]), values.dtype), counts]
         self.comm.Gatherv(values, received)
-
-        def write() -> None:
-            assert received is not None  # on rank 0
-            if len(received[0]) != rows:
-                raise ValueError(f"{self.path}: {name}: {len(received[0])} rows instead of {rows}")
-            with _edit(self.path, received[0].nbytes) as root:
-                _put(root, name, received[0], self.steps * rows, chunk=rows)
-
-        self._on_root(write)
+        return values[:0] if received is None else received[0]
 
     def _on_root(self, action: Callable[[], None]) -> None:
         """Do something on rank 0; its error is raised on every rank."""
@@ -191,7 +205,7 @@ def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> 
 
 @contextmanager
 def _edit(path: Path, size: int) -> Iterator[h5py.Group]:
-    """Open the file to add an array of a size in bytes.
+    """Open the file to add arrays of a size in bytes.
 
     Raises:
         OSError: There is no room, or the file cannot be written.
