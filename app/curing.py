@@ -7,7 +7,7 @@ is lost. What the curing does to strains is in `FreeStrain`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -24,6 +24,7 @@ from app.terms import Autocatalytic, Cure, Expansion, Prescribed, multiplier
 from forms import cure as forms
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 # A reaction ends this far below its limit. What would be left takes ever longer and warms by less
 # than any tolerance, but the stages of a long step would overshoot the limit for it.
@@ -170,60 +171,87 @@ class _Autocatalytic:
 
         sizes = dict.fromkeys(["T", *knots], 1)
         constants = dict(zip([*names, *knots], [*values, *levels], strict=True))
-        self._limits = Pointwise(comm, nodes, sizes, limits)
         self._rates = Pointwise(comm, nodes, sizes | dict.fromkeys(["a", *names], 1), rates)
-        self._limits.set(**{k: np.full(nodes, constants[k]) for k in knots})
         self._rates.set(**{k: np.full(nodes, v) for k, v in constants.items()})
+        self._limits: tuple[Pointwise, ...] = ()
+        if terms.limit:
+            self._limits = (Pointwise(comm, nodes, sizes, limits),)
+            self._limits[0].set(**{k: np.full(nodes, constants[k]) for k in knots})
+        # Mean rates of the last step: of the next one they are not far.
+        self._known = np.zeros(nodes)
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
-        r"""Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds.
+        """Only nodes that still react are looked at."""
+        # Iterates of a solver may be cold beyond sense: nothing reacts there.
+        T = np.maximum(temperature, 1.0)
+        limit, limit_by_T = np.ones_like(T), np.zeros_like(T)
+        for law in self._limits:
+            limit, limit_by_T = law(T=T)
+        degree, by_T = start.copy(), np.zeros_like(start)
 
+        def rates(rows: Ints, reacted: Floats) -> list[Floats]:
+            return self._rates(rows, a=start[rows] + reacted, T=T[rows])
+
+        rows = np.flatnonzero(limit - start > UNREACTED)
+        first = rates(rows, np.zeros(len(rows)))[0]
+        rows, first = rows[first > 0], first[first > 0]
+        room = limit[rows] - start[rows]
+        last = rates(rows, room - UNREACTED)[0]
+        ends = h * last >= room - UNREACTED
+        degree[rows[ends]] = limit[rows[ends]] - UNREACTED
+        by_T[rows[ends]] = limit_by_T[rows[ends]]
+
+        on = ~ends
+        rows, room = rows[on], room[on]
+        reacted, f, f_a, f_T = self._react(rows, room, first[on], last[on], h, rates)
+        degree[rows] = start[rows] + reacted
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_T[rows] = reacted * f_T / f / (1 - reacted * f_a / f)
+        self._known[:] = (degree - start) / h
+        return Degrees(degree, by_T)
+
+    def _react(
+        self,
+        rows: Ints,
+        room: Floats,
+        first: Floats,
+        last: Floats,
+        h: float,
+        rates: Callable[[Ints, Floats], list[Floats]],
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        r"""What reacts at some nodes, with the rate and its derivatives by degree and temperature.
+
+        Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds:
         ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
         root. With m > 1 a step may be so long that there are more; one of them is found.
         """
-        # Iterates of a solver may be cold beyond sense: nothing reacts there.
-        T = np.maximum(temperature, 1.0)
-        limit, limit_by_T = self._limits(T=T)
-        first = self._rates(a=start, T=T)[0]
-        room = limit - start
-        lasts = (room > UNREACTED) & (first > 0)
-        room = np.where(lasts, room, 1.0)
-        top = np.log(np.maximum(room - UNREACTED, 1e-300) / UNREACTED)
-        last = self._rates(a=start + room * _logistic(top), T=T)[0]
-        ends = lasts & (h * last >= room - UNREACTED)
-        solved = lasts & ~ends
-
+        # Rates in between are at least the lower of the two at the ends.
+        low = np.log(h * np.minimum(first, last) / room) - 1.0
+        high = np.log((room - UNREACTED) / UNREACTED)
+        share = h * np.where(self._known[rows] > 0, self._known[rows], first) / room
         with np.errstate(divide="ignore", invalid="ignore"):
-            # Rates in between are at least the lower of the two at the ends.
-            low = np.log(h * np.minimum(first, last) / room) - 1.0
-            s = np.log(h * first / room)
-        high = top.copy()
-        low, s = np.where(solved, low, 0.0), np.where(solved, s, 0.0)
-        moving = solved.copy()
+            s = np.log(share) - np.log1p(-share)
+        found = np.zeros((3, len(rows)))
+        moving = np.arange(len(rows))
         for _ in range(_ITERATIONS):
-            if not moving.any():
+            if not len(moving):
                 break
-            s = np.where(moving & ~((s > low) & (s < high)), (low + high) / 2, s)
-            share = _logistic(s)
-            reacted = room * share
-            f, f_a, _ = self._rates(a=start + reacted, T=T)
+            at, below, above = s[moving], low[moving], high[moving]
+            at = np.where((at > below) & (at < above), at, (below + above) / 2)
+            share = _logistic(at)
+            reacted = room[moving] * share
+            f, f_a, f_T = rates(rows[moving], reacted)
+            found[:, moving] = f, f_a, f_T
             with np.errstate(divide="ignore", invalid="ignore"):
                 value = np.log(reacted) - np.log(h * f)
                 slope = (1 - share) * (1 - reacted * f_a / f)
                 step = np.where(slope > 0, -value / slope, np.inf)
-            high = np.where(moving & (value > 0), s, high)
-            low = np.where(moving & (value <= 0), s, low)
-            s = np.where(moving, s + step, s)
-            moving &= ~(np.abs(step) <= _CONVERGED) & (high - low > _CONVERGED)
-
-        reacted = np.where(
-            solved, room * _logistic(np.clip(s, low, high)), np.where(ends, room - UNREACTED, 0.0)
-        )
-        degree = start + reacted
-        f, f_a, f_T = self._rates(a=degree, T=T)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = reacted * f_T / f / (1 - reacted * f_a / f)
-        return Degrees(degree, np.where(solved, slope, np.where(ends, limit_by_T, 0.0)))
+            above = np.where(value > 0, at, above)
+            below = np.where(value <= 0, at, below)
+            s[moving], low[moving], high[moving] = at + step, below, above
+            going = ~(np.abs(step) <= _CONVERGED) & (above - below > _CONVERGED)
+            moving = moving[going]
+        return room * _logistic(np.clip(s, low, high)), *found
 
 
 def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 class Pointwise:
@@ -47,9 +48,8 @@ class Pointwise:
             np.arange(2 * cells, dtype=np.float64).reshape(-1, 1),
             ufl.Mesh(basix.ufl.element("Lagrange", "interval", 1, shape=(1,))),
         )
-        self._n = n
-        self._cells = np.arange(cells, dtype=np.int32)
-        self._point_of_cell = self._mesh.topology.original_cell_index
+        self._cell_of_point = np.argsort(self._mesh.topology.original_cell_index)[:n]
+        self._cell_of_point = self._cell_of_point.astype(np.int32)
         spaces = {
             size: fem.functionspace(self._mesh, ("DG", 0, (size,) if size > 1 else ()))
             for size in sorted(set(sizes.values()))
@@ -64,27 +64,27 @@ class Pointwise:
         self._size = len(components)
         self._together = fem.Expression(ufl.as_vector(components), np.array([[0.5]]), comm=comm)
 
-    def set(self, **values: Floats) -> None:
-        """Set inputs at the points: (n,) or (n, size) each; the others keep what they had."""
-        if not self._n:
-            return
+    def set(self, rows: Ints | None = None, **values: Floats) -> None:
+        """Set inputs: (n,) or (n, size) each, of the points or of some; others keep theirs."""
+        cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
         for name, value in values.items():
             function = self._inputs[name]
             space = function.function_space
-            array = function.x.array.reshape(-1, space.dofmap.index_map_bs)
-            array[space.dofmap.list[:, 0]] = value.reshape(self._n, -1)[self._point_of_cell]
+            size = space.dofmap.index_map_bs
+            array = function.x.array.reshape(-1, size)
+            array[space.dofmap.list[cells, 0]] = value.reshape(len(cells), size)
 
-    def __call__(self, **values: Floats) -> list[Floats]:
-        """Values of the expressions (n, ...) after setting the inputs given."""
-        self.set(**values)
-        found = np.zeros((self._n, self._size))
-        if self._n:
-            computed = self._together.eval(self._mesh, self._cells)
-            found[self._point_of_cell] = computed.reshape(found.shape)
+    def __call__(self, rows: Ints | None = None, **values: Floats) -> list[Floats]:
+        """Values of the expressions (n, ...), of the points or of some, after setting inputs."""
+        self.set(rows, **values)
+        cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
+        found = np.zeros((len(cells), self._size))
+        if len(cells):
+            found = self._together.eval(self._mesh, cells).reshape(found.shape)
         parts, begin = [], 0
         for shape in self._shapes:
             end = begin + math.prod(shape)
-            parts.append(found[:, begin:end].reshape(self._n, *shape))
+            parts.append(found[:, begin:end].reshape(len(cells), *shape))
             begin = end
         return parts
 
