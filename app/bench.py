@@ -329,7 +329,7 @@ def points(runs: Runs) -> list[dict[str, Any]]:
                 "krylov": costs[0].krylov,
                 "solution [CPU s]": round(median(c.solution for c in costs), 3),
                 "whole run [s]": round(median(c.wall for c in costs), 3),
-                "mesh [s]": round(runs.meshing[setting.case, setting.size], 3),
+                "mesh [s]": round(runs.meshing[setting.mesh], 3),
                 "memory [MB]": round(median(c.memory for c in costs), 1),
             }
         )

@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -58,6 +58,11 @@ class Setting:
         """The case with its overrides, on a command line."""
         sets = [*self.overrides, *([f"mesh.size={self.size}"] if self.size else [])]
         return [str(CASES / self.case), *(word for s in sets for word in ("--set", s))]
+
+    @property
+    def mesh(self) -> tuple[str, ...]:
+        """What its mesh depends on."""
+        return (self.case, self.size, *(o for o in self.overrides if o.startswith("mesh.")))
 
 
 @dataclass(frozen=True)
@@ -132,9 +137,10 @@ class Runs:
             folder: Where run directories and logs go.
         """
         self.known: dict[Setting, list[Cost]] = {}
-        self.meshing: dict[tuple[str, str], float] = {}
+        self.meshing: dict[tuple[str, ...], float] = {}
         self._folder = folder
-        self._compiled: set[tuple[str, tuple[str, ...]]] = set()
+        self._compiled: set[tuple[str, ...]] = set()
+        self._failed: dict[Setting, NotMeasured] = {}
 
     def costs(self, *settings: Setting, times: int = 1) -> list[list[Cost]]:
         """What settings cost, each of them so many times.
@@ -142,15 +148,23 @@ class Runs:
         They run in turn, so that what else happens on the machine meets them all.
 
         Raises:
-            NotMeasured: A run failed.
+            NotMeasured: A run failed, now or before.
         """
         for setting in settings:
+            if setting in self._failed:
+                raise self._failed[setting]
             self._warm(setting)
         for i in range(times):
             for setting in settings:
-                known = self.known.setdefault(setting, [])
-                if len(known) <= i:
-                    known.append(self._run(setting))
+                if len(self.known.get(setting, [])) > i:
+                    continue
+                try:
+                    cost = self._run(setting)
+                except NotMeasured as error:
+                    self._failed[setting] = error
+                    raise
+                self.known.setdefault(setting, []).append(cost)
+                _tell(setting, cost)
         return [self.known[setting][:times] for setting in settings]
 
     def process(self, name: str, command: Sequence[str]) -> Cost:
@@ -182,32 +196,40 @@ class Runs:
 
     def _warm(self, setting: Setting) -> None:
         """Have mesh and compiled forms in their caches, so that no run that counts makes them."""
-        forms, mesh = (setting.case, setting.overrides), (setting.case, setting.size)
+        forms = (setting.case, *setting.overrides)
         if forms not in self._compiled:
-            small = Setting("warm", setting.case, WARM if setting.size else "", setting.overrides)
-            self._run(small)
             self._compiled.add(forms)
-        if mesh not in self.meshing:
+            small = WARM if setting.size else ""
+            try:
+                self._run(Setting("warm", setting.case, small, setting.overrides))
+            except NotMeasured as error:
+                log.debug("%s", error)  # forms are compiled before anything can fail
+        if setting.mesh not in self.meshing:
             check = [*MANTLE, "check", "--mesh", *setting.options]
-            self.meshing[mesh] = self.process("mesh", check).wall
+            self.meshing[setting.mesh] = self.process("mesh", check).wall
 
     def _run(self, setting: Setting) -> Cost:
-        """Run a case, and tell."""
+        """Run a case."""
         folder = self._folder / setting.name
         ranks = ["-n", str(setting.ranks)] if setting.ranks > 1 else []
         command = [*MANTLE, "run", *setting.options, "-o", str(folder), "--force", *ranks]
         cost = self.process(setting.name, command)
-        try:
-            summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-            with (folder / "history.csv").open(encoding="utf-8", newline="") as file:
-                rows = tuple(csv.DictReader(file))
-        except FileNotFoundError:
+        if not (folder / "summary.json").exists():
             return cost  # of variations, which have a folder each
-        # What a process reports is the largest of its ranks.
-        memory = summary.get("memory", {}).get("peak", setting.ranks * cost.memory)
-        cost = Cost(cost.wall, cost.cpu, memory, summary, rows)
-        log.info(
-            "%-22s %9d unknowns %4d Newton %5d Krylov %7.1f CPU s %7.0f MB",
-            *(setting.name, cost.unknowns, cost.newton, cost.krylov, cost.solution, cost.memory),
-        )
-        return cost
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        with (folder / "history.csv").open(encoding="utf-8", newline="") as file:
+            rows = tuple(csv.DictReader(file))
+        # Of several ranks the system tells the largest alone.
+        memory = cost.memory if setting.ranks == 1 else summary["memory"]["peak"]
+        return replace(cost, memory=memory, summary=summary, history=rows)
+
+
+def _tell(setting: Setting, cost: Cost) -> None:
+    if not cost.summary:
+        log.info("%-22s %9.1f CPU s start to finish", setting.name, cost.cpu)
+        return
+    log.info(
+        "%-22s %9d unknowns %3d Newton %5d Krylov %7.1f CPU s %7.1f s on the wall %6.0f MB",
+        *(setting.name, cost.unknowns, cost.newton, cost.krylov, cost.solution),
+        *(cost.solution_wall, cost.memory),
+    )
