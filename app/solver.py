@@ -31,6 +31,10 @@ NEWTON: Options = {
     "snes_ksp_ew_rtol0": 1e-2,
     "snes_ksp_ew_rtolmax": 1e-2,
 }
+# While contact points change their states, no direction is worth more.
+KINKS: Options = {"snes_ksp_ew_rtol0": 0.1, "snes_ksp_ew_rtolmax": 0.1}
+# A linear residual of this part of what Newton is to reach is as good as none.
+ENOUGH = 0.3
 # A residual that has not fallen to this part of itself in so many iterations is stuck.
 STUCK, RESCUED, HARDLY = 6, 15, 0.5
 
@@ -89,7 +93,9 @@ class Solver:
         self._vectors = list(blocks.values())
         self._linear = Linear(system, linear, timing)
         self._A = self._linear.matrix
-        defaults = dict(NEWTON) | {"snes_max_it": max_iterations} | dict(system.newton)
+        self._has_kinks = "jump" in blocks
+        forcing = KINKS if self._has_kinks else {}
+        defaults = dict(NEWTON) | {"snes_max_it": max_iterations} | forcing | dict(system.newton)
         self.options = defaults | self._linear.options | dict(options)
         self.x = self.vector()
         self.failed = self.vector()
@@ -104,8 +110,8 @@ class Solver:
         self.snes.setConvergenceTest(self._converged)
         self._usual = str(self.options["snes_linesearch_type"])
         self._other = "basic" if self._usual == "bt" else "bt"
-        self._has_kinks = "jump" in blocks
         self._rescue = False
+        self._enough = 0.0 if "ksp_atol" in options else ENOUGH
         self._configure()
 
     def begin(self) -> None:
@@ -173,6 +179,8 @@ class Solver:
         self._residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
         if all(map(self.meets, parts)):
             return reasons.CONVERGED_FNORM_ABS
+        if self._enough:
+            snes.getKSP().setTolerances(atol=self._enough * min(map(self._limit, parts)))
         # Whole steps may go up before they go down.
         last, window = self._residuals, RESCUED if self._rescue else STUCK
         stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
@@ -180,7 +188,11 @@ class Solver:
 
     def meets(self, part: Measure) -> bool:
         """Whether a residual is within the tolerance."""
-        return part.norm <= max(self._tolerance * part.scale, part.rounding)
+        return part.norm <= self._limit(part)
+
+    def _limit(self, part: Measure) -> float:
+        """Norm that a residual may have."""
+        return max(self._tolerance * part.scale, part.rounding)
 
     def _measure(self, x: PETSc.Vec, f: PETSc.Vec) -> list[Measure]:
         """Residual by part, beside the scale of this state or of the converged ones before it."""
@@ -248,7 +260,7 @@ class Solver:
         some per cent. One matrix in displacements and jumps, not what a displacement method has.
         """
         ksp, A = self.snes.getKSP(), self._A
-        ksp.setTolerances(rtol=CONDITION_RTOL)
+        ksp.setTolerances(rtol=CONDITION_RTOL, atol=0.0)
         x, y = self.vector(), self.vector()
         sizes = []
         for apply in (A.mult, ksp.solve):

@@ -97,7 +97,8 @@ class Bonded:
     """Displacement alone: no interface can move."""
 
     prefix = "mantle_"
-    newton: Options = {}  # noqa: RUF012
+    # The equations are linear: one linear solve, to the solver's own limit.
+    newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-14}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
         """Take the stiffness as it is."""
