@@ -47,8 +47,11 @@ class Balance:
             for b, U in enumerate(displacements)
             if (e := mechanics.body_energy(b, U, dx)) != 0
         ]
-        self._energy = [mechanics.form(e) for e, _ in energy]
-        self._internal = [mechanics.form(ufl.derivative(e, U, v)) for e, U in energy]
+        # One form of all bodies each.
+        self._energy = [mechanics.form(sum(e for e, _ in energy))] if energy else []
+        self._internal = (
+            [mechanics.form(sum(ufl.derivative(e, U, v) for e, U in energy))] if energy else []
+        )
         self._strain_work = [
             (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
             for e in scene.elastic

@@ -19,6 +19,7 @@ import numpy as np
 import ufl
 from dolfinx import default_scalar_type, fem
 from dolfinx.fem import IntegralType, compute_integration_domains
+from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from numpy.typing import NDArray
 
@@ -30,6 +31,8 @@ from forms import elasticity, loads
 from meshes.distribute import TaggedMesh
 
 Floats = NDArray[np.float64]
+# Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
+Domains = list[tuple[int, NDArray[np.int32]]]
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,12 @@ class Mechanics:
         self._scene, self._tagged, self._bodies = scene, tagged, bodies
         self._timing = timing
         self.mesh = tagged.mesh
-        self.comm: MPI.Comm = self.mesh.comm
+        self.comm: MPI.Intracomm = self.mesh.comm
         self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
         self.u = fem.Function(self.space, name="displacement")
         self._tags = cell_tags(tagged)
         self._patches: dict[tuple[str, int], int] = {}
+        self._facets: Domains = []
         self._surface = self._surface_measure()
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
         self.springs = [self._constant(f.stiffness) for f in scene.foundations]
@@ -98,7 +102,7 @@ class Mechanics:
         scene = self._scene
         used = {t.boundary for t in scene.foundations}
         used |= {t.boundary for t in scene.loads if isinstance(t, Force | Pressure)}
-        domains: list[tuple[int, NDArray[np.int32]]] = []
+        domains = self._facets
         for name in sorted(used):
             f = boundary_facets(self._tagged, name)
             body = self._bodies.of_tag[self._tags[f.cells]]
@@ -114,15 +118,18 @@ class Mechanics:
                 domains.append((len(domains) + 1, entities))
         return ufl.Measure("ds", domain=self.mesh, subdomain_data=domains)
 
-    def cells(self, pick: NDArray[np.bool_] | None = None) -> ufl.Measure:
-        """Volume measure by region tag, over all owned cells or those picked."""
+    def cells(self) -> ufl.Measure:
+        """Volume measure by region tag, over all owned cells."""
+        return ufl.Measure("dx", domain=self.mesh, subdomain_data=self._domains())
+
+    def _domains(self, pick: NDArray[np.bool_] | None = None) -> Domains:
+        """Owned cells of each region tag, all or those picked."""
         owned = self.mesh.topology.index_map(3).size_local
         mask = np.ones(owned, dtype=bool) if pick is None else pick[:owned]
-        domains = [
+        return [
             (tag, np.flatnonzero(mask & (self._tags[:owned] == tag)).astype(np.int32))
             for tag in sorted(self._tagged.regions.values())
         ]
-        return ufl.Measure("dx", domain=self.mesh, subdomain_data=domains)
 
     def region_cells(self, region: str) -> NDArray[np.int32]:
         """Cells of a region that this rank owns."""
@@ -265,16 +272,41 @@ class Mechanics:
 
     # Assembly
 
+    @cached_property
+    def _stiffness(self) -> CompiledForm:
+        """Second derivative of the energies of all bodies moving with u, for any cells of them."""
+        dx, v, w = self.cells(), ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
+        energy = sum(self.tangent_energy(b, self.u, dx) for b in range(len(self._bodies.names)))
+        form = ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w)
+        with self._timing.phase("compile"):
+            return fem.compile_form(self.comm, form)
+
     def stiffness(self) -> fem.Form:
         """Stiffness of all bodies moving with u, supports not yet applied."""
-        dx = self.cells()
-        bodies = range(len(self._bodies.names))
-        return self._second_derivative(sum(self.tangent_energy(b, self.u, dx) for b in bodies))
+        return self._stiffness_on(self._domains(), self._facets)
 
     def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> fem.Form:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
         near = dofs[self.space.dofmap.list].any(axis=1)
-        return self._second_derivative(self.tangent_energy(body, self.u, self.cells(near)))
+        near &= self._bodies.of_tag[self._tags] == body
+        mine = {patch for (_, b), patch in self._patches.items() if b == body}
+        facets = [(k, f if k in mine else f[:0]) for k, f in self._facets]
+        return self._stiffness_on(self._domains(near), facets)
+
+    def _stiffness_on(self, cells: Domains, facets: Domains) -> fem.Form:
+        """The stiffness of some cells and of the beds of springs on some facets.
+
+        Each pair of facets stands for a cell and its local facet.
+        """
+        form = self._stiffness.ufl_form
+        return fem.create_form(
+            self._stiffness,
+            [self.space, self.space],
+            self.mesh,
+            {IntegralType.cell: cells, IntegralType.exterior_facet: facets},
+            {f: f for f in form.coefficients()},
+            {c: c for c in form.constants()},
+        )
 
     def swelling_forces(self, e: Elastic) -> PETSc.Mat:
         """Nodal forces of the bodies by the nodal swelling of a region, both of this rank."""
@@ -284,11 +316,6 @@ class Mechanics:
         energy = self.energy_density(e, self.elastic_strain(e, self.u)) * dx(1)
         forces = -ufl.derivative(energy, self.u, v)
         return self.matrix(self.form(ufl.derivative(forces, self.swelling[e.region], free)))
-
-    def _second_derivative(self, energy: Any) -> fem.Form:
-        """Form of an energy that is quadratic in u."""
-        v, w = ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
-        return self.form(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
 
     def form(self, form: Any) -> fem.Form:
         """Compile a form, counting the time."""

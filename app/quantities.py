@@ -7,6 +7,7 @@ refinement.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -60,10 +61,12 @@ class Samples:
         dissipation: Dissipated by friction (n,) [N mm].
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
+        found: What `interface` has found of them, by interface.
     """
 
     def __init__(self, problem: Problem, trial: Trial) -> None:
         """Gather a committed state; collective."""
+        self.found: dict[int, dict[str, Any]] = {}
         (j,) = problem.jumps
         history = j.history
         normal = np.einsum("pi,pki->pk", trial.jump, j.normals)
@@ -106,8 +109,13 @@ class Samples:
 
 
 def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
-    """What one interface does: motion, tractions, states."""
-    s = samples
+    """What one interface does: motion, tractions, states; found once for each state."""
+    if i not in samples.found:
+        samples.found[i] = _interface(problem, samples, i)
+    return dict(samples.found[i])
+
+
+def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
     at = s.interface == i
     area, weight = s.area[at], s.weight[at]
     total = float(weight.sum())
@@ -185,6 +193,25 @@ def _sampled_penetration(problem: Problem, s: Samples, i: int) -> float:
     return float(np.maximum(-gap, 0.0).max())
 
 
+@dataclass(frozen=True)
+class _Law:
+    """A compiled stress, and what it is of."""
+
+    expression: fem.Expression
+    displacement: fem.Function
+    coefficients: list[fem.Constant]
+    fibre: fem.Constant
+
+    def of(self, e: Elastic, displacement: fem.Function) -> fem.Expression:
+        """The stress of a region in a displacement."""
+        self.displacement.x.array[:] = displacement.x.array
+        for constant, value in zip(self.coefficients, e.coefficients, strict=True):
+            constant.value = value
+        if e.fibre:
+            self.fibre.value = e.fibre
+        return self.expression
+
+
 class Stresses:
     """Stress at quadrature points of every elastic region, compiled once."""
 
@@ -197,11 +224,31 @@ class Stresses:
         self._points, self._weights = (np.asarray(a) for a in quadrature)
         elastic, setting = problem.scene.elastic, problem.mechanics.growth
         self.cells = {e.region: problem.mechanics.region_cells(e.region) for e in elastic}
+        plain = [
+            e for e in elastic if not e.eigenstrains and e.region not in problem.mechanics.swelling
+        ]
+        self._plain = {e.region: e for e in plain if e.region not in setting}
+        kinds = {bool(e.fibre): e for e in self._plain.values()}
+        self._laws = {kind: self._law(e) for kind, e in kinds.items()}
         self._expressions = {
-            e.region: self._expression(e) for e in elastic if e.region not in setting
+            e.region: self._expression(e)
+            for e in elastic
+            if e.region not in setting and e.region not in self._plain
         }
         # Where stress is history it is known at the points where it was summed up.
         self._history = {r: s for s in problem.setting for r in setting}
+
+    def _law(self, e: Elastic) -> _Law:
+        """Stress of any region without free strain that has the same law as this one."""
+        mesh, v = self._problem.tagged.mesh, fem.Function(self._problem.space)
+        coefficients = [fem.Constant(mesh, np.array(c)) for c in e.coefficients]
+        fibre = fem.Constant(mesh, np.array(e.fibre or (0.0, 0.0, 1.0)))
+        σ = elasticity.stress(
+            lambda strain: e.energy(strain, coefficients, fibre), elasticity.strain(v)
+        )
+        with self._timing.phase("compile"):
+            expression = fem.Expression(σ, self._points, comm=self._problem.comm)
+        return _Law(expression, v, coefficients, fibre)
 
     def _expression(self, e: Elastic) -> fem.Expression:
         problem, mechanics = self._problem, self._problem.mechanics
@@ -218,7 +265,12 @@ class Stresses:
         cells = self.cells[region]
         if not len(cells):
             return np.zeros((0, len(self._points), 3, 3))
-        values = self._expressions[region].eval(self._problem.tagged.mesh, cells)
+        if region in self._plain:
+            e, body = self._plain[region], self._problem.bodies.of_region[region]
+            expression = self._laws[bool(e.fibre)].of(e, self._problem.displacements()[body])
+        else:
+            expression = self._expressions[region]
+        values = expression.eval(self._problem.tagged.mesh, cells)
         return values.reshape(len(cells), len(self._points), 3, 3)
 
     def at(self, region: str) -> Floats:
