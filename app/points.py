@@ -7,7 +7,9 @@ others.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from typing import Any
 
 from mpi4py import MPI
 
@@ -15,11 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
+from app import kernels, pointwise
 from app.pointwise import Pointwise
+from forms import contact
 from forms.contact import contact_law
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+# All that says what the law is: another text of one of them is another law.
+SOURCES = (contact, pointwise, sys.modules[__name__])
 
 
 @dataclass(frozen=True)
@@ -109,8 +116,11 @@ def _compile(comm: MPI.Comm, normals: Floats, friction: Floats, frictional: bool
         found = contact_law(*state, [x[f] for f in faces], μ, x["r"])
         return found.force, found.jacobian, found.pressures, found.status
 
-    compiled = Pointwise(comm, len(normals), dict.fromkeys(vectors, 3) | {"μ": 1, "r": 1}, law)
-    compiled.set(μ=friction, **{f: normals[:, k] for k, f in enumerate(faces)})
+    sizes = dict.fromkeys(vectors, 3) | {"μ": 1, "r": 1}
+    note = kernels.note_of(f"contact {len(faces)} {frictional}", SOURCES)
+    compiled = Pointwise(comm, len(normals), sizes, law, note)
+    constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
+    compiled.set(μ=friction, **constant)
     return compiled
 
 

@@ -8,16 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from mpi4py import MPI
 
 import basix.ufl
 import numpy as np
 import ufl
-from dolfinx import fem
+from dolfinx import fem, jit
+from dolfinx.cpp.fem import create_expression_float64
 from dolfinx.mesh import create_mesh
 from numpy.typing import NDArray
+from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
+
+from app import kernels
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -32,6 +39,7 @@ class Pointwise:
         n: int,
         sizes: Mapping[str, int],
         build: Callable[[dict[str, Expr]], Sequence[Expr]],
+        note: Path | None = None,
     ) -> None:
         """Compile; collective, and a rank without points takes part.
 
@@ -40,6 +48,8 @@ class Pointwise:
             n: Number of points of this rank.
             sizes: Inputs by name: 1 for a scalar, 3 for a vector.
             build: Gives the expressions, from the inputs by name.
+            note: Where it is noted what has been compiled of them (`app.kernels`); without, they
+                are built at every start.
         """
         cells = max(n, 1)
         self._mesh = create_mesh(
@@ -57,12 +67,41 @@ class Pointwise:
         self._inputs = {name: fem.Function(spaces[size]) for name, size in sizes.items()}
         for function in self._inputs.values():
             function.x.array[:] = 1
+        found = kernels.find(comm, note)
+        if found is None:
+            found = self._compile(comm, build)
+            kernels.keep(comm, note, found[0])
+        kernel, symbol, self._module = found
+        ffi = self._module.ffi
+        self._expression = create_expression_float64(
+            ffi.cast("uintptr_t", ffi.addressof(symbol)),
+            [self._inputs[name]._cpp_object for name in kernel.inputs],
+            [],
+            None,
+        )
+        self._shapes = kernel.shapes
+        self._size = sum(math.prod(shape) for shape in kernel.shapes)
+
+    def _compile(
+        self, comm: MPI.Comm, build: Callable[[dict[str, Expr]], Sequence[Expr]]
+    ) -> tuple[kernels.Kernel, Any, ModuleType]:
+        """One kernel for all expressions: what they have in common is evaluated once."""
         every = build(dict(self._inputs))
-        self._shapes = [e.ufl_shape for e in every]
-        # One kernel gives all of them: what they have in common is evaluated once.
-        components = [c for e in every for c in _components(e)]
-        self._size = len(components)
-        self._together = fem.Expression(ufl.as_vector(components), np.array([[0.5]]), comm=comm)
+        together = ufl.as_vector([c for e in every for c in _components(e)])
+        options = {"scalar_type": np.float64}
+        symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
+        used = extract_coefficients(together)
+        names = {function: name for name, function in self._inputs.items()}
+        kernel = kernels.Kernel(
+            module=module.__name__,
+            symbol=next(name for name in dir(module.lib) if name.startswith("expression_")),
+            inputs=tuple(
+                names[used[symbol.original_coefficient_positions[i]]]
+                for i in range(symbol.num_coefficients)
+            ),
+            shapes=tuple(e.ufl_shape for e in every),
+        )
+        return kernel, symbol, module
 
     def set(self, rows: Ints | None = None, **values: Floats) -> None:
         """Set inputs: (n,) or (n, size) each, of the points or of some; others keep theirs."""
@@ -80,7 +119,7 @@ class Pointwise:
         cells = self._cell_of_point if rows is None else self._cell_of_point[rows]
         found = np.zeros((len(cells), self._size))
         if len(cells):
-            found = self._together.eval(self._mesh, cells).reshape(found.shape)
+            self._expression.eval(self._mesh._cpp_object, cells, found)
         parts, begin = [], 0
         for shape in self._shapes:
             end = begin + math.prod(shape)

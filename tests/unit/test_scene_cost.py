@@ -56,11 +56,11 @@ def cost(monkeypatch: pytest.MonkeyPatch, interfaces: str, *overrides: str) -> C
     """Assemble a scene and note every contact law and every form that it compiles."""
     laws: list[tuple[int, bool]] = []
     forms: list[Any] = []
-    law = points.contact_law
+    law = points._compile
 
-    def contact_law(*arguments: Any) -> Any:
-        laws.append((len(arguments[5]), arguments[6] is not None))
-        return law(*arguments)
+    def compile_law(comm: Any, normals: Any, friction: Any, frictional: bool) -> Any:
+        laws.append((normals.shape[1], frictional))
+        return law(comm, normals, friction, frictional)
 
     def compiled(name: str) -> Any:
         compiler = getattr(mechanics.fem, name)
@@ -71,7 +71,7 @@ def cost(monkeypatch: pytest.MonkeyPatch, interfaces: str, *overrides: str) -> C
 
         return noted
 
-    monkeypatch.setattr(points, "contact_law", contact_law)
+    monkeypatch.setattr(points, "_compile", compile_law)
     for name in COMPILERS:
         monkeypatch.setattr(mechanics.fem, name, compiled(name))
     problem, solver = support.assemble(
@@ -251,7 +251,7 @@ def bill(
         return Solver(system, *arguments)
 
     with monkeypatch.context() as patch:
-        count(points, "contact_law", "laws")
+        count(points, "_compile", "laws")
         count(temperature_jumps.interface_heat, "flux_and_derivatives", "heat_laws")
         for name in COMPILERS:
             count(mechanics.fem, name, "forms", "integrals")

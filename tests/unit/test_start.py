@@ -6,6 +6,8 @@ import subprocess
 import sys
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from mpi4py import MPI
 
@@ -15,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import meshes
-from app import config, folders, plain_units, units
+from app import config, folders, kernels, plain_units, pointwise, units
 from app.sparse import from_triplets
 from meshes.interfaces import _connected
 from tests import support
@@ -98,3 +100,42 @@ def test_triplets_at_one_place_are_summed() -> None:
     np.testing.assert_allclose(A[:, :], expected)
     none = np.zeros(0, dtype=np.int64)
     assert from_triplets(MPI.COMM_SELF, 2, 3, none, none, np.zeros(0)).norm() == 0.0
+
+
+def test_a_law_is_found_again_without_being_built(tmp_path: Path) -> None:
+    """And is built where its note tells of code that is not there, or of nothing."""
+    built: list[int] = []
+
+    def law(x: dict[str, Any]) -> list[Any]:
+        built.append(1)
+        return [x["b"] * x["v"], x["a"] - x["b"]]
+
+    rng = np.random.default_rng(5)
+    a, b, v = rng.random(6), rng.random(6), rng.random((6, 3))
+    note = tmp_path / "law.json"
+
+    def check() -> None:
+        compiled = pointwise.Pointwise(MPI.COMM_SELF, 6, {"a": 1, "v": 3, "b": 1}, law, note)
+        scaled, difference = compiled(a=a, b=b, v=v)
+        np.testing.assert_allclose(scaled, b[:, None] * v)
+        np.testing.assert_allclose(difference, a - b)
+
+    for expected in (1, 1):
+        check()
+        assert len(built) == expected
+    told = note.read_text()
+    for text in ("", "{}", "[1]", told.replace("libffcx", "nowhere"), told.replace("_", "-")):
+        built.clear()
+        note.write_text(text)
+        check()
+        assert len(built) == 1 and note.read_text() == told
+
+
+def test_a_law_has_another_note_when_its_text_changes(tmp_path: Path) -> None:
+    source = ModuleType("source")
+    source.__file__ = str(tmp_path / "source.py")
+    notes = set()
+    for text in ("1", "2"):
+        Path(source.__file__).write_text(text)
+        notes |= {kernels.note_of(law, [source]) for law in ("plain", "corner")}
+    assert len(notes) == 4
