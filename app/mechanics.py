@@ -14,6 +14,7 @@ from typing import Any
 from mpi4py import MPI
 from petsc4py import PETSc
 
+import basix
 import basix.ufl
 import numpy as np
 import ufl
@@ -23,16 +24,20 @@ from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from numpy.typing import NDArray
 
-from app.bodies import Bodies, boundary_facets, cell_tags
+from app.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
 from app.errors import InputError, everywhere
 from app.terms import BodyForce, Elastic, Force, Load, Pressure, Scene
 from app.timing import Timing
 from forms import elasticity, loads
 from meshes.distribute import TaggedMesh
+from meshes.interfaces import shape_functions, surface
 
 Floats = NDArray[np.float64]
 # Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
 Domains = list[tuple[int, NDArray[np.int32]]]
+
+# Of the quadrature of moments on curved facets; on flat ones the second is exact.
+MOMENT_DEGREE = 8
 
 
 @dataclass(frozen=True)
@@ -84,11 +89,8 @@ class Mechanics:
             for x in scene.expansions
             if x.region not in self.growth
         }
-        self.patches = {
-            load.boundary: self._measure_patch(load.boundary)
-            for load in scene.loads
-            if isinstance(load, Force)
-        }
+        pushed = dict.fromkeys(load.boundary for load in scene.loads if isinstance(load, Force))
+        self.patches = {boundary: self._measure_patch(boundary) for boundary in pushed}
 
     @cached_property
     def scalars(self) -> fem.FunctionSpace:
@@ -210,21 +212,23 @@ class Mechanics:
 
     def _measure_patch(self, boundary: str) -> Patch:
         """Area, centroid and second moments of a boundary, as meshed."""
-        x = ufl.SpatialCoordinate(self.mesh)
-        parts = [
-            ds for b in range(len(self._bodies.names)) if (ds := self.ds(boundary, b)) is not None
-        ]
+        x, _ = facet_coordinates(self._tagged, boundary_facets(self._tagged, boundary))
+        rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
+        points, weights = (np.asarray(a) for a in rule)
+        L = np.column_stack([1 - points.sum(axis=1), points])
+        _, size = surface(x, L)
+        at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
 
-        def integral(f: Any) -> float:
-            local = sum(fem.assemble_scalar(self.form(f * ds)) for ds in parts)
-            return float(self.comm.allreduce(local, MPI.SUM))
+        def integral(values: Floats) -> Floats:
+            local = np.einsum("q,fq,fq...->...", weights, size, values)
+            return np.asarray(self.comm.allreduce(local, MPI.SUM))
 
-        area = integral(fem.Constant(self.mesh, default_scalar_type(1)))
+        area = float(integral(np.ones(size.shape)))
         if area <= 0:
             raise InputError(f"boundary '{boundary}' has no facets on this mesh")
-        centroid = np.array([integral(x[i]) for i in range(3)]) / area
-        second = np.array([[integral(x[i] * x[j]) for j in range(3)] for i in range(3)])
-        second -= area * np.outer(centroid, centroid)
+        centroid = integral(at) / area
+        arm = at - centroid
+        second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
         return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
 
     def load_work(self, load: Load, body: int, v: Any, dx: ufl.Measure) -> Any:

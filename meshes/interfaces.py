@@ -222,6 +222,17 @@ def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
     return cross / size[:, :, None], size
 
 
+def shape_functions(at: Floats, nodes: int) -> Floats:
+    """Those of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
+
+    Node 3 + k of six is in the middle of the edge opposite vertex k.
+    """
+    if nodes == 3:
+        return at
+    middles = 4 * at[:, [1, 2, 0]] * at[:, [2, 0, 1]]
+    return np.concatenate([at * (2 * at - 1), middles], axis=1)
+
+
 def contact_points(
     facets: InterfaceFacets, holds: Holds, interfaces: int
 ) -> tuple[ContactPoints, Entries]:
