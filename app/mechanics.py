@@ -226,7 +226,7 @@ class Mechanics:
         area = float(integral(np.ones(size.shape)))
         if area <= 0:
             raise InputError(f"boundary '{boundary}' has no facets on this mesh")
-        centroid = integral(at) / area
+        centroid = np.asarray(integral(at) / area, dtype=np.float64)
         arm = at - centroid
         second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
         return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
