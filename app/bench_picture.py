@@ -64,11 +64,11 @@ def _panel(axes: Any, curves: dict[str, list[Row]], key: str, logarithmic: bool)
         colour, marker, label = CURVES[name]
         x, y = [r["unknowns"] for r in rows], [r[key] for r in rows]
         axes.plot(x, y, color=colour, marker=marker, ms=5.5, lw=1.5, label=label)
-        if logarithmic and len(rows) > 1:
+        if logarithmic and len(rows) > 2:
             axes.annotate(
                 rf"$\sim n^{{{fitted_order(x, y):.2f}}}$",
                 (x[-1], y[-1]),
-                xytext=(6, 0),
+                xytext=(7, -10),
                 textcoords="offset points",
                 fontsize=10,
                 color=colour,
@@ -84,6 +84,6 @@ def _panel(axes: Any, curves: dict[str, list[Row]], key: str, logarithmic: bool)
         axes.yaxis.set_minor_formatter(NullFormatter())
     else:
         axes.set_ylim(bottom=0)
-    axes.margins(x=0.14)
+    axes.margins(x=0.17)
     axes.grid(True, which="major", color="0.9")
     axes.set_axisbelow(True)
