@@ -23,7 +23,8 @@ class HeatSystem:
     """A `app.systems.System`: the implicit solve that ``conduction.begin`` prepared."""
 
     prefix = "mantle_heat_"
-    newton: Options = {}  # noqa: RUF012
+    # Nearly linear: two iterations do if the first is solved well.
+    newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-5}  # noqa: RUF012
 
     def __init__(self, conduction: Conduction) -> None:
         """Wrap the operators."""

@@ -106,16 +106,18 @@ def step(
         solve: Solver of a stage; collective.
     """
     before, slopes, end = slope, list[State](), y
+    known = [(0.0, slope)]
     for i, c in enumerate(method.c):
         weights = dt * method.a[i]
         h = float(weights[i])
         start = _add(y, weights[:i], slopes)
-        found = solve(start, h, seconds + c * dt, _add(start, weights[i : i + 1], [slope]))
+        found = solve(start, h, seconds + c * dt, _add(start, *_along(known, c, h)))
         if found is None:
             return None
         end = found
         slope = _slope(start, end, h)
         slopes.append(slope)
+        known.append((c, slope))
     zero = [np.zeros_like(part) for part in y]
     if len(method.embedded):
         error = _add(zero, dt * (method.a[-1] - method.embedded), slopes)
@@ -189,6 +191,25 @@ class Controller:
     def failed(self, dt: float) -> None:
         """A step could not be solved: try one of half its length."""
         self._next = dt / 2
+
+
+def _along(
+    known: Sequence[tuple[float, State]], c: float, h: float
+) -> tuple[Floats, Sequence[State]]:
+    """Weights of slopes in a step of length h at c: on the line through the two that are nearest.
+
+    Args:
+        known: Times, as parts of the step, and slopes there.
+        c: Where the slope is wanted.
+        h: Length of the step [s].
+    """
+    nearest = sorted(known, key=lambda k: abs(k[0] - c))[:2]
+    slopes = [slope for _, slope in nearest]
+    if len(nearest) < 2:
+        return np.array([h]), slopes
+    (a, _), (b, _) = nearest
+    weights: Floats = np.array([c - b, a - c], dtype=np.float64) * (h / (a - b))
+    return weights, slopes
 
 
 def _slope(start: State, end: State, h: float) -> State:

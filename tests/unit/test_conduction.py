@@ -261,7 +261,7 @@ def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) 
     assert T + ZERO == pytest.approx(310.0 + x @ g, abs=1e-9)
     K = k_t * np.eye(3) + (k_l - k_t) * np.outer(fibre, fibre)
     # Heat into the model times position, summed, is the volume times K g.
-    r = s.conduction._lacking(s.conduction.nodal(s.x))[0]
+    r = s.conduction._at(s.x).lacking[0]
     moment = r @ s.conduction.space.tabulate_dof_coordinates()[: s.conduction.owned]
     assert moment == pytest.approx(12.0 * K @ g, rel=1e-9)
     assert sum(s.stages[-1].values()) == pytest.approx(0.0, abs=1e-9 * np.abs(K @ g).max())
