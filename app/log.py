@@ -153,8 +153,10 @@ def verdict(summary: dict[str, Any]) -> str:
         if summary.get("error", {}).get("companions")
         else "error of mesh and step not estimated (--error)"
     )
+    m = summary.get("memory")
+    took = f", {m['peak']:.0f} MB ({m['per_unknown']:.1f} kB per unknown)" if m else ""
     return (
         f"converged: {solver['dofs']} unknowns, {solver['steps']} steps, "
         f"{solver['newton_iterations']} Newton iterations on {solver['ranks']} rank(s) in "
-        f"{t['total']:.1f} s; {balanced}; {error}{beyond}"
+        f"{t['total']:.1f} s{took}; {balanced}; {error}{beyond}"
     )

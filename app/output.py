@@ -46,6 +46,8 @@ UNITS = {
     "heat flux": "W/m^2",
     "entropy production": "W/(m^2 K)",
     "thermal dose": "min",
+    "memory": "MB",
+    "memory per unknown": "kB",
 }
 HISTORY, SECTION = "temperature.png", "temperature_section.png"
 RESULTS = (

@@ -19,7 +19,7 @@ from app.output import UNITS, Writer
 from app.problem import Trial
 from app.quantities import Samples
 from app.terms import Stage
-from app.timing import Timing
+from app.timing import Timing, peak_memory
 from forms.contact import OPEN, SLIP
 
 log = logging.getLogger("mantle")
@@ -125,6 +125,7 @@ class Recorder:
             "newton [-]": step.outcome.iterations,
             "krylov [-]": step.outcome.linear_iterations,
             "residual [-]": step.outcome.residuals[-1],
+            "step [s]": round(step.seconds, 3),
             "augmentation [-]": step.augmentation,
             "force balance [-]": balance.force,
             "moment balance [-]": balance.moment,
@@ -196,7 +197,15 @@ class Recorder:
             for name, value in critical.items():
                 if name in result["interfaces"]:
                     result["interfaces"][name]["critical_friction"] = value
+        comm = model.tagged.mesh.comm
+        cpu = comm.allgather(self._timing.cpu)
+        memory = comm.allreduce(peak_memory())
         result["timing"] = self.seconds()
+        result["cpu"] = {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]}
+        result["memory"] = {
+            "peak": round(memory, 1),
+            "per_unknown": round(1e3 * memory / sum(sizes.values()), 2),
+        }
         return result
 
     def seconds(self) -> dict[str, float]:

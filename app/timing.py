@@ -1,7 +1,8 @@
-"""Wall seconds by phase of a run."""
+"""Seconds by phase of a run, and the memory it took."""
 
 from __future__ import annotations
 
+import resource
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,21 +11,34 @@ from dataclasses import dataclass, field
 
 @dataclass
 class Timing:
-    """Seconds by phase; a phase inside another counts for itself alone."""
+    """Seconds by phase, of the wall's clock and of the CPU; a phase inside another counts alone."""
 
     seconds: dict[str, float] = field(default_factory=dict)
-    _open: list[float] = field(default_factory=list)
+    cpu: dict[str, float] = field(default_factory=dict)
+    _open: list[tuple[float, float]] = field(default_factory=list)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         """Count the time of the block for a phase."""
-        begin = time.perf_counter()
-        self._open.append(0.0)
+        wall, cpu = time.perf_counter(), time.process_time()
+        self._open.append((0.0, 0.0))
         try:
             yield
         finally:
-            whole = time.perf_counter() - begin
+            wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             inner = self._open.pop()
-            self.seconds[name] = self.seconds.get(name, 0.0) + whole - inner
+            self.seconds[name] = self.seconds.get(name, 0.0) + wall - inner[0]
+            self.cpu[name] = self.cpu.get(name, 0.0) + cpu - inner[1]
             if self._open:
-                self._open[-1] += whole
+                outer = self._open[-1]
+                self._open[-1] = (outer[0] + wall, outer[1] + cpu)
+
+    def clear(self) -> None:
+        """Begin again."""
+        self.seconds.clear()
+        self.cpu.clear()
+
+
+def peak_memory() -> float:
+    """The most memory that this process has had so far [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6

@@ -1,0 +1,56 @@
+"""Seconds by phase: what belongs to whom, and by which clock."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from app import timing
+
+
+class Clock:
+    """Stands in for the two clocks: the wall's goes twice as fast."""
+
+    now = 0.0
+
+    def perf_counter(self) -> float:
+        return 2 * self.now
+
+    def process_time(self) -> float:
+        return self.now
+
+
+def test_a_phase_inside_another_counts_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    monkeypatch.setattr(timing, "time", clock)
+    t = timing.Timing()
+    with t.phase("outer"):
+        clock.now += 1
+        with t.phase("inner"):
+            clock.now += 4
+            with pytest.raises(ValueError), t.phase("failed"):
+                clock.now += 16
+                raise ValueError
+        clock.now += 64
+    with t.phase("inner"):
+        clock.now += 256
+    assert t.cpu == {"outer": 65, "inner": 260, "failed": 16}
+    assert t.seconds == {name: 2 * cpu for name, cpu in t.cpu.items()}
+    t.clear()
+    assert t.cpu == t.seconds == {}
+
+
+def test_sleep_is_no_work() -> None:
+    t = timing.Timing()
+    with t.phase("asleep"):
+        time.sleep(0.05)
+    assert t.seconds["asleep"] >= 0.05 > t.cpu["asleep"]
+
+
+def test_peak_memory_is_that_of_the_arrays_there_were() -> None:
+    before = timing.peak_memory()
+    size = int(before + 100)
+    assert np.ones((size, 125_000)).nbytes == size * 1e6  # MB
+    assert timing.peak_memory() >= size
