@@ -1,13 +1,20 @@
-"""Where a solve starts from when others like it have been done: variations of a case.
+r"""Where a solve starts from when others like it have been done: variations of a case.
 
 Every variation goes its own way from rest, for friction remembers; what it takes from others is
 where each of its solves starts. Contact with friction is homogeneous of degree one: where loads and
-gaps change by a common factor the scaled state is the answer itself. Where friction changes too,
-the line through two others leads near it.
+gaps change by a common factor the scaled state is the answer itself. Where anything else changes
+the states around it lead near it, by ordinary kriging: weights w of sum one that solve
+
+.. math:: K w + m 1 = k, \qquad 1^T w = 1,
+
+K the covariances of the known states and k theirs with the one looked for, of Matérn 3/2 in the
+distance of forces, gaps and the logarithm of friction (of the smooth and the rough covariances,
+lines and parabolas tried it came closest to equilibrium, or nearly, beyond the known states too).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -24,8 +31,10 @@ Floats = NDArray[np.float64]
 
 # Runs whose states are kept; one that is a multiple of another is not.
 KEPT = 6
-# How far beyond two states a third is looked for, in units of their distance.
-FARTHEST = 3.0
+# Correlation length over the largest distance of states.
+LENGTH = 2.0
+# Friction below which there is as good as none.
+LITTLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -36,19 +45,13 @@ class State:
         x: Unknowns.
         forces: Nodal forces of loads, supports and free strains [N].
         gaps: Initial gaps at the contact points [mm].
-        friction: Friction coefficient of each interface, on rank 0 alone.
+        friction: Logarithm of the friction coefficient of each interface, on rank 0 alone.
     """
 
     x: PETSc.Vec
     forces: Floats
     gaps: Floats
     friction: Floats
-
-    def scaled(self, factor: float) -> State:
-        """The state of loads and gaps times a factor."""
-        x = self.x.copy()
-        x.scale(factor)
-        return State(x, factor * self.forces, factor * self.gaps, self.friction)
 
 
 class Neighbours:
@@ -61,53 +64,48 @@ class Neighbours:
         self._now: dict[float, State] = {}
         self._start: PETSc.Vec | None = None
         self._new = False
+        self._last = 0.0
 
     def begin(self) -> None:
         """Another run begins."""
         if self._new:
             self._past = [*self._past, self._now][-KEPT:]
-        self._now, self._new = {}, False
+        self._now, self._new, self._last = {}, False, 0.0
 
     def predict(self, time: float) -> None:
-        """Start from the nearest state of another run, or on the line through the nearest two."""
+        """Start from the nearest state of another run, or from what all of them lead to."""
         self._start = None
         here = self._state()
-        size = self._sizes(here)
-
-        def product(a: State, b: State) -> float:
-            return self._product(a.forces, b.forces, size[0]) + self._product(
-                a.gaps, b.gaps, size[1]
-            )
-
-        def apart(a: State, b: State, c: State, d: State) -> float:
-            """Product (b - a) . (d - c)."""
-            pairs = zip(_parts(a), _parts(b), _parts(c), _parts(d), size, strict=True)
-            return sum(self._product(q - p, s - r, unit) for p, q, r, s, unit in pairs)
-
-        known = []
-        for states in self._past:
-            if (state := states.get(time)) is not None:
-                own = product(state, state)
-                factor = product(state, here) / own if own > 0 else 1.0
-                near = state.scaled(factor) if factor > 0 else state
-                known.append((apart(near, here, near, here), near))
-        known.sort(key=lambda entry: entry[0])
-        if not known:
+        sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
+        runs = [states for states in self._past if time in states]
+        if not runs:
             return
-        distance, nearest = known[0]
-        self._try(nearest.x)
-        for _, other in known[1:2]:
-            length = apart(nearest, other, nearest, other)
-            s = apart(nearest, here, nearest, other) / length if length > 0 else 0.0
-            if distance > 0 and 0 < abs(s) <= FARTHEST:
-                line = nearest.x.copy()
-                line.axpby(s, 1.0 - s, other.x)
-                self._try(line)
+        factors = [self._factor(states[time], here, sizes) for states in runs]
+        known = [
+            _scaled(states[time], factor) for states, factor in zip(runs, factors, strict=True)
+        ]
+        all_ = [*known, here]
+        apart = np.array([[self._distance(a, b, sizes) for b in all_] for a in all_])
+        nearest = int(np.argmin(apart[-1, :-1]))
+        self._try(known[nearest].x)
+        if apart[-1, nearest] == 0:
+            return
+        weights = kriging(apart[:-1, :-1], apart[-1, :-1])
+        x = self._solver.vector()
+        for weight, state in zip(weights, known, strict=True):
+            x.axpy(weight, state.x)
+        self._try(x)
+        # By the step before they can be told how far off they are.
+        if self._last in self._now and all(self._last in states for states in runs):
+            x.axpy(1.0, self._now[self._last].x)
+            for weight, factor, states in zip(weights, factors, runs, strict=True):
+                x.axpy(-weight * factor, states[self._last].x)
+            self._try(x)
 
     def commit(self, time: float) -> None:
         """Remember the state."""
         state = self._state()
-        self._now[time] = state
+        self._now[time], self._last = state, time
         self._new = self._new or self._start is None or not _same(self._start, state.x)
 
     def _try(self, x: PETSc.Vec) -> None:
@@ -118,7 +116,8 @@ class Neighbours:
         """What the solver has, and what the problem is at."""
         problem = self._problem
         gaps = [j.gap.ravel() for j in problem.jumps]
-        friction = [c.friction for c in problem.scene.contacts if problem.comm.rank == 0]
+        contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
+        friction = [math.log(max(c.friction, LITTLE)) for c in contacts]
         return State(
             self._solver.x.copy(),
             problem.f.array.copy(),
@@ -126,17 +125,51 @@ class Neighbours:
             np.array(friction),
         )
 
-    def _sizes(self, state: State) -> tuple[float, float, float]:
-        """Squares that make forces, gaps and friction comparable."""
-        forces, gaps, friction = (self._product(p, p, 1.0) or 1.0 for p in _parts(state))
-        return forces, gaps, friction
+    def _factor(self, state: State, here: State, sizes: list[float]) -> float:
+        """By what loads and gaps of a state come nearest to those here."""
 
-    def _product(self, a: Floats, b: Floats, unit: float) -> float:
-        return float(self._problem.comm.allreduce(float(a @ b), MPI.SUM)) / unit
+        def product(other: State) -> float:
+            forces = self._product(state.forces, other.forces) / sizes[0]
+            return forces + self._product(state.gaps, other.gaps) / sizes[1]
+
+        own, towards = product(state), product(here)
+        return towards / own if own > 0 and towards > 0 else 1.0
+
+    def _distance(self, a: State, b: State, sizes: list[float]) -> float:
+        pairs = ((a.forces, b.forces), (a.gaps, b.gaps), (a.friction, b.friction))
+        parts = [self._product(p - q, p - q) / s for (p, q), s in zip(pairs, sizes, strict=True)]
+        return float(np.sqrt(sum(parts)))
+
+    def _product(self, a: Floats, b: Floats) -> float:
+        return float(self._problem.comm.allreduce(float(a @ b), MPI.SUM))
 
 
-def _parts(state: State) -> tuple[Floats, Floats, Floats]:
-    return state.forces, state.gaps, state.friction
+def kriging(apart: Floats, away: Floats) -> Floats:
+    """Weights (n,) of sum one of known states for one that is looked for.
+
+    Args:
+        apart: Distances between the known (n, n).
+        away: Their distances from the one looked for (n,).
+    """
+    length = LENGTH * max(apart.max(), away.max())
+
+    def covariance(distance: Floats) -> Floats:
+        r = np.sqrt(3) * distance / length
+        return np.asarray((1 + r) * np.exp(-r))
+
+    n = len(away)
+    matrix = np.ones((n + 1, n + 1))
+    matrix[n, n] = 0
+    matrix[:n, :n] = covariance(apart)
+    right = np.append(covariance(away), 1.0)
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0][:n])
+
+
+def _scaled(state: State, factor: float) -> State:
+    """The state of loads and gaps times a factor."""
+    x = state.x.copy()
+    x.scale(factor)
+    return State(x, factor * state.forces, factor * state.gaps, state.friction)
 
 
 def _same(a: PETSc.Vec, b: PETSc.Vec) -> bool:

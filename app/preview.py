@@ -12,6 +12,7 @@ from app.config import Case, Stage
 from app.fields import Model
 from app.materials import Conductor, Rigid
 from app.thermal_options import PressureConductance, Thermal
+from app.variation_options import expand
 
 if TYPE_CHECKING:
     from meshes import MeshData
@@ -70,6 +71,9 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         lines += ["time", *_entries(case.time, given.get("time", {}))]
     if case.output.probes:
         lines += ["probes", *_table(case.output.probes)]
+    if varied := expand(case.variations):
+        lines.append(f"variations: {len(varied)} runs, and none of the case without them")
+        lines += [f"  {v.name}: {_plain(v.changes) or 'the case as it is'}" for v in varied]
     return "\n".join(lines)
 
 

@@ -105,7 +105,9 @@ class Session:
             StoppedError: Those before are done.
         """
         varied = config.variations(self._case_path, overrides)
-        chain = variations.order(case, varied)
+        chain = variations.order(varied)
+        mark = output / "DONE"
+        on_root(self._comm, lambda: mark.unlink(missing_ok=True), share=False)
         rows: dict[int, variations.Row] = {}
         failed: dict[str, str] = {}
         for number, i in enumerate(chain):
@@ -120,8 +122,8 @@ class Session:
             except ConvergenceError as failure:
                 status, failed[v.name] = "not converged", str(failure)
                 log.warning("%s: %s", v.name, failure)
-                mark = partial(write_text, folder / FAILED, f"{failure}\n")
-                on_root(self._comm, mark, share=False)
+                why = partial(write_text, folder / FAILED, f"{failure}\n")
+                on_root(self._comm, why, share=False)
             except StoppedError as stop:
                 text_ = f"variation {v.name} (number {number + 1} of {len(chain)}): {stop}"
                 raise StoppedError(text_) from stop
@@ -136,6 +138,7 @@ class Session:
             raise ConvergenceError(
                 f"{len(failed)} of {len(chain)} variations did not converge: {names} (in {output})"
             )
+        on_root(self._comm, partial(write_text, mark, ""), share=False)
 
     def solve(self, case: config.Case, overrides: Sequence[str], output: Path) -> dict[str, Any]:
         """Solve a case and write its run directory; collective.

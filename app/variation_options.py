@@ -20,7 +20,7 @@ from app.fields import MAPPING, Name, did_you_mean, fail, show
 # The name of the entry whose lists multiply.
 GRID = "grid"
 OF_LOADS = ("force", "at", "pressure", "density", "history")
-OF_SOLVER = ("augmentation_factor", "tolerance", "max_iterations")
+OF_SOLVER = ("augmentation_factor",)
 MAY_VARY = re.compile(
     rf"(interfaces\.[^.\[]+(\..+)?|loads\.[^.\[]+\.({'|'.join(OF_LOADS)})([.\[].*)?"
     rf"|solver\.({'|'.join(OF_SOLVER)})|title)"

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app import study_options
-from app.config import Case, Varied
+from app.config import Varied
 from app.folders import write_json, write_text
 
 # Distance of two runs per step of a key: loads may merely scale, interfaces of other kinds share
@@ -27,19 +27,11 @@ OF_HEATED_REGIONS = ("temperature_max",)
 Row = dict[str, Any]
 
 
-def order(case: Case, varied: Sequence[Varied]) -> list[int]:
-    """A chain through all variations, from one with the fewest changes, each time to the nearest.
-
-    Args:
-        case: The case without its variations.
-        varied: They.
-    """
-    keys = list(dict.fromkeys(key for v in varied for key in v.changes))
-    base = case.model_dump(mode="json")
-    places = [
-        _ranks([v.changes[key] if key in v.changes else _at(base, key) for v in varied])
-        for key in keys
-    ]
+def order(varied: Sequence[Varied]) -> list[int]:
+    """A chain through all, from one with the fewest changes and each time to the nearest."""
+    keys = [k for k in dict.fromkeys(k for v in varied for k in v.changes) if k != "title"]
+    cases = [v.case.model_dump(mode="json") for v in varied]
+    places = [_ranks([_at(case, key) for case in cases]) for key in keys]
 
     def distance(i: int, k: int) -> float:
         steps = [(key, abs(p[i] - p[k])) for key, p in zip(keys, places, strict=True)]
@@ -77,14 +69,15 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _at(data: Any, key: str) -> Any:
-    """What stands at a key, or None."""
+def _at(case: Mapping[str, Any], key: str) -> Any:
+    """What stands at a key of a case, or None; a history that is not given is that of ones."""
+    data: Any = case
     for item in re.sub(r"\[(\d+)\]", r".\1", key).split("."):
         if isinstance(data, list | tuple):
             data = data[int(item)] if item.isdigit() and int(item) < len(data) else None
         else:
             data = data.get(item) if isinstance(data, Mapping) else None
-    return data
+    return [1.0] * len(case["stages"]) if data is None and key.endswith("history") else data
 
 
 def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> Row:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -356,6 +357,77 @@ def test_nothing_converged_leaves_no_state(tmp_path: Path) -> None:
     assert not (output / "summary.json").exists() and not (output / "DONE").exists()
 
 
+# The push of 20 N finds no hold by friction of 0.3, that of 8 N does; 1.5 MPa would hold 16 N.
+VARIED = (
+    SLIDING
+    + """
+variations:
+  slides: {}
+  holds: {loads.push.force: [8 N, 0 N, 0 N]}
+  pressed: {loads.push.force: [16 N, 0 N, 0 N], loads.press.pressure: 1.5 MPa}
+"""
+)
+
+
+def test_a_variation_that_fails_does_not_stop_the_others(tmp_path: Path) -> None:
+    """Exit code 4, which one and why; the others are what they are alone."""
+    case, output = tmp_path / "varied.yaml", tmp_path / "out"
+    case.write_text(VARIED)
+    result = run(case, "-o", output)
+    assert result.returncode == 4, result.stderr
+    assert result.stderr.splitlines()[-1].startswith("1 of 3 variations did not converge: slides")
+    assert not (output / "DONE").exists() and not (output / "slides" / "DONE").exists()
+    assert "stage 'push'" in (output / "slides" / "FAILED").read_text()
+    assert read(output / "slides")["status"] == "not converged"
+    table = json.loads((output / "variations.json").read_text())
+    assert [r["status"] for r in table] == ["not converged", "converged", "converged"]
+    for name in ("holds", "pressed"):
+        assert {p.name for p in (output / name).iterdir()} == FILES
+        record = json.loads((output / name / "provenance.json").read_text())
+        same = [w for o in ["variations={}", *record["overrides"]] for w in ("--set", o)]
+        assert run(case, "-o", tmp_path / name, *same).returncode == 0
+        ours, theirs = read(output / name), read(tmp_path / name)
+        assert ours["interfaces"].keys() == theirs["interfaces"].keys()
+        for key in ("slip_max", "pressure_max", "shear_max", "dissipation", "slip_fraction"):
+            value = theirs["interfaces"]["lower_upper"][key]
+            assert ours["interfaces"]["lower_upper"][key] == pytest.approx(value, rel=1e-8), key
+    with (output / "variations.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [r["name"] for r in rows] == ["slides", "holds", "pressed"]
+    slip = read(output / "pressed")["interfaces"]["lower_upper"]["slip_p99"]
+    assert float(rows[2]["lower_upper.slip_p99 [mm]"]) == pytest.approx(slip, rel=1e-12)
+    # Once more, and now all of them hold: what failed before says nothing any more.
+    more = ("--force", "--set", "variations.slides={loads.push.force: [9 N, 0 N, 0 N]}")
+    assert run(case, "-o", output, *more).returncode == 0
+    assert (output / "DONE").exists() and not (output / "slides" / "FAILED").exists()
+
+
+def test_an_interrupt_leaves_finished_variations(tmp_path: Path) -> None:
+    case, output = tmp_path / "varied.yaml", tmp_path / "out"
+    loads = ", ".join(f"'[{8 + 0.001 * i}, 0, 0] N'" for i in range(200))
+    grid = f"variations: {{grid: {{loads.push.force: [{loads}]}}}}\n"
+    case.write_text(SLIDING + grid)
+    command = [sys.executable, "-m", "app", "run", str(case), "-o", str(output)]
+    process = subprocess.Popen(
+        command,
+        env=support.environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    while not process.stdout.readline().startswith("variation 3 "):
+        assert process.poll() is None
+    process.send_signal(signal.SIGTERM)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 5
+    assert "SIGTERM" in message and "of 200" in message
+    done = sorted(p.parent.name for p in output.glob("*/DONE"))
+    assert 2 <= len(done) < 200
+    table = json.loads((output / "variations.json").read_text())
+    assert sorted(r["name"] for r in table if r["status"] == "converged") == done
+
+
 # Shipped configurations, coarsened, with numbers that have to come out.
 
 COARSE: dict[str, list[str]] = {
@@ -363,6 +435,7 @@ COARSE: dict[str, list[str]] = {
     "cylinders.yaml": ["mesh.size=2.5 mm", "mesh.far_size=5 mm", "output.error=true"],
     "stance.yaml": ["mesh.size=5 mm", "stages.0.increments=1", "output.error=false"],
     "stance_cocr.yaml": ["mesh.size=5 mm", "stages.0.increments=1", "output.error=false"],
+    "variations.yaml": ["mesh.size=4 mm", "mesh.far_size=6 mm"],
     "thermal_100C.yaml": ["mesh.size=5 mm", "time.tolerance=0.2 K", "mesh.order=1"],
     "thermal_rings.yaml": ["mesh.size=0.8 mm", "time.tolerance=0.02 K", "output.error=true"],
     "cure.yaml": ["mesh.size=5 mm", "mesh.far_size=10 mm", "time.tolerance=0.2 K"],
@@ -399,6 +472,17 @@ def check_cylinders(s: dict[str, Any]) -> None:
     assert len(s["error"]["companions"]) == 3 and not s["error"]["failed"]
     assert 0 < q["slip_p99_error"] < 1e-3 and len(q["force_error"]) == 3
     assert "slip_max_error" not in q
+
+
+def check_variations(s: dict[str, Any]) -> None:
+    """Half of the load goes from the stem to the cement, multiplied as the variation says."""
+    factor = {"0.5": 0.5, "1.5": 1.5}.get(s["name"].rpartition("history=")[2], 1.0)
+    for name, q in s["interfaces"].items():
+        sign = 1 if name == "stem_cement" else -1
+        down, aside = sign * q["force"][2], sign * q["force"][0]
+        assert (down, aside) == pytest.approx((-900 * factor, 150 * factor), rel=1e-6)
+    if s["name"] == "bonded":
+        assert s["interfaces"].keys() == {"cement_bone"}
 
 
 HIP = (-399.5, -159.9, -1747.8)
@@ -457,6 +541,7 @@ CHECKS = {
     "residual.yaml": check_residual,
     "blocks.yaml": check_blocks,
     "cylinders.yaml": check_cylinders,
+    "variations.yaml": check_variations,
     "stance.yaml": lambda s: check_stance(s, 0.1713),
     "stance_cocr.yaml": lambda s: check_stance(s, 0.1327),
 }
@@ -472,9 +557,13 @@ def test_shipped_configuration(name: str, tmp_path: Path) -> None:
     result = run(support.CONFIGS / name, "-o", tmp_path / "out", *overrides)
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "out" / "DONE").exists()
-    summary = read(tmp_path / "out")
-    # The trapezoidal sum of heat shows what the time steps leave out.
-    balance = {k: v for k, v in summary["balance"].items() if k != "heat_quadrature"}
-    assert max(balance.values()) < 1e-8
-    assert all(q["penetration_max"] < 1e-9 for q in summary["interfaces"].values())
-    CHECKS[name](summary)
+    folders = {p.parent for p in (tmp_path / "out").glob("**/summary.json")}
+    assert len(folders) == (14 if name == "variations.yaml" else 1)
+    for folder in folders:
+        assert (folder / "DONE").exists()
+        summary = read(folder) | {"name": folder.name}
+        # The trapezoidal sum of heat shows what the time steps leave out.
+        balance = {k: v for k, v in summary["balance"].items() if k != "heat_quadrature"}
+        assert max(balance.values()) < 1e-8
+        assert all(q["penetration_max"] < 1e-9 for q in summary["interfaces"].values())
+        CHECKS[name](summary)

@@ -1,0 +1,294 @@
+"""Variations of a case in one run: what may vary, in which order, and that each is itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app import config, variations
+from app.errors import InputError
+from app.model import Model
+from app.motion import Step
+from app.neighbours import kriging
+from app.problem import Trial
+from app.quantities import Samples
+from app.timing import Timing
+from tests import coupled, support
+
+Floats = NDArray[np.float64]
+
+# A tapered stem pushed down and aside in two steps: the first sticks in part, the second slips.
+STEM = """
+geometry:
+  kind: cylinders
+  stem_radius: 7 mm
+  cement_thickness: 3 mm
+  bone_thickness: 4 mm
+  length: 18 mm
+  taper: 3 deg
+  sector: half
+mesh: {order: 1, size: 4 mm, far_size: 4 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.4}
+  cement_bone: {kind: contact, friction_coefficient: 1.0}
+supports:
+  cut: {kind: roller, boundary: symmetry_y, axis: y}
+  foot: {kind: fixed, boundary: bone_bottom}
+loads:
+  down: {kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N]}
+  aside: {kind: force, boundary: stem_top, force: [200 N, 0 N, 0 N], history: [0, 1]}
+stages:
+  - {name: down}
+  - {name: aside, increments: 2}
+solver: {tolerance: 1.0e-12}
+"""
+MU = "interfaces.stem_cement.friction_coefficient"
+SECTION = f"""
+variations:
+  as_is: {{}}
+  fit: {{interfaces.stem_cement.gap: -0.002 mm}}
+  grid:
+    {MU}: [0.2, 0.4]
+    loads.down.force: ["[0, 0, -900] N", "[0, 0, -1200] N", "[0, 0, -600] N"]
+"""
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "case.yaml"
+    path.write_text(text)
+    return path
+
+
+# What may vary
+
+
+def test_a_grid_is_every_combination_named_by_its_values(tmp_path: Path) -> None:
+    found = config.variations(written(tmp_path, STEM + SECTION))
+    names = [v.name for v in found]
+    assert names[:3] == ["as_is", "fit", "friction_coefficient=0.2_force=#1"]
+    assert names[-1] == "friction_coefficient=0.4_force=#3" and len(names) == 8
+    assert found[1].case.interfaces["stem_cement"].gap == -0.002  # type: ignore[union-attr]
+    last = found[-1].case
+    assert last.interfaces["stem_cement"].friction_coefficient == 0.4  # type: ignore[union-attr]
+    assert last.loads["down"].force == (0, 0, -600)  # type: ignore[union-attr]
+
+
+def test_keys_with_the_same_last_word_are_told_apart(tmp_path: Path) -> None:
+    grid = {MU: [0.2], "interfaces.cement_bone.friction_coefficient": [0.5, 0.7]}
+    names = [v.name for v in config.variations(written(tmp_path, _with(grid)))]
+    both = "stem_cement.friction_coefficient=0.2_cement_bone.friction_coefficient="
+    assert names == [both + "0.5", both + "0.7"]
+
+
+def _with(grid: dict[str, Any]) -> str:
+    return STEM + f"variations: {{grid: {grid}}}\n"
+
+
+def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
+    """Its overrides, as options, on the case without variations."""
+    path = written(tmp_path, STEM + SECTION)
+    for v in config.variations(path, ["title=mine"]):
+        alone = config.load(path, ["title=mine", "variations={}", *v.overrides])
+        assert v.case == alone and v.case.title == "mine"
+        assert "variations" not in config.dump(v.case)
+
+
+# Each: the section, and what has to be said of it, with line and column below `variations`.
+WRONG = {
+    "mesh": ("  a: {mesh.size: 2 mm}", "2:7: variations.a.mesh.size: may not vary in one run"),
+    "material": ("  a: {regions.stem.youngs_modulus: 1 GPa}", "2:7: variations.a.regions.stem"),
+    "support": ("  a: {supports.foot.kind: fixed}", "2:7: variations.a.supports.foot.kind"),
+    "place of a load": ("  a: {loads.down.boundary: stem_top}", "2:7: variations.a.loads.down"),
+    "stages": ("  a: {stages.0.increments: 2}", "2:7: variations.a.stages.0.increments: may not"),
+    "typing error": ("  a: {loads.down.hystory: [1, 1]}", "did you mean 'history'?"),
+    "no such interface": (
+        "  a: {interfaces.cement_stem.friction_coefficient: 1}",
+        "2:7: variations.a.interfaces.cement_stem.friction_coefficient: interfaces.cement_stem",
+    ),
+    "value": (f"  a: {{{MU}: -1}}", f"2:7: variations.a.{MU}: -1 must not be negative"),
+    "in the grid": (
+        f"  grid:\n    {MU}: [0.2, -1]",
+        f"3:56: variations.grid.{MU}[1]: -1 must not be negative",
+    ),
+    "twice": (
+        f"  grid: {{{MU}: [0.2, 0.2]}}",
+        f"2:61: variations.grid.{MU}[1]: 0.2 stands here twice",
+    ),
+    "no list": (f"  grid: {{{MU}: 0.2}}", f"2:10: variations.grid.{MU}: 0.2 is not a list"),
+    "empty grid": ("  grid: {}", "2:3: variations.grid: varies nothing"),
+    "no mapping": ("  a: 3", "2:3: variations.a: 3 is not a mapping"),
+    "name": ("  2nd: {}", "'2nd' is not a name"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_may_not_vary_is_refused(what: str, tmp_path: Path) -> None:
+    section, expected = WRONG[what]
+    start = STEM.count("\n")
+    path = written(tmp_path, STEM + "variations:\n" + section + "\n")
+    with pytest.raises(InputError) as caught:
+        config.load(path)
+    (message,) = caught.value.messages[:1]
+    if expected[0].isdigit():
+        line, _, rest = expected.partition(":")
+        expected = f"{path}:{start + int(line)}:{rest}"
+        assert message.startswith(expected), message
+    assert expected in message
+    if "may not" in expected:
+        assert "allowed: interfaces.<name>" in message and "loads.<name>.force" in message
+
+
+def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
+    """From the case as it is: first what merely scales, then the next friction, then the fit."""
+    text = STEM + SECTION + "  tied:\n    interfaces.cement_bone: {kind: bonded}\n"
+    path = written(tmp_path, text)
+    found = config.variations(path)
+    chain = [found[i].name for i in variations.order(found)]
+    assert sorted(chain) == sorted(v.name for v in found)
+    assert chain[0] == "as_is" and chain[-1] == "tied"
+    assert {n.partition("_force")[0] for n in chain[1:4]} == {"friction_coefficient=0.4"}
+    assert chain.index("fit") > 3
+
+
+# What they give
+
+
+class Runs:
+    """Models one after another that share what they can."""
+
+    def __init__(self) -> None:
+        self.kin: list[Model] = []
+
+    def run(self, case: config.Case) -> tuple[list[Floats], list[int], dict[str, Any]]:
+        """Solve a case: displacements of all bodies [mm], Newton iterations, numbers."""
+        model = Model(case, MPI.COMM_WORLD, {}, Timing(), str, self.kin)
+        last: list[Samples] = []
+        iterations = []
+
+        def keep(step: Step, trial: Trial | None) -> None:
+            iterations.append(step.outcome.iterations)
+            if trial is not None:
+                last[:] = [Samples(model.mechanics[0].problem, trial)]
+
+        model.go(keep, lambda step, accepted: None, print)
+        moved = model.mechanics[0].problem.displacements()
+        return [u.x.array.copy() for u in moved], iterations, model.numbers(last[0])
+
+
+def changed(*overrides: str) -> config.Case:
+    return support.case(STEM, *overrides)
+
+
+CASES = {
+    "as_is": changed(),
+    "loose": changed(f"{MU}=0.2"),
+    "smooth": changed(f"{MU}=0"),
+    "heavy": changed("loads.down.force=[0, 0, -1300] N", "loads.aside.force=[250, 0, 0] N"),
+    "fit": changed("interfaces.stem_cement.gap=-0.002 mm"),
+    "open": changed("interfaces.stem_cement.gap=0.001 mm", f"{MU}=0.5"),
+    "tied": changed("interfaces.cement_bone={kind: bonded}"),
+    "damped": changed("solver.augmentation_factor=0.1"),
+    "soft": changed(
+        "interfaces.cement_bone={kind: penalty, friction_coefficient: 0.2, penalty: 1e4 MPa/mm}"
+    ),
+}
+
+
+def test_neither_order_nor_company_changes_anything() -> None:
+    """Forward, backward and each alone."""
+    alone = {name: Runs().run(case) for name, case in CASES.items()}
+    for names in (list(CASES), list(CASES)[::-1]):
+        runs = Runs()
+        for name in names:
+            found, expected = runs.run(CASES[name])[0], alone[name][0]
+            for u, v in zip(found, expected, strict=True):
+                assert np.abs(u - v).max() < 1e-8 * np.abs(v).max(), name
+        # One mesh and, but for the tied one, one set of matrices.
+        assert len(runs.kin) == 2
+        assert runs.kin[0].tagged is runs.kin[1].tagged
+
+
+def test_scaled_loads_take_no_iterations() -> None:
+    """Contact with friction is homogeneous: from one load follow all, whatever the path."""
+    runs = Runs()
+    u, iterations, numbers = runs.run(CASES["as_is"])
+    assert sum(iterations) > 5
+    heavy = changed("loads.down.force=[0, 0, -1800] N", "loads.aside.force=[400, 0, 0] N")
+    v, again, double = runs.run(heavy)
+    assert again == [0, 0, 0]
+    assert support.difference(v[0], 2 * u[0]) < 1e-12
+    q, p = double["interfaces"]["stem_cement"], numbers["interfaces"]["stem_cement"]
+    # Dissipation is of second degree.
+    assert q["dissipation"] == pytest.approx(4 * p["dissipation"], rel=1e-10)
+    assert q["slip_accumulated_max"] == pytest.approx(2 * p["slip_accumulated_max"], rel=1e-10)
+
+
+def test_neighbours_save_iterations() -> None:
+    """From its neighbours a friction coefficient takes about half of what it takes from rest."""
+    runs = Runs()
+    taken = [sum(runs.run(changed(f"{MU}={μ}"))[1]) for μ in (0.3, 0.35, 0.4, 0.45)]
+    alone = sum(Runs().run(changed(f"{MU}=0.45"))[1])
+    assert taken[0] > 0.8 * alone and 0 < taken[-1] < 0.7 * alone
+
+
+def test_companions_share_their_mesh_too() -> None:
+    """The error companion of a second variation is on the mesh and the matrices of the first's."""
+    runs = Runs()
+    for override in (f"{MU}=0.4", f"{MU}=0.3"):
+        runs.run(changed(override))
+        coarse = changed(override, "mesh.size=6 mm", "mesh.far_size=6 mm")
+        numbers = runs.kin[-1].relative(coarse)
+        assert len(runs.kin) == 2
+        alone = Runs()
+        expected = alone.run(coarse)[2]["interfaces"]["stem_cement"]["slip_p99"]
+        slip = numbers["interfaces"]["stem_cement"]["slip_p99"]
+        assert slip == pytest.approx(expected, rel=1e-8)
+
+
+def test_conductance_varies_where_heat_and_contact_depend_on_each_other() -> None:
+    """Mechanics are taken over, at rest and as cold as before the run."""
+    key = "interfaces.lower_upper.conductance.per_pressure"
+    cases = [
+        support.case(coupled.CASE, f"{key}={value} W/(m^2 K MPa)", "stages[1].increments=2")
+        for value in (400, 100, 800)
+    ]
+    runs = Runs()
+    for case in cases:
+        (u, v), _, numbers = runs.run(case)
+        (u0, v0), _, expected = Runs().run(case)
+        assert support.difference(u, u0) < 1e-8 and support.difference(v, v0) < 1e-8
+        for region in ("lower", "upper"):
+            ours = numbers["thermal"]["regions"][region]["temperature_mean"]
+            theirs = expected["thermal"]["regions"][region]["temperature_mean"]
+            assert ours == pytest.approx(theirs, rel=1e-8)
+    assert len(runs.kin) == 1
+
+
+# Kriging
+
+
+def test_kriging_meets_what_is_known_and_follows_a_line() -> None:
+    """A known state is itself; between two of many on a smooth curve the curve is met."""
+    t = np.array([0.0, 0.3, 0.5, 1.0])
+    apart = np.abs(t[:, None] - t)
+    np.testing.assert_allclose(kriging(apart, apart[2]), [0, 0, 1, 0], atol=1e-10)
+    weights = kriging(apart, np.abs(t - 0.4))
+    assert weights.sum() == pytest.approx(1)
+    assert weights @ np.sin(t) == pytest.approx(np.sin(0.4), rel=0.01)
+    assert kriging(np.zeros((1, 1)), np.array([0.7])) == pytest.approx([1.0])
+
+
+def test_kriging_does_not_mind_the_same_state_twice() -> None:
+    t = np.array([0.0, 0.0, 1.0])
+    weights = kriging(np.abs(t[:, None] - t), np.abs(t - 0.5))
+    assert weights == pytest.approx([0.25, 0.25, 0.5])
