@@ -224,12 +224,18 @@ class Model:
         if not self.scene.elastic:
             return ()
         factor = self._case.solver.augmentation_factor
+        like: list[Problem] = []
         for model in self._kin if not self.scene.cures else ():
             if model.deforms_like(self._case):
                 (m,) = model.mechanics
                 m.begin(self.scene, factor)
                 return (m,)
-        problem = Problem(self.scene, self.tagged, factor, self._timing)
+            if _stiffness(model._case) == _stiffness(self._case):
+                like += [m.problem for m in model.mechanics]
+        if any(support.active for support in self.scene.supports):
+            like.clear()
+        timing = self._timing
+        problem = Problem(self.scene, self.tagged, factor, timing, *like[:1])
         return (Mechanical(problem, self._solver(mechanical(problem)), self._timing),)
 
     def _heat(self) -> tuple[tuple[Coupled | Staggered, ...], tuple[Heating, ...]]:
@@ -361,16 +367,21 @@ class Model:
         return other.numbers(last[0])
 
 
+def _stiffness(case: config.Case) -> tuple[Any, ...]:
+    """All of a case that the stiffness of the bonded model and its solver depend on."""
+    solver = case.solver.model_copy(update={"augmentation_factor": 1.0})
+    stages = [stage.name for stage in case.stages]
+    return case.geometry, case.mesh, case.regions, case.supports, solver, stages
+
+
 def _matrices(case: config.Case) -> tuple[Any, ...]:
-    """All of a case that its matrices, its compiled forms and its solver depend on."""
+    """All of a case that its matrices and its compiled forms depend on."""
     loads = [
         (name, load.kind, getattr(load, "boundary", None), getattr(load, "regions", None))
         for name, load in case.loads.items()
     ]
     contacts = [name for name, law in case.interfaces.items() if law.kind != "bonded"]
-    solver = case.solver.model_copy(update={"augmentation_factor": 1.0})
-    stages = [stage.name for stage in case.stages]
-    return case.geometry, case.mesh, case.regions, case.supports, loads, contacts, solver, stages
+    return *_stiffness(case), loads, contacts
 
 
 def _mesh_hash(data: MeshData) -> str:

@@ -60,9 +60,22 @@ class Problem:
     """
 
     def __init__(
-        self, scene: Scene, tagged: TaggedMesh, augmentation_factor: float, timing: Timing
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        augmentation_factor: float,
+        timing: Timing,
+        like: Problem | None = None,
     ) -> None:
         """Assemble everything that does not change; collective.
+
+        Args:
+            scene: What is solved.
+            tagged: Its mesh.
+            augmentation_factor: Default augmentation over modulus and mesh size.
+            timing: Where the seconds go.
+            like: One with other contacts but the same stiffness, which never changes: its inverse
+                serves both.
 
         Raises:
             InputError: The scene does not fit the mesh.
@@ -84,7 +97,7 @@ class Problem:
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
-        self.inverse = Inverse(self.K, lambda: self.version)
+        self.inverse = like.inverse if like is not None else Inverse(self.K, lambda: self.version)
         self.jumps: tuple[Jumps, ...] = (
             (
                 Jumps(
@@ -117,7 +130,7 @@ class Problem:
 
         Args:
             scene: One that differs in the values of loads and in contact laws alone.
-            augmentation_factor: Default augmentation over modulus and mesh size.
+            augmentation_factor: Default augmentation over the local stiffness per area.
         """
         self.scene = scene
         self.set_stage(0, self.K.createVecRight())

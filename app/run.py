@@ -131,7 +131,7 @@ class Session:
             done = [rows[k] for k in sorted(rows)]
             on_root(self._comm, partial(variations.write, done, output), share=False)
             self._begin, self._started = clock.perf_counter(), datetime.now(UTC)
-            self._timing.seconds.clear()
+            self._timing.clear()
         log.info("%s", variations.table(done))
         if failed:
             names = ", ".join(failed)
