@@ -303,8 +303,9 @@ def _without_cycles(vertex: Ints, master: Ints, slave: Ints) -> Bools:
 def _shared(vertex: Ints) -> list[Ints]:
     """Rows of each vertex that stands in more than one row."""
     order = np.argsort(vertex, kind="stable")
-    cuts = np.flatnonzero(np.diff(vertex[order])) + 1
-    return [rows for rows in np.split(order, cuts) if len(rows) > 1]
+    ends = np.concatenate([[0], np.flatnonzero(np.diff(vertex[order])) + 1, [len(order)]])
+    many = np.flatnonzero(np.diff(ends) > 1)
+    return [order[a:b] for a, b in zip(ends[many], ends[many + 1], strict=True)]
 
 
 def _jumps_at_vertices(
