@@ -27,11 +27,12 @@ from numpy.typing import NDArray
 from app.bodies import contact_facets
 from app.conduction import Conduction
 from app.heat_system import HeatSystem
+from app.linear import Options
 from app.points import PointForces
 from app.problem import ROUNDING, Problem, Trial
 from app.solver import Outcome, Solver
 from app.sparse import from_triplets, matrix_sum, owners
-from app.systems import Contact, Measure, Options
+from app.systems import Contact, Measure
 from app.terms import FrictionHeat, Scene
 from forms import interface_heat
 
@@ -182,6 +183,7 @@ class Coupled:
         self.comm = problem.comm
         self._conduction, self._problem = conduction, problem
         self._heat, self._motion = heat, motion
+        self.inverses = motion.inverses
         self.exchange = ContactHeat(scene, problem, conduction)
         self._n = len(heat.blocks())
         self._forces = self._thermal_forces() if self.exchange.expands else ()
@@ -244,6 +246,12 @@ class Coupled:
                 S.axpy(1.0, A, structure=SUBSET)
                 S.axpy(1.0, B, structure=SUBSET)
         _copy(self._from_heat(), self._down)
+
+    def motions(self) -> list[Floats]:
+        """Those of the mechanics, the heat as it is."""
+        found = self._motion.motions()
+        heat = list(self._heat.blocks().values())
+        return [*(np.zeros((v.getLocalSize(), found[0].shape[1])) for v in heat), *found]
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from petsc4py import PETSc
 
 from app.conduction import Conduction
-from app.linear import DIRECT, INTERFACE, Options, block
+from app.linear import DIRECT, INTERFACE, Inverse, Options, block
 from app.systems import Measure
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
@@ -23,6 +24,7 @@ class HeatSystem:
     """A `app.systems.System`: the implicit solve that ``conduction.begin`` prepared."""
 
     prefix = "mantle_heat_"
+    inverses: Mapping[str, Inverse] = {}
     # Nearly linear: two iterations do if the first is solved well.
     newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-5}  # noqa: RUF012
 
@@ -66,6 +68,10 @@ class HeatSystem:
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Complete the matrices."""
         self._conduction.jacobian(x)
+
+    def motions(self) -> tuple[()]:
+        """Nothing moves."""
+        return ()
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat that is lacking, beside that stored, brought in and let through [N mm/s]."""

@@ -8,15 +8,20 @@ shares it.
 
 from __future__ import annotations
 
+import logging
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
+from app.deflation import Deflated
 from app.timing import Timing
 
 if TYPE_CHECKING:
     from app.systems import System
+
+log = logging.getLogger("mantle")
 
 Options = Mapping[str, str | int | float | bool]
 
@@ -36,13 +41,24 @@ MULTIGRID: Options = {
 }
 # A block of interface unknowns.
 INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-KRYLOV: Options = {"ksp_type": "fgmres", "ksp_max_it": 200, "ksp_gmres_restart": 200}
+KRYLOV: Options = {"ksp_type": "fgmres", "ksp_max_it": 300, "ksp_gmres_restart": 100}
+SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
 # Of several blocks: Gauss-Seidel. A block's preconditioner stays until it has to be made again.
 SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
 # Blocks of nodal unknowns keep their preconditioners from one Jacobian to the next.
 KEPT = ("displacement", "temperature")
-# Krylov iterations per Newton iteration beyond which they are made again, if matrices changed.
-STALE = 25
+# Krylov iterations that making them again is worth, and usual ones for a digit of the residual.
+PRICE, USUAL = 30, 8
+# Unknowns up to which a matrix can be factored after all where multigrid fails.
+FACTORABLE = 300_000
+# How the log calls the methods.
+WORDS = {
+    "cg": "conjugate gradients",
+    "fgmres": "flexible GMRES",
+    "gamg": "by multigrid",
+    "cholesky": "factored",
+    "lu": "factored",
+}
 
 
 def block(linear: str, size: int) -> Options:
@@ -52,7 +68,11 @@ def block(linear: str, size: int) -> Options:
 
 
 class Inverse:
-    """An approximate inverse of a symmetric positive definite matrix, made on first use."""
+    """An approximate inverse of a symmetric positive definite matrix, made on first use.
+
+    Attributes:
+        pc: It, as a preconditioner: made once, and again only where `refresh` says so.
+    """
 
     def __init__(self, matrix: PETSc.Mat, version: Callable[[], int]) -> None:
         """Take the matrix as it is.
@@ -62,10 +82,55 @@ class Inverse:
             version: Counts how often it has changed.
         """
         self._matrix, self._version = matrix, version
+        self._options = dict(block("auto", self.size))
         self._made: int | None = None
-        self._ksp = PETSc.KSP().create(matrix.comm)
-        self._ksp.setType("cg")
-        self._ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self.pc = PETSc.PC().create(matrix.comm)
+        self._krylov = PETSc.KSP().create(matrix.comm)
+        self._krylov.setType("cg")
+        self._krylov.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._krylov.setInitialGuessNonzero(True)
+
+    @property
+    def size(self) -> int:
+        """Unknowns."""
+        return int(self._matrix.getSize()[0])
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the matrix has changed since it was made."""
+        return self._made != self._version()
+
+    def use(self, options: Options) -> None:
+        """Choose PETSc options; what was made with others is made again."""
+        if dict(options) != self._options:
+            self._options, self._made = dict(options), None
+
+    def make(self) -> None:
+        """Set up, unless that was done; collective."""
+        if self._made is None:
+            self.pc.reset()
+            self.refresh()
+
+    def refresh(self) -> None:
+        """Set up for the matrix as it is; collective."""
+        pc = self.pc
+        pc.setReusePreconditioner(False)
+        pc.setOperators(self._matrix)
+        if self._made is None:
+            pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
+            _configure(pc, self._options)
+        else:
+            pc.setUp()
+        pc.setReusePreconditioner(True)
+        self._made = self._version()
+
+    def fall_back(self) -> bool:
+        """Factor the matrix instead of approximating its inverse, if it is not too large."""
+        if self._options.get("pc_type") != MULTIGRID["pc_type"] or self.size > FACTORABLE:
+            return False
+        self.use(DIRECT)
+        self.make()
+        return True
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> int:
         """Solve with the matrix by conjugate gradients; collective.
@@ -78,32 +143,24 @@ class Inverse:
         Returns:
             Iterations.
         """
-        ksp, fresh = self._ksp, self._made is None
-        if self._made != self._version():
-            self._made = self._version()
-            ksp.setOperators(self._matrix)
-        if fresh:
-            ksp.setOptionsPrefix(_prefix(self._matrix))
-            _with_options(ksp, block("auto", self._matrix.getSize()[0]))
-        ksp.setTolerances(rtol=rtol)
-        ksp.setInitialGuessNonzero(True)
-        ksp.solve(b, x)
-        return int(ksp.getIterationNumber())
+        self.make()
+        if self.outdated:
+            self.refresh()
+        self._krylov.setPC(self.pc)
+        self._krylov.setOperators(self._matrix)
+        self._krylov.setTolerances(rtol=rtol)
+        self._krylov.solve(b, x)
+        return int(self._krylov.getIterationNumber())
 
 
-def _prefix(matrix: PETSc.Mat) -> str:
-    """A prefix of options of its own."""
-    return f"mantle_inverse_{id(matrix)}_"
-
-
-def _with_options(ksp: PETSc.KSP, options: Options) -> None:
-    """Configure a solver by PETSc options that nobody else sees."""
-    database = PETSc.Options(ksp.getOptionsPrefix())
+def _configure(pc: PETSc.PC, options: Options) -> None:
+    """Set a preconditioner up by PETSc options that nobody else sees."""
+    database = PETSc.Options(pc.getOptionsPrefix())
     for key, value in options.items():
         database[key] = value
-    ksp.setFromOptions()
+    pc.setFromOptions()
     # Inner solvers read their options when they are set up: that has to be now.
-    ksp.setUp()
+    pc.setUp()
     for key in options:
         database.delValue(key)
 
@@ -142,48 +199,120 @@ class Linear:
             self.options |= {f"{prefix}{key}": value for key, value in of_block.items()}
             if prefix:
                 self.options |= dict(SPLIT) | {f"{prefix}ksp_type": "preonly"}
+        if len(blocks) == 1 and system.inverses:
+            self.options |= SYMMETRIC
+        self._inverses: list[Inverse] = []
+        self._own: list[PETSc.PC] = []
+        self._sizes = [v.getSize() for v in blocks.values()]
         self._version = system.version
-        self._made = 0
-        self._worn = False
+        self._pending = False
+        self._excess = self._spent = self._gained = 0.0
 
     def attach(self, ksp: PETSc.KSP, x: list[PETSc.Vec]) -> None:
         """Set the preconditioners up, of the Jacobian at a state; options are set; collective."""
         self._ksp = ksp
+        ksp.setConvergenceHistory(reset=True)
         pc = ksp.getPC()
-        if self._split:
-            fields = self.matrix.getNestISs()[0]
-            pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
-        # The inner solvers read their options when they are set up: that has to be now.
         self._system.jacobian(x)
         self.matrix.assemble()
-        pc.setOperators(self.matrix)
+        given = PETSc.Options(ksp.getOptionsPrefix()).getAll()
         with self._timing.phase("factorize"):
+            if self._split and pc.getType() == "fieldsplit":
+                parts = self._gauss_seidel(pc, given)
+            elif len(self._names) == 1 and self._system.inverses:
+                pc = self._shared(self._names[0], given)
+                parts = {self._names[0]: pc}
+            else:
+                self._own, parts = [pc], {" and ".join(self._names): pc}
+            deflated = self._split and bool(self._system.motions())
+            if deflated:
+                context = Deflated(pc, self._system.motions)
+                pc = PETSc.PC().createPython(context, comm=self._system.comm)
+            ksp.setPC(pc)
+            pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
-        self._keep(True)
+        for own in self._own:
+            own.setReusePreconditioner(True)
+        log.info("linear: %s%s", self._words(parts), ", rigid motions apart" if deflated else "")
+
+    def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
+        """Blocks in turn, each by its own preconditioner or by the one it shares."""
+        fields = self.matrix.getNestISs()[0]
+        pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
+        parts = {}
+        for name, inner in zip(self._names, pc.getFieldSplitSubKSP(), strict=True):
+            if name in self._system.inverses:
+                prefix = f"fieldsplit_{name}_"
+                options = {k[len(prefix) :]: v for k, v in given.items() if k.startswith(prefix)}
+                inner.setPC(self._shared(name, options))
+            elif name in KEPT:
+                self._own.append(inner.getPC())
+            parts[name] = inner.getPC()
+        return parts
+
+    def _shared(self, name: str, options: Options) -> PETSc.PC:
+        """The preconditioner that a block shares with whoever solves with its matrix."""
+        inverse = self._system.inverses[name]
+        inverse.use({k: v for k, v in options.items() if not k.startswith(("ksp_", "snes_"))})
+        inverse.make()
+        self._inverses.append(inverse)
+        return inverse.pc
 
     def update(self, x: list[PETSc.Vec]) -> None:
         """Set the Jacobian to a state; preconditioners are made again where that is due."""
+        self._learn()
         self._system.jacobian(x)
         self.matrix.assemble()
-        if self._version != self._system.version or self._worn:
-            self._version, self._worn = self._system.version, False
-            self._keep(False)
-            self._made = 1
-        elif self._made:
-            self._made = 0
-            self._keep(True)
+        if self._excess > PRICE:
+            self._version = self._system.version
+            self._excess = self._spent = self._gained = 0.0
+            for inverse in self._inverses:
+                inverse.refresh()
+            for pc in self._own:
+                pc.setReusePreconditioner(False)
+                pc.setUp()
+                pc.setReusePreconditioner(True)
+        self._pending = True
 
     def took(self, newton: int, krylov: int) -> None:
-        """Learn what a nonlinear solve took."""
-        self._worn = krylov > STALE * newton
+        """Learn that a nonlinear solve has ended."""
+        self._learn()
 
-    def _keep(self, keep: bool) -> None:
-        """Say whether preconditioners of nodal unknowns outlive the next Jacobian."""
-        if not self._split:
-            self._ksp.getPC().setReusePreconditioner(keep)
+    def _learn(self) -> None:
+        """See how good the preconditioners were in the last solve.
+
+        Old ones are kept until the iterations that they have cost in vain are worth new ones.
+        """
+        if not self._pending:
             return
-        inner_solvers = self._ksp.getPC().getFieldSplitSubKSP()
-        for name, inner in zip(self._names, inner_solvers, strict=True):
-            if name in KEPT:
-                inner.getPC().setReusePreconditioner(keep)
+        self._pending = False
+        failed = self._ksp.getConvergedReason() < 0
+        norms = self._ksp.getConvergenceHistory()
+        spent = max(len(norms) - 1, 0)
+        if self._version == self._system.version:
+            if failed and any([inverse.fall_back() for inverse in self._inverses]):
+                log.warning(
+                    "linear: multigrid does not converge; the stiffness is factored instead"
+                )
+            if spent and norms[-1] > 0:
+                self._spent += spent
+                self._gained += math.log10(norms[0] / norms[-1])
+        elif failed:
+            self._excess = math.inf
+        elif spent and norms[-1] > 0:
+            usual = self._spent / self._gained if self._gained > 0 else USUAL
+            self._excess += spent - usual * math.log10(norms[0] / norms[-1])
+
+    def _words(self, parts: Mapping[str, PETSc.PC]) -> str:
+        """What is solved by what."""
+        krylov, *kinds = [
+            WORDS.get(kind, kind)
+            for kind in (self._ksp.getType(), *(pc.getType() for pc in parts.values()))
+        ]
+        sizes = dict(zip(self._names, self._sizes, strict=True))
+        blocks = [
+            f"{name} ({sizes.get(name, sum(self._sizes))} unknowns) {kind}"
+            for name, kind in zip(parts, kinds, strict=True)
+        ]
+        return f"{krylov}, {', '.join(blocks)}"

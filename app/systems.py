@@ -7,6 +7,7 @@ large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,11 +17,9 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 
+from app.deflation import Motions
 from app.jumps import Jumps
-from app.linear import DIRECT as DIRECT
-from app.linear import INTERFACE as INTERFACE
-from app.linear import Options as Options
-from app.linear import block as block
+from app.linear import INTERFACE, Inverse, Options, block
 from app.problem import Problem, Trial
 from app.sparse import from_rows
 
@@ -52,6 +51,10 @@ class System(Protocol):
     newton: Options
 
     @property
+    def inverses(self) -> Mapping[str, Inverse]:
+        """Inverses of diagonal blocks that others use too, by block."""
+
+    @property
     def version(self) -> int:
         """Counts changes of the matrices that outdate their preconditioners."""
 
@@ -72,6 +75,9 @@ class System(Protocol):
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
+
+    def motions(self) -> Sequence[NDArray[np.float64]]:
+        """Motions that the last Jacobian hardly resists: own rows of each block, or nothing."""
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """How large the residual f of a state x is, by part; collective."""
@@ -103,6 +109,7 @@ class Bonded:
     def __init__(self, problem: Problem) -> None:
         """Take the stiffness as it is."""
         self._problem, self.comm = problem, problem.comm
+        self.inverses = {"displacement": problem.inverse}
 
     @property
     def version(self) -> int:
@@ -132,6 +139,10 @@ class Bonded:
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Nothing to do: the stiffness is constant."""
 
+    def motions(self) -> Sequence[NDArray[np.float64]]:
+        """Nothing moves but what supports leave."""
+        return ()
+
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
         problem, u = self._problem, x[0]
@@ -160,6 +171,7 @@ class Contact:
     def __init__(self, problem: Problem) -> None:
         """Set up the blocks of the Jacobian."""
         self._problem, self.comm = problem, problem.comm
+        self.inverses = {"displacement": problem.inverse}
         (self._jumps,) = problem.jumps
         j: Jumps = self._jumps
         self._C = j.C.copy()
@@ -169,6 +181,7 @@ class Contact:
         self._A_qu = self._rows.matMult(j.Ct)
         self._A_qq = self._rows.matMult(j.D)
         self._added = _block_diagonal(j)
+        self._motions_of = -1
         self._last: NDArray[np.int64] | None = None
         self._changed = 0
 
@@ -224,6 +237,12 @@ class Contact:
         status = trial.law.status
         self._changed = -1 if self._last is None else int((status != self._last).sum())
         self._last = status.copy()
+
+    def motions(self) -> Sequence[NDArray[np.float64]]:
+        """Bodies that slide or lift off as a whole."""
+        if self._motions_of != self.version:
+            self._motions, self._motions_of = Motions(self._problem), self.version
+        return self._motions.at(self.trial.law.jacobian)
 
     @property
     def rows(self) -> PETSc.Mat:
