@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 import meshes
 from app import config, folders, kernels, plain_units, pointwise, units
 from app.sparse import from_triplets
-from meshes.interfaces import _connected
+from meshes.interfaces import _connected, _distinct_rows
 from tests import support
 
 
@@ -139,3 +139,12 @@ def test_a_law_has_another_note_when_its_text_changes(tmp_path: Path) -> None:
         Path(source.__file__).write_text(text)
         notes |= {kernels.note_of(law, [source]) for law in ("plain", "corner")}
     assert len(notes) == 4
+
+
+def test_rows_are_told_apart_as_by_numpy() -> None:
+    rng = np.random.default_rng(6)
+    for shape in ((0, 2), (1, 3), (200, 3), (500, 2)):
+        rows = rng.integers(-3, 4, shape)
+        expected = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        for found, known in zip(_distinct_rows(rows), expected, strict=True):
+            np.testing.assert_array_equal(found, known.reshape(found.shape))
