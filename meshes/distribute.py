@@ -15,7 +15,7 @@ import ufl
 from dolfinx.cpp.graph import AdjacencyList_int32
 from dolfinx.io.gmshio import cell_perm_array
 from dolfinx.io.utils import distribute_entity_data
-from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags_from_entities
+from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags, meshtags_from_entities
 
 from .data import MeshData
 
@@ -80,7 +80,7 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
     mesh.topology.create_connectivity(2, 3)
     return TaggedMesh(
         mesh=mesh,
-        cell_tags=_tags(mesh, 3, cells, cell_tags, "regions"),
+        cell_tags=_cell_tags(mesh, comm.bcast(cell_tags)),
         facet_tags=_tags(mesh, 2, facets, facet_tags, "boundaries"),
         regions=regions,
         boundaries=boundaries,
@@ -101,6 +101,14 @@ def _arrays(data: MeshData | None, nodes: int) -> tuple[np.ndarray, ...]:
         np.zeros((0, width), dtype=np.int64),
         none,
     )
+
+
+def _cell_tags(mesh: dolfinx.mesh.Mesh, values: np.ndarray) -> MeshTags:
+    """Mesh tags of all cells, ghosts included, from those of the cells of the file."""
+    local = mesh.topology.original_cell_index
+    tags = meshtags(mesh, 3, np.arange(len(local), dtype=np.int32), values[local])
+    tags.name = "regions"
+    return tags
 
 
 def _tags(
