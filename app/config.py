@@ -10,7 +10,6 @@ rad.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -287,30 +286,8 @@ def geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
 
 def dump(case: Case) -> str:
     """A case alone, as YAML in internal units; without study and variations reads back equal."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.comments import CommentedSeq
-    from ruamel.yaml.scalarstring import DoubleQuotedScalarString
-
-    def arrange(value: Any) -> Any:
-        """Short lists on one line; text with unusual line breaks escaped, or it would change."""
-        if isinstance(value, str) and not value.isprintable():
-            return DoubleQuotedScalarString(value)
-        if isinstance(value, dict):
-            return {k: arrange(v) for k, v in value.items()}
-        if isinstance(value, list):
-            sequence = CommentedSeq(arrange(v) for v in value)
-            if not any(isinstance(v, dict) for v in value):
-                sequence.fa.set_flow_style()
-            return sequence
-        return value
-
-    yaml = YAML(pure=True)
-    yaml.default_flow_style = False
-    yaml.width = 1 << 20
-    stream = io.StringIO()
     data = case.model_dump(mode="json", exclude_none=True, exclude={"study", "variations"})
-    yaml.dump(arrange(data), stream)
-    return stream.getvalue()
+    return case_file.written(data)
 
 
 def schema() -> dict[str, Any]:

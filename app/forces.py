@@ -7,7 +7,7 @@ are handed in as they change.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -36,21 +36,42 @@ class Forces:
     """Loads, eigenstrains and free strains of a scene."""
 
     def __init__(
-        self, scene: Scene, mechanics: Mechanics, bodies: Bodies, jumps: Sequence[Jumps]
+        self,
+        scene: Scene,
+        mechanics: Mechanics,
+        bodies: Bodies,
+        jumps: Sequence[Jumps],
+        known: Forces | None = None,
     ) -> None:
-        """Assemble loads and eigenstrains at full amplitude; collective."""
+        """Assemble loads and eigenstrains at full amplitude; collective.
+
+        Args:
+            scene: The scene.
+            mechanics: Its forms.
+            bodies: Its bodies.
+            jumps: Its jumps, if any.
+            known: Forces of the same problem: what it has too is not assembled again.
+        """
         self._mechanics, self._bodies, self._jumps = mechanics, bodies, jumps
         self.comm = mechanics.comm
         self._owned = 3 * mechanics.space.dofmap.index_map.size_local
-        self._loads = [(load.history, self._load(load)) for load in scene.loads]
-        self._eigenstrains = [
-            (s.history, self._eigenstrain(e, k))
-            for e in scene.elastic
-            for k, s in enumerate(e.eigenstrains)
-        ]
+        self._full: dict[Load, Action] = {} if known is None else known._full
+        self._full = {load: self._load(load) for load in map(_at_full, scene.loads)}
+        self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
+        self._eigenstrains: list[tuple[tuple[float, ...], Action]] = (
+            known._eigenstrains
+            if known is not None
+            else [
+                (s.history, self._eigenstrain(e, k))
+                for e in scene.elastic
+                for k, s in enumerate(e.eigenstrains)
+            ]
+        )
         self._free: dict[str, Action] = {}
 
     def _load(self, load: Load) -> Action:
+        if load in self._full:
+            return self._full[load]
         v, dx = ufl.TestFunction(self._mechanics.space), self._mechanics.cells()
         parts = {}
         for b in range(len(self._bodies.names)):
@@ -119,3 +140,8 @@ class Forces:
     def free_work(self, nodal: PETSc.Vec) -> float:
         """Half the work of the free strains' forces in a nodal displacement [N mm]; collective."""
         return sum(float(action.nodal.dot(nodal)) / 2 for action in self._free.values())
+
+
+def _at_full(load: Load) -> Load:
+    """A load whatever its history and its name."""
+    return replace(load, history=(), name="")

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import partial
+from functools import cache, partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
@@ -183,12 +183,6 @@ def provenance(
     ranks: int, case_path: Path, overrides: list[str], mesh_hash: str, started: datetime
 ) -> dict[str, Any]:
     """Where a result comes from."""
-    packages = {}
-    for name in ("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix", "mpi4py", "numpy"):
-        try:
-            packages[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return {
         "mantle": __version__,
         "command": sys.argv,
@@ -199,7 +193,19 @@ def provenance(
         "ranks": ranks,
         "host": platform.node(),
         "python": platform.python_version(),
-        "packages": packages,
+        "packages": _packages(),
         "started": started.isoformat(timespec="seconds"),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+@cache
+def _packages() -> dict[str, str]:
+    """Versions of what the solver stands on."""
+    packages = {}
+    for name in ("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix", "mpi4py", "numpy"):
+        try:
+            packages[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return packages

@@ -138,7 +138,7 @@ class Problem:
             state.x.array[:] = 0
         for j in self.jumps:
             j.begin(scene.contacts, augmentation_factor)
-        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
+        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps, self._forces)
         self.set_time(0.0)
 
     # Construction
