@@ -72,7 +72,7 @@ from app.thermal_options import (
     Thermal,
     TimeOptions,
 )
-from app.variation_options import Variations, expand
+from app.variation_options import Variations, every, expand
 
 __all__ = [
     "Autocatalytic",
@@ -239,15 +239,17 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
     found: list[Varied] = []
     faults: list[Problem] = []
     for v in expand(case.variations):
-        overrides = tuple(study_options.options(v.changes))
+        keys = {full: key for key in v.changes for full in every(key, file.data)}
+        overrides = tuple(study_options.options({k: v.changes[key] for k, key in keys.items()}))
         copy = case_file.changed(file, overrides)
         del copy.data["variations"]
         try:
             found.append(Varied(v.name, overrides, v.changes, _resolved(copy, folder)))
         except InputError as error:
             for message in error.messages:
-                fault = case_file.located(message, v.changes, ())
-                at, text = (v.places[str(fault.path[0])], fault.text) if fault else ((), message)
+                fault = case_file.located(message, keys, ())
+                place = v.places[keys[str(fault.path[0])]] if fault else ()
+                at, text = (place, fault.text) if fault else ((), message)
                 faults.append(Problem(at or ("variations",), text if at else f"{v.name}: {text}"))
     file.raise_all(faults)
     return found

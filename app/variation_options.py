@@ -27,7 +27,7 @@ MAY_VARY = re.compile(
 )
 ALLOWED = (
     "allowed: interfaces.<name> and all of its keys, "
-    f"loads.<name>.{'|'.join(OF_LOADS)}, solver.{'|'.join(OF_SOLVER)}, title"
+    f"loads.<name>.{'|'.join(OF_LOADS)} (* for every name), solver.{'|'.join(OF_SOLVER)}, title"
 )
 # A value that can be part of the name of a folder.
 LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
@@ -83,6 +83,17 @@ Variations = Annotated[dict[Name, dict[str, Any]], BeforeValidator(_section), MA
 def expand(section: Mapping[str, Mapping[str, Any]]) -> list[Variation]:
     """Every run of a section, in the order of the file: a grid's last key changes fastest."""
     return [v for name in section for v in (_grid if name == GRID else _single)(name, section)]
+
+
+def every(key: str, data: Mapping[str, Any]) -> list[str]:
+    """The keys that one with ``*`` for a name stands for.
+
+    Args:
+        key: A key.
+        data: The content of the file.
+    """
+    section, _, rest = key.partition(".*")
+    return [f"{section}.{name}{rest}" for name in data.get(section, {})] if rest else [key]
 
 
 def _single(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Variation]:

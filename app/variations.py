@@ -70,13 +70,17 @@ def _numbers(value: Any) -> tuple[float, ...]:
 
 
 def _at(case: Mapping[str, Any], key: str) -> Any:
-    """What stands at a key of a case, or None; a history that is not given is that of ones."""
+    """What stands at a key of a case, or None; a history that is not given is that of ones.
+
+    Of ``*`` the first is taken.
+    """
     data: Any = case
     for item in re.sub(r"\[(\d+)\]", r".\1", key).split("."):
         if isinstance(data, list | tuple):
             data = data[int(item)] if item.isdigit() and int(item) < len(data) else None
         else:
-            data = data.get(item) if isinstance(data, Mapping) else None
+            found = data if isinstance(data, Mapping) else {}
+            data = next(iter(found.values()), None) if item == "*" else found.get(item)
     return [1.0] * len(case["stages"]) if data is None and key.endswith("history") else data
 
 

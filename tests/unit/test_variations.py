@@ -94,6 +94,21 @@ def _with(grid: dict[str, Any]) -> str:
     return STEM + f"variations: {{grid: {grid}}}\n"
 
 
+def test_a_star_is_every_name(tmp_path: Path) -> None:
+    """Of what the file lists: all loads grow together."""
+    section = "variations: {grid: {'loads.*.history': [[1, 1], [2, 2]]}}\n"
+    once, twice = config.variations(written(tmp_path, STEM + section))
+    assert (once.name, twice.name) == ("history=#1", "history=#2")
+    assert [load.history for load in twice.case.loads.values()] == [(2, 2), (2, 2)]
+    assert twice.overrides == ("loads.down.history=[2, 2]", "loads.aside.history=[2, 2]")
+    bad = "variations: {a: {interfaces.*.friction_coefficient: -1}}\n"
+    path = written(tmp_path, STEM + bad)
+    with pytest.raises(InputError) as caught:
+        config.load(path)
+    start = f"{path}:{STEM.count(chr(10)) + 1}:17: variations.a.interfaces.*.friction_coefficient: -1 must"
+    assert [m.startswith(start) for m in caught.value.messages] == [True]
+
+
 def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
     """Its overrides, as options, on the case without variations."""
     path = written(tmp_path, STEM + SECTION)
