@@ -89,12 +89,13 @@ class Balance:
         ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
         low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
         self._diagonal = float(np.linalg.norm(high - low))
+        self._rest = self._measure(problem.K.createVecLeft(), None)
         self.begin()
 
     def begin(self) -> None:
-        """Begin at rest; collective."""
+        """Begin at rest, where nothing acts yet, whatever will."""
         self._work = self._spent = self._scale = 0.0
-        self._last = self._measure(self._problem.K.createVecLeft(), None)
+        self._last = self._rest
         self.force = self.moment = self.energy = 0.0
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
