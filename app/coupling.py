@@ -268,6 +268,10 @@ class Coupled:
         """Count flips from the next Jacobian on."""
         self._motion.forget()
 
+    def soften(self, factor: float) -> bool:
+        """Solve with this multiple of the augmentation in force, if an interface has one."""
+        return self._motion.soften(factor)
+
     # Blocks between the two
 
     def _thermal_forces(self) -> tuple[list[list[PETSc.Mat]], ...]:

@@ -62,7 +62,9 @@ class Explanation:
             lines.append(f"  largest residual: {self.where}")
         tail = ", ".join(f"{r:.1e}" for r in self.history[-6:])
         lines.append(f"  last residuals (of the force scale): {tail}")
-        lines.append(f"  tried: augmentation 1, 0.1 and 0.01 of its default; {cuts} step halvings")
+        lines.append(
+            f"  tried: smaller and larger augmentations, another line search, {cuts} step halvings"
+        )
         advice = (
             "hold the free body (a support, friction, an elastic foundation)"
             if self.free

@@ -84,3 +84,7 @@ class HeatSystem:
 
     def forget(self) -> None:
         """No state."""
+
+    def soften(self, factor: float) -> bool:
+        """No augmentation."""
+        return False

@@ -132,13 +132,14 @@ class Jumps:
 
         Args:
             contacts: Interfaces of the same surfaces as ever.
-            augmentation_factor: Default augmentation over modulus and mesh size.
+            augmentation_factor: Default augmentation over the local stiffness per area.
         """
-        self._contacts = contacts
+        self._contacts, self._factor = contacts, augmentation_factor
         self.augmented = np.array([c.augmented for c in contacts])[self.interface]
         self._law = self._law_of(contacts)
-        self.default_stiffness = self._default_stiffness(augmentation_factor)
-        self.stiffness = self.default_stiffness.copy()
+        self.default_stiffness = self._default_stiffness()
+        self._level = self._softness = 1.0
+        self._stiffen()
         full = np.zeros(len(self.points.weight))
         for i, c in enumerate(contacts):
             # On every rank at all points, so that an error is raised on every rank.
@@ -165,13 +166,15 @@ class Jumps:
         law.set_friction(friction)
         return law
 
-    def _default_stiffness(self, factor: float) -> Floats:
-        """Stiffness of each own point: given, else factor E_soft / h with h the mean edge."""
-        values = [
-            c.stiffness or factor * c.modulus / h
-            for c, h in zip(self._contacts, self.edge_lengths, strict=True)
-        ]
-        return np.array(values)[self.interface]
+    def _default_stiffness(self) -> Floats:
+        """Stiffness of each own point: given, else a factor of what its jump meets per area.
+
+        That with all else held, in its softest direction: it follows materials, setting, mesh and
+        order by itself.
+        """
+        met = np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight
+        given = np.array([c.stiffness for c in self._contacts])[self.interface]
+        return np.where(given > 0, given, self._factor * met)
 
     def _given_by(self, s: int) -> Floats:
         """Own jumps (n, 3) that a support gives at full amplitude [mm]."""
@@ -219,6 +222,8 @@ class Jumps:
         new = self._coupling(mechanics, reduction)
         for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
             values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.default_stiffness = self._default_stiffness()
+        self._stiffen()
 
     # State in time
 
@@ -231,9 +236,18 @@ class Jumps:
             self.given += amplitude(support.history, time) * jump
 
     def scale_augmentation(self, factor: float) -> None:
-        """Set the augmentation to a multiple of its default; penalties stay."""
-        scaled = self.default_stiffness * factor
-        self.stiffness = np.where(self.augmented, scaled, self.default_stiffness)
+        """Put a multiple of the default augmentation in force; penalties stay."""
+        self._level = factor
+        self._stiffen()
+
+    def soften(self, factor: float) -> None:
+        """Use a multiple of the augmentation in force, until told otherwise; penalties stay."""
+        self._softness = factor
+        self._stiffen()
+
+    def _stiffen(self) -> None:
+        scale = np.where(self.augmented, self._level * self._softness, 1.0)
+        self.stiffness = scale * self.default_stiffness
 
     # Residual and Jacobian
 

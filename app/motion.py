@@ -189,14 +189,15 @@ class Motion:
         for p in self.predictors:
             p.commit(time)
         self.total.steps += 1
-        self.total.augmentation = AUGMENTATIONS[self.level]
+        augmentation = AUGMENTATIONS[self.level] * outcome.augmentation
+        self.total.augmentation = augmentation
         self.on_step(
             Step(
                 self.total.steps,
                 stage.name,
                 time,
                 outcome,
-                AUGMENTATIONS[self.level],
+                augmentation,
                 clock.perf_counter() - started,
                 True,
             ),

@@ -73,8 +73,8 @@ class SolverOptions(Model):
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
-    augmentation_factor: PositiveNumber = 0.5
-    """r = factor * (modulus of the softer side) / h where an interface does not give its own."""
+    augmentation_factor: PositiveNumber = 0.1
+    """r = factor * (stiffness per area that moving one point alone meets), unless it is given."""
     coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
     """How heat and mechanics that need each other are solved: in one, or in turn."""
 

@@ -6,7 +6,8 @@ Newton is semismooth, with the generalized Jacobian of the system; its linear so
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
@@ -17,6 +18,8 @@ from app.errors import StoppedError
 from app.linear import Linear, Options
 from app.systems import Measure, System
 from app.timing import Timing
+
+log = logging.getLogger("mantle")
 
 CONDITION_RTOL = 1e-4
 CONDITION_ITERATIONS = 20
@@ -35,8 +38,11 @@ NEWTON: Options = {
 KINKS: Options = {"snes_ksp_ew_rtol0": 0.1, "snes_ksp_ew_rtolmax": 0.1}
 # A linear residual of this part of what Newton is to reach is as good as none.
 ENOUGH = 0.3
-# A residual that has not fallen to this part of itself in so many iterations is stuck.
-STUCK, RESCUED, HARDLY = 6, 15, 0.5
+# A residual that has not fallen to this part of itself in so many iterations is stuck; whole steps
+# may go up before they go down.
+HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
+# Multiples of the augmentation tried in turn where Newton is stuck: mostly it is too large.
+AUGMENTATIONS = (0.1, 0.01, 100.0)
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,7 @@ class Outcome:
         residuals: Residual norm at each iteration, relative to the force scale.
         flips: Contact points whose state changed, at each iteration.
         linear_failed: Whether the linear solver gave up.
+        augmentation: Multiple of the augmentation in force that it ended with.
     """
 
     converged: bool
@@ -58,6 +65,7 @@ class Outcome:
     residuals: tuple[float, ...]
     flips: tuple[int, ...]
     linear_failed: bool
+    augmentation: float = 1.0
 
 
 class Solver:
@@ -94,8 +102,8 @@ class Solver:
         self._linear = Linear(system, linear, timing)
         self._A = self._linear.matrix
         self._has_kinks = "jump" in blocks
-        forcing = KINKS if self._has_kinks else {}
-        defaults = dict(NEWTON) | {"snes_max_it": max_iterations} | forcing | dict(system.newton)
+        defaults = dict(NEWTON) | {"snes_max_it": max_iterations}
+        defaults |= dict(KINKS if self._has_kinks else {}) | dict(system.newton)
         self.options = defaults | self._linear.options | dict(options)
         self.x = self.vector()
         self.failed = self.vector()
@@ -108,16 +116,16 @@ class Solver:
         self.snes.setJacobian(self._jacobian, self._A)
         self.snes.setMonitor(self._monitor)
         self.snes.setConvergenceTest(self._converged)
-        self._usual = str(self.options["snes_linesearch_type"])
+        self._search = self._usual = str(self.options["snes_linesearch_type"])
         self._other = "basic" if self._usual == "bt" else "bt"
-        self._rescue = False
+        self._augmentation = 1.0
         self._enough = 0.0 if "ksp_atol" in options else ENOUGH
         self._configure()
 
     def begin(self) -> None:
         """Forget all states: the system begins at rest, with the matrices it had."""
         self.x.zeroEntries()
-        self._scales = []
+        self._scales, self._augmentation = [], 1.0
 
     def vector(self) -> PETSc.Vec:
         """A new vector of unknowns, zero."""
@@ -181,8 +189,7 @@ class Solver:
             return reasons.CONVERGED_FNORM_ABS
         if self._enough:
             snes.getKSP().setTolerances(atol=self._enough * min(map(self._limit, parts)))
-        # Whole steps may go up before they go down.
-        last, window = self._residuals, RESCUED if self._rescue else STUCK
+        last, window = self._residuals, STUCK.get(self._search, STUCK_WHOLE)
         stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
         return reasons.DIVERGED_LINE_SEARCH if stuck else reasons.ITERATING
 
@@ -209,22 +216,22 @@ class Solver:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._system.impose(self.blocks())
         self._residuals, self._flips = [], []
+        self._system.soften(self._augmentation)
+        start = self.x.copy() if self._has_kinks else self.x
         newton, krylov = self._newton()
-        if self.snes.getConvergedReason() <= 0 and self._has_kinks and np.isfinite(self.x.norm()):
-            # At a kink of the contact law a line search may cut steps to nothing where whole steps
-            # lead on, and whole steps may circle where shorter ones do not.
-            self._rescue = True
-            self._search(self._other)
+        for words in self._remedies(start):
+            log.info("     %s; %s", self._trouble(), words)
             more = self._newton()
             newton, krylov = newton + more[0], krylov + more[1]
-            self._search(self._usual)
-            self._rescue = False
+        augmentation = self._augmentation
+        self._use_search(self._usual)
         reason = self.snes.getConvergedReason()
         if reason > 0:
             parts = self._measure(self.x, self.snes.getFunction()[0])
             self._scales = [p.scale for p in parts]
         else:
             self.x.copy(self.failed)
+            self._augmentation = 1.0
         self._linear.took(newton, krylov)
         return Outcome(
             converged=reason > 0,
@@ -233,7 +240,36 @@ class Solver:
             residuals=tuple(self._residuals),
             flips=tuple(self._flips),
             linear_failed=reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE,
+            augmentation=augmentation,
         )
+
+    def _remedies(self, start: PETSc.Vec) -> Iterator[str]:
+        """Change what may help, one thing after the other, while Newton has not converged.
+
+        It goes on from where it is: a large augmentation makes contact points change their states
+        back and forth, and a smaller one finds its way from there. At a kink of the contact law a
+        line search may cut steps to nothing where whole steps lead on, and the other way round.
+        """
+        for factor in AUGMENTATIONS:
+            if self._lost():
+                return
+            if factor != self._augmentation and self._system.soften(factor):
+                if factor > self._augmentation:
+                    start.copy(self.x)
+                self._augmentation = factor
+                yield f"augmentation {factor:g} r"
+        if not self._lost() and self._has_kinks:
+            self._use_search(self._other)
+            yield "whole steps" if self._other == "basic" else "shorter steps"
+
+    def _lost(self) -> bool:
+        """Whether nothing is left to improve: converged, or without a state to go on from."""
+        return self.snes.getConvergedReason() > 0 or not np.isfinite(self.x.norm())
+
+    def _trouble(self) -> str:
+        """Where Newton is, in words."""
+        changing = f", {self._flips[-1]} contact points change" if self._flips[-1] else ""
+        return f"Newton is stuck at {self._residuals[-1]:.1e} of the force scale{changing}"
 
     def _newton(self) -> tuple[int, int]:
         """Iterate from the current state; Newton and Krylov iterations."""
@@ -246,10 +282,12 @@ class Solver:
                 raise error.__cause__ or error from None
         return self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
 
-    def _search(self, kind: str) -> None:
+    def _use_search(self, kind: str) -> None:
         """Change the line search."""
+        if kind == self._search:
+            return
         database, key = PETSc.Options(self._system.prefix), "snes_linesearch_type"
-        database[key] = kind
+        self._search = database[key] = kind
         self.snes.setFromOptions()
         database.delValue(key)
 

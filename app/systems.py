@@ -88,6 +88,9 @@ class System(Protocol):
     def forget(self) -> None:
         """Forget the last Jacobian."""
 
+    def soften(self, factor: float) -> bool:
+        """Solve with this multiple of the augmentation in force, if there is one to change."""
+
 
 def size(vectors: list[PETSc.Vec]) -> float:
     """Norm of a state or residual in several blocks; collective."""
@@ -154,6 +157,10 @@ class Bonded:
 
     def forget(self) -> None:
         """No state."""
+
+    def soften(self, factor: float) -> bool:
+        """No augmentation."""
+        return False
 
 
 class Contact:
@@ -261,6 +268,11 @@ class Contact:
     def forget(self) -> None:
         """Count flips from the next Jacobian on."""
         self._last, self._changed = None, 0
+
+    def soften(self, factor: float) -> bool:
+        """Solve with this multiple of the augmentation in force, if an interface has one."""
+        self._jumps.soften(factor)
+        return self._problem.augmented
 
 
 def _block_diagonal(j: Jumps) -> PETSc.Mat:

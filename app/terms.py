@@ -146,7 +146,7 @@ class Contact:
         friction: Friction coefficient [-].
         augmented: Augmented Lagrangian (eq. 65), else penalty (eq. 57).
         stiffness: Augmentation or penalty [MPa/mm]; 0 asks for the default augmentation.
-        modulus: Modulus of the softer side [MPa], which scales the default augmentation.
+        modulus: Modulus of the softer side [MPa].
         gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
         history: Amplitudes of the gap at the ends of the stages.
     """

@@ -1,0 +1,103 @@
+"""The augmentation r: chosen from the stiffness at hand, found again where it is badly given."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+from app.motion import Motion
+from app.solver import Outcome
+from tests import support
+
+STEM = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+           length: 20 mm, taper: 1.5 deg}
+mesh: {order: 1, size: 5 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.4}
+  cement_bone: {kind: contact, friction_coefficient: 1.0}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+loads:
+  hip: {kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}
+stages:
+  - {name: load, adaptive: false}
+"""
+# The same half as large, but for what the mesh generator makes of it.
+HALF = """
+geometry: {kind: cylinders, stem_radius: 3.5 mm, cement_thickness: 2 mm, bone_thickness: 2.5 mm,
+           length: 10 mm, taper: 1.5 deg}
+mesh: {order: 1, size: 2.5 mm}
+"""
+
+
+def chosen(text: str, *overrides: str) -> np.ndarray:
+    """Augmentation of each contact point [MPa/mm]."""
+    problem, _ = support.assemble(support.case(text, *overrides))
+    return np.asarray(problem.jumps[0].stiffness)
+
+
+def test_it_is_a_stiffness_per_length() -> None:
+    """Ten times the moduli, ten times r; half the size, twice r."""
+    r = chosen(STEM)
+    stiffer = chosen(
+        STEM,
+        "regions.stem.youngs_modulus=1100 GPa",
+        "regions.cement.youngs_modulus=22 GPa",
+        "regions.bone.youngs_modulus=170 GPa",
+    )
+    np.testing.assert_allclose(stiffer, 10 * r, rtol=1e-9)
+    half = HALF + STEM[STEM.index("regions:") :]
+    np.testing.assert_allclose(np.median(chosen(half)), 2 * np.median(r), rtol=0.1)
+
+
+def test_it_follows_the_stiffness_in_force() -> None:
+    """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
+    problem, _ = support.assemble(support.case(STEM))
+    (j,) = problem.jumps
+    problem.scale_augmentation(0.1)
+    before = j.stiffness.copy()
+    coupling = j._coupling
+
+    def softer(*arguments: object) -> object:
+        matrices = coupling(*arguments)  # type: ignore[arg-type]
+        for m in matrices:
+            m.scale(0.01)
+        return matrices
+
+    j._coupling = softer  # type: ignore[method-assign,assignment]
+    problem._renew()
+    np.testing.assert_allclose(j.stiffness, 0.01 * before, rtol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e-2, 1.0, 1e2, 1e3])
+def test_the_answer_is_found_from_a_bad_one(
+    factor: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Six decades of r: one step, none rejected, the same jumps; what was tried is said."""
+    outcomes: list[Outcome] = []
+    jumps = []
+    for f in (1.0, factor):
+        problem, solver = support.assemble(
+            support.case(STEM, f"solver.augmentation_factor={0.1 * f!r}")
+        )
+        caplog.clear()
+        with caplog.at_level(logging.INFO, "mantle"):
+            motion = Motion(
+                problem, solver, lambda step, trial: outcomes.append(step.outcome), pytest.fail
+            )
+            (stage,) = problem.scene.stages
+            motion.load(0, stage)
+        assert motion.total.rejected == 0
+        q = solver.parts()[1]
+        assert q is not None
+        jumps.append(q.array.copy())
+    np.testing.assert_allclose(jumps[1], jumps[0], atol=1e-6 * np.abs(jumps[0]).max())
+    if outcomes[-1].augmentation != 1.0:
+        assert f"augmentation {outcomes[-1].augmentation:g} r" in caplog.text
