@@ -13,7 +13,6 @@ Row = dict[str, Any]
 # Curves by the first word of a row's name.
 CURVES = {
     "contact": ("#d1682c", "s", "contact"),
-    "moderate": ("#8b4fa0", "D", "contact, most points stick"),
     "bonded": ("#1f5fa8", "o", "bonded"),
 }
 PANELS = (
