@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -53,6 +53,7 @@ class _Evaluation:
         lacking: Heat that they lack, interfaces left out [N mm/s].
         parts: What that is made of, conduction left out.
         flux: Heat through own points by area, and its derivatives (`TemperatureJumps.flux`).
+        sizes: Norm of the parts and what rounding leaves of them, once they were asked for.
     """
 
     given: list[Floats]
@@ -60,6 +61,7 @@ class _Evaluation:
     lacking: list[Floats]
     parts: list[Floats]
     flux: list[tuple[Floats, Floats, Floats]]
+    sizes: list[tuple[float, float]] = field(default_factory=list)
 
 
 class Conduction:
@@ -389,18 +391,20 @@ class Conduction:
         alone would move: in a state that hardly changes that is large and cancels.
         """
         here = self._at(x)
+        if not here.sizes:
+            here.sizes.append(self._sizes(here, x))
+        ((scale, rounding),) = here.sizes
+        return Measure(math.sqrt(sum(v.norm() ** 2 for v in f)), scale, rounding, lasting=False)
+
+    def _sizes(self, here: _Evaluation, x: Sequence[PETSc.Vec]) -> tuple[float, float]:
+        """Norm of what balances in a state, and what rounding leaves of it; collective."""
         parts = [np.where(self.held, sum(here.lacking), 0.0), *here.parts]
         parts += [j.weight * q for j, (q, _, _) in zip(self.jumps, here.flux, strict=True)]
         noise = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
         local = [float(a @ a) for a in (*parts, *noise)]
         norms = np.sqrt(np.array(self.comm.allreduce(np.array(local), MPI.SUM)))
         rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
-        return Measure(
-            math.sqrt(sum(v.norm() ** 2 for v in f)),
-            float(norms[: len(parts)].sum()),
-            rounding,
-            lasting=False,
-        )
+        return float(norms[: len(parts)].sum()), rounding
 
     # What is reported
 

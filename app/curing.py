@@ -35,6 +35,9 @@ ROUNDING = 1e-12
 _SMALL, _SMALLEST = 1e-2, 1e-9
 # Newton's method is in the logarithm of what reacts over what does not.
 _CONVERGED = 1e-8
+# Parts of what may react that are taken from the last step without looking at the ends, and the
+# logarithm of what is less than any.
+_HARDLY, _HALF, _LOWEST = 1e-12, 0.5, -50.0
 _ITERATIONS = 100
 
 
@@ -177,8 +180,9 @@ class _Autocatalytic:
         if terms.limit:
             self._limits = (Pointwise(comm, nodes, sizes, limits),)
             self._limits[0].set(**{k: np.full(nodes, constants[k]) for k in knots})
-        # Mean rates of the last step: of the next one they are not far.
-        self._known = np.zeros(nodes)
+        # Mean rates of the last step, at what temperatures and how they grow with these: of the
+        # next one they are not far.
+        self._mean, self._warmth, self._growth = np.zeros((3, nodes))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Only nodes that still react are looked at."""
@@ -193,29 +197,41 @@ class _Autocatalytic:
             return self._rates(rows, a=start[rows] + reacted, T=T[rows])
 
         rows = np.flatnonzero(limit - start > UNREACTED)
-        first = rates(rows, np.zeros(len(rows)))[0]
-        rows, first = rows[first > 0], first[first > 0]
         room = limit[rows] - start[rows]
-        last = rates(rows, room - UNREACTED)[0]
-        ends = h * last >= room - UNREACTED
-        degree[rows[ends]] = limit[rows[ends]] - UNREACTED
-        by_T[rows[ends]] = limit_by_T[rows[ends]]
-
-        on = ~ends
-        rows, room = rows[on], room[on]
-        reacted, f, f_a, f_T = self._react(rows, room, first[on], last[on], h, rates)
+        mean = self._mean[rows] + self._growth[rows] * (T[rows] - self._warmth[rows])
+        share = np.where(self._mean[rows] > 0, h * mean / room, 0.0)
+        low = np.full(len(rows), _LOWEST)
+        high: Floats = np.log((room - UNREACTED) / UNREACTED)
+        # Where too little is known the ends are looked at first.
+        new = np.flatnonzero(~((share > _HARDLY) & (share < _HALF) & (start[rows] > 0)))
+        if len(new):
+            first = rates(rows[new], np.zeros(len(new)))[0]
+            last = rates(rows[new], room[new] - UNREACTED)[0]
+            with np.errstate(divide="ignore"):
+                # Rates in between are at least the lower of the two at the ends.
+                low[new] = np.log(h * np.minimum(first, last) / room[new]) - 1.0
+            share[new] = np.where(share[new] > 0, share[new], h * first / room[new])
+            ends = h * last >= room[new] - UNREACTED
+            done = rows[new[ends & (first > 0)]]
+            degree[done], by_T[done] = limit[done] - UNREACTED, limit_by_T[done]
+            on = np.ones(len(rows), dtype=bool)
+            on[new[ends | ~(first > 0)]] = False
+            rows, room, share = rows[on], room[on], share[on]
+            low, high = low[on], high[on]
+        reacted, f, f_a, f_T = self._react(rows, room, share, low, high, h, rates)
         degree[rows] = start[rows] + reacted
         with np.errstate(divide="ignore", invalid="ignore"):
             by_T[rows] = reacted * f_T / f / (1 - reacted * f_a / f)
-        self._known[:] = (degree - start) / h
+        self._mean[:], self._warmth[:], self._growth[:] = (degree - start) / h, T, by_T / h
         return Degrees(degree, by_T)
 
+    @staticmethod
     def _react(
-        self,
         rows: Ints,
         room: Floats,
-        first: Floats,
-        last: Floats,
+        share: Floats,
+        low: Floats,
+        high: Floats,
         h: float,
         rates: Callable[[Ints, Floats], list[Floats]],
     ) -> tuple[Floats, Floats, Floats, Floats]:
@@ -225,10 +241,6 @@ class _Autocatalytic:
         ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
         root. With m > 1 a step may be so long that there are more; one of them is found.
         """
-        # Rates in between are at least the lower of the two at the ends.
-        low = np.log(h * np.minimum(first, last) / room) - 1.0
-        high = np.log((room - UNREACTED) / UNREACTED)
-        share = h * np.where(self._known[rows] > 0, self._known[rows], first) / room
         with np.errstate(divide="ignore", invalid="ignore"):
             s = np.log(share) - np.log1p(-share)
         found = np.zeros((3, len(rows)))
@@ -243,13 +255,13 @@ class _Autocatalytic:
             f, f_a, f_T = rates(rows[moving], reacted)
             found[:, moving] = f, f_a, f_T
             with np.errstate(divide="ignore", invalid="ignore"):
-                value = np.log(reacted) - np.log(h * f)
+                value = np.log(reacted / (h * f))
                 slope = (1 - share) * (1 - reacted * f_a / f)
                 step = np.where(slope > 0, -value / slope, np.inf)
-            above = np.where(value > 0, at, above)
-            below = np.where(value <= 0, at, below)
-            s[moving], low[moving], high[moving] = at + step, below, above
-            going = ~(np.abs(step) <= _CONVERGED) & (above - below > _CONVERGED)
+            low[moving] = np.where(value > 0, below, at)
+            high[moving] = np.where(value > 0, at, above)
+            s[moving] = at + step
+            going = ~(np.abs(step) <= _CONVERGED) & (high[moving] - low[moving] > _CONVERGED)
             moving = moving[going]
         return room * _logistic(np.clip(s, low, high)), *found
 

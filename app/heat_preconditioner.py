@@ -39,16 +39,15 @@ class KeptFactors:
             self._pc.setFactorSolverType("mumps")
             self._joined = PETSc.Mat() if self._of.getType() == "nest" else self._of
             self._factor()
-            self._x, self._y = self._joined.createVecs()
 
     def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
         """Solve with the factors there are, or with new ones if that is due; collective."""
         state = self._of.stateGet()
+        moved = False
         if state != self._seen:
-            self._seen = state
+            self._seen, moved = state, self._moved()
             self._solves += 1
-        excess = self._applied - self._solves
-        if state != self._current and (excess >= WORTH or self._moved()):
+        if state != self._current and (moved or self._applied - self._solves >= WORTH):
             self._factor()
         self._applied += 1
         self._x.array[:] = np.concatenate([v.array_r for v in _parts(x)])
@@ -79,6 +78,8 @@ class KeptFactors:
         self.made += 1
         self._seen = self._current = self._of.stateGet()
         self._solves, self._applied = 1, 0
+        if self.made == 1:
+            self._x, self._y = self._joined.createVecs()
 
 
 def _parts(x: PETSc.Vec) -> list[PETSc.Vec]:
