@@ -155,8 +155,7 @@ def table(rows: Sequence[Row]) -> str:
         most = max(slips, key=lambda k: slips[k], default="")
         said = f"{1e3 * slips[most]:.1f} um on {most.partition('.')[0]}" if most else ""
         said = said if r["status"] == "converged" else r["status"]
-        lines.append(
-            f"{r['name']:<{wide}} {r['newton_iterations'] or 0:>6} "
-            f"{r['linear_iterations'] or 0:>6} {r['seconds']:>6.1f} s  {said}"
-        )
+        counts = [r[f"{kind}_iterations"] for kind in ("newton", "linear")]
+        newton, krylov = ("-" if n is None else n for n in counts)
+        lines.append(f"{r['name']:<{wide}} {newton:>6} {krylov:>6} {r['seconds']:>6.1f} s  {said}")
     return "\n".join(lines)
