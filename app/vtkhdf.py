@@ -192,15 +192,20 @@ def _commit(path: Path, step: int, time: float, offsets: Mapping[str, int]) -> N
 
 def _put(root: h5py.Group, name: str, values: Array, start: int, chunk: int) -> None:
     """Write rows of a dataset from a row on, making or enlarging it."""
-    if name not in root:
-        shape = values.shape[1:]
-        chunks = (max(chunk, 1), *shape)
-        root.create_dataset(name, (0, *shape), values.dtype, maxshape=(None, *shape), chunks=chunks)
-    data = root[name]
-    if data.shape[1:] != values.shape[1:]:
-        raise ValueError(f"{name}: components {values.shape[1:]} instead of {data.shape[1:]}")
-    data.resize(start + len(values), axis=0)
-    data[start:] = values
+    shape = values.shape[1:]
+    try:
+        data = h5py.h5d.open(root.id, name.encode())
+    except KeyError:
+        chunks, limit = (max(chunk, 1), *shape), (None, *shape)
+        new = root.create_dataset(name, (0, *shape), values.dtype, maxshape=limit, chunks=chunks)
+        data = new.id
+    if data.shape[1:] != shape:
+        raise ValueError(f"{name}: components {shape} instead of {data.shape[1:]}")
+    # Without h5py's indexing, which takes longer than to write a small array.
+    data.set_extent((start + len(values), *shape))
+    rows = data.get_space()
+    rows.select_hyperslab((start, *(0 for _ in shape)), values.shape)
+    data.write(h5py.h5s.create_simple(values.shape), rows, values)
 
 
 @contextmanager
