@@ -25,7 +25,7 @@ LOG_LINES = 6
 # A mesh this coarse needs the same forms as any other.
 WARM = "6 mm"
 # Overrides that change no form.
-SAME_FORMS = ("variations", "stages.")
+SAME_FORMS = ("variations", "stages", "loads.")
 # Phases of a run that are no part of set-up and solution.
 APART = ("mesh", "compile", "output", "error", "total")
 MEGA = 1e6
