@@ -58,7 +58,8 @@ def note_of(law: str, sources: Sequence[ModuleType]) -> Path | None:
     for module in sources:
         digest.update(Path(str(module.__file__)).read_bytes())
     versions = [m.__version__ for m in (dolfinx, ffcx, ufl)]
-    digest.update(repr([versions, jit.get_options(), ffcx.get_options()]).encode())
+    options = {**jit.get_options(), **ffcx.get_options(), "cache_dir": None}
+    digest.update(repr([versions, options]).encode())
     return folder / f"law-{digest.hexdigest()[:24]}.json"
 
 
