@@ -48,7 +48,7 @@ TWELVE = (
 # All loads at once, then the hip's alone by a tenth more in each of three steps: all in proportion
 # would leave nothing to do after the first.
 STEPS = (
-    "stages=[{name: stance}, {name: more, increments: 3, adaptive: false}]",
+    "stages=[{name: stance, adaptive: false}, {name: more, increments: 3, adaptive: false}]",
     "loads.hip.history=[1, 1.3]",
 )
 # Second order: what is timed, and what it and first order are compared with.
