@@ -114,16 +114,20 @@ def _grid(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Varia
 
 
 def _labels(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[str]]:
-    """How the values of each key are called: by themselves if that is short, else by number."""
-    return {key: [_label(v, i) for i, v in enumerate(values)] for key, values in grid.items()}
+    """How the values of each key are called: as they are, by their numbers, or by their places."""
+    return {key: _called(values) for key, values in grid.items()}
 
 
-def _label(value: Any, i: int) -> str:
-    if isinstance(value, list) and len(value) == 1:
-        value = value[0]
-    text = str(value).replace(" ", "")
-    plain = isinstance(value, str | int | float) and LABEL.fullmatch(text)
-    return text if plain else f"#{i + 1}"
+def _called(values: Sequence[Any]) -> list[str]:
+    singles = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in values]
+    texts = [str(v) if isinstance(v, str | int | float) else "" for v in singles]
+    whole = [text.replace(" ", "") for text in texts]
+    numbers = [text.partition(" ")[0] for text in texts]
+    if all(map(LABEL.fullmatch, whole)):
+        return whole
+    if all(map(LABEL.fullmatch, numbers)) and len(set(numbers)) == len(numbers):
+        return numbers
+    return [f"#{i + 1}" for i in range(len(values))]
 
 
 def _short(keys: Sequence[str]) -> dict[str, str]:

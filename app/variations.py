@@ -34,7 +34,7 @@ def order(varied: Sequence[Varied]) -> list[int]:
     places = [_ranks([_at(case, key) for case in cases]) for key in keys]
 
     def distance(i: int, k: int) -> float:
-        steps = [(key, abs(p[i] - p[k])) for key, p in zip(keys, places, strict=True)]
+        steps = [(key, min(abs(p[i] - p[k]), OTHER)) for key, p in zip(keys, places, strict=True)]
         return sum(LOAD * d if key.startswith("loads.") else d for key, d in steps)
 
     left = sorted(range(len(varied)), key=lambda i: len(varied[i].changes))
@@ -72,7 +72,7 @@ def _numbers(value: Any) -> tuple[float, ...]:
 def _at(case: Mapping[str, Any], key: str) -> Any:
     """What stands at a key of a case, or None; a history that is not given is that of ones.
 
-    Of ``*`` the first is taken.
+    Of ``*`` the first is taken, of an interface its kind: what else differs has keys of its own.
     """
     data: Any = case
     for item in re.sub(r"\[(\d+)\]", r".\1", key).split("."):
@@ -81,6 +81,8 @@ def _at(case: Mapping[str, Any], key: str) -> Any:
         else:
             found = data if isinstance(data, Mapping) else {}
             data = next(iter(found.values()), None) if item == "*" else found.get(item)
+    if isinstance(data, Mapping):
+        return data.get("kind")
     return [1.0] * len(case["stages"]) if data is None and key.endswith("history") else data
 
 
@@ -149,13 +151,20 @@ def write(rows: Sequence[Row], folder: Path) -> None:
 def table(rows: Sequence[Row]) -> str:
     """The table for people: what all have in common of the numbers, a line per run."""
     wide = max(len(r["name"]) for r in rows)
-    lines = [f"{'variation':<{wide}} {'newton':>6} {'krylov':>6} {'wall':>8}  largest slip p99"]
+    lines = [f"{'variation':<{wide}} {'newton':>6} {'krylov':>6} {'wall':>8}  most"]
     for r in rows:
-        slips = {k: n for k, n in r["numbers"].items() if k.endswith(".slip_p99")}
-        most = max(slips, key=lambda k: slips[k], default="")
-        said = f"{1e3 * slips[most]:.1f} um on {most.partition('.')[0]}" if most else ""
-        said = said if r["status"] == "converged" else r["status"]
         counts = [r[f"{kind}_iterations"] for kind in ("newton", "linear")]
         newton, krylov = ("-" if n is None else n for n in counts)
+        said = _most(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append(f"{r['name']:<{wide}} {newton:>6} {krylov:>6} {r['seconds']:>6.1f} s  {said}")
     return "\n".join(lines)
+
+
+def _most(numbers: Mapping[str, float]) -> str:
+    """The largest slip of a run, or its highest temperature."""
+    for key, scale, words in (("slip_p99", 1e3, "um slip on"), ("temperature_max", 1, "degC in")):
+        found = {k: n for k, n in numbers.items() if k.endswith(f".{key}")}
+        if found:
+            name = max(found, key=lambda k: found[k])
+            return f"{scale * found[name]:.1f} {words} {name.partition('.')[0]}"
+    return ""

@@ -94,6 +94,18 @@ def _with(grid: dict[str, Any]) -> str:
     return STEM + f"variations: {{grid: {grid}}}\n"
 
 
+def test_values_are_called_by_their_numbers_where_that_tells_them_apart(tmp_path: Path) -> None:
+    key = "interfaces.stem_cement.gap"
+    cases = {
+        ("-0.01 mm", "0 mm"): ["gap=-0.01mm", "gap=0mm"],
+        ("0.001 * x", "-0.001 * x"): ["gap=0.001", "gap=-0.001"],
+        ("0.001 * x", "0.001 * y"): ["gap=#1", "gap=#2"],
+    }
+    for values, names in cases.items():
+        path = written(tmp_path, _with({key: list(values)}))
+        assert [v.name for v in config.variations(path)] == names
+
+
 def test_a_star_is_every_name(tmp_path: Path) -> None:
     """Of what the file lists: all loads grow together."""
     section = "variations: {grid: {'loads.*.history': [[1, 1], [2, 2]]}}\n"
@@ -173,6 +185,9 @@ def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
     assert chain[0] == "as_is" and chain[-1] == "tied"
     assert {n.partition("_force")[0] for n in chain[1:4]} == {"friction_coefficient=0.4"}
     assert chain.index("fit") > 3
+    # A friction coefficient is left for the next one when all of its loads are done.
+    others = [n.partition("_force")[0] for n in chain if n.startswith("friction")]
+    assert others == sorted(others, key=others.index)
 
 
 # What they give
