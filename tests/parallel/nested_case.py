@@ -1,0 +1,25 @@
+"""A stem solved cold and from a coarser mesh on these ranks: started by `test_nested_ranks`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+from app import nested
+from tests.unit import test_nested
+
+if __name__ == "__main__":
+    comm = MPI.COMM_WORLD
+    found = []
+    for large in (nested.LARGE, 1000):
+        nested.LARGE = large
+        model, steps = test_nested.go()
+        (j,) = model.mechanics[0].problem.jumps
+        found.append((nested.replicated(j), steps[0].outcome.residuals[0]))
+    (cold, first), (warm, then) = found
+    if comm.rank == 0:
+        numbers = {"difference": abs(warm - cold).max() / abs(cold).max(), "start": then / first}
+        Path(sys.argv[1]).write_text(json.dumps(numbers))

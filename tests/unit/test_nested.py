@@ -1,0 +1,173 @@
+"""Where load steps start: on the line through those before, and from the jumps of a coarser mesh."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from app import nested
+from app.errors import GeometryError, MantleError, StoppedError
+from app.model import Model
+from app.motion import Step
+from app.problem import Trial
+from app.timing import Timing
+from tests import support
+
+STEM = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+           length: 24 mm, taper: 1.5 deg}
+mesh: {order: 1, size: 2.5 mm, far_size: 2.5 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.3}
+  cement_bone: {kind: contact, friction_coefficient: 0.5}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+loads:
+  push: {kind: force, boundary: stem_top, force: [200 N, 0 N, -900 N]}
+stages:
+  - {name: push, increments: 3}
+"""
+# A press fit, then a push: the second stage turns off the line of the first.
+TURNS = (
+    "interfaces.stem_cement.gap=-0.004 mm",
+    "interfaces.stem_cement.gap_history=[1, 1]",
+    "loads.push.history=[0, 1]",
+    "stages=[{name: fit}, {name: push, increments: 2}]",
+)
+BLOCKS = """
+geometry: {kind: blocks, blocks: [{name: base, size: [9 mm, 7 mm, 4 mm]},
+                                  {name: lid, size: [9 mm, 7 mm, 4 mm]}], tilt: 10 deg}
+mesh: {order: 1, size: SIZE mm, far_size: SIZE mm}
+regions:
+  base: {youngs_modulus: 10 GPa, poisson_ratio: 0.3}
+  lid: {youngs_modulus: 2 GPa, poisson_ratio: 0.3}
+interfaces:
+  base_lid: {kind: contact, friction_coefficient: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+"""
+
+
+def go(*overrides: str) -> tuple[Model, list[Step]]:
+    """Solve the stem."""
+    model = Model(support.case(STEM, *overrides), MPI.COMM_WORLD, {}, Timing(), str)
+    steps: list[Step] = []
+
+    def on_step(step: Step, trial: Trial | None) -> None:
+        steps.append(step)
+
+    model.go(on_step, lambda step, accepted: None, print)
+    return model, steps
+
+
+def jumps(model: Model) -> Any:
+    """Jumps of the last step (n, 3) [mm]."""
+    (j,) = model.mechanics[0].problem.jumps
+    return j.history.jump
+
+
+# Between load steps
+
+
+def test_proportional_loads_are_solved_once() -> None:
+    """Contact with friction is homogeneous: later steps need a correction of rounding at most."""
+    _, steps = go("stages.0.increments=4")
+    first, *later = (s.outcome.iterations for s in steps)
+    assert first > 3
+    assert max(later) <= 1
+
+
+def test_a_line_that_leads_away_is_not_followed() -> None:
+    """Where the load turns back, the step starts from the state before it, not from the line."""
+    turn = ("loads.push.history=[1, 0.9]", "stages=[{name: up}, {name: back}]")
+    model, steps = go("stages.0.increments=1")
+    expected = jumps(model)
+    model, steps = go(*turn)
+    assert len(steps) == 2
+    assert 0 < support.difference(jumps(model), expected) < 0.2
+
+
+# From a coarser mesh
+
+
+@pytest.mark.parametrize("overrides", [(), TURNS])
+def test_a_nested_start_changes_the_way_and_not_the_answer(
+    overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same jumps, and fewer iterations in the first step that slips."""
+    cold, first = go(*overrides)
+    monkeypatch.setattr(nested, "LARGE", 1000)
+    warm, then = go(*overrides)
+    assert support.difference(jumps(warm), jumps(cold)) < 1e-6
+    assert then[-2].outcome.iterations <= first[-2].outcome.iterations
+    assert then[0].outcome.residuals[0] < 0.3 * first[0].outcome.residuals[0]
+
+
+def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
+    bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
+    made = [Model(support.case(STEM, o), MPI.COMM_WORLD, {}, Timing(), str) for o in (bonded,)]
+    small = Model(support.case(STEM), MPI.COMM_WORLD, {}, Timing(), str)
+    assert small._nested(small.mechanics[0]) == ()
+    monkeypatch.setattr(nested, "LARGE", 1000)
+    assert len(small._nested(small.mechanics[0])) == 1
+    assert made[0]._nested(made[0].mechanics[0]) == ()
+
+
+def test_no_coarser_mesh_than_the_geometry_allows() -> None:
+    case = support.case(support.CONFIGS.joinpath("stance.yaml").read_text(), "mesh.size=4 mm")
+    assert nested.coarser(case, nested.LARGE) is None
+    fine = support.case(support.CONFIGS.joinpath("stance.yaml").read_text(), "mesh.size=1 mm")
+    coarse = nested.coarser(fine, nested.LARGE)
+    assert coarse is not None
+    assert coarse.mesh.size > 1.0
+    assert coarse.geometry == fine.geometry
+
+
+@pytest.mark.parametrize("error", [GeometryError("no such mesh"), StoppedError("stopped")])
+def test_a_coarse_model_that_fails_is_done_without(
+    error: MantleError, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A run that is to stop stops; nothing else that happens to the coarse one matters."""
+
+    def fail(self: Model, case: object) -> None:
+        raise error
+
+    monkeypatch.setattr(nested, "LARGE", 1000)
+    monkeypatch.setattr(Model, "_coarse", fail)
+    if isinstance(error, StoppedError):
+        with pytest.raises(StoppedError):
+            go()
+        return
+    with caplog.at_level(logging.INFO, logger="mantle"):
+        _, steps = go()
+    assert len(steps) == 3
+    assert caplog.text.count("no such mesh") == 1
+
+
+def test_interpolation_is_exact_for_linear_jumps() -> None:
+    """On a plane interface, between meshes of which neither contains the other."""
+    coarse, fine = (
+        support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].jumps[0]
+        for size in ("3.1", "1.3")
+    )
+    weights = nested.interpolation(coarse.points, fine.points, fine.mine)
+    slope = np.random.default_rng(5).normal(size=(3, 3))
+    found = weights @ (coarse.points.x @ slope + 1.0)
+    assert len(fine.mine) > 2 * len(coarse.mine)
+    assert support.difference(found, fine.points.x[fine.mine] @ slope + 1.0) < 1e-12
+
+
+def test_between_the_last_two() -> None:
+    """A fine step that was cut asks for a time that the coarse model has passed."""
+    known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
+    assert nested.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
+    assert nested.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
