@@ -25,7 +25,9 @@ from app.heat_system import HeatSystem
 from app.heating import Accepted, Heating
 from app.motion import Motion, OnStep, Step, Summary
 from app.neighbours import Neighbours
+from app.nested import Nested, coarser
 from app.output import on_root
+from app.prediction import Predictor
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
 from app.solver import Solver
@@ -299,7 +301,7 @@ class Model:
             on_heat(step, accepted)
 
         motion = tuple(
-            Motion(m.problem, m.solver, on_step, on_trouble, (m.neighbours,))
+            Motion(m.problem, m.solver, on_step, on_trouble, (m.neighbours, *self._nested(m)))
             for m in self.mechanics
         )
         march = tuple(
@@ -310,6 +312,21 @@ class Model:
         for part in (*(m.total for m in motion), *(m.total for m in march)):
             total.add(part)
         return total
+
+    def _nested(self, m: Mechanical) -> tuple[Nested, ...]:
+        """A start from a coarser mesh, if that pays."""
+        if not m.problem.jumps or self.scene.conductors:
+            return ()
+        case = coarser(self._case, sum(m.solver.block_sizes.values()))
+        return () if case is None else (Nested(m.problem, m.solver, lambda: self._coarse(case)),)
+
+    def _coarse(self, case: config.Case) -> Motion:
+        """The mechanics of a coarser model on their way; collective."""
+        comm = self.tagged.mesh.comm
+        other = Model(case, comm, self.options, self._timing, self.stop, self._kin)
+        (m,) = other.mechanics
+        predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))
+        return Motion(m.problem, m.solver, lambda step, trial: None, log.debug, predictors)
 
     def _companions(self, thermal: Thermal, motion: tuple[Motion, ...]) -> tuple[Companion, ...]:
         """The mechanics beside the heat: in one system with it, or after it."""
