@@ -1,4 +1,4 @@
-"""Where load steps start: on the line through those before, and from the jumps of a coarser mesh."""
+"""Where load steps start: on the line through those before, or from a coarser mesh."""
 
 from __future__ import annotations
 
