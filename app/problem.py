@@ -97,7 +97,8 @@ class Problem:
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
-        self.inverse = like.inverse if like is not None else Inverse(self.K, lambda: self.version)
+        own = Inverse(self.K, lambda: self.version)
+        self.inverse: Inverse = like.inverse if like is not None else own
         self.jumps: tuple[Jumps, ...] = (
             (
                 Jumps(
