@@ -105,7 +105,7 @@ class Session:
             StoppedError: Those before are done.
         """
         varied = config.variations(self._case_path, overrides)
-        chain = variations.order(varied)
+        chain = variations.order(case, varied)
         mark = output / "DONE"
         on_root(self._comm, lambda: mark.unlink(missing_ok=True), share=False)
         rows: dict[int, variations.Row] = {}

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from app import study_options
-from app.config import Varied
+from app.config import Case, Varied
 from app.folders import write_json, write_text
 
 # Distance of two runs per step of a key: loads may merely scale, interfaces of other kinds share
@@ -27,24 +27,27 @@ OF_HEATED_REGIONS = ("temperature_max",)
 Row = dict[str, Any]
 
 
-def order(varied: Sequence[Varied]) -> list[int]:
-    """A chain through all, from one with the fewest changes and each time to the nearest."""
+def order(case: Case, varied: Sequence[Varied]) -> list[int]:
+    """A chain through all variations, from the nearest to the case and each time to the nearest.
+
+    Args:
+        case: The case without its variations.
+        varied: They.
+    """
     keys = [k for k in dict.fromkeys(k for v in varied for k in v.changes) if k != "title"]
-    cases = [v.case.model_dump(mode="json") for v in varied]
-    places = [_ranks([_at(case, key) for case in cases]) for key in keys]
+    cases = [c.model_dump(mode="json") for c in (*(v.case for v in varied), case)]
+    places = [_ranks([_at(c, key) for c in cases]) for key in keys]
 
     def distance(i: int, k: int) -> float:
         steps = [(key, min(abs(p[i] - p[k]), OTHER)) for key, p in zip(keys, places, strict=True)]
         return sum(LOAD * d if key.startswith("loads.") else d for key, d in steps)
 
-    left = sorted(range(len(varied)), key=lambda i: len(varied[i].changes))
-    chain = left[:1]
-    left = sorted(left[1:])
+    chain, left = [len(varied)], list(range(len(varied)))
     while left:
         nearest = min(left, key=lambda i: min(distance(i, k) for k in chain))
         chain.append(nearest)
         left.remove(nearest)
-    return chain
+    return chain[1:]
 
 
 def _ranks(values: Sequence[Any]) -> list[float]:

@@ -180,7 +180,7 @@ def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
     text = STEM + SECTION + "  tied:\n    interfaces.cement_bone: {kind: bonded}\n"
     path = written(tmp_path, text)
     found = config.variations(path)
-    chain = [found[i].name for i in variations.order(found)]
+    chain = [found[i].name for i in variations.order(config.load(path), found)]
     assert sorted(chain) == sorted(v.name for v in found)
     assert chain[0] == "as_is" and chain[-1] == "tied"
     assert {n.partition("_force")[0] for n in chain[1:4]} == {"friction_coefficient=0.4"}
