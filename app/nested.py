@@ -11,13 +11,12 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from app import config
 from app.errors import MantleError, StoppedError
@@ -27,6 +26,9 @@ from app.prediction import imbalance, take_better
 from app.problem import Problem
 from app.solver import Solver
 from meshes.interfaces import ContactPoints
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -191,6 +193,8 @@ def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> c
             nearest, weights = _nearest(source.x[triangles], target.x[mine[here]])
             entries.append((np.repeat(here, 3), triangles[nearest].ravel(), weights.ravel()))
     rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+    from scipy.sparse import csr_array  # imported late: few runs need it
+
     return csr_array((values, (rows, columns)), shape=(len(mine), len(source.weight)))
 
 
@@ -202,6 +206,8 @@ def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
         x: Points (n, 3).
     """
     k = min(NEAREST, len(corners))
+    from scipy.spatial import cKDTree  # imported late, too
+
     _, candidates = cKDTree(corners.mean(axis=1)).query(x, k=k)
     candidates = candidates.reshape(len(x), k)
     t = corners[candidates]
