@@ -23,6 +23,7 @@ from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from numpy.typing import NDArray
+from ufl.algorithms import expand_derivatives
 
 from app.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
 from app.errors import InputError, everywhere
@@ -281,7 +282,8 @@ class Mechanics:
         """Second derivative of the energies of all bodies moving with u, for any cells of them."""
         dx, v, w = self.cells(), ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
         energy = sum(self.tangent_energy(b, self.u, dx) for b in range(len(self._bodies.names)))
-        form = ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w)
+        # Expanded, for what drops out of it must not count among its coefficients.
+        form = expand_derivatives(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
         with self._timing.phase("compile"):
             return fem.compile_form(self.comm, form)
 
