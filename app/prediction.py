@@ -1,9 +1,10 @@
-"""Where a load step starts from: the straight line through the states before it.
+"""Where a load step starts from: the states before it.
 
 Contact with friction is homogeneous of degree one: without gaps, loads that grow in proportion from
-zero make the state grow with them, so that from the second step on the line is the answer itself.
-Where the load turns, or points open or begin to slip, it is only near it or not even that: a
-predicted state is taken if it is closer to equilibrium than the state the step comes from.
+zero make the state grow with them, so that from the second step on the straight line through the
+states before is the answer itself. Where the load turns, or points open or begin to slip, it is
+only near it or not even that: a predicted state is taken if it is closer to equilibrium than the
+state the step comes from.
 """
 
 from __future__ import annotations
@@ -11,11 +12,15 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from mpi4py import MPI
 from petsc4py import PETSc
+
+import numpy as np
 
 from app.problem import Problem
 from app.solver import Solver
+
+# States before the last that are kept.
+KEPT = 3
 
 
 class Predictor(Protocol):
@@ -32,7 +37,14 @@ class Predictor(Protocol):
 
 
 class Extrapolation:
-    """The straight line through the last two states of a stage."""
+    r"""The straight line through the last two states; where a stage begins, all that they span.
+
+    Loads turn there. With x the last state and d_i the ways to it from those before, the s_i of
+
+    .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min
+
+    would make x + sum s_i d_i the state of least residual, were the residual R linear.
+    """
 
     def __init__(self, problem: Problem, solver: Solver) -> None:
         """Begin with nothing known."""
@@ -40,24 +52,51 @@ class Extrapolation:
         self._trail: list[tuple[float, PETSc.Vec]] = []
 
     def begin(self, time: float) -> None:
-        """A path of loads goes on, or begins where a stage does."""
-        if not self._trail or int(self._trail[0][0]) != int(time):
+        """A path of loads goes on, or is the first."""
+        if not self._trail:
             self._trail = [(time, self._solver.x.copy())]
 
     def predict(self, time: float) -> None:
-        """Follow the line if that comes closer to equilibrium."""
+        """Follow the line, or go where the states lead, if that is closer to equilibrium."""
         if len(self._trail) < 2:
             return
-        (t0, x0), (t1, x1) = self._trail
+        stage_begins = math.ceil(time) - 1
+        x = self._line(time) if self._trail[-2][0] >= stage_begins else self._mixture()
+        take_better(self._problem, self._solver, x)
+
+    def _line(self, time: float) -> PETSc.Vec:
+        """The state at a time on the straight line."""
+        (t0, x0), (t1, x1) = self._trail[-2:]
         s = (time - t1) / (t1 - t0)
         x = x1.copy()
         x.axpby(-s, 1.0 + s, x0)
-        take_better(self._problem, self._solver, x)
+        return x
+
+    def _mixture(self) -> PETSc.Vec:
+        """The state of least residual that the last ones span, were it linear."""
+        problem, solver = self._problem, self._solver
+        *before, x = (state.copy() for _, state in self._trail)
+        here = residual(problem, solver, x)
+        steps, changes = [], []
+        for state in before:
+            step = x.copy()
+            step.axpy(-1.0, state)
+            there = x.copy()
+            there.axpy(1.0, step)
+            change = residual(problem, solver, there)
+            change.axpy(-1.0, here)
+            steps.append(step)
+            changes.append(change)
+        gram = np.array([[a.dot(b) for b in changes] for a in changes])
+        shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
+        for share, step in zip(shares, steps, strict=True):
+            x.axpy(share, step)
+        return x
 
     def commit(self, time: float) -> None:
         """Remember the state; of two at one time the later."""
         state = (time, self._solver.x.copy())
-        self._trail = [*[p for p in self._trail if p[0] != time][-1:], state]
+        self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
 
 
 def take_better(problem: Problem, solver: Solver, x: PETSc.Vec) -> bool:
@@ -76,16 +115,21 @@ def take_better(problem: Problem, solver: Solver, x: PETSc.Vec) -> bool:
 
 def imbalance(problem: Problem, solver: Solver, x: PETSc.Vec) -> float:
     """Norm of the residual of a state [N], once it is what supports say; collective."""
-    u, q = solver.parts(x)
+    return float(residual(problem, solver, x).norm())
+
+
+def residual(problem: Problem, solver: Solver, x: PETSc.Vec) -> PETSc.Vec:
+    """Residual of a state [N], once it is what supports say, which is put into it; collective."""
+    f = solver.vector()
+    (u, q), (f_u, f_q) = solver.parts(x), solver.parts(f)
     problem.impose(u)
-    f = u.duplicate()
-    if q is None:
-        problem.residual_u(u, q, f)
-        return float(f.norm())
+    if q is None or f_q is None:
+        problem.residual_u(u, q, f_u)
+        return f
     (j,) = problem.jumps
     held = j.held.ravel()
     q.array[held] = j.given.ravel()[held]
-    problem.residual_u(u, q, f)
+    problem.residual_u(u, q, f_u)
     trial = problem.trial(u, q)
-    r = j.residual(trial.equilibrium, trial.jump, trial.law)
-    return math.hypot(f.norm(), math.sqrt(problem.comm.allreduce(float((r**2).sum()), MPI.SUM)))
+    f_q.array[:] = j.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+    return f

@@ -86,6 +86,14 @@ def test_proportional_loads_are_solved_once() -> None:
     assert max(later) <= 1
 
 
+def test_a_stage_in_proportion_to_the_one_before_is_solved_too() -> None:
+    """A stage begins with what the states before it span."""
+    _, steps = go("loads.push.history=[1, 1.5]", "stages=[{name: one}, {name: two}]")
+    first, then = (s.outcome.iterations for s in steps)
+    assert first > 3
+    assert then <= 1
+
+
 def test_a_line_that_leads_away_is_not_followed() -> None:
     """Where the load turns back, the step starts from the state before it, not from the line."""
     turn = ("loads.push.history=[1, 0.9]", "stages=[{name: up}, {name: back}]")
