@@ -25,8 +25,9 @@ log = logging.getLogger("mantle")
 
 Options = Mapping[str, str | int | float | bool]
 
-# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid.
-DIRECT_LIMIT = 30_000
+# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid: a contact solve
+# takes 3.3 CPU s against 3.8 at 19 000, 7.1 against 6.2 at 35 000, 23 against 13 at 67 000.
+DIRECT_LIMIT = 25_000
 DIRECT: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
 MULTIGRID: Options = {
     "pc_type": "gamg",
