@@ -9,8 +9,10 @@ A field is declared by one of the aliases below, for example ``thickness: Positi
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -19,7 +21,8 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from app import plain_units
+from app import folders
+from app.errors import MantleError
 from app.fields import Scalar, did_you_mean, fail, show
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
@@ -28,6 +31,9 @@ UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
 # Powers of powers and long exponents would cost more than they can mean.
 LONGEST = 60
 TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
+
+# File of conversions.
+KEPT = "conversions.json"
 
 # Exponents of length, mass, time, temperature.
 DIMENSIONS = {
@@ -63,7 +69,7 @@ SUGGESTIONS = (
 @lru_cache(maxsize=1)
 def registry() -> Any:
     """The unit registry: pint's own units, in rational arithmetic."""
-    import pint  # a second with the registry: only for what `plain_units` does not know
+    import pint  # a second with the registry: only for a unit that was never met before
 
     return pint.UnitRegistry(non_int_type=Fraction, autoconvert_offset_to_baseunit=True)
 
@@ -79,8 +85,34 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
     text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
     if not UNIT.fullmatch(text) or TOWER.search(text):
         raise LookupError(unit)
-    if plain := plain_units.convert(text, internal):
-        return plain
+    key = f"{text} in {internal}"
+    if key not in _kept():
+        _keep(key, _by_pint(unit, text, internal))
+    slope, offset = map(Fraction, _kept()[key])
+    return slope, offset
+
+
+@lru_cache(maxsize=1)
+def _kept() -> dict[str, list[str]]:
+    """Conversions that pint has made before, in the cache."""
+    folder = folders.cache("units")
+    try:
+        found = json.loads((folder / KEPT).read_text()) if folder else {}
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _keep(key: str, conversion: tuple[Fraction, Fraction]) -> None:
+    """Add a conversion to the cache, if there is one."""
+    _kept()[key] = [str(number) for number in conversion]
+    with suppress(OSError, MantleError):
+        if folder := folders.cache("units"):
+            folders.write_json(folder / KEPT, _kept())
+
+
+def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
+    """Slope and offset as pint finds them."""
     ureg = registry()
     try:
         source = ureg.parse_units(text)

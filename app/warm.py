@@ -32,7 +32,7 @@ def warm(path: Path, order: int) -> None:
     overrides = [f"mesh.order={order}", "output.error=false"]
     overrides += [f"mesh.{name}={COARSER * size} mm" for name, size in sizes.items() if size]
     case = config.load(path, overrides)
-    model = Model(case, MPI.COMM_WORLD, {}, Timing(), str)
+    model = Model(case, MPI.COMM_SELF, {}, Timing(), str)
     for m in model.mechanics:
         m.balance(np.zeros(3))
 

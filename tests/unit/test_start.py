@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import meshes
-from app import config, folders, kernels, plain_units, pointwise, units
+from app import config, folders, kernels, pointwise, units
 from app.sparse import from_triplets
 from meshes.interfaces import _connected, _distinct_rows
 from tests import support
@@ -71,16 +71,25 @@ def test_units_mean_what_pint_says(unit: str, internal: str) -> None:
     assert units.conversion(unit, internal) == (one - zero, zero)
 
 
-@pytest.mark.parametrize(
-    "unit", ["N/(mm", "N/(mm/s)/K", "mm^^2", "mm^0.5", "/mm", "mm^12", "", "N//s"]
-)
-def test_what_is_no_plain_product_is_left_to_pint(unit: str) -> None:
-    assert plain_units.parse(unit) is None
+def test_a_conversion_is_asked_of_pint_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forget() -> None:
+        units.conversion.cache_clear()
+        units._kept.cache_clear()
 
-
-def test_angles_are_no_plain_numbers() -> None:
-    assert plain_units.convert("m/m", "rad") is None
-    assert plain_units.convert("1/s", "rad/s") is None
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    forget()
+    found = units.conversion("kN/inch^2", "MPa")
+    assert found[0] == Fraction(1000) / Fraction("25.4") ** 2
+    forget()
+    with monkeypatch.context() as without:
+        without.setattr(units, "registry", lambda: pytest.fail("asked again"))
+        assert units.conversion("kN/inch^2", "MPa") == found
+    (tmp_path / "mantle/units/conversions.json").write_text("{broken")
+    forget()
+    assert units.conversion("kN/inch^2", "MPa") == found
+    forget()
 
 
 def test_labels_are_those_of_a_graph() -> None:
