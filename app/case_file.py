@@ -336,47 +336,12 @@ def _override(case: CaseFile, override: str) -> None:
         target[step] = None if node is None else _Builder(case, key).value(node, path)
 
 
-# Text that YAML takes for itself without quotes: words, and numbers with a unit.
-PLAIN = re.compile(r"([A-Za-z_][\w./-]*|-?\d[\w.+-]* [A-Za-z%°µ(/])[\w./*^()+ -]*", re.ASCII)
-RESERVED = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
-
-
-def written(data: dict[str, Any], indent: str = "") -> str:
-    """Mappings, lists and scalars as YAML that `read` gives back; lists of scalars in one line."""
-    lines = []
-    for key, value in data.items():
-        start = f"{indent}{_scalar(key)}:"
-        if isinstance(value, dict) and value:
-            lines.append(f"{start}\n{written(value, indent + '  ')}")
-        elif isinstance(value, list) and any(isinstance(item, dict) for item in value):
-            lines.append(f"{start}\n")
-            for item in value:
-                # The first key of an item stands behind its dash.
-                block = written(item, indent + "  ")
-                lines.append(f"{indent}- {block[len(indent) + 2 :]}")
-        else:
-            lines.append(f"{start} {_scalar(value)}\n")
-    return "".join(lines)
-
-
-def _scalar(value: Any) -> str:
-    """A scalar, or a list of such, in one line."""
-    match value:
-        case bool():
-            return str(value).lower()
-        case list():
-            return f"[{', '.join(map(_scalar, value))}]"
-        case dict():
-            return "{}"
-        case str():
-            plain = PLAIN.fullmatch(value) and value == value.strip()
-            return value if plain and value.lower() not in RESERVED else _quoted(value)
-    return repr(value)
-
-
-def _quoted(text: str) -> str:
-    """Text in double quotes, with all that does not print escaped."""
-    escaped = (
-        f"\\U{ord(c):08x}" if not c.isprintable() else f"\\{c}" if c in '"\\' else c for c in text
-    )
-    return f'"{"".join(escaped)}"'
+def written(data: dict[str, Any]) -> str:
+    """Mappings, lists and scalars as YAML that `read` gives back."""
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.width = 1 << 20
+    stream = io.StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()
