@@ -1,16 +1,16 @@
 r"""Nested start: a fine mesh starts from the jumps of a coarse one.
 
-The case is solved on a mesh twice as coarse too, load step by load step before the run, by the same
-rule from a still coarser one. The jumps are interpolated on the interface and the displacement
-follows from them, K u = f - C q, roughly: what Newton is left with is the contact state of points
-near the borders of contact, and not the way the loads take through the model.
+The case is solved on a mesh three times as coarse too, load step by load step before the run, and
+that one from a still coarser mesh where it is large itself. The jumps are interpolated on the
+interface and the displacement follows from them, K u = f - C q, roughly: what Newton is left with
+is the state of single points, and not the way the loads take through the model.
 """
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
@@ -34,10 +34,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 log = logging.getLogger("mantle")
 
-# Unknowns from which a coarser mesh pays.
-LARGE = 400_000
+# Unknowns from which a coarser mesh pays, and the part of them that may be jumps: where most of a
+# mesh is interface, as in a thin mantle, what is left to find is what points do that the coarse
+# mesh does not have.
+LARGE, SHARE = 40_000, 0.25
 # Mesh size of the coarser one over that of the run, and what it takes at least to be worth it.
-COARSER, LEAST = 2.0, 1.5
+COARSER, LEAST = 3.0, 2.5
 # Residual of a coarse solve over scale: far below what the mesh gets wrong.
 TOLERANCE = 1e-6
 # Residual of the displacement that follows from interpolated jumps.
@@ -48,15 +50,16 @@ GOOD = 0.1
 NEAREST = 8
 
 
-def coarser(case: config.Case, unknowns: int) -> config.Case | None:
+def coarser(case: config.Case, unknowns: Mapping[str, int]) -> config.Case | None:
     """The case on a coarser mesh, if it is large and its geometry can be meshed so.
 
     Args:
         case: A case.
-        unknowns: Of its mechanics.
+        unknowns: Of its mechanics, by block.
     """
     coarsening = min(COARSER, case.geometry.coarsest_size / case.mesh.size)
-    if unknowns < LARGE or coarsening < LEAST:
+    size = sum(unknowns.values())
+    if size < LARGE or unknowns["jump"] > SHARE * size or coarsening < LEAST:
         return None
     sizes = {"size": coarsening * case.mesh.size, "far_size": coarsening * case.mesh.far}
     solver = {"tolerance": max(TOLERANCE, case.solver.tolerance)}

@@ -14,8 +14,9 @@ from tests.unit import test_nested
 if __name__ == "__main__":
     comm = MPI.COMM_WORLD
     found = []
-    for large in (nested.LARGE, 1000):
-        nested.LARGE = large
+    for settings in ({}, test_nested.ALWAYS):
+        for name, value in settings.items():
+            setattr(nested, name, value)
         model, steps = test_nested.go()
         (j,) = model.mechanics[0].problem.jumps
         found.append((nested.replicated(j), steps[0].outcome.residuals[0]))

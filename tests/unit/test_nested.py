@@ -43,6 +43,7 @@ TURNS = (
     "loads.push.history=[0, 1]",
     "stages=[{name: fit}, {name: push, increments: 2}]",
 )
+ALWAYS = {"LARGE": 1000, "SHARE": 1.0, "COARSER": 2.0, "LEAST": 1.5}
 BLOCKS = """
 geometry: {kind: blocks, blocks: [{name: base, size: [9 mm, 7 mm, 4 mm]},
                                   {name: lid, size: [9 mm, 7 mm, 4 mm]}], tilt: 10 deg}
@@ -67,6 +68,12 @@ def go(*overrides: str) -> tuple[Model, list[Step]]:
 
     model.go(on_step, lambda step, accepted: None, print)
     return model, steps
+
+
+def always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Start from a coarser mesh although this one is small."""
+    for name, value in ALWAYS.items():
+        monkeypatch.setattr(nested, name, value)
 
 
 def jumps(model: Model) -> Any:
@@ -113,7 +120,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
 ) -> None:
     """The same jumps, and fewer iterations in the first step that slips."""
     cold, first = go(*overrides)
-    monkeypatch.setattr(nested, "LARGE", 1000)
+    always(monkeypatch)
     warm, then = go(*overrides)
     assert support.difference(jumps(warm), jumps(cold)) < 1e-6
     assert then[-2].outcome.iterations <= first[-2].outcome.iterations
@@ -125,19 +132,28 @@ def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPat
     made = [Model(support.case(STEM, o), MPI.COMM_WORLD, {}, Timing(), str) for o in (bonded,)]
     small = Model(support.case(STEM), MPI.COMM_WORLD, {}, Timing(), str)
     assert small._nested(small.mechanics[0]) == ()
-    monkeypatch.setattr(nested, "LARGE", 1000)
+    always(monkeypatch)
     assert len(small._nested(small.mechanics[0])) == 1
     assert made[0]._nested(made[0].mechanics[0]) == ()
 
 
-def test_no_coarser_mesh_than_the_geometry_allows() -> None:
-    case = support.case(support.CONFIGS.joinpath("stance.yaml").read_text(), "mesh.size=4 mm")
-    assert nested.coarser(case, nested.LARGE) is None
-    fine = support.case(support.CONFIGS.joinpath("stance.yaml").read_text(), "mesh.size=1 mm")
-    coarse = nested.coarser(fine, nested.LARGE)
-    assert coarse is not None
-    assert coarse.mesh.size > 1.0
-    assert coarse.geometry == fine.geometry
+@pytest.mark.parametrize(
+    ("size", "unknowns", "nests"),
+    [
+        ("1 mm", {"displacement": 90_000, "jump": 10_000}, True),
+        ("1 mm", {"displacement": 70_000, "jump": 30_000}, False),  # nearly all of it interface
+        ("1 mm", {"displacement": 9_000, "jump": 1_000}, False),  # small
+        ("3 mm", {"displacement": 90_000, "jump": 10_000}, False),  # no mesh so coarse
+    ],
+)
+def test_where_a_coarser_mesh_pays(size: str, unknowns: dict[str, int], nests: bool) -> None:
+    text = support.CONFIGS.joinpath("stance.yaml").read_text()
+    case = support.case(text, f"mesh.size={size}")
+    coarse = nested.coarser(case, unknowns)
+    assert (coarse is not None) == nests
+    if coarse is not None:
+        assert coarse.mesh.size == pytest.approx(3.0)
+        assert coarse.geometry == case.geometry
 
 
 @pytest.mark.parametrize("error", [GeometryError("no such mesh"), StoppedError("stopped")])
@@ -149,7 +165,7 @@ def test_a_coarse_model_that_fails_is_done_without(
     def fail(self: Model, case: object) -> None:
         raise error
 
-    monkeypatch.setattr(nested, "LARGE", 1000)
+    always(monkeypatch)
     monkeypatch.setattr(Model, "_coarse", fail)
     if isinstance(error, StoppedError):
         with pytest.raises(StoppedError):
