@@ -317,7 +317,7 @@ class Model:
         """A start from a coarser mesh, if that pays."""
         if not m.problem.jumps or self.scene.conductors:
             return ()
-        case = coarser(self._case, sum(m.solver.block_sizes.values()))
+        case = coarser(self._case, m.solver.block_sizes)
         return () if case is None else (Nested(m.problem, m.solver, lambda: self._coarse(case)),)
 
     def _coarse(self, case: config.Case) -> Motion:
