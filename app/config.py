@@ -47,7 +47,7 @@ from app.geometries import (
     MeshFile,
     MeshOptions,
 )
-from app.json_schema import json_schema
+from app.json_schema import docstrings, json_schema
 from app.materials import (
     Conductor,
     Eigenstrain,
@@ -369,8 +369,7 @@ def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Prob
 
 def _expected(model: type[BaseModel], location: tuple[str | int, ...]) -> str:
     """What a missing key stands for: its documentation."""
-    info = _model_at(model, location).model_fields.get(str(location[-1]))
-    text = (info.description or "") if info else ""
+    text = docstrings(_model_at(model, location)).get(str(location[-1]), "")
     return f"expected: {text[:1].lower()}{text[1:].rstrip('.')}" if text else "expected"
 
 

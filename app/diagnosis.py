@@ -168,9 +168,10 @@ def runaway(problem: Problem, trial: Trial) -> str:
         largest = problem.comm.allreduce(local, MPI.MAX)
         elastic = forces / (contact.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
+            free = "".join(f"{line}; " for line in free_bodies(problem, trial))
             return (
-                f"the sides of interface '{contact.name}' moved {largest:.3g} mm apart or along "
-                f"each other, {100 * largest / size:.0f} % of the interface's size: "
+                f"{free}the sides of interface '{contact.name}' moved {largest:.3g} mm apart or "
+                f"along each other, {100 * largest / size:.0f} % of the interface's size: "
                 "nothing holds them but the facets of the mesh"
             )
     return ""

@@ -58,9 +58,6 @@ class Beside(Protocol):
     def place(self, seconds: float) -> None:
         """Set it to the time of a stage [s]."""
 
-    def soften(self) -> bool:
-        """Make it converge more easily, if that can be done."""
-
 
 class Partner(Protocol):
     """What solves the heat, alone or with what else is in its system."""
@@ -168,16 +165,13 @@ class Heating:
         n = len(self.vectors())
         if not self.conduction.begin(start[:n], start[n:], h, seconds):
             return None
-        while True:
-            self.put(guess)
-            for other in self.beside:
-                other.place(seconds)
-            self.outcome = self.solver.solve()
-            self.total.count(self.outcome)
-            if self.outcome.converged:
-                break
-            if not any([other.soften() for other in self.beside]):
-                return None
+        self.put(guess)
+        for other in self.beside:
+            other.place(seconds)
+        self.outcome = self.solver.solve()
+        self.total.count(self.outcome)
+        if not self.outcome.converged:
+            return None
         self._stages.append(self.conduction.flows(self.vectors()))
         return self._state(self.vectors())
 

@@ -27,7 +27,7 @@ class _Generator(GenerateJsonSchema):
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
         """Describe the keys; require the `kind` of every class but one that may leave it out."""
         result = super().model_schema(schema)
-        for name, text in _docstrings(schema["cls"]).items():
+        for name, text in docstrings(schema["cls"]).items():
             if name in result.get("properties", {}):
                 result["properties"][name]["description"] = text
         kind = result.get("properties", {}).get("kind")
@@ -36,10 +36,10 @@ class _Generator(GenerateJsonSchema):
         return result
 
 
-def _docstrings(model: type) -> dict[str, str]:
+def docstrings(model: type) -> dict[str, str]:
     """Texts below the fields of a class and of those it is made from.
 
-    Pydantic's own ``use_attribute_docstrings`` reads the source at every start.
+    Pydantic's own ``use_attributedocstrings`` reads the source at every start.
     """
     found: dict[str, str] = {}
     for base in reversed(model.__mro__):

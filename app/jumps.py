@@ -138,7 +138,7 @@ class Jumps:
         self.augmented = np.array([c.augmented for c in contacts])[self.interface]
         self._law = self._law_of(contacts)
         self.default_stiffness = self._default_stiffness()
-        self._level = self._softness = 1.0
+        self._softness = 1.0
         self._stiffen()
         full = np.zeros(len(self.points.weight))
         for i, c in enumerate(contacts):
@@ -235,18 +235,13 @@ class Jumps:
         for support, jump in zip(self._supports, self._given, strict=True):
             self.given += amplitude(support.history, time) * jump
 
-    def scale_augmentation(self, factor: float) -> None:
-        """Put a multiple of the default augmentation in force; penalties stay."""
-        self._level = factor
-        self._stiffen()
-
     def soften(self, factor: float) -> None:
-        """Use a multiple of the augmentation in force, until told otherwise; penalties stay."""
+        """Use a multiple of the default augmentation, until told otherwise; penalties stay."""
         self._softness = factor
         self._stiffen()
 
     def _stiffen(self) -> None:
-        scale = np.where(self.augmented, self._level * self._softness, 1.0)
+        scale = np.where(self.augmented, self._softness, 1.0)
         self.stiffness = scale * self.default_stiffness
 
     # Residual and Jacobian

@@ -1,9 +1,7 @@
 """Load steps: along a path, cutting back where a step does not converge.
 
-A step is committed only when it has converged. When it has not, the augmentation of the
-augmented-Lagrangian interfaces is lowered first (it changes the path of the iteration, not the
-answer), then the step is halved; an easy step lets a shortened one grow back to the increments the
-stage asks for.
+A step is committed only when it has converged. When it has not, for all that the solver tried, it
+is halved; an easy step lets a shortened one grow back to the increments the stage asks for.
 """
 
 from __future__ import annotations
@@ -19,8 +17,6 @@ from app.problem import Problem, Trial
 from app.solver import Outcome, Solver
 from app.terms import Stage
 
-# Augmentation tried in turn, as multiples of the default.
-AUGMENTATIONS = (1.0, 0.1, 0.01)
 EASY_ITERATIONS = 8
 GROWTH = 2.0
 
@@ -86,7 +82,6 @@ class Motion:
         on_trouble: Told in plain words what is tried when a step fails.
         predictors: What may know a better start for a step than the line through those before it.
         total: What it took so far.
-        level: Augmentation in force, as an index of `AUGMENTATIONS`.
     """
 
     problem: Problem
@@ -95,7 +90,6 @@ class Motion:
     on_trouble: Callable[[str], None]
     predictors: tuple[Predictor, ...] = ()
     total: Summary = field(default_factory=Summary)
-    level: int = 0
 
     def __post_init__(self) -> None:
         """The line through the last states comes first."""
@@ -132,7 +126,6 @@ class Motion:
             while True:
                 place(reach)
                 problem.restiffen()
-                problem.scale_augmentation(AUGMENTATIONS[self.level])
                 for p in predictors:
                     p.predict(begin + reach * (end - begin))
                 outcome = solver.solve()
@@ -143,15 +136,12 @@ class Motion:
                 start.copy(solver.x)
                 predictors = ()
                 why = explain(problem, solver, outcome)
-                if self.soften(why.short):
-                    continue
                 # A smaller step does not hold a body that nothing holds: one is tried, no more.
                 hopeless = bool(why.free) and cuts > 0
                 if not stage.adaptive or cuts == stage.max_cut_backs or hopeless:
                     at = begin + reach * (end - begin)
                     raise ConvergenceError(why.text(stage.name, at - int(begin), cuts))
                 cuts += 1
-                self.level = 0
                 step /= 2
                 reach = done + step
                 self.on_trouble(f"{why.short}; step halved to {step:.4g} of stage '{stage.name}'")
@@ -159,15 +149,6 @@ class Motion:
             done = reach
             if outcome.iterations <= EASY_ITERATIONS and step < whole:
                 step, cuts = min(GROWTH * step, whole), max(cuts - 1, 0)
-
-    def soften(self, why: str = "no convergence") -> bool:
-        """Lower the augmentation, if there is any left to lower."""
-        if not self.problem.augmented or self.level + 1 == len(AUGMENTATIONS):
-            return False
-        self.level += 1
-        self.problem.scale_augmentation(AUGMENTATIONS[self.level])
-        self.on_trouble(f"{why}; augmentation lowered to {AUGMENTATIONS[self.level]:g} r")
-        return True
 
     def commit(self, stage: Stage, time: float, outcome: Outcome, started: float) -> None:
         """Make the state of the solver history, and tell of it; collective.
@@ -189,15 +170,14 @@ class Motion:
         for p in self.predictors:
             p.commit(time)
         self.total.steps += 1
-        augmentation = AUGMENTATIONS[self.level] * outcome.augmentation
-        self.total.augmentation = augmentation
+        self.total.augmentation = outcome.augmentation
         self.on_step(
             Step(
                 self.total.steps,
                 stage.name,
                 time,
                 outcome,
-                augmentation,
+                outcome.augmentation,
                 clock.perf_counter() - started,
                 True,
             ),

@@ -345,16 +345,6 @@ class Problem:
         """Half the work of the free strains' forces now acting in a displacement [N mm]."""
         return self._forces.free_work(self.reduction.expand(u))
 
-    @property
-    def augmented(self) -> bool:
-        """Whether any interface has an augmentation to lower."""
-        return any(c.augmented for c in self.scene.contacts)
-
-    def scale_augmentation(self, factor: float) -> None:
-        """Set the augmentation to a multiple of its default; penalties stay."""
-        for j in self.jumps:
-            j.scale_augmentation(factor)
-
     def augmentation(self) -> dict[str, float]:
         """Augmentation or penalty in force on each interface [MPa/mm]; collective."""
         values = {}

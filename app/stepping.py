@@ -252,10 +252,6 @@ class Joint:
         if not self._heating.outcome.converged:
             self._restore()
 
-    def soften(self) -> bool:
-        """Lower the augmentation, if there is any left to lower."""
-        return self._motion.soften()
-
     def after(self, time: float, whole: bool) -> None:
         """The mechanics of an accepted step become history."""
         started = clock.perf_counter()

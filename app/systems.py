@@ -270,9 +270,9 @@ class Contact:
         self._last, self._changed = None, 0
 
     def soften(self, factor: float) -> bool:
-        """Solve with this multiple of the augmentation in force, if an interface has one."""
+        """Solve with this multiple of the default augmentation, if an interface has one."""
         self._jumps.soften(factor)
-        return self._problem.augmented
+        return any(c.augmented for c in self._problem.scene.contacts)
 
 
 def _block_diagonal(j: Jumps) -> PETSc.Mat:

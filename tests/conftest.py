@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import sys
 from collections.abc import Iterator
 
@@ -19,3 +20,13 @@ def collect_together() -> Iterator[None]:
     if mpi.COMM_WORLD.size > 1:  # alone, a full collection after each of 1700 tests is only time
         gc.collect()
         mpi.COMM_WORLD.barrier()
+
+
+@pytest.fixture(autouse=True)
+def log_of_other_tests() -> Iterator[None]:
+    """The command line sets up a log of its own; the tests after it want theirs."""
+    logger = logging.getLogger("mantle")
+    before = logger.propagate, logger.level, logger.handlers
+    logger.propagate = True
+    yield
+    logger.propagate, logger.level, logger.handlers = before

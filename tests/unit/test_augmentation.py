@@ -61,7 +61,7 @@ def test_it_follows_the_stiffness_in_force() -> None:
     """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
     problem, _ = support.assemble(support.case(STEM))
     (j,) = problem.jumps
-    problem.scale_augmentation(0.1)
+    j.soften(0.1)
     before = j.stiffness.copy()
     coupling = j._coupling
 

@@ -101,7 +101,6 @@ class Bench:
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
     monkeypatch.setattr(batch, "MANTLE_RUN", (sys.executable, str(tmp_path / "mantle.py")))
-    monkeypatch.setattr(logging.getLogger("mantle"), "propagate", True)
     return Bench(tmp_path)
 
 

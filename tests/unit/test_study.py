@@ -12,7 +12,6 @@ import json
 import logging
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -70,16 +69,6 @@ summary = {"interfaces": {"lower_upper": numbers}, "regions": {}, "stem": {}, "t
 (output / "summary.json").write_text(json.dumps(summary))
 (output / "DONE").write_text("")
 """
-
-
-@pytest.fixture(autouse=True)
-def log_of_other_tests() -> Iterator[None]:
-    """The command line sets up a log of its own; the tests after it want theirs."""
-    logger = logging.getLogger("mantle")
-    before = logger.propagate, logger.level, logger.handlers
-    logger.propagate = True
-    yield
-    logger.propagate, logger.level, logger.handlers = before
 
 
 @pytest.fixture
