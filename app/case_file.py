@@ -338,7 +338,7 @@ def _override(case: CaseFile, override: str) -> None:
 
 def written(data: dict[str, Any]) -> str:
     """Mappings, lists and scalars as YAML that `read` gives back."""
-    yaml = YAML(typ="safe")
+    yaml: Any = YAML(typ="safe")
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False
     yaml.width = 1 << 20
