@@ -287,12 +287,14 @@ class Conduction:
             τ.array[j.held] = given[j.held]
 
     def _at(self, x: Sequence[PETSc.Vec]) -> _Evaluation:
-        """Evaluate a state, unless it is the one evaluated last."""
+        """Evaluate a state, unless it is the one evaluated last; collective."""
         arrays = [v.array_r for v in x]
         given = [*arrays, *(j.pressure for j in self.jumps)]
         given += [nodal for f in self.frictions for nodal in f.nodal]
         for last in self._last:
-            if all(map(np.array_equal, given, last.given)):
+            # Together, for what follows is collective: a rank may see a change that another does not.
+            same = all(map(np.array_equal, given, last.given))
+            if self.comm.allreduce(same, MPI.LAND):
                 return last
         T = self.nodal(x)
         lacking, parts = [], list[Floats]()
