@@ -292,7 +292,7 @@ class Conduction:
         given = [*arrays, *(j.pressure for j in self.jumps)]
         given += [nodal for f in self.frictions for nodal in f.nodal]
         for last in self._last:
-            # Together, for what follows is collective: a rank may see a change that another does not.
+            # Together, for what follows is collective: one rank may see a change, another none.
             same = all(map(np.array_equal, given, last.given))
             if self.comm.allreduce(same, MPI.LAND):
                 return last

@@ -247,11 +247,9 @@ class Coupled:
                 S.axpy(1.0, B, structure=SUBSET)
         _copy(self._from_heat(), self._down)
 
-    def motions(self) -> list[Floats]:
+    def motions(self) -> Sequence[PETSc.Mat]:
         """Those of the mechanics, the heat as it is."""
-        found = self._motion.motions()
-        heat = list(self._heat.blocks().values())
-        return [*(np.zeros((v.getLocalSize(), found[0].shape[1])) for v in heat), *found]
+        return self._motion.motions()
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""

@@ -227,15 +227,18 @@ class Linear:
                 self._own, parts = [pc], {" and ".join(self._names): pc}
             deflated = self._split and bool(self._system.motions())
             if deflated:
-                context = Deflated(pc, self._system.motions)
-                pc = PETSc.PC().createPython(context, comm=self._system.comm)
+                system = self._system
+                context = Deflated(pc, self._names, system.motions, lambda: system.version)
+                pc = PETSc.PC().createPython(context, comm=system.comm)
             ksp.setPC(pc)
             pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
         for own in self._own:
             own.setReusePreconditioner(True)
-        log.info("linear: %s%s", self._words(parts), ", rigid motions apart" if deflated else "")
+        log.info(
+            "linear: %s%s", self._words(parts), ", motions of bodies apart" if deflated else ""
+        )
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
         """Blocks in turn, each by its own preconditioner or by the one it shares."""

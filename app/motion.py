@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from app.diagnosis import explain, runaway
 from app.errors import ConvergenceError
-from app.prediction import Extrapolation, Predictor
+from app.prediction import Extrapolation, Predictor, same
 from app.problem import Problem, Trial
 from app.solver import Outcome, Solver
 from app.terms import Stage
@@ -128,6 +128,7 @@ class Motion:
                 problem.restiffen()
                 for p in predictors:
                     p.predict(begin + reach * (end - begin))
+                led = predictors and not same(start, solver.x)
                 outcome = solver.solve()
                 self.total.count(outcome)
                 if outcome.converged:
@@ -136,6 +137,9 @@ class Motion:
                 start.copy(solver.x)
                 predictors = ()
                 why = explain(problem, solver, outcome)
+                if led:
+                    self.on_trouble(f"{why.short}; again from the state before the step")
+                    continue
                 # A smaller step does not hold a body that nothing holds: one is tried, no more.
                 hopeless = bool(why.free) and cuts > 0
                 if not stage.adaptive or cuts == stage.max_cut_backs or hopeless:

@@ -23,7 +23,7 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 
-from app.prediction import take_better
+from app.prediction import same, take_better
 from app.problem import Problem
 from app.solver import Solver
 
@@ -106,7 +106,7 @@ class Neighbours:
         """Remember the state."""
         state = self._state()
         self._now[time], self._last = state, time
-        self._new = self._new or self._start is None or not _same(self._start, state.x)
+        self._new = self._new or self._start is None or not same(self._start, state.x)
 
     def _try(self, x: PETSc.Vec) -> None:
         if take_better(self._problem, self._solver, x):
@@ -170,10 +170,3 @@ def _scaled(state: State, factor: float) -> State:
     x = state.x.copy()
     x.scale(factor)
     return State(x, factor * state.forces, factor * state.gaps, state.friction)
-
-
-def _same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
-    """Whether nothing has changed; collective."""
-    difference = a.copy()
-    difference.axpy(-1.0, b)
-    return bool(difference.norm() == 0.0)

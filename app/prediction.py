@@ -133,3 +133,10 @@ def residual(problem: Problem, solver: Solver, x: PETSc.Vec) -> PETSc.Vec:
     trial = problem.trial(u, q)
     f_q.array[:] = j.residual(trial.equilibrium, trial.jump, trial.law).ravel()
     return f
+
+
+def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
+    """Whether two states are equal; collective."""
+    difference = a.copy()
+    difference.axpy(-1.0, b)
+    return bool(difference.norm() == 0.0)

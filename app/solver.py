@@ -41,8 +41,9 @@ ENOUGH = 0.3
 # A residual that has not fallen to this part of itself in so many iterations is stuck; whole steps
 # may go up before they go down.
 HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
-# Multiples of the augmentation tried in turn where Newton is stuck: mostly it is too large.
-AUGMENTATIONS = (0.1, 0.01, 100.0)
+# Multiples of the augmentation tried in turn where Newton is stuck, and whether it then goes on
+# from where it is or from the start again: mostly it is too large.
+AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
 
 
 @dataclass(frozen=True)
@@ -250,11 +251,13 @@ class Solver:
         back and forth, and a smaller one finds its way from there. At a kink of the contact law a
         line search may cut steps to nothing where whole steps lead on, and the other way round.
         """
-        for factor in AUGMENTATIONS:
-            if self._lost():
+        for factor, on in AUGMENTATIONS:
+            if self.snes.getConvergedReason() > 0:
                 return
+            if on and self._lost():
+                continue
             if factor != self._augmentation and self._system.soften(factor):
-                if factor > self._augmentation:
+                if not on:
                     start.copy(self.x)
                 self._augmentation = factor
                 yield f"augmentation {factor:g} r"

@@ -75,3 +75,26 @@ def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
     for A in others:
         total.axpy(1.0, A, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     return total
+
+
+def block_diagonal(comm: MPI.Comm, n: int) -> PETSc.Mat:
+    """Matrix with a dense 3 x 3 block for each own point; collective."""
+    return from_rows(comm, (3 * n, 3 * n), *_csr(comm, np.ones((n, 3, 3))))
+
+
+def fill(A: PETSc.Mat, blocks: Floats) -> None:
+    """Set a block diagonal matrix to blocks (n, 3, 3); collective."""
+    A.setValuesCSR(*_csr(A.comm.tompi4py(), blocks))
+    A.assemble()
+
+
+def _csr(comm: MPI.Comm, blocks: Floats) -> tuple[NDArray, NDArray, NDArray]:
+    """Rows of a block diagonal matrix in compressed form."""
+    n = len(blocks)
+    start = comm.exscan(3 * n) or 0  # type: ignore[attr-defined]  # mpi4py's stubs lack it
+    columns = start + np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n)
+    return (
+        (3 * np.arange(3 * n + 1)).astype(PETSc.IntType),
+        columns.astype(PETSc.IntType),
+        np.ascontiguousarray(blocks).ravel(),
+    )

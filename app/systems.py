@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from app.deflation import Motions
 from app.jumps import Jumps
-from app.linear import INTERFACE, Inverse, Options, block
+from app.linear import DIRECT_LIMIT, INTERFACE, Inverse, Options, block
 from app.problem import Problem, Trial
-from app.sparse import from_rows
+from app.sparse import block_diagonal, fill
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class System(Protocol):
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
 
-    def motions(self) -> Sequence[NDArray[np.float64]]:
-        """Motions that the last Jacobian hardly resists: own rows of each block, or nothing."""
+    def motions(self) -> Sequence[PETSc.Mat]:
+        """Motions that the last Jacobian hardly resists, of displacement and jumps, or nothing."""
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """How large the residual f of a state x is, by part; collective."""
@@ -142,7 +142,7 @@ class Bonded:
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Nothing to do: the stiffness is constant."""
 
-    def motions(self) -> Sequence[NDArray[np.float64]]:
+    def motions(self) -> Sequence[PETSc.Mat]:
         """Nothing moves but what supports leave."""
         return ()
 
@@ -184,10 +184,10 @@ class Contact:
         self._C = j.C.copy()
         self._C.zeroRows(problem.supported_rows(), diag=0.0)
         self._coupled = self.version
-        self._rows = _block_diagonal(j)
+        self._rows = block_diagonal(j.comm, len(j.mine))
         self._A_qu = self._rows.matMult(j.Ct)
         self._A_qq = self._rows.matMult(j.D)
-        self._added = _block_diagonal(j)
+        self._added = block_diagonal(j.comm, len(j.mine))
         self._motions_of = -1
         self._last: NDArray[np.int64] | None = None
         self._changed = 0
@@ -236,8 +236,8 @@ class Contact:
             self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
         trial = self.trial = self._problem.trial(*x)
         times, added = self._jumps.row_factors(trial.law)
-        _fill(self._rows, times)
-        _fill(self._added, added)
+        fill(self._rows, times)
+        fill(self._added, added)
         self._rows.matMult(self._jumps.Ct, result=self._A_qu)
         self._rows.matMult(self._jumps.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
@@ -245,10 +245,11 @@ class Contact:
         self._changed = -1 if self._last is None else int((status != self._last).sum())
         self._last = status.copy()
 
-    def motions(self) -> Sequence[NDArray[np.float64]]:
-        """Bodies that slide or lift off as a whole."""
+    def motions(self) -> Sequence[PETSc.Mat]:
+        """Bodies that slide, lift off or bend away."""
         if self._motions_of != self.version:
-            self._motions, self._motions_of = Motions(self._problem), self.version
+            few = self._problem.inverse.size <= DIRECT_LIMIT
+            self._motions, self._motions_of = Motions(self._problem, few), self.version
         return self._motions.at(self.trial.law.jacobian)
 
     @property
@@ -273,26 +274,3 @@ class Contact:
         """Solve with this multiple of the default augmentation, if an interface has one."""
         self._jumps.soften(factor)
         return any(c.augmented for c in self._problem.scene.contacts)
-
-
-def _block_diagonal(j: Jumps) -> PETSc.Mat:
-    """Matrix with a dense 3 x 3 block per contact point."""
-    n = len(j.mine)
-    return from_rows(j.comm, (3 * n, 3 * n), *_csr(j.comm, np.ones((n, 3, 3))))
-
-
-def _fill(A: PETSc.Mat, blocks: NDArray[np.float64]) -> None:
-    A.setValuesCSR(*_csr(A.comm.tompi4py(), blocks))
-    A.assemble()
-
-
-def _csr(comm: MPI.Comm, blocks: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
-    """Rows of a block diagonal matrix in compressed form."""
-    n = len(blocks)
-    start = comm.exscan(3 * n) or 0  # type: ignore[attr-defined]  # mpi4py's stubs lack it
-    columns = start + np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n)
-    return (
-        (3 * np.arange(3 * n + 1)).astype(PETSc.IntType),
-        columns.astype(PETSc.IntType),
-        np.ascontiguousarray(blocks).ravel(),
-    )
