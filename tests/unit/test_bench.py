@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import resource
 import sys
 from pathlib import Path
 from typing import Any
@@ -243,7 +244,9 @@ def test_a_process_is_measured(tmp_path: Path) -> None:
         "import time; b = b'x' * 300_000_000; time.sleep(1)\nwhile time.process_time() < 0.3: pass"
     )
     measured = Runs(tmp_path).process("busy", [sys.executable, "-c", code])
-    assert 300 < measured.memory < 400
+    # A child's peak counts that of the process it is forked from, here of all tests before.
+    tests = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    assert 300 < measured.memory < max(400, 1.1 * tests)
     assert 0.3 <= measured.cpu < measured.wall - 0.9
 
 
