@@ -265,7 +265,7 @@ class Linear:
 
     def update(self, x: list[PETSc.Vec]) -> None:
         """Set the Jacobian to a state; preconditioners are made again where that is due."""
-        self._learn()
+        self.learn()
         self._system.jacobian(x)
         self.matrix.assemble()
         if self._excess > PRICE:
@@ -279,12 +279,8 @@ class Linear:
                 pc.setReusePreconditioner(True)
         self._pending = True
 
-    def took(self, newton: int, krylov: int) -> None:
-        """Learn that a nonlinear solve has ended."""
-        self._learn()
-
-    def _learn(self) -> None:
-        """See how good the preconditioners were in the last solve.
+    def learn(self) -> None:
+        """See how good the preconditioners were in the last linear solve; nothing if that is known.
 
         Old ones are kept until the iterations that they have cost in vain are worth new ones.
         """

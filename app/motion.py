@@ -93,7 +93,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         """The line through the last states comes first."""
-        self._line = Extrapolation(self.problem, self.solver)
+        self._line = Extrapolation(self.solver)
         self.predictors = (self._line, *self.predictors)
 
     def load(self, k: int, stage: Stage) -> None:

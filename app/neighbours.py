@@ -109,7 +109,7 @@ class Neighbours:
         self._new = self._new or self._start is None or not same(self._start, state.x)
 
     def _try(self, x: PETSc.Vec) -> None:
-        if take_better(self._problem, self._solver, x):
+        if take_better(self._solver, x):
             self._start = x.copy()
 
     def _state(self) -> State:

@@ -100,7 +100,7 @@ class Nested:
             self._failed = True
             log.info("     no start from a coarser mesh: %s", str(error).splitlines()[0])
             return
-        take_better(self._problem, self._solver, self._state(jump))
+        take_better(self._solver, self._state(jump))
 
     def commit(self, time: float) -> None:
         """The coarse model has to go through it too, when it is asked again."""
@@ -109,8 +109,8 @@ class Nested:
     def _good(self) -> bool:
         """Whether others have found a start that is good enough."""
         solver, nothing = self._solver, self._solver.vector()
-        here = imbalance(self._problem, solver, solver.x.copy())
-        return here <= GOOD * imbalance(self._problem, solver, nothing)
+        here = imbalance(solver, solver.x.copy())
+        return here <= GOOD * imbalance(solver, nothing)
 
     def _jump(self, time: float) -> Floats:
         """Jumps of own points at a time, interpolated from the coarse ones (n, 3) [mm]."""

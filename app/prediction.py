@@ -16,7 +16,6 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.problem import Problem
 from app.solver import Solver
 
 # States before the last that are kept.
@@ -46,9 +45,9 @@ class Extrapolation:
     would make x + sum s_i d_i the state of least residual, were the residual R linear.
     """
 
-    def __init__(self, problem: Problem, solver: Solver) -> None:
+    def __init__(self, solver: Solver) -> None:
         """Begin with nothing known."""
-        self._problem, self._solver = problem, solver
+        self._solver = solver
         self._trail: list[tuple[float, PETSc.Vec]] = []
 
     def begin(self, time: float) -> None:
@@ -62,7 +61,7 @@ class Extrapolation:
             return
         stage_begins = math.ceil(time) - 1
         x = self._line(time) if self._trail[-2][0] >= stage_begins else self._mixture()
-        take_better(self._problem, self._solver, x)
+        take_better(self._solver, x)
 
     def _line(self, time: float) -> PETSc.Vec:
         """The state at a time on the straight line."""
@@ -74,16 +73,16 @@ class Extrapolation:
 
     def _mixture(self) -> PETSc.Vec:
         """The state of least residual that the last ones span, were it linear."""
-        problem, solver = self._problem, self._solver
+        solver = self._solver
         *before, x = (state.copy() for _, state in self._trail)
-        here = residual(problem, solver, x)
+        here = solver.residual(x)
         steps, changes = [], []
         for state in before:
             step = x.copy()
             step.axpy(-1.0, state)
             there = x.copy()
             there.axpy(1.0, step)
-            change = residual(problem, solver, there)
+            change = solver.residual(there)
             change.axpy(-1.0, here)
             steps.append(step)
             changes.append(change)
@@ -99,40 +98,22 @@ class Extrapolation:
         self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
 
 
-def take_better(problem: Problem, solver: Solver, x: PETSc.Vec) -> bool:
+def take_better(solver: Solver, x: PETSc.Vec) -> bool:
     """Give the solver a state if it is closer to equilibrium than its own; collective.
 
     Args:
-        problem: At the time of the step.
-        solver: Its solver.
+        solver: Of a problem at the time of the step.
         x: The state; its supported components are set.
     """
-    if imbalance(problem, solver, x) >= imbalance(problem, solver, solver.x.copy()):
+    if imbalance(solver, x) >= imbalance(solver, solver.x.copy()):
         return False
     x.copy(solver.x)
     return True
 
 
-def imbalance(problem: Problem, solver: Solver, x: PETSc.Vec) -> float:
+def imbalance(solver: Solver, x: PETSc.Vec) -> float:
     """Norm of the residual of a state [N], once it is what supports say; collective."""
-    return float(residual(problem, solver, x).norm())
-
-
-def residual(problem: Problem, solver: Solver, x: PETSc.Vec) -> PETSc.Vec:
-    """Residual of a state [N], once it is what supports say, which is put into it; collective."""
-    f = solver.vector()
-    (u, q), (f_u, f_q) = solver.parts(x), solver.parts(f)
-    problem.impose(u)
-    if q is None or f_q is None:
-        problem.residual_u(u, q, f_u)
-        return f
-    (j,) = problem.jumps
-    held = j.held.ravel()
-    q.array[held] = j.given.ravel()[held]
-    problem.residual_u(u, q, f_u)
-    trial = problem.trial(u, q)
-    f_q.array[:] = j.residual(trial.equilibrium, trial.jump, trial.law).ravel()
-    return f
+    return float(solver.residual(x).norm())
 
 
 def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:

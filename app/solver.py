@@ -211,6 +211,13 @@ class Solver:
             for p, s in zip(parts, known, strict=True)
         ]
 
+    def residual(self, x: PETSc.Vec) -> PETSc.Vec:
+        """Residual of a state, once it is what supports say, which is put into it; collective."""
+        self._system.impose(self.blocks(x))
+        f = self.vector()
+        self._system.residual(self.blocks(x), self.blocks(f))
+        return f
+
     # Solve
 
     def solve(self) -> Outcome:
@@ -233,7 +240,7 @@ class Solver:
         else:
             self.x.copy(self.failed)
             self._augmentation = 1.0
-        self._linear.took(newton, krylov)
+        self._linear.learn()
         return Outcome(
             converged=reason > 0,
             iterations=newton,
