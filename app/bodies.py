@@ -7,7 +7,7 @@ the gathered facets.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -152,8 +152,16 @@ def contact_facets(
     bodies: Bodies,
     space: fem.FunctionSpace,
     contacts: Sequence[Contact | ThermalContact],
+    moduli: Mapping[str, float],
 ) -> InterfaceFacets:
     """Facets of all contact interfaces, replicated in canonical order; collective.
+
+    Args:
+        tagged: The mesh.
+        bodies: Its bodies.
+        space: The space of what jumps.
+        contacts: The interfaces.
+        moduli: How stiff regions are: jumps move the softer side. Others count as zero.
 
     Raises:
         InputError: An interface has no facets on this mesh.
@@ -184,6 +192,9 @@ def contact_facets(
     vertices, vertex_dofs, edge_dofs, x, inside = _facet_nodes(
         tagged, space, FacetCells(facet, slave, _local_numbers(tagged, facet, slave))
     )
+    stiffness = np.zeros(len(bodies.of_tag))
+    for region, modulus in moduli.items():
+        stiffness[tagged.regions[region]] = modulus
     return sorted_facets(
         tagged.mesh.comm,
         interface,
@@ -194,6 +205,7 @@ def contact_facets(
         edge_dofs,
         x,
         inside,
+        stiffness[np.stack([tags[master], tags[slave]], axis=1)],
     )
 
 

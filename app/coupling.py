@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from app.bodies import contact_facets
 from app.conduction import Conduction
+from app.deflation import Motions
 from app.heat_system import HeatSystem
-from app.linear import Options
+from app.linear import INTERFACE, Options
 from app.points import PointForces
 from app.problem import ROUNDING, Problem, Trial
 from app.solver import Outcome, Solver
@@ -217,8 +218,9 @@ class Coupled:
         return [*top, *([*a, *b] for a, b in zip(down, self._motion.matrices(), strict=True))]
 
     def options(self, linear: str) -> dict[str, Options]:
-        """Those of either."""
-        return self._heat.options(linear) | self._motion.options(linear)
+        """All blocks at once if the heat's are, else those of either."""
+        heat = self._heat.options(linear)
+        return {"": INTERFACE} if "" in heat else heat | self._motion.options(linear)
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put given temperatures, displacements and jumps into a state."""
@@ -247,7 +249,7 @@ class Coupled:
                 S.axpy(1.0, B, structure=SUBSET)
         _copy(self._from_heat(), self._down)
 
-    def motions(self) -> Sequence[PETSc.Mat]:
+    def motions(self) -> Motions:
         """Those of the mechanics, the heat as it is."""
         return self._motion.motions()
 
@@ -431,7 +433,7 @@ def _heats(
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
     (j,) = problem.jumps
     points, space = j.points, conduction.space
-    facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts)
+    facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
     vertices, first = np.unique(facets.vertices, return_index=True)
     dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
     start, end = space.dofmap.index_map.local_range

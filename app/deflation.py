@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from app.bodies import cell_tags
 from app.reduction import rigid_modes
-from app.sparse import block_diagonal, fill, from_triplets, matrix_sum
+from app.sparse import block_diagonal, fill, from_rows, from_triplets, matrix_sum
 
 if TYPE_CHECKING:
     from app.problem import Problem
@@ -34,13 +34,18 @@ Bools = NDArray[np.bool_]
 
 # A direction of which a law resists less than this is free.
 RESISTED = 0.5
-# Boxes about the interfaces over the cube root of the number of contact points: the dense matrix of
-# the motions costs their number cubed, what it saves is in proportion to the points.
+# Large boxes about the interfaces over the cube root of the number of contact points.
 BOXES = 1.5
+# Small ones: their edge over that of the mesh.
+SMALL = 5.0
 # Steps in which they get smaller.
 SMALLER = 0.95
-# Motions that this part of the strongest resistance holds are left to the Krylov method.
-NOTHING = 1e-10
+# Motions that this part of the strongest resistance holds are left to the Krylov method; others are
+# made stiffer by a part, for small boxes may hold motions that are the same.
+NOTHING, STIFFER = 1e-10, 1e-8
+# A point lets other directions go if a projector differs by this; a part of the points that do may
+# be overlooked.
+DIFFERENT, STALE = 0.5, 0.03
 
 
 class Deflated:
@@ -51,98 +56,98 @@ class Deflated:
     """
 
     def __init__(
-        self,
-        inner: PETSc.PC,
-        blocks: Sequence[str],
-        motions: Callable[[], Sequence[PETSc.Mat]],
-        version: Callable[[], int],
+        self, inner: PETSc.PC, blocks: Sequence[str], motions: Callable[[], Motions | None]
     ) -> None:
         """Take what is to be deflated.
 
         Args:
             inner: The preconditioner.
             blocks: Names of the blocks, "displacement" and "jump" among them; others rest.
-            motions: Gives the rows of Z of these two at the current Jacobian, in a fixed pattern.
-            version: Counts how often the stiffness or the motions of the displacement changed.
+            motions: Gives the motions at the current Jacobian, if there are any.
         """
-        self.inner, self._motions, self._version = inner, motions, version
-        self._moving = [blocks.index("displacement"), blocks.index("jump")]
-        self._rows = range(len(blocks))
-        self._made: int | None = None
-        self._rest: PETSc.Vec | None = None
+        self.inner, self._follow = inner, motions
+        self._u, self._q = blocks.index("displacement"), blocks.index("jump")
+        self._made = -1
+        self._motions: Motions | None = None
+        self._moved: PETSc.Vec | None = None
 
     def setUp(self, pc: PETSc.PC) -> None:
         """Take in a Jacobian; collective."""
-        A = pc.getOperators()[0]
-        self.inner.setOperators(A)
+        self._A = pc.getOperators()[0]
+        self.inner.setOperators(self._A)
         self.inner.setUp()
-        self._Z = dict(zip(self._moving, self._motions(), strict=True))
-        first = self._made != self._version()
-        if first:
-            self._made = self._version()
-            self._AZ: dict[tuple[int, int], PETSc.Mat] = defaultdict(PETSc.Mat)
-            self._small: dict[tuple[int, int], PETSc.Mat] = defaultdict(PETSc.Mat)
-            self._Zt = {k: Z.transpose(PETSc.Mat()) for k, Z in self._Z.items()}
-        u, q = self._moving
-        self._Z[q].transpose(self._Zt[q])
-        for i in self._rows:
-            for k, Z in self._Z.items():
-                block = A.getNestSubMatrix(i, k)
-                if block.handle and (first or (i, k) != (u, u)):
-                    block.matMult(Z, result=self._AZ[i, k])
-        for (i, k), product in self._AZ.items():
-            if i in self._moving and (first or (i, k) != (u, u)):
-                self._Zt[i].matMult(product, result=self._small[i, k])
-        self._invert(A.comm.tompi4py(), self._Z[u].createVecRight())
+        motions = self._follow()
+        if motions is None:
+            return
+        if motions is not self._motions:
+            self._motions, self._made = motions, -1
+            self._weights = motions.displacement.createVecRight()
+            self._part = self._weights.duplicate()
+            self._products: dict[str, PETSc.Mat] = defaultdict(PETSc.Mat)
+            self._sum: PETSc.Mat | None = None
+            self._factors = PETSc.PC().create(self._A.comm)
+            self._factors.setType("lu")
+            self._factors.setFactorSolverType("mumps")
+        if motions.version != self._made and motions.any:
+            self._galerkin(motions)
+            self._made = motions.version
 
-    def _invert(self, comm: MPI.Comm, weights: PETSc.Vec) -> None:
-        """Make the own rows of the inverse of Z^T A Z."""
-        galerkin = np.sum([_dense(A) for A in self._small.values()], axis=0)
-        start, end = weights.getOwnershipRange()
-        self._inverse = _inverse(np.vstack(comm.allgather(galerkin)))[start:end]
-        self._comm, self._weights, self._part = comm, weights, weights.duplicate()
+    def _galerkin(self, motions: Motions) -> None:
+        """Factor Z^T A Z."""
+        A, u, q, made = self._A, self._u, self._q, self._products
+        Zu, Zq = motions.displacement, motions.jump
+        if self._sum is None:
+            self._Zut, self._Zqt = Zu.transpose(PETSc.Mat()), Zq.transpose(PETSc.Mat())
+            A.getNestSubMatrix(u, u).matMult(Zu, result=made["K Zu"])
+            self._Zut.matMult(made["K Zu"], result=made["uu"])
+            self._Zut.matMult(A.getNestSubMatrix(u, q), result=made["Zu C"])
+        Zq.transpose(self._Zqt)
+        A.getNestSubMatrix(q, u).matMult(Zu, result=made["A Zu"])
+        A.getNestSubMatrix(q, q).matMult(Zq, result=made["A Zq"])
+        made["Zu C"].matMult(Zq, result=made["uq"])
+        self._Zqt.matMult(made["A Zu"], result=made["qu"])
+        self._Zqt.matMult(made["A Zq"], result=made["qq"])
+        parts = [made[name] for name in ("uu", "uq", "qu", "qq")]
+        shift = np.abs(sum(P.getDiagonal().array for P in parts))
+        largest = A.comm.tompi4py().allreduce(shift.max(initial=0.0), MPI.MAX)
+        # Motions without resistance stay where they are.
+        shift = np.where(shift <= NOTHING * largest, largest or 1.0, STIFFER * shift)
+        if self._sum is None:
+            self._sum = matrix_sum([*parts, _diagonal(A.comm, shift)])
+        else:
+            self._sum.zeroEntries()
+            for part in (*parts, _diagonal(A.comm, shift)):
+                self._sum.axpy(1.0, part, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        self._factors.setOperators(self._sum)
+        self._factors.setUp()
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """The motions first, then the other preconditioner on what they leave."""
-        if self._rest is None:
-            self._rest = r.duplicate()
-        weights, part, given = self._weights, self._part, r.getNestSubVecs()
-        part.zeroEntries()
-        for k, Z in self._Z.items():
-            Z.multTransposeAdd(given[k], part, part)
-        whole = np.concatenate(self._comm.allgather(part.array_r))
-        weights.array[:] = -(self._inverse @ whole)
-        r.copy(self._rest)
-        rest = self._rest.getNestSubVecs()
-        for (i, _), product in self._AZ.items():
-            product.multAdd(weights, rest[i], rest[i])
-        self._rest.stateIncrease()
+        motions = self._motions
+        if motions is None or self._made < 0:
+            self.inner.apply(r, z)
+            return
+        if self._moved is None:
+            self._moved, self._rest = r.duplicate(), r.duplicate()
+            for block in self._moved.getNestSubVecs():
+                block.zeroEntries()
+        given, moved = r.getNestSubVecs(), self._moved.getNestSubVecs()
+        motions.work(given[self._u], given[self._q], self._part)
+        self._factors.apply(self._part, self._weights)
+        motions.moved(self._weights, moved[self._u], moved[self._q])
+        self._moved.stateIncrease()
+        self._A.mult(self._moved, self._rest)
+        self._rest.aypx(-1.0, r)
         self.inner.apply(self._rest, z)
-        found = z.getNestSubVecs()
-        weights.scale(-1.0)
-        for k, Z in self._Z.items():
-            Z.multAdd(weights, found[k], found[k])
-        # A vector of blocks does not see that these have changed, and remembers its norm.
-        z.stateIncrease()
+        z.axpy(1.0, self._moved)
 
 
-def _dense(A: PETSc.Mat) -> Floats:
-    """Own rows of a small matrix."""
-    start, columns, values = A.getValuesCSR()
-    own = np.zeros((len(start) - 1, A.getSize()[1]))
-    own[np.repeat(np.arange(len(own)), np.diff(start)), columns] = values
-    return own
-
-
-def _inverse(matrix: Floats) -> Floats:
-    """Inverse of a small matrix; motions without resistance stay out."""
-    diagonal = np.abs(matrix.diagonal())
-    empty = diagonal <= NOTHING * diagonal.max(initial=0.0)
-    matrix[empty], matrix[:, empty] = 0.0, 0.0
-    np.fill_diagonal(matrix, np.where(empty, 1.0, matrix.diagonal() + NOTHING * diagonal))
-    found = np.linalg.inv(matrix)
-    found[empty] = 0.0
-    return np.asarray(found)
+def _diagonal(comm: PETSc.Comm, values: Floats) -> PETSc.Mat:
+    """Diagonal matrix of own values."""
+    n = len(values)
+    start = comm.tompi4py().exscan(n) or 0
+    columns = start + np.arange(n)
+    return from_rows(comm.tompi4py(), (n, n), np.arange(n + 1), columns, values)
 
 
 def free_directions(slope: Floats) -> Floats:
@@ -163,24 +168,25 @@ class Boxes:
     """Hat functions on boxes about points, each cut into six tetrahedra; constant outside.
 
     Attributes:
+        edge: Length of the edges of the boxes [mm].
         size: How many functions there are.
     """
 
-    def __init__(self, x: Floats) -> None:
-        """Lay boxes about the points x (n, 3) [mm]."""
+    def __init__(self, x: Floats, edge: float = 0.0) -> None:
+        """Lay boxes about the points x (n, 3) [mm], by default the smallest that are few."""
         low, high = x.min(axis=0), x.max(axis=0)
         longest = np.max(high - low) or 1.0
-        # The smallest boxes that are not too many.
         edges = longest * SMALLER ** np.arange(100)
         counts = np.maximum(1, np.ceil((high - low) / edges[:, None])).astype(int)
         last = np.flatnonzero(counts.prod(axis=1) <= max(BOXES * np.cbrt(len(x)), 1))[-1]
-        self._edge, self._count = edges[last], counts[last]
-        self._low = (low + high - self._count * self._edge) / 2
+        self.edge = edge or edges[last]
+        self._count = np.maximum(1, np.ceil((high - low) / self.edge)).astype(int)
+        self._low = (low + high - self._count * self.edge) / 2
         self.size = int((self._count + 1).prod())
 
     def __call__(self, x: Floats) -> tuple[Ints, Floats]:
         """Functions that are not zero at points x (n, 3), and their values (n, 4)."""
-        y = np.clip((x - self._low) / self._edge, 0, self._count - 1e-9)
+        y = np.clip((x - self._low) / self.edge, 0, self._count - 1e-9)
         corner = y.astype(np.int64)
         # From the low corner to the high one along the edges, the longest part first (Kuhn).
         order = np.argsort(corner - y, axis=1)
@@ -199,9 +205,10 @@ class _Entries:
         self._found: list[tuple[Ints, Ints, Floats]] = []
         self.dense(np.zeros((0, 0)), 0)
 
-    def hats(self, at: tuple[Ints, Floats], place: Ints, factor: Floats) -> None:
-        """Each function along each axis, from column ``place`` on; times a factor (n, 3)."""
+    def hats(self, at: tuple[Ints, Floats], place: Ints, used: Bools, factor: Floats) -> None:
+        """Each used function along each axis, from column ``place`` on; times a factor (n, 3)."""
         functions, values = at
+        values = np.where(used[functions], values, 0.0)
         shape = (*functions.shape, 3)
         axes = np.arange(3)
         rows = np.broadcast_to((3 * np.arange(len(values)))[:, None, None] + axes, shape)
@@ -215,69 +222,122 @@ class _Entries:
         rows, columns = np.nonzero(values)
         self._found.append((rows, first + columns, values[rows, columns]))
 
-    def matrix(self, columns: int) -> PETSc.Mat:
-        """The matrix, so many columns on this rank; collective."""
+    def votes(self, columns: int) -> Ints:
+        """Entries of this rank in each of so many columns."""
+        return np.bincount(np.concatenate([j for _, j, _ in self._found]), minlength=columns)
+
+    def matrix(self, owner: Ints) -> PETSc.Mat:
+        """The matrix, its columns in the order of the ranks that own them; collective."""
+        number = np.empty_like(owner)
+        number[np.argsort(owner, kind="stable")] = np.arange(len(owner))
         i, j, v = (np.concatenate(parts) for parts in zip(*self._found, strict=True))
-        return from_triplets(self._comm, self._rows, columns, i, j, v)
+        columns = int((owner == self._comm.rank).sum())
+        return from_triplets(self._comm, self._rows, columns, i, number[j], v)
 
 
 class Motions:
     """Smooth motions of each body while all others stay, of displacement and jumps.
 
-    A body that deforms has those of hat functions on boxes about the interfaces, or, where
-    ``few`` are wanted, the six of a rigid one.
+    A body that deforms has those of hat functions on boxes about the interfaces: large boxes with
+    all that is in them, and small ones along the interfaces of all bodies but the stiffest (where
+    all move together nothing slides). A rigid one has six.
+
+    Attributes:
+        displacement: The rows of the displacement.
+        jump: Those of the jumps that the law lets go, as of `version`.
+        version: Counts how often they have followed the law.
+        any: Whether it has let any jump go so far.
     """
 
-    def __init__(self, problem: Problem, few: bool) -> None:
+    displacement: PETSc.Mat
+    jump: PETSc.Mat
+    version: int
+    any: bool
+
+    def __init__(self, problem: Problem) -> None:
         """Find who moves where; collective."""
         (j,) = problem.jumps
         comm, space, reduction = problem.comm, problem.space, problem.reduction
-        self._held = j.held
+        self._comm, self._held = comm, j.held
         nodes = space.dofmap.index_map.size_local
         x, y = space.tabulate_dof_coordinates()[:nodes], j.points.x[j.mine]
-        boxes = Boxes(j.points.x)
-        at_nodes, at_points = boxes(x), boxes(y)
+        large = Boxes(j.points.x)
+        small = Boxes(j.points.x, SMALL * float(np.mean(j.edge_lengths)))
         frame = _frame(j.points.x)
         rigid = {r.region for r in problem.scene.rigid}
         nodal, others = _Entries(comm, 3 * nodes), _Entries(comm, len(problem.held))
         jumps = _Entries(comm, 3 * len(y))
-        first = 0
+        first, stiffest = 0, _stiffest(problem)
         for body, name in enumerate(problem.bodies.names):
             own = _components(problem, body)
             master, slave = (j.points.bodies[j.mine] == body).T
             sign = slave.astype(float) - master
-            if few or rigid.issuperset(name.split(" + ")):
+            if rigid.issuperset(name.split(" + ")):
                 moves = _unknowns(problem, own)[:, None]
                 others.dense(moves * (reduction.modes.T @ frame), first)
                 jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
                 first += 6
-            else:
-                here = at_nodes[0][own.any(axis=1)].ravel()
-                used = comm.allreduce(np.bincount(here, minlength=boxes.size)) > 0
+                continue
+            fine = [small] if body != stiffest and small.edge < large.edge else []
+            for boxes in (large, *fine):
+                at_nodes, at_points = boxes(x), boxes(y)
+                inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
+                used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
                 place = first + 3 * (np.cumsum(used) - 1)
-                nodal.hats(at_nodes, place, own.astype(float))
-                jumps.hats(at_points, place, np.repeat(sign[:, None], 3, axis=1))
+                nodal.hats(at_nodes, place, used, own.astype(float))
+                jumps.hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1))
                 first += 3 * int(used.sum())
-        columns = first // comm.size + (comm.rank < first % comm.size)
-        self._displacement = matrix_sum(
-            [reduction.rows(nodal.matrix(columns)), others.matrix(columns)]
-        )
-        self._displacement.zeroRows(problem.supported_rows(), diag=0.0)
-        self._jump = jumps.matrix(columns)
+        # A motion belongs to the rank that has most of it.
+        votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
+        owner = np.argmax(comm.allgather(votes), axis=0)
+        self.displacement = matrix_sum([reduction.rows(nodal.matrix(owner)), others.matrix(owner)])
+        self.displacement.zeroRows(problem.supported_rows(), diag=0.0)
+        self._jump = jumps.matrix(owner)
         self._free = block_diagonal(comm, len(y))
-        self._along = self._free.matMult(self._jump)
+        self.jump = self._free.matMult(self._jump)
+        self._let, self._allowed = self._jump.createVecLeft(), self._jump.createVecLeft()
+        self._known: Floats = np.zeros((len(y), 3, 3))
+        self.version, self.any = 0, False
 
-    def at(self, slope: Floats) -> list[PETSc.Mat]:
-        """Motions of displacement, and of the jumps that a law lets go; collective.
+    def follow(self, slope: Floats) -> None:
+        """Let go what a law lets go, if that is much different from before; collective.
 
         Args:
             slope: Generalized derivative P' of the law at own points (n, 3, 3).
         """
         free = free_directions(slope)
         free[self._held[:, :, None] | self._held[:, None, :]] = 0
+        changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
+        changed, points = self._comm.allreduce(np.array([changed, len(free)]))
+        if changed <= STALE * points and (self.any or not changed):
+            return
+        self._known = free
+        self.version, self.any = self.version + 1, True
         fill(self._free, free)
-        self._free.matMult(self._jump, result=self._along)
-        return [self._displacement, self._along]
+        self._free.matMult(self._jump, result=self.jump)
+
+    def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
+        """Work of forces on displacement and jumps in each motion: Z^T r."""
+        self._free.mult(q, self._let)
+        self._jump.multTranspose(self._let, out)
+        self.displacement.multTransposeAdd(u, out, out)
+
+    def moved(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        """Displacement and jumps of motions together: Z w."""
+        self.displacement.mult(weights, u)
+        self._jump.mult(weights, self._allowed)
+        self._free.mult(self._allowed, q)
+
+
+def _stiffest(problem: Problem) -> int:
+    """The body with the largest modulus, a rigid one before all others."""
+    modulus = np.zeros(len(problem.bodies.names))
+    for e in problem.scene.elastic:
+        body = problem.bodies.of_region[e.region]
+        modulus[body] = max(modulus[body], e.modulus)
+    for r in problem.scene.rigid:
+        modulus[problem.bodies.of_region[r.region]] = np.inf
+    return int(modulus.argmax())
 
 
 def _frame(x: Floats) -> Floats:

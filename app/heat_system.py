@@ -8,7 +8,7 @@ from dataclasses import replace
 from petsc4py import PETSc
 
 from app.conduction import Conduction
-from app.linear import DIRECT, INTERFACE, Inverse, Options, block
+from app.linear import INTERFACE, MULTIGRID, Inverse, Options, is_direct
 from app.systems import Measure
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
@@ -50,11 +50,10 @@ class HeatSystem:
 
     def options(self, linear: str) -> dict[str, Options]:
         """Both blocks at once if direct; multigrid for the temperature, direct for the jumps."""
-        chosen = block(linear, self._conduction.matrix[0][0].getSize()[0])
-        if chosen is DIRECT:
+        if is_direct(linear, self._conduction.matrix[0][0].getSize()[0]):
             # Jumps are strong where conductance is low: taken in turns they take many turns.
             return {"": KEPT_FACTORS}
-        every: dict[str, Options] = {"temperature": chosen, "temperature_jump": INTERFACE}
+        every: dict[str, Options] = {"temperature": MULTIGRID, "temperature_jump": INTERFACE}
         return {name: every[name] for name in self.blocks()}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
@@ -69,9 +68,8 @@ class HeatSystem:
         """Complete the matrices."""
         self._conduction.jacobian(x)
 
-    def motions(self) -> tuple[()]:
+    def motions(self) -> None:
         """Nothing moves."""
-        return ()
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat that is lacking, beside that stored, brought in and let through [N mm/s]."""

@@ -25,10 +25,15 @@ log = logging.getLogger("mantle")
 
 Options = Mapping[str, str | int | float | bool]
 
-# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid: a contact solve
-# takes 3.3 CPU s against 3.8 at 19 000, 7.1 against 6.2 at 35 000, 23 against 13 at 67 000.
+# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid. With MUMPS, which
+# several ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns, 7.1 against
+# 6.2 at 35 000. CHOLMOD solves twice as fast, and multigrid is slower on second order: 6.5 against
+# 5.3 at 38 000 of first order, 7.1 against 9.6 at 38 000 and 24 against 26 at 92 000 of second,
+# where the factors take twice the memory.
 DIRECT_LIMIT = 25_000
-DIRECT: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+SERIAL_LIMITS = {1: DIRECT_LIMIT, 2: 60_000}
+FACTORED: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+FACTORED_SERIALLY: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "cholmod"}
 MULTIGRID: Options = {
     "pc_type": "gamg",
     "pc_gamg_agg_nsmooths": 1,
@@ -40,7 +45,9 @@ MULTIGRID: Options = {
     "mg_levels_ksp_max_it": 1,
     "mg_levels_pc_type": "sor",
 }
-# A block of interface unknowns.
+# A block of interface unknowns: one symmetric sweep over the points does what factors do, in a
+# fifth of the time; where conductance lets temperatures jump, factors are needed.
+SWEEP: Options = {"pc_type": "sor"}
 INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 KRYLOV: Options = {"ksp_type": "fgmres", "ksp_max_it": 300, "ksp_gmres_restart": 100}
 SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
@@ -59,13 +66,25 @@ WORDS = {
     "gamg": "by multigrid",
     "cholesky": "factored",
     "lu": "factored",
+    "sor": "swept",
 }
 
 
-def block(linear: str, size: int) -> Options:
-    """Options for a block of nodal unknowns; ``linear`` is direct, multigrid or auto (by size)."""
-    direct = linear == "direct" or (linear == "auto" and size <= DIRECT_LIMIT)
-    return DIRECT if direct else MULTIGRID
+def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
+    """Whether a block is factored; ``linear`` is direct, multigrid or auto (by size)."""
+    return linear == "direct" or (linear == "auto" and size <= limit)
+
+
+def stiffness_options(linear: str, K: PETSc.Mat, order: int) -> Options:
+    """Options for a stiffness of displacements of an order; ``linear`` as above."""
+    serial = K.comm.size == 1
+    limit = SERIAL_LIMITS[order] if serial else DIRECT_LIMIT
+    return factors(K) if is_direct(linear, K.getSize()[0], limit) else MULTIGRID
+
+
+def factors(matrix: PETSc.Mat) -> Options:
+    """Options that factor a symmetric positive definite matrix."""
+    return FACTORED_SERIALLY if matrix.comm.size == 1 else FACTORED
 
 
 class Inverse:
@@ -75,15 +94,16 @@ class Inverse:
         pc: It, as a preconditioner: made once, and again only where `refresh` says so.
     """
 
-    def __init__(self, matrix: PETSc.Mat, version: Callable[[], int]) -> None:
+    def __init__(self, matrix: PETSc.Mat, version: Callable[[], int], options: Options) -> None:
         """Take the matrix as it is.
 
         Args:
             matrix: The matrix, which may change in place.
             version: Counts how often it has changed.
+            options: PETSc options of the preconditioner, until others are asked for.
         """
         self._matrix, self._version = matrix, version
-        self._options = dict(block("auto", self.size))
+        self._options = dict(options)
         self._made: int | None = None
         self.pc = PETSc.PC().create(matrix.comm)
         self._krylov = PETSc.KSP().create(matrix.comm)
@@ -129,7 +149,7 @@ class Inverse:
         """Factor the matrix instead of approximating its inverse, if it is not too large."""
         if self._options.get("pc_type") != MULTIGRID["pc_type"] or self.size > FACTORABLE:
             return False
-        self.use(DIRECT)
+        self.use(factors(self._matrix))
         self.make()
         return True
 
@@ -204,6 +224,7 @@ class Linear:
             self.options |= SYMMETRIC
         self._inverses: list[Inverse] = []
         self._own: list[PETSc.PC] = []
+        self._swept: list[PETSc.PC] = []
         self._sizes = [v.getSize() for v in blocks.values()]
         self._version = system.version
         self._pending = False
@@ -225,20 +246,17 @@ class Linear:
                 parts = {self._names[0]: pc}
             else:
                 self._own, parts = [pc], {" and ".join(self._names): pc}
-            deflated = self._split and bool(self._system.motions())
-            if deflated:
-                system = self._system
-                context = Deflated(pc, self._names, system.motions, lambda: system.version)
-                pc = PETSc.PC().createPython(context, comm=system.comm)
+            motions = self._system.motions() if self._split else None
+            if motions is not None:
+                context = Deflated(pc, self._names, self._system.motions)
+                pc = PETSc.PC().createPython(context, comm=self._system.comm)
             ksp.setPC(pc)
             pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
         for own in self._own:
             own.setReusePreconditioner(True)
-        log.info(
-            "linear: %s%s", self._words(parts), ", motions of bodies apart" if deflated else ""
-        )
+        log.info("linear: %s%s", self._words(parts), ", motions of bodies apart" if motions else "")
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
         """Blocks in turn, each by its own preconditioner or by the one it shares."""
@@ -253,6 +271,7 @@ class Linear:
             elif name in KEPT:
                 self._own.append(inner.getPC())
             parts[name] = inner.getPC()
+        self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
         return parts
 
     def _shared(self, name: str, options: Options) -> PETSc.PC:
@@ -291,10 +310,8 @@ class Linear:
         norms = self._ksp.getConvergenceHistory()
         spent = max(len(norms) - 1, 0)
         if self._version == self._system.version:
-            if failed and any([inverse.fall_back() for inverse in self._inverses]):
-                log.warning(
-                    "linear: multigrid does not converge; the stiffness is factored instead"
-                )
+            if failed and (better := self._fall_back()):
+                log.warning("linear: no convergence; %s factored instead", better)
             if spent and norms[-1] > 0:
                 self._spent += spent
                 self._gained += math.log10(norms[0] / norms[-1])
@@ -303,6 +320,16 @@ class Linear:
         elif spent and norms[-1] > 0:
             usual = self._spent / self._gained if self._gained > 0 else USUAL
             self._excess += spent - usual * math.log10(norms[0] / norms[-1])
+
+    def _fall_back(self) -> str:
+        """Factor what has not been factored so far, the interfaces first; what, in words."""
+        swept, self._swept = self._swept, []
+        for pc in swept:
+            pc.setType(str(INTERFACE["pc_type"]))
+            pc.setFactorSolverType(str(INTERFACE["pc_factor_mat_solver_type"]))
+        if swept:
+            return "interfaces are"
+        return "the stiffness is" if any([i.fall_back() for i in self._inverses]) else ""
 
     def _words(self, parts: Mapping[str, PETSc.PC]) -> str:
         """What is solved by what."""

@@ -20,7 +20,7 @@ from app.bodies import bodies_of, boundary_facets, cell_tags
 from app.expansion import Expansions, ThermalStiffness
 from app.forces import Forces
 from app.jumps import Jumps
-from app.linear import Inverse
+from app.linear import Inverse, stiffness_options
 from app.mechanics import Mechanics
 from app.points import PointForces
 from app.reduction import holds, near_null_space, reduction_of, support_of_dofs
@@ -97,7 +97,8 @@ class Problem:
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
-        own = Inverse(self.K, lambda: self.version)
+        options = stiffness_options("auto", self.K, scene.order)
+        own = Inverse(self.K, lambda: self.version, options)
         self.inverse: Inverse = like.inverse if like is not None else own
         self.jumps: tuple[Jumps, ...] = (
             (

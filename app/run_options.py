@@ -73,7 +73,7 @@ class SolverOptions(Model):
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
-    augmentation_factor: PositiveNumber = 0.1
+    augmentation_factor: PositiveNumber = 0.2
     """r = factor * (stiffness per area that moving one point alone meets), unless it is given."""
     coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
     """How heat and mechanics that need each other are solved: in one, or in turn."""

@@ -65,6 +65,8 @@ def from_rows(
         comm=comm,
     )
     A.assemble()
+    # Ranks set their own rows only: no messages about others.
+    A.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)
     return A
 
 
@@ -74,6 +76,7 @@ def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:
     total = first.copy()
     for A in others:
         total.axpy(1.0, A, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    total.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)
     return total
 
 

@@ -7,7 +7,7 @@ large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from app.deflation import Motions
 from app.jumps import Jumps
-from app.linear import DIRECT_LIMIT, INTERFACE, Inverse, Options, block
+from app.linear import SWEEP, Inverse, Options, stiffness_options
 from app.problem import Problem, Trial
 from app.sparse import block_diagonal, fill
 
@@ -76,8 +76,8 @@ class System(Protocol):
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
 
-    def motions(self) -> Sequence[PETSc.Mat]:
-        """Motions that the last Jacobian hardly resists, of displacement and jumps, or nothing."""
+    def motions(self) -> Motions | None:
+        """Motions that the last Jacobian hardly resists, of displacement and jumps, if any."""
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """How large the residual f of a state x is, by part; collective."""
@@ -100,6 +100,11 @@ def size(vectors: list[PETSc.Vec]) -> float:
 def mechanical(problem: Problem) -> Bonded | Contact:
     """The system of a mechanical problem."""
     return Contact(problem) if problem.jumps else Bonded(problem)
+
+
+def _stiffness(linear: str, problem: Problem) -> Options:
+    """Direct or multigrid."""
+    return stiffness_options(linear, problem.K, problem.scene.order)
 
 
 class Bonded:
@@ -129,7 +134,7 @@ class Bonded:
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid."""
-        return {"displacement": block(linear, self._problem.K.getSize()[0])}
+        return {"displacement": _stiffness(linear, self._problem)}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put given displacements into a state."""
@@ -142,9 +147,8 @@ class Bonded:
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Nothing to do: the stiffness is constant."""
 
-    def motions(self) -> Sequence[PETSc.Mat]:
+    def motions(self) -> None:
         """Nothing moves but what supports leave."""
-        return ()
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
@@ -209,11 +213,8 @@ class Contact:
         return [[self._problem.K, self._C], [self._A_qu, self._A_qq]]
 
     def options(self, linear: str) -> dict[str, Options]:
-        """Direct or multigrid for the displacement, direct for the jumps."""
-        return {
-            "displacement": block(linear, self._problem.K.getSize()[0]),
-            "jump": INTERFACE,
-        }
+        """Direct or multigrid for the displacement, a sweep for the jumps."""
+        return {"displacement": _stiffness(linear, self._problem), "jump": SWEEP}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put given displacements and jumps into a state."""
@@ -245,12 +246,12 @@ class Contact:
         self._changed = -1 if self._last is None else int((status != self._last).sum())
         self._last = status.copy()
 
-    def motions(self) -> Sequence[PETSc.Mat]:
+    def motions(self) -> Motions:
         """Bodies that slide, lift off or bend away."""
         if self._motions_of != self.version:
-            few = self._problem.inverse.size <= DIRECT_LIMIT
-            self._motions, self._motions_of = Motions(self._problem, few), self.version
-        return self._motions.at(self.trial.law.jacobian)
+            self._motions, self._motions_of = Motions(self._problem), self.version
+        self._motions.follow(self.trial.law.jacobian)
+        return self._motions
 
     @property
     def rows(self) -> PETSc.Mat:

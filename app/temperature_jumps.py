@@ -74,7 +74,7 @@ class TemperatureJumps:
         """
         contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
-        facets = contact_facets(tagged, bodies, forms.space, contacts)
+        facets = contact_facets(tagged, bodies, forms.space, contacts, {})
         holds = _holds(forms, facets, held)
         self.points, entries = contact_points(facets, holds, len(contacts))
         self.mine, place = owners(comm, index_map, self.points.dof)

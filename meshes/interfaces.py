@@ -10,7 +10,8 @@ surface is one face however coarse the mesh.
 Rules where things meet, for each displacement component of a vertex:
 
 * The displacement of one body, the base, is the continuous field u itself; every other body there
-  adds jumps to it. The base is a body that a support holds in this component, otherwise the master.
+  adds jumps to it. The base is a body that a support holds in this component, otherwise the stiffer
+  one, of equals the master: a jump that moves the softer side meets about what it meets in truth.
 * A vertex with k bodies has k - 1 jumps: interfaces are taken in the order of the case file, and
   one that would close a cycle is not enforced at that vertex.
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
@@ -57,6 +58,7 @@ class InterfaceFacets:
         area: Integral of the linear shape function of each vertex (f, 3) [mm2].
         bend: How far the middle of each edge, opposite vertex k, is off its chord (f, 3, 3) [mm];
             (f, 0, 3) for flat facets.
+        stiffness: Modulus of the cell on the master and of that on the slave side (f, 2) [MPa].
     """
 
     interface: Ints
@@ -69,6 +71,7 @@ class InterfaceFacets:
     normal: Floats
     area: Floats
     bend: Floats
+    stiffness: Floats
 
 
 @dataclass(frozen=True)
@@ -160,6 +163,7 @@ def sorted_facets(
     edge_dofs: Ints,
     x: Floats,
     inside_slave: Floats,
+    stiffness: Floats,
 ) -> InterfaceFacets:
     """Gather the facets of every rank and put them in canonical order.
 
@@ -174,9 +178,10 @@ def sorted_facets(
         x: Coordinates of the vertices (f, 3, 3), and where cells are curved of the middles of the
             edges opposite them (f, 6, 3) [mm].
         inside_slave: A point inside the slave cell (f, 3) [mm].
+        stiffness: Modulus of the master and of the slave cell (f, 2) [MPa].
     """
-    interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave = gather(
-        comm, interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave
+    interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness = gather(
+        comm, interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness
     )
     # The three vertices of a facet in rising order, then the facets by interface and vertices.
     order = np.argsort(vertices, axis=1)
@@ -204,6 +209,7 @@ def sorted_facets(
         normal=at_corners * towards[:, None, None],
         area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
         bend=x[:, 3:] - chords[:, : x.shape[1] - 3],
+        stiffness=stiffness[rows],
     )
 
 
@@ -261,7 +267,10 @@ def contact_points(
     triangles = corner_point.reshape(-1, 3)
     vertex = every[kept, 1]
     sides = np.stack([every[kept, 2] // bodies, every[kept, 2] % bodies], axis=1)
-    given, at_vertex = _jumps_at_vertices(vertex, sides, holds)
+    stiffness = np.zeros((len(vertex), 2))
+    at_point = corner_point >= 0
+    np.maximum.at(stiffness, corner_point[at_point], facets.stiffness[facet[at_point]])
+    given, at_vertex = _jumps_at_vertices(vertex, sides, stiffness, holds)
     _drop_held(normals, areas, faces, given[:, :, 0] >= 0)
     dof = facets.vertex_dofs.ravel()[first][kept]
     points = ContactPoints(
@@ -323,7 +332,7 @@ def _shared(vertex: Ints) -> list[Ints]:
 
 
 def _jumps_at_vertices(
-    vertex: Ints, sides: Ints, holds: Holds
+    vertex: Ints, sides: Ints, stiffness: Floats, holds: Holds
 ) -> tuple[Ints, tuple[Ints, Ints, Ints, Floats]]:
     """Which jumps supports give, and how each body moves with the others.
 
@@ -343,8 +352,9 @@ def _jumps_at_vertices(
     held = side >= 0
     given = np.where(held.all(axis=1, keepdims=True), side, -1)
     # One interface at the vertex: the slave moves by +q, or the master by -q if the slave is the
-    # base: it alone is held, or both are and it comes first.
+    # base: it alone is held, both are and it comes first, or none is and it is stiffer.
     slave_is_base = held[:, 1] & (~held[:, 0] | (sides[:, 1] < sides[:, 0])[:, None])
+    slave_is_base |= ~held.any(axis=1) & (stiffness[:, 1] > stiffness[:, 0])[:, None]
     moving = np.where(slave_is_base, sides[:, :1], sides[:, 1:])
     sign = np.where(slave_is_base, -1.0, 1.0)
     point = np.repeat(np.arange(n), 3)
@@ -354,7 +364,7 @@ def _jumps_at_vertices(
     for rows in _shared(vertex):
         alone[rows] = False
         for c in range(3):
-            extra += _tree(rows, sides, side[:, :, c], given[:, :, c], c)
+            extra += _tree(rows, sides, side[:, :, c], given[:, :, c], c, stiffness)
     pick = alone[point]
     more = np.array(extra, dtype=np.float64).reshape(-1, 4)
     return given.transpose(0, 2, 1), (
@@ -366,18 +376,22 @@ def _jumps_at_vertices(
 
 
 def _tree(
-    rows: Ints, sides: Ints, support: Ints, given: Ints, c: int
+    rows: Ints, sides: Ints, support: Ints, given: Ints, c: int, stiffness: Floats
 ) -> list[tuple[int, int, int, float]]:
     """Triplets (body, point, column, sign) at a vertex with several interfaces, one component.
 
-    Walks the forest of bodies from a held body (the lowest), else from the first master. Between
+    Walks the forest of bodies from a held body (the lowest), else from the stiffest. Between
     two held bodies every jump on the way is given, a body that nothing holds going with the one it
     was reached from; ``given`` is filled in place.
     """
     holder = {
         int(sides[p, k]): int(support[p, k]) for p in rows for k in (0, 1) if support[p, k] >= 0
     }
-    bodies = sorted(holder) + [int(b) for p in rows for b in sides[p]]
+    modulus: dict[int, float] = {}
+    for p in rows:
+        for body, value in zip(map(int, sides[p]), stiffness[p], strict=True):
+            modulus[body] = max(modulus.get(body, 0.0), value)
+    bodies = sorted(holder) + sorted(modulus, key=modulus.__getitem__, reverse=True)
     path: dict[int, list[tuple[int, float]]] = {}
     out = []
     for root in bodies:

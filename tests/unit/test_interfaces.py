@@ -34,6 +34,7 @@ def facets_of(
     master: Sequence[int],
     slave: Sequence[int],
     inside: Sequence[Floats],
+    stiffness: Floats | None = None,
 ) -> tuple[InterfaceFacets, Floats]:
     """Facets from triangles by coordinates, and the coordinates of the vertices they share."""
     corners = np.array(triangles)
@@ -51,6 +52,7 @@ def facets_of(
             np.zeros((n, 0), np.int64),
             corners,
             np.array(inside, dtype=float),
+            np.zeros((n, 2)) if stiffness is None else stiffness,
         ),
         x,
     )
@@ -164,7 +166,7 @@ def check_jumps(points: ContactPoints, entries: Entries, bodies: int) -> None:
         np.testing.assert_allclose((B[slave] - B[master])[free], jump[free], atol=1e-14)
 
 
-def three_on_a_line() -> tuple[InterfaceFacets, Floats]:
+def three_on_a_line(*moduli: float) -> tuple[InterfaceFacets, Floats]:
     """Three bodies around the z axis, each in a third of space; three interfaces meet on it."""
     triangles, interface, master, slave, inside = [], [], [], [], []
     for k, (m, s) in enumerate([(0, 1), (1, 2), (0, 2)]):
@@ -176,7 +178,20 @@ def three_on_a_line() -> tuple[InterfaceFacets, Floats]:
         master += [m] * len(new)
         slave += [s] * len(new)
         inside += [np.array([np.cos(middle), np.sin(middle), 0.5])] * len(new)
-    return facets_of(triangles, interface, master, slave, inside)
+    of = np.array(moduli or (1.0, 1.0, 1.0))[np.stack([master, slave], axis=1)]
+    return facets_of(triangles, interface, master, slave, inside, of)
+
+
+def test_the_stiffest_body_is_the_base() -> None:
+    """It is the field u itself wherever no support holds another one."""
+    facets, _ = three_on_a_line(2.0, 1.0, 3.0)
+    points, entries = contact_points(facets, NOTHING_HELD, 3)
+    for p in range(len(points.x)):
+        B = moves(entries, int(points.dof[p]), 3, len(points.x)).reshape(3, 3, -1)
+        moved = {body for body in range(3) if B[body].any()}
+        here = set(points.bodies[points.vertex == points.vertex[p]].ravel())
+        assert moved == here - {max(here, key=[2, 1, 3].__getitem__)}
+    check_jumps(points, entries, 3)
 
 
 def test_three_bodies_on_a_line_have_two_jumps() -> None:

@@ -10,8 +10,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from app.deflation import Boxes, Deflated, free_directions
-from app.linear import DIRECT, MULTIGRID, Inverse
+from app.deflation import Boxes, Deflated, Motions, free_directions
+from app.linear import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
 from app.sparse import from_rows
 from tests import support
 
@@ -36,11 +36,10 @@ def laplacian(n: int = 40) -> PETSc.Mat:
     return A
 
 
-@pytest.mark.parametrize("options", [DIRECT, MULTIGRID])
+@pytest.mark.parametrize("options", [FACTORED, FACTORED_SERIALLY, MULTIGRID])
 def test_inverse_solves_from_any_start(options: dict[str, str]) -> None:
     A = laplacian()
-    inverse = Inverse(A, lambda: 0)
-    inverse.use(options)
+    inverse = Inverse(A, lambda: 0, options)
     wanted, b = A.createVecs()
     wanted.array[:] = np.sin(np.arange(40))
     A.mult(wanted, b)
@@ -54,8 +53,7 @@ def test_inverse_solves_from_any_start(options: dict[str, str]) -> None:
 
 def test_inverse_follows_its_matrix_and_falls_back_once() -> None:
     A, version = laplacian(), [0]
-    inverse = Inverse(A, lambda: version[0])
-    inverse.use(MULTIGRID)
+    inverse = Inverse(A, lambda: version[0], MULTIGRID)
     inverse.make()
     assert not inverse.outdated
     A.scale(5.0)
@@ -112,6 +110,22 @@ def sparse(values: np.ndarray) -> PETSc.Mat:
     return from_rows(MPI.COMM_SELF, (rows, columns), start, numbers, values.ravel())
 
 
+class Given(Motions):
+    """Motions of given rows."""
+
+    def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
+        self.displacement, self.jump = displacement, jump
+        self.version, self.any = 0, True
+
+    def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
+        self.displacement.multTranspose(u, out)
+        self.jump.multTransposeAdd(q, out, out)
+
+    def moved(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        self.displacement.mult(weights, u)
+        self.jump.mult(weights, q)
+
+
 def test_deflation_solves_exactly_for_its_motions() -> None:
     """Whatever the other preconditioner does, A Z comes back as Z, of each Jacobian."""
     random = np.random.default_rng(1)
@@ -121,35 +135,35 @@ def test_deflation_solves_exactly_for_its_motions() -> None:
     blocks[0][2] = None
     nest = PETSc.Mat().createNest(blocks)
     nest.assemble()
-    Z = {k: sparse(random.normal(size=(sizes[k], 3))) for k in ("displacement", "jump")}
     inner = PETSc.PC().create()
     inner.setType("none")
-    version = [0]
-    context = Deflated(inner, list(sizes), lambda: list(Z.values()), lambda: version[0])
+    rows = {k: sparse(random.normal(size=(sizes[k], 3))) for k in ("displacement", "jump")}
+    motions = Given(**rows)
+    context = Deflated(inner, list(sizes), lambda: motions)
     pc = PETSc.PC().createPython(context)
     pc.setOperators(nest)
     for k in range(3):
         # The rows of the jumps and their motions change, then everything does.
         blocks[2][1].scale(2.0)
-        Z["jump"].scale(-1.5)
+        rows["jump"].scale(-1.5)
+        motions.version += 1
         if k == 2:
             blocks[1][1].scale(3.0)
-            version[0] = 1
+            motions = Given(**rows)
         nest.assemble()
         pc.setUp()
-        weights = Z["jump"].createVecRight()
+        weights = rows["jump"].createVecRight()
         weights.array[:] = [1.0, -2.0, 0.5]
         vectors = [row[1].createVecLeft() for row in blocks]
-        for name, v in zip(sizes, vectors, strict=True):
-            if name in Z:
-                Z[name].mult(weights, v)
+        vectors[0].zeroEntries()
+        motions.moved(weights, *vectors[1:])
         wanted = PETSc.Vec().createNest(vectors)
         r, found = wanted.duplicate(), wanted.duplicate()
         nest.mult(wanted, r)
         pc.apply(r, found)
         found.axpy(-1.0, wanted)
         # The motions are a little stiffer than they are: one without resistance does no harm.
-        assert found.norm() < 1e-7 * wanted.norm()
+        assert found.norm() < 1e-5 * wanted.norm()
 
 
 def test_log_says_what_is_used(caplog: pytest.LogCaptureFixture) -> None:

@@ -118,13 +118,13 @@ def test_a_line_that_leads_away_is_not_followed() -> None:
 def test_a_nested_start_changes_the_way_and_not_the_answer(
     overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same jumps, and fewer iterations in the first step that slips."""
+    """The same jumps, from a start that is much nearer in the first steps and when they slip."""
     cold, first = go(*overrides)
     always(monkeypatch)
     warm, then = go(*overrides)
     assert support.difference(jumps(warm), jumps(cold)) < 1e-6
-    assert then[-2].outcome.iterations <= first[-2].outcome.iterations
-    assert then[0].outcome.residuals[0] < 0.3 * first[0].outcome.residuals[0]
+    for k in (0, -2):
+        assert then[k].outcome.residuals[0] < max(0.3 * first[k].outcome.residuals[0], 1e-10)
 
 
 def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
