@@ -51,6 +51,12 @@ STEPS = (
     "stages=[{name: stance, adaptive: false}, {name: more, increments: 3, adaptive: false}]",
     "loads.hip.history=[1, 1.3]",
 )
+# Half an hour of setting cement, and the same time steps of conduction through bonded regions.
+HALF_AN_HOUR = ("stages=[{name: setting, duration: 30 min, increments: 60, adaptive: false}]",)
+CONDUCTION = (
+    "regions.cement.thermal.cure=",
+    *(f"interfaces.{name}.conductance=perfect" for name in INTERFACES),
+)
 # Second order: what is timed, and what it and first order are compared with.
 SECOND, REFERENCE = "5 mm", "2.5 mm"
 # Penetration that is rounding [mm].
@@ -184,6 +190,7 @@ def lines(full: bool) -> list[Line]:
         Line("variations_12", 2.5, "-", _variations),
         Line("later_load_steps", 0.5, "-", _load_steps),
         Line("order_2_over_1", 1.0, "-", _orders),
+        Line("cure_over_conduction", 3.0, "-", _cure),
         Line("cylinders_start_to_finish", 3.0, "-", _cylinders),
     ]
     if full:
@@ -312,6 +319,13 @@ def equal_error(two: Cost, ones: Sequence[Cost], reference: Cost) -> float:
     return two.solution / (worse.solution * (better.solution / worse.solution) ** part)
 
 
+def _cure(runs: Runs) -> float:
+    """Setting cement over the same time steps of bonded conduction."""
+    cure = Setting("cure", "cure.yaml", overrides=HALF_AN_HOUR)
+    conduction = Setting("conduction", "cure.yaml", overrides=(*HALF_AN_HOUR, *CONDUCTION))
+    return _ratio(runs, cure, conduction, TIMES)
+
+
 def _cylinders(runs: Runs) -> float:
     """A small case start to finish over importing the library that it needs, in turn."""
     ratios = []
@@ -323,7 +337,7 @@ def _cylinders(runs: Runs) -> float:
 
 
 def _million(runs: Runs) -> Cost:
-    return runs.costs(stance("contact", FULL[-1], 2))[0][0]
+    return runs.costs(stance("contact", FULL[-1]))[0][0]
 
 
 def points(runs: Runs) -> list[dict[str, Any]]:

@@ -97,10 +97,9 @@ class Deflated:
         A, u, q, made = self._A, self._u, self._q, self._products
         Zu, Zq = motions.displacement, motions.jump
         if self._sum is None:
-            self._Zut, self._Zqt = Zu.transpose(PETSc.Mat()), Zq.transpose(PETSc.Mat())
-            A.getNestSubMatrix(u, u).matMult(Zu, result=made["K Zu"])
-            self._Zut.matMult(made["K Zu"], result=made["uu"])
-            self._Zut.matMult(A.getNestSubMatrix(u, q), result=made["Zu C"])
+            Zut, self._Zqt = (Z.transpose(PETSc.Mat()) for Z in (Zu, Zq))
+            made["uu"] = Zut.matMult(A.getNestSubMatrix(u, u).matMult(Zu))
+            made["Zu C"] = Zut.matMult(A.getNestSubMatrix(u, q))
         Zq.transpose(self._Zqt)
         A.getNestSubMatrix(q, u).matMult(Zu, result=made["A Zu"])
         A.getNestSubMatrix(q, q).matMult(Zq, result=made["A Zq"])

@@ -222,7 +222,7 @@ def test_every_line_runs_cases_that_are_right(tmp_path: Path) -> None:
     path, *sets = twelve.options
     assert len(config.variations(Path(path), sets[1::2])) == 12
     assert [s.increments for s in cases["load_steps"].stages] == [1, 3]
-    assert seen["contact_1m_2_ranks"].ranks == 2
+    assert seen["contact_300k_2_ranks"].ranks == 2
     assert seen["stem_moderate_50k"].mesh != seen["stem"].mesh != seen["stem_bonded_50k"].mesh
 
 
