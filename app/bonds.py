@@ -101,7 +101,7 @@ def bonds(problem: Problem, stresses: Stresses) -> tuple[Bond, ...]:
     if not (scene.expansions or scene.cures):
         return ()
     parting = {c.name for c in scene.contacts}
-    moduli = {e.region: e.modulus for e in scene.elastic}
+    moduli = scene.moduli
     found = []
     for name, sides in tagged.interfaces.items():
         stiffness = [max(moduli.get(r, np.inf) for r in side) for side in sides]

@@ -331,11 +331,9 @@ class Motions:
 def _stiffest(problem: Problem) -> int:
     """The body with the largest modulus, a rigid one before all others."""
     modulus = np.zeros(len(problem.bodies.names))
-    for e in problem.scene.elastic:
-        body = problem.bodies.of_region[e.region]
-        modulus[body] = max(modulus[body], e.modulus)
-    for r in problem.scene.rigid:
-        modulus[problem.bodies.of_region[r.region]] = np.inf
+    for region, value in problem.scene.moduli.items():
+        body = problem.bodies.of_region[region]
+        modulus[body] = max(modulus[body], value)
     return int(modulus.argmax())
 
 

@@ -102,9 +102,9 @@ class Jumps:
         self._supports = scene.supports
         self.comm = tagged.mesh.comm
         space = mechanics.space
-        moduli = {e.region: e.modulus for e in scene.elastic}
-        moduli |= {r.region: np.inf for r in scene.rigid}
-        self.facets: InterfaceFacets = contact_facets(tagged, bodies, space, scene.contacts, moduli)
+        self.facets: InterfaceFacets = contact_facets(
+            tagged, bodies, space, scene.contacts, scene.moduli
+        )
         holds = held_vertices(
             tagged, bodies, space, scene.supports, np.unique(self.facets.vertices)
         )

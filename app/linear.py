@@ -254,6 +254,7 @@ class Linear:
             pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
+        self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
         for own in self._own:
             own.setReusePreconditioner(True)
         log.info("linear: %s%s", self._words(parts), ", motions of bodies apart" if motions else "")
@@ -271,7 +272,6 @@ class Linear:
             elif name in KEPT:
                 self._own.append(inner.getPC())
             parts[name] = inner.getPC()
-        self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
         return parts
 
     def _shared(self, name: str, options: Options) -> PETSc.PC:

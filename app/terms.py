@@ -7,6 +7,7 @@ contain is an empty tuple of terms.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -413,3 +414,9 @@ class Scene:
     time: tuple[TimeStepping, ...] = ()
     # How heat that depends on contact is solved with it: monolithic or staggered; else empty.
     coupling: tuple[str, ...] = ()
+
+    @property
+    def moduli(self) -> dict[str, float]:
+        """Largest Young's modulus of each region that carries load, infinite if rigid [MPa]."""
+        elastic = {e.region: e.modulus for e in self.elastic}
+        return elastic | {r.region: math.inf for r in self.rigid}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from app.deflation import Boxes, Deflated, Motions, free_directions
+from app.errors import ConvergenceError
 from app.linear import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
 from app.sparse import from_rows
 from tests import support
@@ -172,3 +173,69 @@ def test_log_says_what_is_used(caplog: pytest.LogCaptureFixture) -> None:
     (line,) = [m for m in caplog.messages if m.startswith("linear: ")]
     assert line.startswith("linear: conjugate gradients, displacement (")
     assert line.endswith("unknowns) factored")
+
+
+FACTORED_LATE = ("interfaces are", "the stiffness is")
+PUSHED = """
+geometry:
+  kind: blocks
+  blocks: [{name: lower, size: [10 mm, 10 mm, 10 mm]}, {name: upper, size: [10 mm, 10 mm, 10 mm]}]
+mesh: {size: 3 mm, order: 1}
+regions:
+  lower: {youngs_modulus: 200 MPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 100 MPa, poisson_ratio: 0.3}
+interfaces: {lower_upper: {kind: contact, friction_coefficient: 0.2}}
+supports: {floor: {kind: fixed, boundary: bottom}}
+loads:
+  push: {kind: pressure, boundary: top, pressure: 1 MPa}
+  shear: {kind: force, boundary: top, force: [15 N, 0 N, 0 N]}
+stages: [{name: push, increments: 2}]
+"""
+
+
+def test_interfaces_are_factored_first_and_the_stiffness_next(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Where the linear solver gives up; the log says so."""
+    never = "solver.petsc={ksp_max_it: 1, snes_ksp_ew: false, ksp_rtol: 1e-12}"
+    with pytest.raises(ConvergenceError):
+        support.solve(PUSHED, never, "solver.linear=multigrid", "stages.0.adaptive=false")
+    warnings = [r.message for r in caplog.records if r.levelno == logging.WARNING]
+    assert warnings == [f"linear: no convergence; {x} factored instead" for x in FACTORED_LATE]
+    problem, solver = support.assemble(support.case(PUSHED, "solver.linear=multigrid"))
+    linear = solver._linear
+    assert [linear._fall_back() for _ in range(3)] == [*FACTORED_LATE, ""]
+    problem.set_time(0.5)
+    assert solver.solve().converged
+
+
+def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.deflation.STALE", 0.2)
+    problem, _ = support.assemble(support.case(PUSHED))
+    (j,) = problem.jumps
+    motions = Motions(problem)
+    n = len(j.mine)
+    assert not motions.any
+    # Six at least for each of the two bodies; sticking points stick.
+    assert motions.jump.getSize()[1] >= 12
+    slope = np.tile(np.eye(3), (n, 1, 1))
+    motions.follow(slope)
+    assert not motions.any
+    slope[0] = 0
+    motions.follow(slope)
+    assert motions.any and motions.version == 1
+    assert np.count_nonzero(motions.jump.getValuesCSR()[2]) > 0
+    slope[n // 2] = 0
+    motions.follow(slope)
+    assert motions.version == 1
+    slope[:] = 0
+    motions.follow(slope)
+    assert motions.version == 2
+    # Two bodies shifted against each other: the jump of every point is the same.
+    shift = motions.jump.createVecRight()
+    shift.set(1.0)
+    u, q = problem.K.createVecRight(), j.D.createVecRight()
+    motions.moved(shift, u, q)
+    work = shift.duplicate()
+    motions.work(u, q, work)
+    assert work.dot(shift) == pytest.approx(u.dot(u) + q.dot(q))
