@@ -311,7 +311,7 @@ class Linear:
         spent = max(len(norms) - 1, 0)
         if self._version == self._system.version:
             if failed and (better := self._fall_back()):
-                log.warning("linear: no convergence; %s factored instead", better)
+                log.info("linear: no convergence; %s factored instead", better)
             if spent and norms[-1] > 0:
                 self._spent += spent
                 self._gained += math.log10(norms[0] / norms[-1])
