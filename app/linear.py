@@ -321,13 +321,17 @@ class Linear:
             usual = self._spent / self._gained if self._gained > 0 else USUAL
             self._excess += spent - usual * math.log10(norms[0] / norms[-1])
 
-    def _fall_back(self) -> str:
-        """Factor what has not been factored so far, the interfaces first; what, in words."""
+    def factor_interfaces(self) -> bool:
+        """Factor interfaces that were swept so far; whether there are any."""
         swept, self._swept = self._swept, []
         for pc in swept:
             pc.setType(str(INTERFACE["pc_type"]))
             pc.setFactorSolverType(str(INTERFACE["pc_factor_mat_solver_type"]))
-        if swept:
+        return bool(swept)
+
+    def _fall_back(self) -> str:
+        """Factor what has not been factored so far, the interfaces first; what, in words."""
+        if self.factor_interfaces():
             return "interfaces are"
         return "the stiffness is" if any([i.fall_back() for i in self._inverses]) else ""
 

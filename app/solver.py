@@ -256,8 +256,12 @@ class Solver:
 
         It goes on from where it is: a large augmentation makes contact points change their states
         back and forth, and a smaller one finds its way from there. At a kink of the contact law a
-        line search may cut steps to nothing where whole steps lead on, and the other way round.
+        line search may cut steps to nothing where whole steps lead on, and the other way round. A
+        sweep over interfaces may leave directions that lead nowhere, where factors do not.
         """
+        if self.snes.getConvergedReason() <= 0 and self._linear.factor_interfaces():
+            start.copy(self.x)
+            yield "interfaces factored"
         for factor, on in AUGMENTATIONS:
             if self.snes.getConvergedReason() > 0:
                 return
