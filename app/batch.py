@@ -49,6 +49,7 @@ OUTSIDE = re.compile(
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
 LOG_LINES = 12
 POLL = 0.1  # s
+MISSED = 15.0  # s after which Snakemake is told again to stop
 SAME_SIGNAL = 1.0  # s
 PATIENCE = 10.0  # s
 _PR_SET_PDEATHSIG = 1
@@ -358,7 +359,12 @@ def _end(child: subprocess.Popen[bytes]) -> None:
     _send(child.pid, signal.SIGINT)
     while True:
         try:
-            child.wait()
+            try:
+                child.wait(MISSED)
+            except subprocess.TimeoutExpired:
+                # It may miss one while it starts a job.
+                os.kill(child.pid, signal.SIGINT)
+                child.wait()
             deadline = time.monotonic() + PATIENCE
             while _send(child.pid, 0) and time.monotonic() < deadline:
                 time.sleep(POLL)
