@@ -363,7 +363,7 @@ def _end(child: subprocess.Popen[bytes]) -> None:
                 child.wait(MISSED)
             except subprocess.TimeoutExpired:
                 # It may miss one while it starts a job.
-                os.kill(child.pid, signal.SIGINT)
+                child.send_signal(signal.SIGINT)
                 child.wait()
             deadline = time.monotonic() + PATIENCE
             while _send(child.pid, 0) and time.monotonic() < deadline:

@@ -67,7 +67,7 @@ class Deflated:
         """
         self.inner, self._follow = inner, motions
         self._u, self._q = blocks.index("displacement"), blocks.index("jump")
-        self._made = -1
+        self._made = 0
         self._motions: Motions | None = None
         self._moved: PETSc.Vec | None = None
 
@@ -80,7 +80,7 @@ class Deflated:
         if motions is None:
             return
         if motions is not self._motions:
-            self._motions, self._made = motions, -1
+            self._motions, self._made = motions, 0
             self._weights = motions.displacement.createVecRight()
             self._part = self._weights.duplicate()
             self._products: dict[str, PETSc.Mat] = defaultdict(PETSc.Mat)
@@ -88,7 +88,7 @@ class Deflated:
             self._factors = PETSc.PC().create(self._A.comm)
             self._factors.setType("lu")
             self._factors.setFactorSolverType("mumps")
-        if motions.version != self._made and motions.any:
+        if motions.version != self._made:
             self._galerkin(motions)
             self._made = motions.version
 
@@ -123,7 +123,7 @@ class Deflated:
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
         """The motions first, then the other preconditioner on what they leave."""
         motions = self._motions
-        if motions is None or self._made < 0:
+        if motions is None or not self._made:
             self.inner.apply(r, z)
             return
         if self._moved is None:
@@ -244,14 +244,12 @@ class Motions:
     Attributes:
         displacement: The rows of the displacement.
         jump: Those of the jumps that the law lets go, as of `version`.
-        version: Counts how often they have followed the law.
-        any: Whether it has let any jump go so far.
+        version: Counts how often they have followed the law; 0 as long as it lets nothing go.
     """
 
     displacement: PETSc.Mat
     jump: PETSc.Mat
     version: int
-    any: bool
 
     def __init__(self, problem: Problem) -> None:
         """Find who moves where; collective."""
@@ -262,6 +260,7 @@ class Motions:
         x, y = space.tabulate_dof_coordinates()[:nodes], j.points.x[j.mine]
         large = Boxes(j.points.x)
         small = Boxes(j.points.x, SMALL * float(np.mean(j.edge_lengths)))
+        grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
         frame = _frame(j.points.x)
         rigid = {r.region for r in problem.scene.rigid}
         nodal, others = _Entries(comm, 3 * nodes), _Entries(comm, len(problem.held))
@@ -277,9 +276,7 @@ class Motions:
                 jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
                 first += 6
                 continue
-            fine = [small] if body != stiffest and small.edge < large.edge else []
-            for boxes in (large, *fine):
-                at_nodes, at_points = boxes(x), boxes(y)
+            for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
                 inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
                 used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
                 place = first + 3 * (np.cumsum(used) - 1)
@@ -296,7 +293,7 @@ class Motions:
         self.jump = self._free.matMult(self._jump)
         self._let, self._allowed = self._jump.createVecLeft(), self._jump.createVecLeft()
         self._known: Floats = np.zeros((len(y), 3, 3))
-        self.version, self.any = 0, False
+        self.version = 0
 
     def follow(self, slope: Floats) -> None:
         """Let go what a law lets go, if that is much different from before; collective.
@@ -308,10 +305,10 @@ class Motions:
         free[self._held[:, :, None] | self._held[:, None, :]] = 0
         changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
         changed, points = self._comm.allreduce(np.array([changed, len(free)]))
-        if changed <= STALE * points and (self.any or not changed):
+        if changed <= STALE * points and (self.version or not changed):
             return
         self._known = free
-        self.version, self.any = self.version + 1, True
+        self.version += 1
         fill(self._free, free)
         self._free.matMult(self._jump, result=self.jump)
 

@@ -39,7 +39,7 @@ class _Generator(GenerateJsonSchema):
 def docstrings(model: type) -> dict[str, str]:
     """Texts below the fields of a class and of those it is made from.
 
-    Pydantic's own ``use_attributedocstrings`` reads the source at every start.
+    Pydantic's own ``use_attribute_docstrings`` reads the source at every start.
     """
     found: dict[str, str] = {}
     for base in reversed(model.__mro__):
