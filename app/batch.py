@@ -8,6 +8,9 @@ failed or a changed one is::
     folder/runs/<id>.log        what it said
     folder/runs/<id>.status     its exit code, and when it began and ended
     folder/snakemake.log        what Snakemake said
+
+Runs that may share a stiffness (`Job.share`) are variations of one process, whose id the last three
+bear, and have their run directories inside its own.
 """
 
 from __future__ import annotations
@@ -27,14 +30,16 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import IO, Any
 
-from app import __version__, config
-from app.errors import EnvironmentProblem, InputError, StoppedError
+from app import __version__, case_file, config
+from app.errors import ConvergenceError, EnvironmentProblem, InputError, StoppedError
+from app.folders import FAILED
+from app.variation_options import split
 
 log = logging.getLogger("mantle")
 
@@ -43,7 +48,7 @@ SNAKEFILE = Path(__file__).with_name("Snakefile")
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that no run imports: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"app/(batch|bench\w*|cli|doctor|results|study\w*|verify\w*|work_precision)\.py"
+    r"app/(batch|bench\w*|cli|doctor|results|study\w*|sweep\w*|verify\w*|work_precision)\.py"
 )
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
@@ -65,6 +70,7 @@ class Job:
         overrides: ``key=value`` each, as after ``--set``.
         ranks: Number of MPI ranks.
         alone: Whether nothing else runs beside it, so that its time can be compared.
+        share: Whether it may share a process with others that mesh and stiffness have in common.
     """
 
     name: str
@@ -72,6 +78,7 @@ class Job:
     overrides: tuple[str, ...] = ()
     ranks: int = 1
     alone: bool = False
+    share: bool = False
 
 
 @dataclass(frozen=True)
@@ -82,9 +89,10 @@ class Result:
         job: The job.
         folder: Its run directory.
         exit_code: 0 if it is done, else that of ``mantle run``.
-        seconds: Wall time of the process.
+        seconds: Wall time: of the process, or of the run if it shares one.
         summary: ``summary.json``; empty unless the run is done.
         message: Why it failed: the last lines of its log; empty if it is done.
+        process: Who ran it; several jobs may share one.
     """
 
     job: Job
@@ -93,17 +101,30 @@ class Result:
     seconds: float
     summary: dict[str, Any]
     message: str
+    process: str = ""
 
 
 @dataclass(frozen=True)
 class _Run:
-    """A run directory and what goes into it; several jobs may share it."""
+    """A run directory and what goes into it; several jobs may have the same.
+
+    Attributes:
+        id: Its name.
+        name: For people.
+        case: Its case.
+        ranks: Number of MPI ranks.
+        alone: As of the job.
+        process: The id of the process that runs it: its own, or one that it shares.
+        path: Its run directory.
+    """
 
     id: str
     name: str
-    text: str
+    case: config.Case
     ranks: int
     alone: bool
+    process: str
+    path: Path
 
 
 def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
@@ -125,13 +146,31 @@ def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
     """
     cases = _resolve(jobs)
     with _folder(folder) as lock:
-        ids, runs = _runs(jobs, cases, folder)
-        pending = [r for r in runs.values() if _summary(folder, r.id) is None]
-        log.info("%d runs: %d done already, in %s", len(runs), len(runs) - len(pending), folder)
+        runs = _runs(jobs, cases, folder)
+        every = {r.id: r for r in runs}.values()
+        pending = [r for r in every if _summary(r) is None]
+        log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
         if pending:
             _write(pending, folder, cores)
-            _execute(pending, len(runs), folder, cores, lock)
-        return [_result(job, folder, id) for job, id in zip(jobs, ids, strict=True)]
+            _execute(pending, len(every), folder, cores, lock)
+        return [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
+
+
+def look(jobs: Sequence[Job], folder: Path) -> list[Result]:
+    """What has become of jobs so far; runs nothing.
+
+    Args:
+        jobs: As of `run`.
+        folder: The same; it need not exist.
+
+    Returns:
+        A result for each job; those that have not run count as stopped.
+
+    Raises:
+        InputError: Any job is wrong.
+    """
+    runs = _runs(jobs, _resolve(jobs), folder)
+    return [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
 
 
 def _resolve(jobs: Sequence[Job]) -> list[config.Case]:
@@ -154,35 +193,63 @@ def _resolve(jobs: Sequence[Job]) -> list[config.Case]:
     return cases
 
 
-def _runs(
-    jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path
-) -> tuple[list[str], dict[str, _Run]]:
-    """The id of each job, and the runs by id: one for all jobs of the same content."""
-    found = {path.name[-10:]: path.name for path in (folder / "runs").glob("*/")}
-    ids: list[str] = []
-    runs: dict[str, _Run] = {}
-    for job, case in zip(jobs, cases, strict=True):
-        text = config.dump(case)
-        digest = _digest(case, text, job.ranks)
-        name = re.sub(r"[^A-Za-z0-9_.-]", "_", job.name)
-        # The name of a run is not its content: a renamed one is still the same.
-        id = found.setdefault(digest, f"{name}-{digest}")
-        ids.append(id)
-        same = runs.get(id, _Run(id, job.name, text, job.ranks, job.alone))
-        runs[id] = replace(same, alone=same.alone or job.alone)
-    return ids, runs
+def _runs(jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path) -> list[_Run]:
+    """The run of each job: one and the same for all jobs of the same content."""
+    finished = {mark.parent.name[-10:]: mark.parent for mark in _marks(folder)}
+    digests = [
+        _digest(case, (config.dump(case),), job.ranks)
+        for job, case in zip(jobs, cases, strict=True)
+    ]
+    partners = [
+        _digest(case, (_shared(case),), job.ranks) if job.share else ""
+        for job, case in zip(jobs, cases, strict=True)
+    ]
+    sharing = {
+        partner: len({d for d, p in zip(digests, partners, strict=True) if p == partner}) > 1
+        for partner in partners
+        if partner
+    }
+    found: dict[str, _Run] = {}
+    for job, case, digest, partner in zip(jobs, cases, digests, partners, strict=True):
+        if digest in found:
+            alone = found[digest].alone or job.alone
+            found[digest] = replace(found[digest], alone=alone)
+            continue
+        # The name of a run is not its content: a renamed one is still the same. In a process that
+        # it shares it is also the name of a variation.
+        id = f"{re.sub(r'[^A-Za-z0-9_-]', '_', job.name)}-{digest}"
+        id = id if id[0].isalpha() else f"_{id}"
+        shares = sharing.get(partner, False)
+        process = f"shared-{partner}" if shares else id
+        path = folder / "runs" / process / (id if shares else "")
+        if (old := finished.get(digest)) is not None:
+            id, path = old.name, old
+            process = process if shares else id
+        found[digest] = _Run(id, job.name, case, job.ranks, job.alone, process, path)
+    return [found[digest] for digest in digests]
 
 
-def _digest(case: config.Case, text: str, ranks: int) -> str:
+def _marks(folder: Path) -> list[Path]:
+    """The DONE of every finished run of its own, whether it shared a process or not."""
+    shared = list((folder / "runs").glob("shared-*/*/DONE"))
+    return shared + [m for m in (folder / "runs").glob("*/DONE") if m.parent.name[:7] != "shared-"]
+
+
+def _shared(case: config.Case) -> str:
+    """What runs of one process have in common, as text."""
+    return json.dumps(split(config.plain(case))[0], sort_keys=True)
+
+
+def _digest(case: config.Case, text: Sequence[str], ranks: int) -> str:
     """Ten hexadecimal digits of everything the result depends on."""
-    parts = [text, str(ranks), _program()]
+    parts = [*text, str(ranks), program()]
     if isinstance(case.geometry, config.MeshFile):
         parts.append(case.geometry.content)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:10]
 
 
 @lru_cache(maxsize=1)
-def _program() -> str:
+def program() -> str:
     """The version and a hash of the sources, which change more often."""
     digest = hashlib.sha256()
     for package in ("app", "forms", "meshes"):
@@ -220,22 +287,42 @@ def _write(pending: Iterable[_Run], folder: Path, cores: int) -> None:
     Raises:
         InputError: The folder cannot be written.
     """
+    shared: dict[str, list[_Run]] = {}
+    for r in pending:
+        shared.setdefault(r.process, []).append(r)
     jobs = {}
     try:
-        for r in pending:
-            case, output = folder / "cases" / f"{r.id}.yaml", folder / "runs" / r.id
-            case.write_text(r.text, encoding="utf-8")
-            for old in (output / "DONE", _status_file(folder, r.id)):
+        for id, runs in shared.items():
+            case, output = folder / "cases" / f"{id}.yaml", folder / "runs" / id
+            case.write_text(_text(runs), encoding="utf-8")
+            marks = [r.path / mark for r in runs for mark in ("DONE", FAILED)]
+            for old in (*marks, _status_file(folder, id)):
                 old.unlink(missing_ok=True)
+            ranks = runs[0].ranks
             command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--force"]
-            command += ["-n", r.ranks] if r.ranks > 1 else []
-            jobs[r.id] = {
+            command += ["-n", ranks] if ranks > 1 else []
+            jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(), *command])),
-                "threads": cores if r.alone else min(r.ranks, cores),
+                "threads": cores if any(r.alone for r in runs) else min(ranks, cores),
             }
         (folder / "jobs.json").write_text(json.dumps(jobs, indent=1), encoding="utf-8")
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
+
+
+def _text(runs: Sequence[_Run]) -> str:
+    """The case file of a process: of its run, or with each of those it is shared by a variation."""
+    first = runs[0]
+    if first.process == first.id:
+        return config.dump(first.case)
+    data = config.plain(first.case)
+    _, base = split(data)
+    variations = {}
+    for r in runs:
+        _, own = split(config.plain(r.case))
+        keys = [key for key in base | own if base.get(key) != own.get(key)]
+        variations[r.id] = {key: own.get(key) for key in keys}
+    return case_file.written(data | {"variations": variations})
 
 
 def _environment() -> list[str]:
@@ -297,7 +384,7 @@ class _Progress:
     """Tells of each run that has ended."""
 
     def __init__(self, pending: Sequence[_Run], total: int, folder: Path) -> None:
-        self.open = {r.id: r.name for r in pending}
+        self.open = {r.id: r for r in pending}
         self._total, self._folder = total, folder
         self._begin, self._new, self._failed = time.monotonic(), 0, 0
 
@@ -308,23 +395,26 @@ class _Progress:
 
     def tell(self) -> None:
         """Look for runs that have ended since the last time."""
-        for id, name in list(self.open.items()):
-            if (status := _status(self._folder, id)) is None:
+        for run in list(self.open.values()):
+            ended = _status(self._folder, run.process)
+            if ended is None and (run.process == run.id or not _left(run)):
                 continue
-            code, seconds = status
-            del self.open[id]
+            result = _result(Job(run.name, run.path), self._folder, run)
+            code = result.exit_code
+            del self.open[run.id]
             self._new += 1
             self._failed += code != 0
             notes = [f"{self._failed} failed"] if self._failed else []
             if self.open:
                 left = (time.monotonic() - self._begin) / self._new * len(self.open)
                 notes.append(f"about {duration(left)} left")
+            time_ = duration(result.seconds)
             log.info(
                 "[%d/%d] %s %s%s",
                 self.count,
                 self._total,
-                name,
-                f"done in {duration(seconds)}" if code == 0 else f"failed with exit code {code}",
+                run.name,
+                f"done in {time_}" if code == 0 else f"failed with exit code {code}",
                 f" ({', '.join(notes)})" if notes else "",
             )
 
@@ -398,29 +488,38 @@ def _status(folder: Path, id: str) -> tuple[int, float] | None:
         return None
 
 
-def _summary(folder: Path, id: str) -> dict[str, Any] | None:
+def _left(run: _Run) -> bool:
+    """Whether a run that shares a process has ended before that: done, or not converged."""
+    return (run.path / "DONE").exists() or (run.path / FAILED).exists()
+
+
+def _summary(run: _Run) -> dict[str, Any] | None:
     """The summary of a run that is done; None if it is not."""
-    path = folder / "runs" / id
     try:
         return (
-            dict(json.loads((path / "summary.json").read_text(encoding="utf-8")))
-            if (path / "DONE").exists()
+            dict(json.loads((run.path / "summary.json").read_text(encoding="utf-8")))
+            if (run.path / "DONE").exists()
             else None
         )
     except (OSError, ValueError):
         return None
 
 
-def _result(job: Job, folder: Path, id: str) -> Result:
+def _result(job: Job, folder: Path, run: _Run) -> Result:
     """How a run has ended."""
-    code, seconds = _status(folder, id) or (0, 0.0)
-    path, summary = folder / "runs" / id, _summary(folder, id)
-    if summary is not None:
-        return Result(job, path, 0, seconds, summary, "")
-    message = _tail(folder / "runs" / f"{id}.log")
+    code, seconds = _status(folder, run.process) or (StoppedError.exit_code, 0.0)
+    result = partial(Result, job, run.path, process=run.process)
+    if (summary := _summary(run)) is not None:
+        own = summary.get("timing", {}).get("total", 0.0)
+        return result(0, seconds if run.process == run.id else own, summary, "")
+    with suppress(OSError):
+        # In a process that goes on without it, what it said stands in its folder.
+        why = (run.path / FAILED).read_text(encoding="utf-8").strip()
+        return result(ConvergenceError.exit_code, 0.0, {}, why)
+    message = _tail(folder / "runs" / f"{run.process}.log")
     if code > 128 and code - 128 in set(signal.Signals):
         message += f"\nkilled by {signal.Signals(code - 128).name}"
-    return Result(job, path, code or 70, seconds, {}, message.strip())
+    return result(code or 70, seconds, {}, message.strip())
 
 
 def _tail(path: Path) -> str:

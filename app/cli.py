@@ -1,4 +1,4 @@
-"""The command line: ``mantle run | check | mesh | study | verify | bench | schema | doctor``.
+"""The command line: ``mantle run``, ``check``, ``mesh``, ``study``, ``sweep`` and so on.
 
 The one module that prints to standard output. It imports what a command needs when it needs it, so
 that ``check`` works without MPI and starts at once.
@@ -124,6 +124,20 @@ def parser() -> argparse.ArgumentParser:
     study.add_argument(
         "-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>-study"
     )
+    sweep = add("sweep", "run many cases of one base case, and compare them")
+    sweep.add_argument("sweep", type=Path, metavar="SWEEP", help="what varies, a YAML file")
+    sweep.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name>-sweep")
+    sweep.add_argument(
+        "--set",
+        dest="overrides",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a key of every case (repeatable)",
+    )
+    sweep.add_argument(
+        "--dry-run", action="store_true", help="list the cases and what they would cost"
+    )
     verify = add("verify", "solve the verification problems and compare with what is known")
     verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
@@ -132,7 +146,7 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     bench.add_argument("-o", "--output", type=Path, default=Path("out/bench"), metavar="DIR")
     bench.add_argument("--full", action="store_true", help="a million unknowns too")
-    for command in (study, verify):
+    for command in (study, sweep, verify):
         command.add_argument(
             "--cores", type=int, default=os.cpu_count() or 1, metavar="N", help="cores to use"
         )
@@ -210,6 +224,8 @@ def _dispatch(arguments: list[str]) -> int:
             return _mesh(options)
         case "study":
             return _study(options)
+        case "sweep":
+            return _sweep(options)
         case "verify":
             return _verify(options)
         case "bench":
@@ -318,6 +334,19 @@ def _study(options: argparse.Namespace) -> int:
 
     output = options.output or Path("out") / f"{options.case.stem}-study"
     study.run(options.case, options.overrides, output, options.cores)
+    return 0
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    """Run the cases of a sweep."""
+    _configure_log("info")
+    from app import sweep
+
+    output = options.output or Path("out") / f"{options.sweep.stem}-sweep"
+    if options.dry_run:
+        print(sweep.plan(options.sweep, options.overrides, output, options.cores))
+    else:
+        sweep.run(options.sweep, options.overrides, output, options.cores)
     return 0
 
 

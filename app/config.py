@@ -123,6 +123,7 @@ __all__ = [
     "dump",
     "evaluate",
     "load",
+    "plain",
     "schema",
     "variations",
 ]
@@ -286,10 +287,14 @@ def geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
     return found
 
 
+def plain(case: Case) -> dict[str, Any]:
+    """A case alone, without study and variations, as mappings, lists and scalars."""
+    return case.model_dump(mode="json", exclude_none=True, exclude={"study", "variations"})
+
+
 def dump(case: Case) -> str:
     """A case alone, as YAML in internal units; without study and variations reads back equal."""
-    data = case.model_dump(mode="json", exclude_none=True, exclude={"study", "variations"})
-    return case_file.written(data)
+    return case_file.written(plain(case))
 
 
 def schema() -> dict[str, Any]:

@@ -9,6 +9,9 @@ from typing import Any
 
 from app.errors import InputError
 
+# What stands in the folder of a variation that did not converge: why.
+FAILED = "FAILED"
+
 
 def cache(name: str) -> Path | None:
     """The folder for cached data of a kind, made if necessary.

@@ -33,6 +33,13 @@ USUAL = {
     "reference_temperature": TEMPERATURES,
     "thermal_expansion": (1e-8, 1e-3),
 }
+# What a run costs on one core (measured): seconds at 1e5 unknowns by order, exponent of growth, a
+# later load step beside the first, seconds per temperature and time step, time steps of a stage,
+# errors beside the run alone, a run that shares matrices beside one that makes them, and what is
+# spent before anything is solved. The size that is assumed where it is not known.
+PRICE, GROWTH, LATER = {1: 13.0, 2: 27.0}, 1.25, 0.5
+HEAT, HEAT_STEPS, WITH_ERRORS, SHARED, START = 1.5e-5, 80, 1.4, 0.6, 6.0
+UNKNOWN_SIZE = 3e4
 # Area of an interface per node on it, in units of the squared edge length.
 AREA_PER_NODE = 0.87
 
@@ -92,15 +99,62 @@ def _solid(case: Case) -> bool:
 
 def estimated_size(case: Case) -> str:
     """Cells, unknowns and memory, from the parameters alone."""
-    cells = case.geometry.estimate_cells(case.mesh)
+    cells, nodes, corners, each = _estimated(case)
     if not cells:
         return "size\n  not known before it is meshed: --mesh counts"
+    return _size("size (estimated; --mesh counts)", case, cells, nodes, corners, each)
+
+
+def unknowns(case: Case) -> float:
+    """How many unknowns a case has, estimated; 0 where that is not known before it is meshed."""
+    cells, nodes, corners, each = _estimated(case)
+    return sum(_unknowns(case, nodes, corners, each)) if cells else 0.0
+
+
+def seconds(case: Case, alone: bool = True) -> float:
+    """How long a run takes on one core, within a factor of two or three.
+
+    Args:
+        case: The case.
+        alone: Whether it is the first of those that share mesh, forms and matrices.
+    """
+    cells, nodes, corners, each = _estimated(case)
+    mechanical, thermal = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
+    price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
+    steps = sum(1.0 + LATER * (stage.increments - 1) for stage in case.stages)
+    timed = sum(1 for stage in case.stages if stage.duration)
+    solution = price * steps + HEAT * HEAT_STEPS * timed * thermal
+    solution *= WITH_ERRORS if case.output.error else 1.0
+    return START + solution if alone else SHARED * solution
+
+
+def _estimated(case: Case) -> tuple[float, float, float, dict[str, float]]:
+    """Cells, nodes of the displacement, of the temperature, and of each interface."""
+    cells = case.geometry.estimate_cells(case.mesh)
     corners = NODES_PER_CELL * cells + 50
     nodes = corners + (EDGES_PER_CELL * cells if case.mesh.order == 2 else 0)
     # Jumps are linear at either order; each interface has about the same share of the area.
     areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
     each = dict.fromkeys(case.interfaces, areas / (AREA_PER_NODE * case.mesh.size**2))
-    return _size("size (estimated; --mesh counts)", case, cells, nodes, corners, each)
+    return cells, nodes, corners, each
+
+
+def _unknowns(
+    case: Case, nodes: float, corners: float, interfaces: Mapping[str, float]
+) -> tuple[float, float]:
+    """Unknowns of the mechanics and of heat."""
+    mechanical = thermal = 0.0
+    if _solid(case):
+        jumps = sum(
+            interfaces[name] for name, law in case.interfaces.items() if not isinstance(law, Bonded)
+        )
+        mechanical = 3 * (nodes + jumps)
+    if case.conducts:
+        steps = sum(
+            interfaces[n] for n, law in case.interfaces.items() if law.conductance is not None
+        )
+        thermal = corners + steps
+    return mechanical, thermal
 
 
 def exact_size(case: Case, data: MeshData) -> str:
@@ -142,18 +196,17 @@ def _size(
         interfaces: Nodes on each interface.
     """
     laws = case.interfaces.items()
-    parts, unknowns = [f"{_count(cells)} cells"], 0.0
+    parts = [f"{_count(cells)} cells"]
     if _solid(case):
         jumps = sum(interfaces[name] for name, law in laws if not isinstance(law, Bonded))
         parts += [
             f"{_count(nodes)} displacement nodes",
             f"{_count(jumps)} interface nodes with a jump",
         ]
-        unknowns += 3 * (nodes + jumps)
     if case.conducts:
         steps = sum(interfaces[name] for name, law in laws if law.conductance is not None)
         parts += [f"{_count(corners)} temperatures", f"{_count(steps)} temperature jumps"]
-        unknowns += corners + steps
+    unknowns = sum(_unknowns(case, nodes, corners, interfaces))
     # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
     memory = 0.4 + 2e-6 * unknowns + 25 * 8e-9 * unknowns ** (4 / 3)
     return (

@@ -17,16 +17,13 @@ from mpi4py import MPI
 from app import config, error, preview, ranks, variations
 from app import log as text
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
-from app.folders import prepare_run, write_text
+from app.folders import FAILED, prepare_run, write_text
 from app.model import Model
 from app.output import Writer, on_root, provenance
 from app.recorder import Recorder
 from app.timing import Timing
 
 log = logging.getLogger("mantle")
-
-# What stands in the folder of a variation that did not converge: why.
-FAILED = "FAILED"
 
 
 def run(

@@ -148,12 +148,23 @@ def _runs(value: object) -> dict[str, Any]:
             fail("is an empty list", at=(key,))
         if length != lengths[first]:
             fail(f"has {length} values where {first} has {lengths[first]}", at=(key,))
-    for key, entry in runs.items():
-        for i, ranks in enumerate(entry if isinstance(entry, list) else [entry]):
-            if key == "ranks" and not (type(ranks) is int and ranks > 0):
-                at = (key, i) if isinstance(entry, list) else (key,)
-                fail(f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ...", at=at)
+    check_ranks(runs)
     return runs
+
+
+def check_ranks(changes: Mapping[str, Any], at: tuple[str, ...] = ()) -> None:
+    """Refuse numbers of ranks that are none.
+
+    Args:
+        changes: Override keys with values or lists of them.
+        at: Where they stand below the value under validation.
+    """
+    entry = changes.get("ranks", 1)
+    for i, ranks in enumerate(entry if isinstance(entry, list) else [entry]):
+        if not (type(ranks) is int and ranks > 0):
+            item = (i,) if isinstance(entry, list) else ()
+            text = f"{show(ranks)} is not a number of ranks; allowed: 1, 2, 3, ..."
+            fail(text, at=(*at, "ranks", *item))
 
 
 def _line(value: object) -> dict[str, Any]:

@@ -61,9 +61,9 @@ def _section(value: dict[str, Any]) -> dict[str, Any]:
                 fail(text, at=(name, key))
     if GRID in value and not value[GRID]:
         fail("varies nothing", at=(GRID,))
-    for key, labels in _labels(value.get(GRID, {})).items():
-        for i, label in enumerate(labels):
-            if label in labels[:i]:
+    for key, names in labels(value.get(GRID, {})).items():
+        for i, label in enumerate(names):
+            if label in names[:i]:
                 fail(f"{label} stands here twice", at=(GRID, key, i))
     return value
 
@@ -85,6 +85,24 @@ def expand(section: Mapping[str, Mapping[str, Any]]) -> list[Variation]:
     return [v for name in section for v in (_grid if name == GRID else _single)(name, section)]
 
 
+def split(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A case in two: what all its variations share, and what may vary by override key.
+
+    Args:
+        data: A resolved case as plain data.
+    """
+    shared = {key: value for key, value in data.items() if key not in ("title", "interfaces")}
+    own = {f"interfaces.{name}": law for name, law in data.get("interfaces", {}).items()}
+    own["title"] = data.get("title", "")
+    loads: dict[str, Any] = {}
+    for name, load in data.get("loads", {}).items():
+        loads[name] = {key: value for key, value in load.items() if key not in OF_LOADS}
+        own |= {f"loads.{name}.{key}": load[key] for key in OF_LOADS if key in load}
+    solver = dict(data.get("solver", {}))
+    own |= {f"solver.{key}": solver.pop(key) for key in OF_SOLVER if key in solver}
+    return shared | {"loads": loads, "solver": solver}, own
+
+
 def every(key: str, data: Mapping[str, Any]) -> list[str]:
     """The keys that one with ``*`` for a name stands for.
 
@@ -103,17 +121,17 @@ def _single(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Var
 
 def _grid(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Variation]:
     grid = section[name]
-    labels, short = _labels(grid), _short(list(grid))
+    names, short = labels(grid), short_keys(list(grid))
     for indices in itertools.product(*(range(len(values)) for values in grid.values())):
         point = dict(zip(grid, indices, strict=True))
         yield Variation(
-            "_".join(f"{short[key]}={labels[key][i]}" for key, i in point.items()),
+            "_".join(f"{short[key]}={names[key][i]}" for key, i in point.items()),
             {key: grid[key][i] for key, i in point.items()},
             {key: ("variations", name, key, i) for key, i in point.items()},
         )
 
 
-def _labels(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[str]]:
+def labels(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[str]]:
     """How the values of each key are called: as they are, by their numbers, or by their places."""
     return {key: _called(values) for key, values in grid.items()}
 
@@ -130,7 +148,7 @@ def _called(values: Sequence[Any]) -> list[str]:
     return [f"#{i + 1}" for i in range(len(values))]
 
 
-def _short(keys: Sequence[str]) -> dict[str, str]:
+def short_keys(keys: Sequence[str]) -> dict[str, str]:
     """Each key by as many of its last words as tell it from the others."""
     words = {key: re.sub(r"\[(\d+)\]", r".\1", key).split(".") for key in keys}
 

@@ -21,6 +21,7 @@ OF_INTERFACES = (
     *("gap_p99", "slip_p99", "pressure_p99", "shear_p99"),
     *("open_fraction", "slip_fraction", "penetration_max"),
 )
+OF_HEATED_INTERFACES = ("temperature_max_first", "temperature_max_second")
 OF_REGIONS = ("von_mises_p99",)
 OF_HEATED_REGIONS = ("temperature_max",)
 
@@ -103,20 +104,21 @@ def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> R
         "name": v.name,
         "overrides": v.changes,
         "status": status,
-        "numbers": _headlines(summary),
+        "numbers": headlines(summary),
         "newton_iterations": solver.get("newton_iterations"),
         "linear_iterations": solver.get("linear_iterations"),
         "seconds": round(seconds, 3),
     }
 
 
-def _headlines(summary: Mapping[str, Any]) -> dict[str, float]:
+def headlines(summary: Mapping[str, Any]) -> dict[str, float]:
     """The numbers that runs are compared by, as a study names them."""
     tables = [
         (summary.get("interfaces", {}), OF_INTERFACES),
         (summary.get("regions", {}), OF_REGIONS),
         ({"stem": summary.get("stem", {})}, tuple(study_options.STEM_UNITS)),
         (summary.get("thermal", {}).get("regions", {}), OF_HEATED_REGIONS),
+        (summary.get("thermal", {}).get("interfaces", {}), OF_HEATED_INTERFACES),
     ]
     return {
         f"{name}.{key}": numbers[key]
@@ -158,12 +160,12 @@ def table(rows: Sequence[Row]) -> str:
     for r in rows:
         counts = [r[f"{kind}_iterations"] for kind in ("newton", "linear")]
         newton, krylov = ("-" if n is None else n for n in counts)
-        said = _most(r["numbers"]) if r["status"] == "converged" else r["status"]
+        said = most(r["numbers"]) if r["status"] == "converged" else r["status"]
         lines.append(f"{r['name']:<{wide}} {newton:>6} {krylov:>6} {r['seconds']:>6.1f} s  {said}")
     return "\n".join(lines)
 
 
-def _most(numbers: Mapping[str, float]) -> str:
+def most(numbers: Mapping[str, float]) -> str:
     """The largest slip of a run, or its highest temperature."""
     for key, scale, words in (("slip_p99", 1e3, "um slip on"), ("temperature_max", 1, "degC in")):
         found = {k: n for k, n in numbers.items() if k.endswith(f".{key}")}

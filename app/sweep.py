@@ -1,0 +1,205 @@
+"""``mantle sweep``: many cases from one, with one table for all of them.
+
+Everything goes into one folder, that of a batch (`app/batch.py`), and beside it::
+
+    folder/sweep.csv     a row for each case: what varies, numbers and their errors, cost
+    folder/sweep.json    the same with the overrides, folders and messages
+    folder/sweep.yaml    the sweep as it was read
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import logging
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from app import batch, case_file, preview, study_options, sweep_file, variations
+from app.batch import Job, Result
+from app.errors import ConvergenceError, InputError, StoppedError
+from app.folders import write_json, write_text
+from app.study import quantity
+from app.sweep_file import Planned
+from app.sweep_options import Sweep
+
+log = logging.getLogger("mantle")
+
+STATUS = {0: "converged", 4: "not converged", 5: "stopped"}
+FAILED = "failed"
+# How much of the cores' time runs of different length leave unused at the end of a sweep.
+IDLE = 1.1
+
+
+def run(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> None:
+    """Run the cases of a sweep that are not done yet, and write their table.
+
+    Args:
+        path: The sweep file.
+        overrides: ``--set`` options: they hold for every case.
+        folder: Where everything goes; what is done there already is not run again.
+        cores: Cores to use.
+
+    Raises:
+        InputError: The file or any case of it is wrong: everything at once, before anything runs.
+        ConvergenceError: Some cases failed; the others are done.
+        StoppedError: Interrupted; the same command goes on from there.
+    """
+    sweep, planned = sweep_file.read(path, overrides)
+    jobs = [_job(p) for p in planned]
+    begin = time.monotonic()
+    log.info("%s: %d cases", sweep.title or path.stem, len(planned))
+    try:
+        results = batch.run(jobs, folder, cores)
+    except StoppedError:
+        _write(sweep, path, planned, batch.look(jobs, folder), folder, cores, begin)
+        raise
+    rows = _write(sweep, path, planned, results, folder, cores, begin)
+    log.info("%s", _table(rows))
+    log.info("written in %s: sweep.csv, sweep.json; mantle report %s draws it", folder, folder)
+    failed = [row for row in rows if row["exit_code"]]
+    if failed:
+        reasons = [f"{r['name']}: {_last(r['message'])} (in {r['folder']})" for r in failed]
+        raise ConvergenceError("\n".join([f"{len(failed)} of {len(rows)} cases failed:", *reasons]))
+
+
+def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
+    """What `run` would do, as a table: cases, their size, what they would cost.
+
+    Raises:
+        InputError: As `run`.
+    """
+    sweep, planned = sweep_file.read(path, overrides)
+    jobs = [_job(p) for p in planned]
+    results = batch.look(jobs, folder)
+    wide = max(len(p.point.name) for p in planned)
+    lines = [
+        f"{sweep.title or path.stem}: {len(planned)} cases",
+        "",
+        f"{'case':<{wide}} {'ranks':>5} {'unknowns':>10} {'about':>9}",
+    ]
+    total, seen = 0.0, set[object]()
+    for p, result in zip(planned, results, strict=True):
+        seconds = preview.seconds(p.case, result.process not in seen)
+        note = f"shares the matrices of {result.process}" if result.process in seen else ""
+        if result.folder in seen:
+            note, seconds = "the same as one above", 0.0
+        elif not result.exit_code:
+            note, seconds = "done", 0.0
+        seen |= {result.process, result.folder}
+        total += seconds * p.ranks
+        size = f"{round(preview.unknowns(p.case), -2):,.0f}".replace(",", " ")
+        cost = f"{p.point.name:<{wide}} {p.ranks:>5} {size:>10} {batch.duration(seconds):>9}"
+        lines.append(f"{cost}  {note}".rstrip())
+    wall = batch.duration(IDLE * total / cores)
+    return "\n".join([*lines, "", f"about {wall} for what is not done, on {cores} cores"])
+
+
+def _job(p: Planned) -> Job:
+    return Job(p.point.name, p.base, p.overrides, p.ranks, share=True)
+
+
+def _write(
+    sweep: Sweep,
+    path: Path,
+    planned: Sequence[Planned],
+    results: Sequence[Result],
+    folder: Path,
+    cores: int,
+    begin: float,
+) -> list[dict[str, Any]]:
+    """Write the tables; the rows."""
+    rows = [_row(p, r, folder) for p, r in zip(planned, results, strict=True)]
+    keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
+    try:
+        write_json(
+            folder / "sweep.json",
+            {
+                "title": sweep.title or path.stem,
+                "file": str(path),
+                "program": batch.program(),
+                "cores": cores,
+                "seconds": round(time.monotonic() - begin, 1),
+                "cases": rows,
+            },
+        )
+        write_text(folder / "sweep.csv", _csv(rows, keys))
+        write_text(folder / "sweep.yaml", case_file.written(case_file.read(path).data))
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
+    return rows
+
+
+def _row(p: Planned, result: Result, folder: Path) -> dict[str, Any]:
+    """A case as the tables have it."""
+    summary = result.summary
+    numbers = variations.headlines(summary)
+    estimates = {name: quantity(summary, name, "_error") for name in numbers}
+    solver = summary.get("solver", {})
+    return {
+        "name": p.point.name,
+        "part": p.point.part,
+        "overrides": p.point.changes,
+        "folder": os.path.relpath(result.folder, folder),
+        "ranks": p.ranks,
+        "status": STATUS.get(result.exit_code, FAILED),
+        "exit_code": result.exit_code,
+        "message": result.message,
+        "seconds": round(result.seconds, 2),
+        "unknowns": solver.get("dofs"),
+        "newton_iterations": solver.get("newton_iterations"),
+        "linear_iterations": solver.get("linear_iterations"),
+        "numbers": numbers,
+        "errors": {name: value for name, value in estimates.items() if value is not None},
+    }
+
+
+def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
+    """A row for each case, units in the header."""
+    flat = []
+    for r in rows:
+        numbers = {}
+        for name, value in r["numbers"].items():
+            unit = study_options.unit(name)
+            numbers[f"{name} [{unit}]"] = value
+            if name in r["errors"]:
+                numbers[f"{name} error [{unit}]"] = r["errors"][name]
+        flat.append(
+            {
+                "case": r["name"],
+                "status": r["status"],
+                **{key: r["overrides"].get(key, "") for key in keys},
+                **numbers,
+                "unknowns [-]": r["unknowns"],
+                "newton [-]": r["newton_iterations"],
+                "krylov [-]": r["linear_iterations"],
+                "wall [s]": r["seconds"],
+                "folder": r["folder"],
+            }
+        )
+    text = io.StringIO()
+    header = list(dict.fromkeys(key for row in flat for key in row))
+    table = csv.DictWriter(text, fieldnames=header, lineterminator="\n")
+    table.writeheader()
+    table.writerows(flat)
+    return text.getvalue()
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A line for each case, for people."""
+    wide = max(len(r["name"]) for r in rows)
+    lines = [f"{'case':<{wide}} {'unknowns':>9} {'newton':>6} {'wall':>8}  most"]
+    for r in rows:
+        size, newton = ("-" if r[k] is None else r[k] for k in ("unknowns", "newton_iterations"))
+        said = r["status"] if r["exit_code"] else variations.most(r["numbers"])
+        wall = batch.duration(r["seconds"])
+        lines.append(f"{r['name']:<{wide}} {size:>9} {newton:>6} {wall:>8}  {said}")
+    return "\n".join(lines)
+
+
+def _last(message: str) -> str:
+    """What a message comes down to: the last of its lines that says something."""
+    return next((line.strip() for line in reversed(message.splitlines()) if line.strip()), "")
