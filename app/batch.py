@@ -52,11 +52,11 @@ OUTSIDE = re.compile(
 )
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
+# How the ids of processes begin that several runs share.
+SHARED = "shared-"
 LOG_LINES = 12
 POLL = 0.1  # s
-MISSED = 15.0  # s after which Snakemake is told again to stop
 SAME_SIGNAL = 1.0  # s
-PATIENCE = 10.0  # s
 _PR_SET_PDEATHSIG = 1
 
 
@@ -195,7 +195,7 @@ def _resolve(jobs: Sequence[Job]) -> list[config.Case]:
 
 def _runs(jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path) -> list[_Run]:
     """The run of each job: one and the same for all jobs of the same content."""
-    finished = {mark.parent.name[-10:]: mark.parent for mark in _marks(folder)}
+    known = {mark.parent.name[-10:]: mark.parent for mark in finished(folder)}
     digests = [
         _digest(case, (config.dump(case),), job.ranks)
         for job, case in zip(jobs, cases, strict=True)
@@ -215,24 +215,27 @@ def _runs(jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path) -> li
             alone = found[digest].alone or job.alone
             found[digest] = replace(found[digest], alone=alone)
             continue
-        # The name of a run is not its content: a renamed one is still the same. In a process that
-        # it shares it is also the name of a variation.
-        id = f"{re.sub(r'[^A-Za-z0-9_-]', '_', job.name)}-{digest}"
-        id = id if id[0].isalpha() else f"_{id}"
         shares = sharing.get(partner, False)
-        process = f"shared-{partner}" if shares else id
+        # The name of a run is not its content: a renamed one is still the same. In a process that
+        # it shares it is also that of a variation.
+        id = (
+            f"{re.sub(r'[^A-Za-z0-9_-]' if shares else r'[^A-Za-z0-9_.-]', '_', job.name)}-{digest}"
+        )
+        id = f"_{id}" if shares and not id[0].isalpha() else id
+        process = f"{SHARED}{partner}" if shares else id
         path = folder / "runs" / process / (id if shares else "")
-        if (old := finished.get(digest)) is not None:
+        if (old := known.get(digest)) is not None:
             id, path = old.name, old
             process = process if shares else id
         found[digest] = _Run(id, job.name, case, job.ranks, job.alone, process, path)
     return [found[digest] for digest in digests]
 
 
-def _marks(folder: Path) -> list[Path]:
-    """The DONE of every finished run of its own, whether it shared a process or not."""
-    shared = list((folder / "runs").glob("shared-*/*/DONE"))
-    return shared + [m for m in (folder / "runs").glob("*/DONE") if m.parent.name[:7] != "shared-"]
+def finished(folder: Path) -> list[Path]:
+    """The DONE of every finished run, whether it shared a process or not."""
+    shared = list((folder / "runs").glob(f"{SHARED}*/*/DONE"))
+    alone = (folder / "runs").glob("*/DONE")
+    return shared + [mark for mark in alone if not mark.parent.name.startswith(SHARED)]
 
 
 def _shared(case: config.Case) -> str:
@@ -358,9 +361,9 @@ def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock
             stderr=subprocess.STDOUT,
             # Ctrl-C is for this process, which passes it on once.
             start_new_session=True,
-            # Should this process be killed, Snakemake starts nothing more, and the folder stays
-            # locked until what runs has ended.
-            preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
+            # Should this process be killed, Snakemake starts nothing more. What runs goes on; who
+            # comes next waits for it.
+            preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL),
             pass_fds=(lock.fileno(),),
         )
         try:
@@ -444,26 +447,32 @@ def _interruptible() -> Iterator[None]:
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """Pass an interruption on to Snakemake and its jobs, and wait for them; kill at the second."""
+    """End Snakemake, pass an interruption on to its jobs, wait for them; kill at the second."""
     begin = time.monotonic()
+    # It has nothing to save, and a signal may find it holding a lock that its handler waits for.
+    child.kill()
     _send(child.pid, signal.SIGINT)
     while True:
         try:
-            try:
-                child.wait(MISSED)
-            except subprocess.TimeoutExpired:
-                # It may miss one while it starts a job.
-                child.send_signal(signal.SIGINT)
-                child.wait()
-            deadline = time.monotonic() + PATIENCE
-            while _send(child.pid, 0) and time.monotonic() < deadline:
+            while _others(child.pid):
                 time.sleep(POLL)
-            _send(child.pid, signal.SIGKILL)
+            child.wait()
             return
         except KeyboardInterrupt:
             # One Ctrl-C may arrive twice: from the terminal and from whatever started this.
             if time.monotonic() > begin + SAME_SIGNAL:
                 _send(child.pid, signal.SIGKILL)
+
+
+def _others(group: int) -> bool:
+    """Whether a process group has more living members than its leader."""
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            # pid (name) state parent group ...; the name may hold anything.
+            state, _, of = stat.read_text(errors="replace").rpartition(")")[2].split()[:3]
+            if int(of) == group and state != "Z" and stat.parent.name != str(group):
+                return True
+    return False
 
 
 def _send(group: int, number: int) -> bool:

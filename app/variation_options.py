@@ -132,16 +132,19 @@ def _grid(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Varia
 
 
 def labels(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[str]]:
-    """How the values of each key are called: as they are, by their numbers, or by their places."""
+    """How values are called: as they are, by number, by kind, or by their place in the list."""
     return {key: _called(values) for key, values in grid.items()}
 
 
 def _called(values: Sequence[Any]) -> list[str]:
     singles = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in values]
+    singles = [v.get("kind") if isinstance(v, dict) else v for v in singles]
     texts = [str(v) if isinstance(v, str | int | float) else "" for v in singles]
     whole = [text.replace(" ", "") for text in texts]
     numbers = [text.partition(" ")[0] for text in texts]
-    if all(map(LABEL.fullmatch, whole)):
+    if all(map(LABEL.fullmatch, whole)) and (
+        len(set(whole)) == len(whole) or not any(isinstance(v, dict) for v in values)
+    ):
         return whole
     if all(map(LABEL.fullmatch, numbers)) and len(set(numbers)) == len(numbers):
         return numbers

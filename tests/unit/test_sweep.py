@@ -1,0 +1,412 @@
+"""``mantle sweep``: its file, who runs with whom, what is run again, its tables.
+
+Most of it on a stand-in for ``mantle run``: it leaves what a run leaves, a slip of 0.01 mm divided
+by the friction coefficient, and a line for every run that it finishes.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+import math
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app import batch, config, sweep, sweep_file, sweep_options
+from app.cli import main
+from app.errors import ConvergenceError, InputError
+from tests import support
+
+CASE = """\
+geometry:
+  kind: blocks
+  blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
+mesh: {order: 1, size: 4 mm}
+regions:
+  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 1.0}
+supports:
+  base: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 2 MPa}
+"""
+
+SWEEP = """\
+base: case.yaml
+set: {regions.upper.poisson_ratio: 0.25}
+table:
+  soft: {regions.lower.youngs_modulus: 1 GPa}
+  hard: {regions.lower.youngs_modulus: 2 GPa}
+grid:
+  interfaces.lower_upper.friction_coefficient: [0.2, 0.4]
+  loads.press.pressure: [1 MPa, 3 MPa]
+"""
+
+FRICTION = "interfaces.lower_upper.friction_coefficient"
+
+STAND_IN = """\
+import json, pathlib, sys, time
+from app import config
+from app.folders import FAILED
+here, path, output = pathlib.Path(__file__).parent, *map(pathlib.Path, (sys.argv[1], sys.argv[3]))
+case = config.load(path)
+many = [(v.name, v.case) for v in config.variations(path)] or [("", case)]
+code = 0
+for name, case in many:
+    folder = output / name
+    if (folder / "DONE").exists():
+        continue
+    folder.mkdir(parents=True, exist_ok=True)
+    friction = case.interfaces["lower_upper"].friction_coefficient
+    time.sleep(float((here / "seconds").read_text()))
+    if str(friction) in (here / "broken").read_text().split():
+        code = 4
+        (folder / FAILED).write_text("the block slides away\\n")
+        continue
+    slip = {"slip_p99": round(0.01 / friction, 6), "slip_p99_error": 0.001}
+    summary = {"interfaces": {"lower_upper": slip}, "timing": {"total": 1.5},
+               "solver": {"dofs": 9, "newton_iterations": 3, "linear_iterations": 4}}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    (folder / "DONE").write_text("")
+    with (here / "calls").open("a") as file:
+        file.write(f"{folder.name}\\n")
+sys.exit(code)
+"""
+
+
+class Bench:
+    """A folder with a case, a sweep and the stand-in."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.out = folder, folder / "out"
+        self.sweep = folder / "sweep.yaml"
+        self.sweep.write_text(SWEEP)
+        (folder / "case.yaml").write_text(CASE)
+        (folder / "mantle.py").write_text(STAND_IN)
+        (folder / "broken").write_text("")
+        (folder / "seconds").write_text("0")
+
+    def run(self, *overrides: str) -> None:
+        sweep.run(self.sweep, overrides, self.out, 2)
+
+    def calls(self) -> list[str]:
+        """Names of the runs finished since the last time, without their digests."""
+        path = self.folder / "calls"
+        lines = path.read_text().splitlines() if path.exists() else []
+        path.unlink(missing_ok=True)
+        return sorted(line[:-11] for line in lines)
+
+    def rows(self) -> list[dict[str, str]]:
+        with (self.out / "sweep.csv").open(newline="") as file:
+            return list(csv.DictReader(file))
+
+    def cases(self) -> list[dict[str, Any]]:
+        return list(json.loads((self.out / "sweep.json").read_text())["cases"])
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    monkeypatch.setattr(batch, "MANTLE_RUN", (sys.executable, str(tmp_path / "mantle.py")))
+    return Bench(tmp_path)
+
+
+def expand(text: str, folder: Path) -> list[sweep_options.Point]:
+    path = folder / "sweep.yaml"
+    path.write_text(text)
+    return [p.point for p in sweep_file.read(path)[1]]
+
+
+def test_axes_multiply_and_the_last_changes_fastest(bench: Bench) -> None:
+    points = expand(SWEEP, bench.folder)
+    assert [p.name for p in points[:5]] == [
+        "soft_friction_coefficient=0.2_pressure=1MPa",
+        "soft_friction_coefficient=0.2_pressure=3MPa",
+        "soft_friction_coefficient=0.4_pressure=1MPa",
+        "soft_friction_coefficient=0.4_pressure=3MPa",
+        "hard_friction_coefficient=0.2_pressure=1MPa",
+    ]
+    assert len(points) == 8
+    assert points[5].changes == {
+        "regions.upper.poisson_ratio": 0.25,
+        "regions.lower.youngs_modulus": "2 GPa",
+        FRICTION: 0.2,
+        "loads.press.pressure": "3 MPa",
+    }
+    assert "regions.upper.poisson_ratio" not in points[5].varied
+
+
+def test_lists_vary_together_and_parts_have_bases_of_their_own(bench: Bench) -> None:
+    (bench.folder / "other.yaml").write_text(CASE.replace("1 GPa", "5 GPa"))
+    points = expand(
+        """\
+base: case.yaml
+set: {ranks: 2}
+parts:
+  together:
+    lists: {mesh.size: [4 mm, 2 mm], loads.press.pressure: [1 MPa, 2 MPa], ranks: 1}
+  other:
+    base: other.yaml
+    grid: {interfaces.lower_upper: [{kind: bonded}, {kind: contact, friction_coefficient: 0.1}]}
+""",
+        bench.folder,
+    )
+    assert [(p.name, p.base, p.changes["ranks"]) for p in points] == [
+        ("together/size=4mm_pressure=1MPa", "case.yaml", 1),
+        ("together/size=2mm_pressure=2MPa", "case.yaml", 1),
+        ("other/lower_upper=bonded", "other.yaml", 2),
+        ("other/lower_upper=contact", "other.yaml", 2),
+    ]
+
+
+@settings(deadline=None)  # the first draw imports scipy
+@given(samples=st.integers(2, 40), seed=st.integers(0, 1000))
+def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed: int) -> None:
+    design = {
+        "samples": samples,
+        "seed": seed,
+        "inputs": {
+            "even": {"low": -1, "high": 3},
+            "decades": {"low": "1e2 W/(m^2 K)", "high": "1e5 W/(m^2 K)", "scale": "logarithmic"},
+        },
+    }
+    drawn = sweep_options.LatinHypercube.model_validate(design).draw()
+    assert drawn == sweep_options.LatinHypercube.model_validate(design).draw()
+    even = sorted((d["even"] + 1) / 4 for d in drawn)
+    texts = [re.fullmatch(r"(\S+) W/\(m\^2 K\)", d["decades"]) for d in drawn]
+    decades = sorted(math.log10(float(t[1])) / 3 - 2 / 3 for t in texts if t)
+    for shares in (even, decades):
+        assert all(i - 1e-4 <= s * samples <= i + 1 + 1e-4 for i, s in enumerate(shares))
+        assert len(shares) == samples
+
+
+def test_every_error_is_told_at_once_where_it_stands(bench: Bench) -> None:
+    bench.sweep.write_text(
+        """\
+base: case.yaml
+set: {mesh.order: 5}
+parts:
+  one:
+    grid:
+      interfaces.lower_upper.friction_coefficient: [0.2, -1]
+  two:
+    base: missing.yaml
+    table: {glued: {interfaces.glue: {kind: bonded}}}
+"""
+    )
+    with pytest.raises(InputError) as error:
+        sweep_file.read(bench.sweep)
+    places = {m.partition(": ")[0] for m in error.value.messages}
+    assert places == {f"{bench.sweep}:{place}" for place in ("2:7", "6:58", "8:5")}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("grid: {mesh.size: [1 mm]}", "base: missing"),
+        ("base: case.yaml\ngrid: {mesh.size: 3 mm}", "grid.mesh.size: '3 mm' is not a list"),
+        ("base: case.yaml\ngrid: {mesh.size: [3 mm, 3 mm]}", "grid.mesh.size[1]: 3mm stands"),
+        ("base: case.yaml\ngrid: {ranks: [0]}", "grid.ranks[0]: 0 is not a number of ranks"),
+        ("base: case.yaml\nlists: {mesh.size: [1 mm, 2 mm], mesh.order: [1]}", "has 1 values"),
+        ("base: case.yaml\ntable: {a: 3}", "table.a: 3 is not a mapping"),
+        ("base: case.yaml\nparts: {p: {}}\ngrid: {mesh.order: [1]}", "grid: stands beside parts"),
+        (
+            "base: case.yaml\nlatin_hypercube: {samples: 3, inputs: {a: {low: 1 mm, high: 2 m}}}",
+            "both ends need the same unit",
+        ),
+        (
+            "base: case.yaml\nlatin_hypercube: {samples: 3, inputs: {a: {low: 2, high: 1}}}",
+            "2 is not below 1",
+        ),
+        ("base: case.yaml\ngird: {}", "did you mean 'grid'?"),
+        (CASE, "this is a case: use mantle run"),
+    ],
+)
+def test_what_is_no_sweep_is_refused(bench: Bench, text: str, message: str) -> None:
+    bench.sweep.write_text(text + "\n")
+    with pytest.raises(InputError, match=re.escape(message)):
+        sweep_file.read(bench.sweep)
+
+
+def test_cases_that_share_a_stiffness_share_a_process(bench: Bench) -> None:
+    bench.run()
+    groups = sorted((bench.out / "cases").iterdir())
+    assert len(groups) == 2 and all(g.name.startswith("shared-") for g in groups)
+    for group in groups:
+        varied = config.variations(group)
+        assert {
+            (v.case.interfaces["lower_upper"].friction_coefficient, v.case.loads["press"].pressure)
+            for v in varied
+        } == {(0.2, 1.0), (0.2, 3.0), (0.4, 1.0), (0.4, 3.0)}
+        assert {v.case.regions["upper"].poisson_ratio for v in varied} == {0.25}
+    # Each is the case that its own overrides make.
+    planned = {p.point.name: p.case for p in sweep_file.read(bench.sweep)[1]}
+    found = {v.name[:-11]: v.case for g in groups for v in config.variations(g)}
+    assert {re.sub(r"[^A-Za-z0-9_-]", "_", n): config.plain(c) for n, c in planned.items()} == {
+        name: config.plain(case) for name, case in found.items()
+    }
+
+
+def test_tables_have_a_row_for_each_case(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "mantle")
+    bench.run()
+    rows, cases = bench.rows(), bench.cases()
+    assert len(rows) == len(cases) == 8
+    assert rows[2] == {
+        "case": "soft_friction_coefficient=0.4_pressure=1MPa",
+        "status": "converged",
+        "regions.lower.youngs_modulus": "1 GPa",
+        FRICTION: "0.4",
+        "loads.press.pressure": "1 MPa",
+        "lower_upper.slip_p99 [mm]": "0.025",
+        "lower_upper.slip_p99 error [mm]": "0.001",
+        "unknowns [-]": "9",
+        "newton [-]": "3",
+        "krylov [-]": "4",
+        "wall [s]": "1.5",
+        "folder": cases[2]["folder"],
+    }
+    assert (bench.out / cases[2]["folder"] / "DONE").exists()
+    assert cases[2]["errors"] == {"lower_upper.slip_p99": 0.001}
+    assert sum(m.startswith("[") for m in caplog.messages) == 8
+    assert "[8/8]" in next(m for m in reversed(caplog.messages) if m.startswith("["))
+
+
+def test_only_what_failed_or_changed_runs_again(bench: Bench) -> None:
+    (bench.folder / "broken").write_text("0.4")
+    with pytest.raises(ConvergenceError, match="4 of 8 cases failed") as error:
+        bench.run()
+    assert "the block slides away" in str(error.value)
+    assert len(bench.calls()) == 4
+    assert [r["status"] for r in bench.rows()[:3]] == ["converged", "converged", "not converged"]
+    (bench.folder / "broken").write_text("")
+    bench.run()
+    assert len(bench.calls()) == 4 and {c["status"] for c in bench.cases()} == {"converged"}
+    bench.run()
+    assert not bench.calls()
+    bench.sweep.write_text(SWEEP.replace("[0.2, 0.4]", "[0.2, 0.4, 0.8]").replace("2 GPa", "3 GPa"))
+    bench.run()
+    # Two new ones of the soft block; of the hard one all.
+    assert [sum(c.startswith(name) for c in bench.calls()) for name in ("soft",)] == [2]
+    assert len(bench.cases()) == 12
+
+
+def test_overrides_hold_for_every_case(bench: Bench) -> None:
+    bench.run("mesh.size=2 mm")
+    _, planned = sweep_file.read(bench.sweep, ["mesh.size=2 mm"])
+    assert {p.case.mesh.size for p in planned} == {2.0}
+    _, planned = sweep_file.read(bench.sweep, [f"{FRICTION}=0.7"])
+    laws = [p.case.interfaces["lower_upper"] for p in planned]
+    assert {law.friction_coefficient for law in laws} == {0.7}
+
+
+def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["sweep", str(bench.sweep), "-o", str(bench.out)]
+    assert main([*arguments, "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert not bench.out.exists()
+    assert "8 cases" in said and said.count("shares the matrices") == 6
+    assert main(arguments) == 0
+    capsys.readouterr()
+    assert main([*arguments, "--dry-run"]) == 0
+    assert capsys.readouterr().out.count("  done") == 8
+
+
+CONTROLLER = """\
+import sys
+from pathlib import Path
+from app import batch, sweep
+here = Path(sys.argv[1])
+batch.MANTLE_RUN = (sys.executable, str(here / "mantle.py"))
+sweep.run(here / "sweep.yaml", (), here / "out", 2)
+"""
+
+
+def killed(bench: Bench, seconds: float) -> None:
+    """Start the sweep in a process group of its own, and kill all of it after a while."""
+    command = [sys.executable, "-c", CONTROLLER, str(bench.folder)]
+    environment = os.environ | {"PYTHONPATH": str(support.ROOT)}
+    child = subprocess.Popen(
+        command,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        child.wait(seconds)
+    except subprocess.TimeoutExpired:
+        os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+
+
+def finished(bench: Bench) -> dict[str, int]:
+    """When each finished run was, by its folder."""
+    return {str(p): p.stat().st_mtime_ns for p in batch.finished(bench.out)}
+
+
+def kill_again_and_again(bench: Bench, times: int, longest: float) -> None:
+    """A sweep killed at random moments keeps what it has, and ends with everything done once."""
+    (bench.folder / "seconds").write_text("0.3")
+    random.seed(times)
+    done: dict[str, int] = {}
+    for _ in range(times):
+        killed(bench, random.uniform(0.5, longest))
+        now = finished(bench)
+        assert {path: now.get(path) for path in done} == done
+        done = now
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            bench.run()
+            break
+        except InputError as error:  # what was running when all was killed holds the folder
+            assert "another batch" in str(error) and time.monotonic() < deadline
+            time.sleep(0.2)
+    now = finished(bench)
+    assert {path: now.get(path) for path in done} == done
+    assert len(now) == 8 and {c["status"] for c in bench.cases()} == {"converged"}
+
+
+def test_a_killed_sweep_loses_nothing(bench: Bench) -> None:
+    kill_again_and_again(bench, 2, 5.0)
+
+
+@pytest.mark.slow
+def test_a_sweep_killed_ten_times_loses_nothing(bench: Bench) -> None:
+    kill_again_and_again(bench, 10, 8.0)
+
+
+def test_shared_and_separate_runs_give_the_same(tmp_path: Path) -> None:
+    """For real: two frictions in one process, and each alone."""
+    (tmp_path / "case.yaml").write_text(
+        CASE.replace(
+            "top, pressure: 2 MPa",
+            "top, pressure: 2 MPa}\n  push: {kind: force, boundary: x_max, force: '[-8, 0, 0] N'",
+        )
+    )
+    path = tmp_path / "sweep.yaml"
+    path.write_text(f"base: case.yaml\ngrid: {{{FRICTION}: [0.2, 0.6]}}\n")
+    sweep.run(path, (), tmp_path / "shared", 2)
+    together = json.loads((tmp_path / "shared" / "sweep.json").read_text())["cases"]
+    assert {c["folder"].split("/")[1] for c in together} == {together[0]["folder"].split("/")[1]}
+    for friction, case in zip((0.2, 0.6), together, strict=True):
+        path.write_text(f"base: case.yaml\nset: {{{FRICTION}: {friction}}}\n")
+        sweep.run(path, (), tmp_path / "alone", 1)
+        (alone,) = json.loads((tmp_path / "alone" / "sweep.json").read_text())["cases"]
+        assert alone["folder"].count("/") == 1
+        for name, value in case["numbers"].items():
+            assert alone["numbers"][name] == pytest.approx(value, rel=1e-6, abs=1e-9), name
