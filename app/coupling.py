@@ -272,6 +272,10 @@ class Coupled:
         """Solve with this multiple of the augmentation in force, if an interface has one."""
         return self._motion.soften(factor)
 
+    def lessen_friction(self, share: float) -> bool:
+        """Solve with this share of all friction coefficients, if there is friction."""
+        return self._motion.lessen_friction(share)
+
     # Blocks between the two
 
     def _thermal_forces(self) -> tuple[list[list[PETSc.Mat]], ...]:

@@ -63,7 +63,8 @@ class Explanation:
         tail = ", ".join(f"{r:.1e}" for r in self.history[-6:])
         lines.append(f"  last residuals (of the force scale): {tail}")
         lines.append(
-            f"  tried: smaller and larger augmentations, another line search, {cuts} step halvings"
+            "  tried: smaller and larger augmentations, another line search, less friction, "
+            f"{cuts} step halvings"
         )
         advice = (
             "hold the free body (a support, friction, an elastic foundation)"

@@ -86,3 +86,7 @@ class HeatSystem:
     def soften(self, factor: float) -> bool:
         """No augmentation."""
         return False
+
+    def lessen_friction(self, share: float) -> bool:
+        """No friction."""
+        return False

@@ -166,7 +166,12 @@ class Jumps:
                 )
         law = self._laws[kinds]
         law.set_friction(friction)
+        self._friction = friction
         return law
+
+    def lessen_friction(self, share: float) -> None:
+        """Use a share of the friction coefficients, until told otherwise."""
+        self._law.set_friction(share * self._friction)
 
     def _default_stiffness(self) -> Floats:
         """Stiffness of each own point: given, else a factor of what its jump meets per area.

@@ -44,6 +44,8 @@ HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
 # Multiples of the augmentation tried in turn where Newton is stuck, and whether it then goes on
 # from where it is or from the start again: mostly it is too large.
 AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
+# Shares of friction on the way to all of it, where it cannot be had at once.
+FRICTIONS = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
@@ -257,13 +259,14 @@ class Solver:
         It goes on from where it is: a large augmentation makes contact points change their states
         back and forth, and a smaller one finds its way from there. At a kink of the contact law a
         line search may cut steps to nothing where whole steps lead on, and the other way round. A
-        sweep over interfaces may leave directions that lead nowhere, where factors do not.
+        sweep over interfaces may leave directions that lead nowhere, where factors do not. With
+        less friction fewer points wait for each other.
         """
-        if self.snes.getConvergedReason() <= 0 and self._linear.factor_interfaces():
+        if not self._done() and self._linear.factor_interfaces():
             start.copy(self.x)
             yield "interfaces factored"
         for factor, on in AUGMENTATIONS:
-            if self.snes.getConvergedReason() > 0:
+            if self._done():
                 return
             if on and self._lost():
                 continue
@@ -275,13 +278,35 @@ class Solver:
         if not self._lost() and self._has_kinks:
             self._use_search(self._other)
             yield "whole steps" if self._other == "basic" else "shorter steps"
+        if not self._done():
+            yield from self._with_less_friction(start)
+
+    def _with_less_friction(self, start: PETSc.Vec) -> Iterator[str]:
+        """From the start again with less friction, which then grows to what it is."""
+        self._use_search(self._usual)
+        self._augmentation = 1.0
+        self._system.soften(1.0)
+        start.copy(self.x)
+        try:
+            for share in FRICTIONS:
+                if not self._system.lessen_friction(share) or not np.isfinite(self.x.norm()):
+                    return
+                yield f"{share:.0%} of the friction"
+        finally:
+            self._system.lessen_friction(1.0)
+
+    def _done(self) -> bool:
+        """Whether Newton has converged."""
+        return bool(self.snes.getConvergedReason() > 0)
 
     def _lost(self) -> bool:
         """Whether nothing is left to improve: converged, or without a state to go on from."""
-        return self.snes.getConvergedReason() > 0 or not np.isfinite(self.x.norm())
+        return self._done() or not np.isfinite(self.x.norm())
 
     def _trouble(self) -> str:
         """Where Newton is, in words."""
+        if self._done():
+            return "Newton has converged"
         changing = f", {self._flips[-1]} contact points change" if self._flips[-1] else ""
         return f"Newton is stuck at {self._residuals[-1]:.1e} of the force scale{changing}"
 

@@ -18,18 +18,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from app import batch, case_file, preview, study_options, sweep_file, variations
+from app import batch, case_file, preview, study_options, sweep_file, uncertainty, variations
 from app.batch import Job, Result
 from app.errors import ConvergenceError, InputError, StoppedError
 from app.folders import write_json, write_text
 from app.study import quantity
 from app.sweep_file import Planned
-from app.sweep_options import Sweep
+from app.sweep_options import Sweep, samples
 
 log = logging.getLogger("mantle")
 
 STATUS = {0: "converged", 4: "not converged", 5: "stopped"}
 FAILED = "failed"
+NOT_CONVERGED = "no convergence"
 # How much of the cores' time runs of different length leave unused at the end of a sweep.
 IDLE = 1.1
 
@@ -59,10 +60,12 @@ def run(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> None:
         raise
     rows = _write(sweep, path, planned, results, folder, cores, begin)
     log.info("%s", _table(rows))
+    if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
+        log.info("\n%s", spread)
     log.info("written in %s: sweep.csv, sweep.json; mantle report %s draws it", folder, folder)
     failed = [row for row in rows if row["exit_code"]]
     if failed:
-        reasons = [f"{r['name']}: {_last(r['message'])} (in {r['folder']})" for r in failed]
+        reasons = [f"{r['name']}: {_reason(r['message'])} (in {r['folder']})" for r in failed]
         raise ConvergenceError("\n".join([f"{len(failed)} of {len(rows)} cases failed:", *reasons]))
 
 
@@ -123,6 +126,7 @@ def _write(
                 "program": batch.program(),
                 "cores": cores,
                 "seconds": round(time.monotonic() - begin, 1),
+                "uncertainty": uncertainty.of_parts(rows, samples(sweep)),
                 "cases": rows,
             },
         )
@@ -200,6 +204,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _last(message: str) -> str:
-    """What a message comes down to: the last of its lines that says something."""
-    return next((line.strip() for line in reversed(message.splitlines()) if line.strip()), "")
+def _reason(message: str) -> str:
+    """What a message comes down to: where nothing converged, else its last line."""
+    lines = [line.strip() for line in message.splitlines() if line.strip()]
+    return next((line for line in lines if line.startswith(NOT_CONVERGED)), (*lines, "")[-1])

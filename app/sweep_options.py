@@ -102,10 +102,13 @@ class LatinHypercube(Model):
     """The range of each key."""
 
     def draw(self) -> list[dict[str, Any]]:
-        """The overrides of each sample (McKay, Beckman and Conover, doi:10.2307/1268522)."""
+        """The overrides of each sample (McKay, Beckman and Conover,
+        doi:10.2307/1268522), spread evenly over all inputs together."""
         from scipy.stats import qmc
 
-        shares = qmc.LatinHypercube(len(self.inputs), seed=self.seed).random(self.samples)
+        shares = qmc.LatinHypercube(
+            len(self.inputs), seed=self.seed, optimization="random-cd"
+        ).random(self.samples)
         return [
             {key: r.at(float(s)) for (key, r), s in zip(self.inputs.items(), row, strict=True)}
             for row in shares
@@ -240,3 +243,9 @@ def _axes(part: Part, path: Path) -> Iterator[list[_Value]]:
             )
             for i, changes in enumerate(samples.draw())
         ]
+
+
+def samples(sweep: Sweep) -> dict[str, list[str]]:
+    """The uncertain inputs of each part that has some."""
+    parts = sweep.parts or {"": sweep}
+    return {name: list(p.latin_hypercube.inputs) for name, p in parts.items() if p.latin_hypercube}

@@ -91,6 +91,9 @@ class System(Protocol):
     def soften(self, factor: float) -> bool:
         """Solve with this multiple of the augmentation in force, if there is one to change."""
 
+    def lessen_friction(self, share: float) -> bool:
+        """Solve with this share of all friction coefficients, if there is friction."""
+
 
 def size(vectors: list[PETSc.Vec]) -> float:
     """Norm of a state or residual in several blocks; collective."""
@@ -164,6 +167,10 @@ class Bonded:
 
     def soften(self, factor: float) -> bool:
         """No augmentation."""
+        return False
+
+    def lessen_friction(self, share: float) -> bool:
+        """No friction."""
         return False
 
 
@@ -275,3 +282,8 @@ class Contact:
         """Solve with this multiple of the default augmentation, if an interface has one."""
         self._jumps.soften(factor)
         return any(c.augmented for c in self._problem.scene.contacts)
+
+    def lessen_friction(self, share: float) -> bool:
+        """Solve with this share of all friction coefficients, if there is friction."""
+        self._jumps.lessen_friction(share)
+        return any(c.frictional for c in self._problem.scene.contacts)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+from typing import Any
 
 import numpy as np
 import pytest
 
 from app.motion import Motion
-from app.solver import Outcome
+from app.solver import Outcome, Solver
 from tests import support
 
 STEM = """
@@ -101,3 +102,39 @@ def test_the_answer_is_found_from_a_bad_one(
     np.testing.assert_allclose(jumps[1], jumps[0], atol=1e-6 * np.abs(jumps[0]).max())
     if outcomes[-1].augmentation != 1.0:
         assert f"augmentation {outcomes[-1].augmentation:g} r" in caplog.text
+
+
+def test_friction_grows_to_what_it_is_where_nothing_else_helps(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Newton is kept from starting with all of the friction; the answer is the same."""
+    caplog.set_level(logging.INFO, "mantle")
+    problem, solver = support.assemble(support.case(STEM))
+    problem.set_time(1.0)
+    assert solver.solve().converged
+    expected = solver.x.copy()
+    problem, solver = support.assemble(support.case(STEM))
+    problem.set_time(1.0)
+    (jumps,) = problem.jumps
+    shares = [1.0]
+    newton, lessen = Solver._newton, type(jumps).lessen_friction
+
+    def note(self: Any, share: float) -> None:
+        shares.append(share)
+        lessen(self, share)
+
+    def refuse(self: Solver) -> tuple[int, int]:
+        if len(shares) == 1:
+            self._residuals, self._flips = [1.0], [0]
+            return 0, 0
+        return newton(self)
+
+    monkeypatch.setattr(type(jumps), "lessen_friction", note)
+    monkeypatch.setattr(Solver, "_newton", refuse)
+    assert solver.solve().converged
+    assert shares == [1.0, 0.25, 0.5, 0.75, 1.0, 1.0]
+    expected.axpy(-1.0, solver.x)
+    assert expected.norm() < 1e-6 * solver.x.norm()
+    assert [m.rpartition("; ")[2] for m in caplog.messages if "of the friction" in m] == [
+        f"{share} of the friction" for share in ("25%", "50%", "75%", "100%")
+    ]

@@ -14,6 +14,7 @@ import os
 import random
 import re
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -24,7 +25,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app import batch, config, sweep, sweep_file, sweep_options
+from app import batch, config, sweep, sweep_file, sweep_options, uncertainty
 from app.cli import main
 from app.errors import ConvergenceError, InputError
 from tests import support
@@ -410,3 +411,29 @@ def test_shared_and_separate_runs_give_the_same(tmp_path: Path) -> None:
         assert alone["folder"].count("/") == 1
         for name, value in case["numbers"].items():
             assert alone["numbers"][name] == pytest.approx(value, rel=1e-6, abs=1e-9), name
+
+
+def test_samples_tell_spread_and_cause() -> None:
+    """A number that grows with one input and not with the other; ranks by hand."""
+    a, b = [0.1, 0.2, 0.3, 0.4, 0.5], [2, 5, 1, 4, 3]
+    rows = [
+        {
+            "part": "p",
+            "exit_code": 0,
+            "overrides": {"a": f"{x} mm", "b": y},
+            "numbers": {"stem.varus": 10 * x**3, "stem.retroversion": 1.0},
+        }
+        for x, y in zip(a, b, strict=True)
+    ]
+    failed = {"part": "p", "exit_code": 4, "overrides": {"a": "9 mm", "b": 9}, "numbers": {}}
+    found = uncertainty.of_parts([*rows, failed], {"p": ["a", "b"]})["p"]
+    assert found["samples"] == 5
+    n = found["numbers"]["stem.varus"]
+    assert n["mean"] == pytest.approx(0.45) and n["deviation"] == pytest.approx(
+        statistics.stdev(10 * x**3 for x in a)
+    )
+    # Spearman: 1 - 6 sum d^2 / (n (n^2 - 1)), d = 1, 3, -2, 0, -2.
+    assert n["correlation"] == pytest.approx({"a": 1.0, "b": 1 - 6 * 18 / 120})
+    assert found["numbers"]["stem.retroversion"]["correlation"] == {}
+    said = uncertainty.table({"p": found})
+    assert "a +1.00, b +0.10" in said and "retroversion" not in said
