@@ -102,8 +102,10 @@ class LatinHypercube(Model):
     """The range of each key."""
 
     def draw(self) -> list[dict[str, Any]]:
-        """The overrides of each sample (McKay, Beckman and Conover,
-        doi:10.2307/1268522), spread evenly over all inputs together."""
+        """The overrides of each sample, spread evenly over all inputs together.
+
+        McKay, Beckman and Conover, doi:10.2307/1268522.
+        """
         from scipy.stats import qmc
 
         shares = qmc.LatinHypercube(
