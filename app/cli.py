@@ -1,4 +1,4 @@
-"""The command line: ``mantle run | check | mesh | study | verify | bench | schema | doctor``.
+"""The command line: ``mantle run | check | mesh | study | report | verify | bench | ...``.
 
 The one module that prints to standard output. It imports what a command needs when it needs it, so
 that ``check`` works without MPI and starts at once.
@@ -13,6 +13,7 @@ import argparse
 import io
 import os
 import sys
+import textwrap
 import time
 import traceback
 from collections.abc import Sequence
@@ -124,6 +125,8 @@ def parser() -> argparse.ArgumentParser:
     study.add_argument(
         "-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>-study"
     )
+    report = add("report", "figures, tables and verdicts of a sweep, as a page")
+    report.add_argument("folder", type=Path, metavar="DIR", help="written by mantle sweep")
     verify = add("verify", "solve the verification problems and compare with what is known")
     verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
@@ -210,6 +213,8 @@ def _dispatch(arguments: list[str]) -> int:
             return _mesh(options)
         case "study":
             return _study(options)
+        case "report":
+            return _report(options)
         case "verify":
             return _verify(options)
         case "bench":
@@ -318,6 +323,24 @@ def _study(options: argparse.Namespace) -> int:
 
     output = options.output or Path("out") / f"{options.case.stem}-study"
     study.run(options.case, options.overrides, output, options.cores)
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    """Write the report of a sweep; say where, and how the paper's trends fare."""
+    _configure_log("info")
+    with _stack():
+        from app import report
+
+    written = report.run(options.folder)
+    wide = max((len(t.name) for t in written.trends), default=0)
+    for t in written.trends:
+        by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
+        claim = textwrap.shorten(t.claim, 90, placeholder=" ...")
+        print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
+    print(f"{written.done} of {written.cases} cases have results")
+    page, *others = written.files
+    print(f"{page}, and {len(others)} files in {page.parent / report.PICTURES}")
     return 0
 
 
