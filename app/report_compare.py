@@ -31,6 +31,7 @@ FACTS = Path(__file__).with_name("paper_numbers.csv")
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
 # A slip at 2 mm so many times that of a thicker mantle is a jump; the paper's are 32 and 13.
 JUMP = 5.0
+BODY = 37.0  # degC
 UNITS = {"um": "µm", "MPa": "MPa", "degC": "°C"}
 
 
@@ -78,11 +79,10 @@ def facts() -> list[Fact]:
         rows = list(csv.DictReader(file))
     return [
         Fact(
-            *(row[k] for k in ("id", "model", "stem", "thickness")),
-            magnitude(row["cement_bone_friction"]),
-            *(row[k] for k in ("place", "quantity", "unit")),
-            float(row["value"]),
-            *(row[k] for k in ("kind", "remark")),
+            **{k: row[k] for k in ("id", "model", "stem", "thickness", "place", "quantity")},
+            **{k: row[k] for k in ("unit", "kind", "remark")},
+            friction=magnitude(row["cement_bone_friction"]),
+            value=float(row["value"]),
         )
         for row in rows
     ]
@@ -112,11 +112,15 @@ class Row:
 
     @property
     def ratios(self) -> tuple[float | None, float | None]:
-        """Mantle's largest value and its percentile over the paper's; None where meaningless."""
+        """Mantle's largest value and its percentile over the paper's; None where meaningless.
+
+        Of temperatures: their rise above that of the body.
+        """
         if self.fact.kind not in ("peak", "extreme"):
             return None, None
+        zero = BODY if self.fact.unit == "degC" else 0.0
         values = (self.peak, self.number.value if self.number else None)
-        peak, p99 = (None if v is None else v / self.fact.value for v in values)
+        peak, p99 = (None if v is None else (v - zero) / (self.fact.value - zero) for v in values)
         return peak, p99
 
 
@@ -221,11 +225,13 @@ def _extreme_rows(fact: Fact, cases: Cases) -> list[Row]:
         why = "no case of this sweep computes stress in the heated femur"
         return [_nothing(fact, fact.stem, None, why)]
     value, region, t, case = largest(found, key=lambda f: f[0])
-    others = {}
+    others: dict[str, float] = {}
     for v, r, _, _ in found:
         others[r] = largest(v, others.get(r, v))
-    each = ", ".join(f"{r} {v:.3g}" for r, v in others.items())
-    return [Row(fact, case.name, fact.stem, t, value, None, f"in {region}; by region: {each}")]
+    each = ", ".join(f"{named(r)} {v:.3g}" for r, v in others.items())
+    return [
+        Row(fact, case.name, fact.stem, t, value, None, f"in {named(region)}; by region: {each}")
+    ]
 
 
 def _other(fact: Fact, sweep: Sweep) -> Row:

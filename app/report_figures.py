@@ -236,18 +236,21 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
             handles.setdefault(label, handle)
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
-    order = {label: None for p in panels for line in p.lines for label in _labels(line)}
-    shown = [label for label in order if label in handles]
-    room = 95 * columns // 2  # characters of a row
-    longest = max(map(len, shown), default=1) + 8
-    figure.legend(
-        [handles[label] for label in shown],
-        shown,
-        loc="outside lower center",
-        ncols=max(1, min(len(shown), room // longest)),
-        frameon=False,
-        fontsize=9,
-    )
+    # A legend is filled column by column: curves, then peaks, then what is published.
+    kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
+    kinds_shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
+    shown = [label for kind in kinds_shown for label in kind]
+    same = len({len(kind) for kind in kinds_shown}) == 1
+    room = 95 * columns // 2 // (max(map(len, shown), default=1) + 8)  # labels in a row
+    if len(shown) > 1:
+        figure.legend(
+            [handles[label] for label in shown],
+            shown,
+            loc="outside lower center",
+            ncols=len(kinds_shown) if same else max(1, min(len(shown), room)),
+            frameon=False,
+            fontsize=9,
+        )
     figure.savefig(path, dpi=120)
 
 
@@ -343,13 +346,13 @@ def headlines(cases: Sequence[Case]) -> list[str]:
     """Names of the numbers to show of cases, those that matter most first."""
     found: dict[str, None] = {}
     for case in cases:
-        if not case.done:
-            continue
         for name in case.summary.get("interfaces", {}):
             found |= {f"{name}.{q}_p99": None for q in QUANTITIES}
-        thermal = case.summary.get("thermal", {})
-        found |= {f"{name}.temperature_max": None for name in thermal.get("regions", {})}
-        found |= {f"{n}.temperature_max_second": None for n in thermal.get("interfaces", {})}
+    for case in cases:
+        # What burns is the bone; cement may be as hot as it starts.
+        regions = case.summary.get("thermal", {}).get("regions", {})
+        order = sorted(regions, key=lambda name: "bone" not in name)
+        found |= {f"{name}.temperature_max": None for name in order}
     for case in cases:
         found |= dict.fromkeys(case.numbers)
     return [name for name in found if any(c.number(name) is not None for c in cases)]
@@ -363,8 +366,7 @@ def label(name: str) -> tuple[str, str, float]:
         unit, factor = QUANTITIES[quantity]
         return f"{WORDS.get(place, place)} {WORDS[quantity]}, {how}", unit, factor
     unit = "°C" if key.startswith("temperature_max") else ""
-    text = {"temperature_max": "highest temperature", "temperature_max_second": "second side, max"}
-    return f"{WORDS.get(place, place)} {text.get(key, key.replace('_', ' '))}", unit, 1.0
+    return f"{WORDS.get(place, place)} {key}".replace("_", " "), unit, 1.0
 
 
 def multiples(cases: Sequence[Case], folder: Path) -> list[Figure]:

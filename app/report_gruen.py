@@ -144,9 +144,9 @@ def mantles(cases: Sequence[Case]) -> Table:
     head = ["nominal (mm)", *(f"{k} (mm)" for k in keys), "clipped by the canal", "cement (cm³)"]
     found: dict[tuple[str, ...], float] = {}
     for case in cases:
-        own = case.summary.get("mantle")
-        thickness = own.get("thickness") if isinstance(own, dict) else None
-        if not isinstance(thickness, dict) or "nominal" not in thickness:
+        own = case.summary.get("mantle") or {}
+        thickness = own.get("thickness", {})
+        if "nominal" not in thickness:
             continue
         clipped = thickness.get("clipped_fraction")
         row = (

@@ -130,5 +130,5 @@ def _figure(
         )
     if any(label.startswith("temperature") for label in labels):
         caption += " Temperature: of the second body, at the hottest step that was written."
-    text = f"{', '.join(labels)} on the {what} interface of {', '.join(titles)}"
-    return Figure(file, f"{what} interface: {', '.join(titles)}", caption, text)
+    text = f"{', '.join(labels)} on the {what} interface of {'; '.join(titles)}"
+    return Figure(file, f"{what} interface: {'; '.join(titles)}", caption, text)

@@ -24,7 +24,7 @@ img { max-width: 100%; height: auto; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .82rem; margin: .6rem 0 1rem; }
 th, td { padding: .22rem .55rem; border-bottom: 1px solid #dde3e7; text-align: left;
-  vertical-align: top; }
+  vertical-align: top; white-space: pre-line; }
 th { background: #f1f4f6; font-weight: 600; }
 td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
 td ul { margin: 0; padding-left: 1.1em; }

@@ -39,15 +39,15 @@ class Number:
         return Number(factor * self.value, None if self.error is None else factor * self.error)
 
     def __str__(self) -> str:
-        """The number for people: rounded to the error's second digit, or to four digits."""
+        """The number for people: to the error's second digit, or to four digits without error."""
         if self.error is None or self.error <= 0:
             return f"{self.value:.4g}"
         if self.error >= abs(self.value):
             return f"{self.value:.2g} ± {self.error:.2g}"
         places = max(0, 1 - math.floor(math.log10(self.error)))
-        if places > 1 and f"{self.error:.{places}f}".endswith("0"):
-            places -= 1
-        return f"{self.value:.{min(places, 4)}f} ± {self.error:.{min(places, 4)}f}"
+        if places > 5:
+            return f"{self.value:.6g} ± {self.error:.1g}"
+        return f"{self.value:.{places}f} ± {self.error:.{places}f}"
 
 
 @dataclass(frozen=True)

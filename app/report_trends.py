@@ -288,7 +288,7 @@ def _heat(cases: Cases) -> list[Trend]:
             _warmer("bone at the interface", series(family, bone_peak)),
             _cement_first(family, reading),
         ]
-        trends.append(Trend(f"T-g {model}, {reading}", claim, parts, ""))
+        trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, ""))
     return trends
 
 

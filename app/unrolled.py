@@ -62,8 +62,8 @@ def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
     """
     (mine, middles), (theirs, _) = (_faces(run, regions) for regions in (side, other))
     # Bodies that can part have nodes of their own at the same places.
-    centres = [_keys(run.points[f].mean(axis=1)) for f in (mine, theirs)]
-    own = np.isin(*centres)
+    here, there = (_keys(run.points[f].mean(axis=1)) for f in (mine, theirs))
+    own = np.isin(here, there)
     mine, middles = mine[own], middles[own]
     if middles.shape[1] == 0 or not _known(run, middles):
         return mine
@@ -197,7 +197,7 @@ def draw(path: Path, columns: Sequence[tuple[str, Run, Sheet]], rows: Sequence[R
         every = np.concatenate([v.ravel() for v in shown])
         low = min(0.0, float(every.min())) if every.min() < 1.0 else float(every.min())
         top = max(float(np.percentile(every, CLIP)), low + 1e-9)
-        shade = None
+        shade: Any = None
         for axes, (_, _, own), v in zip(axes_row, columns, values, strict=True):
             _axes(axes, own)
             if v is None:
