@@ -69,6 +69,8 @@ def run(folder: Path) -> Written:
     pictures = folder / PICTURES
     try:
         pictures.mkdir(exist_ok=True)
+        for old in pictures.glob("*.png"):
+            old.unlink()
         figures, missing = report_figures.paper(cases, pictures) if cases.curves else ([], [])
         others = [c for c in sweep.cases if c.name not in cases.used or not cases.curves]
         multiples = report_figures.multiples(others, pictures)

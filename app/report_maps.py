@@ -60,6 +60,9 @@ def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
     for number, group in enumerate(groups, 1):
         opened = []
         for title, case in group:
+            if not (case.folder / "fields.vtkhdf").exists():
+                missing.append(f"no map of {case.name}: it wrote no fields")
+                continue
             try:
                 opened.append((title, case, Run(case.folder), _geometry(case)))
             except (OSError, KeyError, ValueError, MantleError) as error:
