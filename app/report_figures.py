@@ -27,6 +27,7 @@ MARKERS = "osD^vP*X"
 PLACES = ("cement_bone", "stem_cement")
 # Largest over smallest value from which an axis is logarithmic.
 DECADE = 12.0
+ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
 MOST_PANELS = 12
 MOST_SERIES = 8
 
@@ -266,7 +267,10 @@ def _draw(axes: Any, panel: Panel) -> None:
         shift = apart * (k - 0.5 * (len(panel.lines) - 1))
         _line(axes, line, shift)
     values = [v for line in panel.lines for v in _values(line)]
-    if values and min(values) > 0 and max(values) > DECADE * min(values):
+    if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
+        axes.set_ylim(-0.05, 1)
+        axes.text(0.5, 0.5, "zero to rounding", transform=axes.transAxes, ha="center", color="0.4")
+    elif values and min(values) > 0 and max(values) > DECADE * min(values):
         from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
         axes.set_yscale("log")

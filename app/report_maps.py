@@ -102,7 +102,8 @@ def _rows(name: str, columns: Sequence[tuple[str, Run, Sheet]]) -> list[Row]:
         unit, factor = QUANTITIES[quantity]
         rows.append(Row(f"{WORDS[quantity]} ({unit})", colours, _contact(name, quantity, factor)))
     sheets = {id(run): own for _, run, own in columns}
-    return [*rows, Row("temperature (°C)", "inferno", lambda run: _hottest(run, sheets[id(run)]))]
+    hottest = Row("temperature (°C)", "inferno", lambda run: _hottest(run, sheets[id(run)]), False)
+    return [*rows, hottest]
 
 
 def _contact(name: str, quantity: str, factor: float) -> Callable[[Run], Floats | None]:

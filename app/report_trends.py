@@ -168,7 +168,7 @@ def _thin(cases: Cases, how: str) -> list[Part]:
             t = max(thicker, key=lambda t: thicker[t].value)
             text = (
                 f"{stem}, {_name('cement_bone', quantity)}: {values[2.0]} {_unit(quantity)} at "
-                f"2 mm, at most {thicker[t]} from 3 to 5 mm (at {t:g} mm)"
+                f"2 mm, at most {thicker[t]} from 3 to 5 mm (at {t:g} mm; asked: {MUCH:g} times)"
             )
             parts.append(Part(exceeds(values[2.0], thicker[t], MUCH), text))
     return parts

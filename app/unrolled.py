@@ -31,6 +31,7 @@ STEEP = math.cos(math.radians(40.0))
 FLAT = 1e-6
 # Colours end at this percentile of what is shown.
 CLIP = 99.5
+LEAST = 1e-3  # of the colours' range, so that rounding has no colour
 
 
 @dataclass(frozen=True)
@@ -158,11 +159,13 @@ class Row:
         label: Its name and unit.
         colours: Colour map.
         values: Of a run at its nodes, in that unit; None where it has none.
+        from_zero: Whether colours begin at zero, else at the smallest value.
     """
 
     label: str
     colours: str
     values: Callable[[Run], Floats | None]
+    from_zero: bool = True
 
 
 def draw(path: Path, columns: Sequence[tuple[str, Run, Sheet]], rows: Sequence[Row]) -> list[str]:
@@ -195,8 +198,8 @@ def draw(path: Path, columns: Sequence[tuple[str, Run, Sheet]], rows: Sequence[R
     for axes_row, (row, values) in zip(grid, found, strict=True):
         shown = [v[s.nodes] for (_, _, s), v in zip(columns, values, strict=True) if v is not None]
         every = np.concatenate([v.ravel() for v in shown])
-        low = min(0.0, float(every.min())) if every.min() < 1.0 else float(every.min())
-        top = max(float(np.percentile(every, CLIP)), low + 1e-9)
+        low = 0.0 if row.from_zero else float(every.min())
+        top = max(float(np.percentile(every, CLIP)), low + LEAST)
         shade: Any = None
         for axes, (_, _, own), v in zip(axes_row, columns, values, strict=True):
             _axes(axes, own)
