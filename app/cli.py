@@ -1,4 +1,4 @@
-"""The command line: ``mantle run``, ``check``, ``mesh``, ``study``, ``sweep`` and so on.
+"""The command line: ``mantle run | check | mesh | study | sweep | report | verify | ...``.
 
 The one module that prints to standard output. It imports what a command needs when it needs it, so
 that ``check`` works without MPI and starts at once.
@@ -13,6 +13,7 @@ import argparse
 import io
 import os
 import sys
+import textwrap
 import time
 import traceback
 from collections.abc import Sequence
@@ -138,6 +139,8 @@ def parser() -> argparse.ArgumentParser:
     sweep.add_argument(
         "--dry-run", action="store_true", help="list the cases and what they would cost"
     )
+    report = add("report", "figures, tables and verdicts of a sweep, as a page")
+    report.add_argument("folder", type=Path, metavar="DIR", help="written by mantle sweep")
     verify = add("verify", "solve the verification problems and compare with what is known")
     verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
@@ -226,6 +229,8 @@ def _dispatch(arguments: list[str]) -> int:
             return _study(options)
         case "sweep":
             return _sweep(options)
+        case "report":
+            return _report(options)
         case "verify":
             return _verify(options)
         case "bench":
@@ -347,6 +352,24 @@ def _sweep(options: argparse.Namespace) -> int:
         print(sweep.plan(options.sweep, options.overrides, output, options.cores))
     else:
         sweep.run(options.sweep, options.overrides, output, options.cores)
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    """Write the report of a sweep; say where, and how the paper's trends fare."""
+    _configure_log("info")
+    with _stack():
+        from app import report
+
+    written = report.run(options.folder)
+    wide = max((len(t.name) for t in written.trends), default=0)
+    for t in written.trends:
+        by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
+        claim = textwrap.shorten(t.claim, 90, placeholder=" ...")
+        print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
+    print(f"{written.done} of {written.cases} cases have results")
+    page, *others = written.files
+    print(f"{page}, and {len(others)} files in {page.parent / report.PICTURES}")
     return 0
 
 

@@ -36,6 +36,8 @@ class Run:
         cells: Nodes of the cells (m, 4 or 10), in VTK's order.
         region: Number of the region of each cell (m,), from 1.
         times: Times of the written steps; stage k runs from k to k + 1.
+        contacts: Names of the interfaces that have contact points.
+        hot: Whether there is a temperature.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -55,6 +57,9 @@ class Run:
             self.cells: Ints = root["Connectivity"][:].reshape(-1, width)
             self.region: Ints = root["CellData/region"][:].astype(np.int64)
             self.times: Floats = root["Steps/Values"][:]
+            names = [n for n in root["PointData"] if n.endswith("_status")]
+            self.contacts: tuple[str, ...] = tuple(n.removesuffix("_status") for n in names)
+            self.hot: bool = "temperature" in root["PointData"]
 
     @cached_property
     def summary(self) -> dict[str, Any]:

@@ -1,0 +1,507 @@
+"""``mantle report`` on made-up sweeps: what it recognises, compares and judges, and its page."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import re
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app import case_file, config, report, report_compare, report_gruen, report_paper
+from app import report_sweep as rs
+from app import report_trends as rt
+from app.cli import main
+from app.errors import InputError
+from app.report_sweep import Number
+from app.report_trends import HELD, NOT_HELD, UNDECIDED
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+MODULI = {"titanium": 110, "CoCr": 200}
+
+
+@cache
+def resolved(name: str) -> str:
+    return config.dump(config.load(CONFIGS / f"{name}.yaml"))
+
+
+def data_of(tmp_path: Path, name: str) -> dict[str, Any]:
+    """A shipped case as a run directory has it."""
+    path = tmp_path / f"{name}.yaml"
+    path.write_text(resolved(name))
+    return copy.deepcopy(case_file.read(path).data)
+
+
+class Maker:
+    """Writes a sweep."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.cases: list[dict[str, Any]] = []
+
+    def add(
+        self, name: str, data: dict[str, Any], summary: dict[str, Any] | None, **more: Any
+    ) -> Path:
+        run = self.folder / "runs" / f"r{len(self.cases)}"
+        run.mkdir(parents=True)
+        (run / "case.yaml").write_text(case_file.written(data))
+        if summary is not None:
+            (run / "summary.json").write_text(json.dumps(summary))
+        entry = {"name": name, "part": "all", "overrides": {}, "status": "converged"}
+        entry |= {"folder": f"runs/{run.name}", "exit_code": 0, "message": "", "seconds": 12.0}
+        self.cases.append(entry | more)
+        return run
+
+    def stance(self, stem: str, thickness: float, mu: float, numbers: Any, **more: Any) -> Path:
+        """A case of single-limb stance; numbers by interface."""
+        data = data_of(self.folder, "stance")
+        data["regions"]["stem"]["youngs_modulus"] = f"{MODULI[stem]}000.0 MPa"
+        data["geometry"]["cement_thickness"] = f"{thickness:g} mm"
+        data["interfaces"]["cement_bone"]["friction_coefficient"] = mu
+        name = more.pop("name", f"{stem} {thickness:g} {mu:g}")
+        summary = None if numbers is None else {"interfaces": numbers} | more.pop("summary", {})
+        return self.add(name, data, summary, **more)
+
+    def write(self, **more: Any) -> Path:
+        content = {"title": "made up", "file": "x.yaml", "program": "0", "cores": 2, "seconds": 9}
+        content |= {"cases": self.cases} | more
+        (self.folder / "sweep.json").write_text(json.dumps(content))
+        return self.folder
+
+
+@pytest.fixture
+def maker(tmp_path: Path) -> Maker:
+    return Maker(tmp_path)
+
+
+Law = Callable[[str, float, float, str], float]
+
+
+def contact(law: Law, stem: str, t: float, mu: float, error: float) -> dict[str, Any]:
+    """Numbers of both interfaces: p99 by a law, the largest twice that."""
+    found: dict[str, Any] = {}
+    for place in ("cement_bone", "stem_cement"):
+        found[place] = {"area": 100.0, "area_slip_over_30um": 40.0, "area_gap_over_30um": 1.0}
+        for quantity, unit in (("gap", 1e-3), ("slip", 1e-3), ("pressure", 1), ("shear", 1)):
+            value = unit * law(stem, t, mu, f"{place}.{quantity}")
+            found[place] |= {f"{quantity}_p99": value, f"{quantity}_max": 2 * value}
+            found[place][f"{quantity}_p99_error"] = error * value
+    return found
+
+
+def as_the_paper_says(stem: str, t: float, mu: float, name: str) -> float:
+    """Numbers for which every mechanical trend holds."""
+    thin = 5.0 if t < 2.5 else 1.0
+    return {
+        "cement_bone.gap": 30 * thin * (0.5 + mu / 2),
+        "cement_bone.slip": 60 * thin * (2 - mu),
+        "cement_bone.pressure": 4 * (0.5 + mu / 2),
+        "cement_bone.shear": 2.0,
+        "stem_cement.gap": 60 * (2 - mu),
+        "stem_cement.slip": 100 * (0.5 + mu / 2),
+        "stem_cement.pressure": 7.0,
+        "stem_cement.shear": 3.0,
+    }[name]
+
+
+def sweep(maker: Maker, law: Law, error: float) -> rs.Sweep:
+    for stem in MODULI:
+        for t in (2.0, 3.0, 4.0, 5.0, 7.0):
+            maker.stance(stem, t, 1.0, contact(law, stem, t, 1.0, error))
+        for mu in (0.4, 0.7):
+            maker.stance(stem, 4.0, mu, contact(law, stem, 4.0, mu, error))
+    return rs.read(maker.write())
+
+
+def verdicts(found: rs.Sweep) -> dict[str, str]:
+    return {t.name: t.verdict for t in rt.judge(report_paper.Cases(found))}
+
+
+# Numbers
+
+
+@pytest.mark.parametrize(
+    "number, text",
+    [
+        (Number(41.26, 1.83), "41.3 ± 1.8"),
+        (Number(0.00123), "0.00123"),
+        (Number(12345.6, 150.0), "12346 ± 150"),
+        (Number(100.0, 3e-8), "100 ± 3e-08"),
+        (Number(5.0, 0.0), "5"),
+        (Number(0.01, 0.2), "0.01 ± 0.2"),
+    ],
+)
+def test_a_number_is_as_long_as_its_error_allows(number: Number, text: str) -> None:
+    assert str(number) == text
+
+
+def test_a_statement_is_undecided_within_the_errors() -> None:
+    assert rt.exceeds(Number(3.0, 0.4), Number(2.0, 0.5)) == HELD
+    assert rt.exceeds(Number(3.0, 0.5), Number(2.0, 0.5)) == UNDECIDED
+    assert rt.exceeds(Number(2.0, 0.4), Number(3.0, 0.5)) == NOT_HELD
+    assert rt.exceeds(Number(3.0, 0.1), Number(2.0, 0.1), 2.0) == NOT_HELD
+    assert rt.exceeds(Number(100.0), Number(100.0)) == NOT_HELD
+    assert rt.exceeds(Number(100.0, 0.1), Number(100.0, 0.1)) == UNDECIDED
+    assert rt.alike(Number(1.0, 0.004), Number(1.01, 0.004), 0.02) == HELD
+    assert rt.alike(Number(1.0, 0.02), Number(1.01, 0.02), 0.02) == UNDECIDED
+    assert rt.alike(Number(1.0, 0.02), Number(1.1, 0.02), 0.02) == NOT_HELD
+
+
+# Recognition
+
+
+def test_cases_are_known_by_their_physics(tmp_path: Path) -> None:
+    data = data_of(tmp_path, "stance")
+    known = report_paper.physics(data)
+    assert known is not None
+    assert (known.model, known.stem, known.thickness, known.bone_friction) == (
+        "stance",
+        "titanium",
+        4.0,
+        1.0,
+    )
+    cocr = report_paper.physics(data_of(tmp_path, "stance_cocr"))
+    assert cocr is not None and cocr.stem == "CoCr" and cocr.rest == known.rest
+
+    def changed(*path: str, to: Any) -> Any:
+        other: Any = copy.deepcopy(data)
+        table = other
+        for key in path[:-1]:
+            table = table[key]
+        table[path[-1]] = to
+        return report_paper.physics(other)
+
+    assert changed("regions", "stem", "youngs_modulus", to="150000.0 MPa") is None
+    assert changed("loads", "hip", "force", to=["0.0 N", "0.0 N", "-900.0 N"]) is None
+    assert changed("interfaces", "stem_cement", "friction_coefficient", to=0.3) is None
+    assert changed("interfaces", "cement_bone", "kind", to="bonded") is None
+    softer = changed("regions", "cancellous_bone", "youngs_modulus", to="400.0 MPa")
+    assert softer.rest != known.rest
+    finer = changed("mesh", "size", to="2.0 mm")
+    assert finer == known
+
+
+def test_both_readings_of_100_degrees_are_told_apart(tmp_path: Path) -> None:
+    found = {}
+    for name in ("thermal_100C", "thermal_rings"):
+        data = data_of(tmp_path, name)
+        initial = report_paper.physics(data)
+        data["heat"]["held"] = {
+            "kind": "temperature",
+            "regions": ["cement"],
+            "temperature": "100.0 degC",
+        }
+        held = report_paper.physics(data)
+        assert initial is not None and held is not None and initial.rest == held.rest
+        assert initial.conductance == "300 W/(m²K)"
+        found[name] = (initial.model, initial.reading, held.reading)
+    assert found == {
+        "thermal_100C": ("femur", "initial", "held"),
+        "thermal_rings": ("slice", "initial", "held"),
+    }
+    assert report_paper.physics(data_of(tmp_path, "cylinders")) is None
+    assert report_paper.physics(data_of(tmp_path, "cure")) is None
+    assert report_paper.physics({}) is None
+
+
+def test_what_most_cases_agree_in_is_the_papers(maker: Maker) -> None:
+    for t in (3.0, 4.0):
+        maker.stance("titanium", t, 1.0, {})
+    data = data_of(maker.folder, "stance")
+    data["regions"]["cancellous_bone"]["youngs_modulus"] = "400.0 MPa"
+    maker.add("soft", data, {})
+    data = data_of(maker.folder, "stance")
+    maker.add("finer", data, {}, unknowns=10)
+    cases = report_paper.Cases(rs.read(maker.write()))
+    assert {t: c.name for t, c in cases.stances("titanium").items()} == {
+        3.0: "titanium 3 1",
+        4.0: "finer",
+    }
+    assert "soft" not in cases.used
+
+
+# Trends
+
+
+def test_trends_hold_where_numbers_are_as_the_paper_says(maker: Maker) -> None:
+    found = verdicts(sweep(maker, as_the_paper_says, 1e-3))
+    assert found == dict.fromkeys(["T-a", "T-b", "T-c", "T-d", "T-e", "T-f"], HELD) | {
+        "T-g": UNDECIDED,
+        "T-h": UNDECIDED,
+    }
+
+
+@pytest.mark.parametrize(
+    "trend, law",
+    [
+        ("T-a", lambda s, t, mu, n: 1.0 if s == "CoCr" or "slip" not in n else 1.1),
+        ("T-b", lambda s, t, mu, n: 1.5 if t < 2.5 and "slip" in n else 1.0),
+        ("T-c", lambda s, t, mu, n: 2.0 if t > 6 and n == "stem_cement.shear" else 1.0),
+        ("T-d", lambda s, t, mu, n: mu if n == "cement_bone.slip" else 1.0),
+        ("T-e", lambda s, t, mu, n: mu if n == "stem_cement.gap" else 1.0),
+        ("T-f", lambda s, t, mu, n: 2.0 if n == "cement_bone.shear" else 1.0),
+    ],
+)
+def test_a_trend_does_not_hold_where_numbers_say_otherwise(
+    maker: Maker, trend: str, law: Law
+) -> None:
+    factor = law
+
+    def other(stem: str, t: float, mu: float, name: str) -> float:
+        if trend in ("T-b", "T-d", "T-e"):
+            return factor(stem, t, mu, name)
+        return as_the_paper_says(stem, t, mu, name) * factor(stem, t, mu, name)
+
+    assert verdicts(sweep(maker, other, 1e-3))[trend] == NOT_HELD
+
+
+def test_trends_are_undecided_where_errors_are_as_large(maker: Maker) -> None:
+    found = verdicts(sweep(maker, as_the_paper_says, 0.8))
+    assert set(found.values()) == {UNDECIDED}
+
+
+def heated(maker: Maker, thickness: float, held: bool, cement: float, bone: float) -> None:
+    data = data_of(maker.folder, "thermal_rings")
+    data["geometry"]["cement_thickness"] = f"{thickness:g} mm"
+    data["geometry"]["bone_thickness"] = f"{9 - thickness:g} mm"
+    if held:
+        condition = {"kind": "temperature", "regions": ["cement"], "temperature": "100.0 degC"}
+        data["heat"]["held"] = condition
+    regions = {"cement": {"temperature_max": 100.0, "temperature_max_error": 0.1}, "bone": {}}
+    bones = {"temperature_max_second": bone, "temperature_max_second_error": 0.1}
+    thermal = {"regions": regions, "interfaces": {"cement_bone": bones}}
+    run = maker.add(f"{'held' if held else 'initial'} {thickness:g}", data, {"thermal": thermal})
+    rows = [(5.0, 99.0), (10.0, cement), (11.0, cement - 1), (600.0, 40.0)]
+    text = "seconds [s],cement temperature_max [degC],bone temperature_max [degC]\n"
+    text += "".join(f"{s},{T},{bone - 1}\n" for s, T in rows)
+    (run / "history.csv").write_text(text)
+
+
+def test_heat_is_judged_by_reading_and_told_after_ten_seconds(maker: Maker) -> None:
+    for t in (2.0, 5.0):
+        heated(maker, t, False, 60 + 6 * t, 48 + t)
+        heated(maker, t, True, 100.0, 84 - t)
+    found = rs.read(maker.write())
+    cases = report_paper.Cases(found)
+    assert verdicts(found)["T-g (slice, initial)"] == HELD
+    assert verdicts(found)["T-g (slice, held)"] == NOT_HELD
+    rows = [r for r in report_compare.compare(cases, found) if r.fact.id == "25"]
+    assert [(r.case, r.peak) for r in rows] == [("initial 2", 72.0), ("held 2", 100.0)]
+    # 72 over 76 degC, above the 37 degC of the body.
+    assert rows[0].ratios[0] == pytest.approx(35 / 39)
+    assert rows[1].number == Number(100.0, 0.1)
+
+
+def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
+    data = data_of(maker.folder, "thermal_100C")
+    data["interfaces"]["cement_bone"] = {"kind": "bonded"}
+    summary = {
+        "interfaces": {"stem_cement": {"pressure_max": 4.0}},
+        "bonds": {"cement_bone": {"normal_max": 6.0}},
+    }
+    maker.add("bonded", data, summary)
+    found = rs.read(maker.write())
+    assert verdicts(found)["T-h"] == HELD
+    summary["bonds"]["cement_bone"]["normal_max"] = -1.0
+    (maker.folder / "runs" / "r0" / "summary.json").write_text(json.dumps(summary))
+    assert verdicts(rs.read(maker.folder))["T-h"] == NOT_HELD
+
+
+# The comparison
+
+
+def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
+    found = sweep(maker, as_the_paper_says, 0.05)
+    cases = report_paper.Cases(found)
+    rows = report_compare.compare(cases, found)
+    assert list(dict.fromkeys(r.fact.id for r in rows)) == [str(i) for i in range(1, 34)]
+    slip = next(r for r in rows if r.fact.id == "1")
+    assert slip.case == "titanium 4 1"
+    assert slip.peak == pytest.approx(120.0)
+    assert slip.number is not None
+    assert (slip.number.value, slip.number.error) == pytest.approx((60.0, 3.0))
+    assert slip.ratios == pytest.approx((120 / 67, 60 / 67))
+    both = [(r.stem, r.thickness) for r in rows if r.fact.id == "24"]
+    assert both == [(stem, t) for stem in MODULI for t in (4.0, 5.0, 7.0)]
+    bound = next(r for r in rows if r.fact.id == "7")
+    assert bound.ratios == (None, None) and "40 % of the area" in bound.remark
+    for id in ("23", "25", "29", "31", "33"):
+        nothing = next(r for r in rows if r.fact.id == id)
+        assert not nothing.case and nothing.remark
+
+
+def test_a_failed_case_is_named_as_the_reason(maker: Maker) -> None:
+    maker.stance("titanium", 4.0, 1.0, None, status="failed", exit_code=3, message="no mesh")
+    found = rs.read(maker.write())
+    rows = report_compare.compare(report_paper.Cases(found), found)
+    assert rows[0].remark == "the case titanium 4 1 failed"
+    assert rows[0].peak is None
+
+
+def test_odd_numbers_are_answered_from_the_data(maker: Maker) -> None:
+    found = report_paper.Cases(sweep(maker, as_the_paper_says, 0.01))
+    first, second, stress = report_compare.strange(found)
+    assert "1650" in first and "300.0 ± 3.0 µm" in first and "5 times" in first
+    assert "680" in second and "no such jump" in second
+    assert "no stress of the heated femur" in stress
+
+
+# Zones and mantles
+
+
+def zones(density: float, places: tuple[str, ...]) -> dict[str, Any]:
+    numbers = {"gap_max": 0.02, "gap_mean": 0.01}
+    return {
+        str(z): {
+            "strain_energy_density": {"cortical_bone": z * density},
+            "interfaces": dict.fromkeys(places, numbers),
+        }
+        for z in range(1, 15)
+    }
+
+
+def test_stress_shielding_is_against_the_femur_without_a_stem(maker: Maker) -> None:
+    both = ("stem_cement", "cement_bone")
+    for stem, density in (("titanium", 0.003), ("CoCr", 0.002)):
+        summary = {"gruen": zones(density, both)}
+        for t in (3.0, 4.0):
+            maker.stance(stem, t, 1.0, {}, summary=summary)
+    data = data_of(maker.folder, "stance")
+    del data["regions"]["stem"]
+    maker.add("intact", data, {"gruen": zones(0.004, ())})
+    found = rs.read(maker.write())
+    without = report_gruen.intact(found.cases)
+    assert without is not None and without.name == "intact"
+    change = report_gruen.shielding(found.cases[1], without)
+    assert set(change) == {"cortical_bone"}
+    assert list(change["cortical_bone"].values()) == pytest.approx([-0.25] * 14)
+    head, rows = report_gruen.table(found.cases[0])
+    assert len(rows) == 14 and len(head) == len(rows[0]) == 1 + 8 + 1
+    assert rows[6][:2] == ["7 (frontal)", "20 / 10"] and rows[7][0] == "8 (lateral)"
+    page = report.run(maker.folder).files[0].read_text()
+    assert "Stress shielding" in page and "14 (lateral)" in page
+
+
+def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
+    for stem in MODULI:
+        for t in (5.0, 3.0):
+            thickness = {"nominal": t, "min": 0.5, "median": t, "clipped_fraction": 0.25}
+            summary = {"mantle": {"thickness": thickness, "volume": 1e4 * t}}
+            maker.stance(stem, t, 1.0, {}, summary=summary)
+    head, rows = report_gruen.mantles(rs.read(maker.write()).cases)
+    assert [row[0] for row in rows] == ["3", "5"]
+    assert dict(zip(head, rows[0], strict=True))["cement (cm³)"] == "30"
+    assert "25 %" in rows[0] and "-" in rows[0]
+
+
+# The page
+
+
+def test_the_page_needs_nothing_else(maker: Maker) -> None:
+    sweep(maker, as_the_paper_says, 0.05)
+    written = report.run(maker.folder)
+    page = written.files[0].read_text()
+    names = [f.name for f in written.files[1:]]
+    assert names == [f"figure{n}.png" for n in range(3, 8)] + ["comparison.csv"]
+    sources = re.findall(r'<img[^>]* src="([^"]{0,30})', page)
+    assert len(sources) == 5 and all(s.startswith("data:image/png;base64,") for s in sources)
+    text = re.sub(r'data:image/png;base64,[^"]*', "", page)
+    assert "http" not in text and "<script" not in text and "<link" not in text
+    assert all(href.startswith("#") for href in re.findall(r'href="([^"]*)"', text))
+    with (maker.folder / "report" / "comparison.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[0]["max over paper"]) == pytest.approx(120 / 67)
+    assert "figure 8: no case of hot cement" in text
+
+
+def test_titles_names_and_messages_are_escaped(maker: Maker) -> None:
+    bad = "<script>alert('x')</script> & <b>"
+    maker.stance("titanium", 4.0, 1.0, None, name=bad, status="failed", message=bad, exit_code=70)
+    maker.stance("titanium", 3.0, 1.0, contact(as_the_paper_says, "titanium", 3, 1, 0.1))
+    maker.stance("titanium", 2.0, 1.0, contact(as_the_paper_says, "titanium", 2, 1, 0.1))
+    maker.write(title=bad)
+    page = report.run(maker.folder).files[0].read_text()
+    assert "<script" not in page and "<b>" not in page
+    assert page.count("&lt;script&gt;alert") >= 4
+
+
+def test_a_partial_sweep_is_reported_with_what_is_missing(maker: Maker) -> None:
+    numbers = contact(as_the_paper_says, "titanium", 4, 1, 0.1)
+    maker.stance("titanium", 4.0, 1.0, numbers)
+    maker.stance("titanium", 3.0, 1.0, numbers)
+    maker.stance("titanium", 2.0, 1.0, None, status="stopped", exit_code=5)
+    gone = {"name": "gone", "folder": "runs/none", "status": "converged"}
+    gone["numbers"], gone["errors"] = {"cement_bone.slip_p99": 0.05}, {"cement_bone.slip_p99": 0.01}
+    maker.cases.append(gone)
+    written = report.run(maker.write())
+    page = written.files[0].read_text()
+    assert (written.done, written.cases) == (3, 4)
+    assert "Without results: titanium 2 1" in page
+    assert "its folder has no summary.json" in page and "50 ± 10" in page
+    assert "figure 6: no stem at two frictions" in page
+    assert "it wrote no fields" in page
+    assert "Gruen" not in page
+
+
+def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
+    data = data_of(maker.folder, "cylinders")
+    for taper in (1.0, 2.0, 3.0):
+        numbers = contact(lambda *a, x=taper: x, "", 0, 0, 0.1)
+        more = {"overrides": {"geometry.taper": f"{taper:g} deg", "title": "x"}}
+        maker.add(f"taper {taper:g}", data, {"interfaces": numbers}, **more)
+    written = report.run(maker.write())
+    assert [f.name for f in written.files] == ["report.html", "over_geometry_taper.png"]
+    page = written.files[0].read_text()
+    assert not written.trends and "Rakotomanana" not in page
+    assert "Numbers over geometry.taper" in page and "cement-bone slip, p99" in page
+    (maker.folder / "report" / "old.png").write_text("")
+    report.run(maker.folder)
+    assert not (maker.folder / "report" / "old.png").exists()
+
+
+# The command
+
+
+def test_the_command_tells_verdicts_and_where(
+    maker: Maker, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep(maker, as_the_paper_says, 1e-3)
+    assert main(["report", str(maker.folder)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^T-a +held \(by maxima held\) ", said, re.M)
+    assert "14 of 14 cases have results" in said and "report.html" in said
+
+
+@pytest.mark.parametrize(
+    "content, complaint",
+    [
+        (None, "has no sweep.json"),
+        ('{"cases": [', "sweep.json:1:"),
+        ('{"title": "x"}', "has no list of cases"),
+        ('{"cases": []}', "cases: is empty"),
+        ('{"cases": [{"name": "a", "status": "done"}]}', "cases[0]: folder is missing"),
+        ('{"cases": [{"name": "a", "status": "done", "folder": "x"}]}', "'done' is none of"),
+        ('{"cases": [{"name": 3, "status": "failed", "folder": "x"}]}', "3 is not a text"),
+    ],
+)
+def test_what_is_no_sweep_is_refused(
+    tmp_path: Path, content: str | None, complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if content is not None:
+        (tmp_path / "sweep.json").write_text(content)
+    assert main(["report", str(tmp_path)]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_everything_wrong_is_told_at_once(tmp_path: Path) -> None:
+    cases = [{"name": "a", "folder": 1, "status": "x"}, {"name": "a", "folder": "b"}]
+    (tmp_path / "sweep.json").write_text(json.dumps({"cases": cases}))
+    with pytest.raises(InputError) as error:
+        rs.read(tmp_path)
+    assert len(error.value.messages) == 4

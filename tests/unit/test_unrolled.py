@@ -1,0 +1,130 @@
+"""Interfaces in the plane: a cylinder, whose angles and heights are known, and a flat one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app import unrolled
+from app.results import FACES, Run
+
+N, LAYERS, RADIUS, LENGTH = 12, 3, 5.0, 30.0
+
+
+def cylinder(turn: float) -> tuple[Any, Any]:
+    """Nodes of a cylinder with a cap at z = 0, and its triangles; turned by an angle [degrees]."""
+    angle = np.radians(turn + 360.0 / N * np.arange(N))
+    z = np.linspace(0.0, LENGTH, LAYERS + 1)
+    ring = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle)], axis=1)
+    points = [(x, y, h) for h in z for x, y in ring] + [(0.0, 0.0, 0.0)]
+    triangles = []
+    for k in range(LAYERS):
+        for i in range(N):
+            a, b = k * N + i, k * N + (i + 1) % N
+            triangles += [(a, b, b + N), (a, b + N, a + N)]
+    cap = [(i, (i + 1) % N, len(points) - 1) for i in range(N)]
+    return np.array(points), np.array(triangles + cap)
+
+
+@pytest.mark.parametrize("turn", [0.0, 7.0, 15.0, -100.0])
+def test_angle_and_height_of_a_cylinder_are_exact(turn: float) -> None:
+    points, triangles = cylinder(turn)
+    corners, nodes = unrolled.unroll(points, triangles)
+    x = points[nodes]
+    assert corners[:, :, 1] == pytest.approx(x[:, :, 2], abs=1e-12)
+    angle = np.radians(corners[:, :, 0])
+    assert RADIUS * np.cos(angle) == pytest.approx(x[:, :, 0], abs=1e-9)
+    assert RADIUS * np.sin(angle) == pytest.approx(x[:, :, 1], abs=1e-9)
+    # The cap is seen edge on and left out.
+    assert len(points) - 1 not in nodes
+
+
+@pytest.mark.parametrize("turn", [0.0, 7.0, 15.0, -100.0])
+def test_the_seam_has_neither_holes_nor_smears(turn: float) -> None:
+    """No triangle is wider than it is on the cylinder; together they fill the window once."""
+    points, triangles = cylinder(turn)
+    corners, _ = unrolled.unroll(points, triangles)
+    angle = corners[:, :, 0]
+    assert np.ptp(angle, axis=1) == pytest.approx(360.0 / N)
+    low, high = unrolled.SEAM, unrolled.SEAM + 360.0
+    # One that ends at the seam may be there on its other side too, by rounding.
+    touching = 1e-9
+    assert angle.min(axis=1).max() < high + touching
+    assert angle.max(axis=1).min() > low - touching
+    # Every place in the window is inside exactly one triangle.
+    rng = np.random.default_rng(1)
+    sample = np.stack([rng.uniform(low, high, 400), rng.uniform(0.0, LENGTH, 400)], axis=1)
+    inside = np.zeros(len(sample), dtype=int)
+    for a, b, c in corners:
+        shares = np.linalg.solve(np.stack([b - a, c - a], axis=1), (sample - a).T)
+        inside += (shares.min(axis=0) >= 0) & (shares.sum(axis=0) <= 1)
+    assert (inside == 1).all()
+
+
+def two_bodies(order: int) -> Any:
+    """A run of two tetrahedra on a common face, with nodes of their own there."""
+    face = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
+    corners = [np.vstack([face, [[0.0, 0, z]]]) for z in (-3.0, 3.0)]
+    if order == 2:
+        ends = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)])
+        corners = [np.vstack([x, x[ends].mean(axis=1)]) for x in corners]
+    width = len(corners[0])
+    points = np.vstack(corners)
+    on = np.abs(points[:, 2]) < 1e-12
+    return SimpleNamespace(
+        points=points,
+        cells=np.arange(2 * width).reshape(2, width),
+        region=np.array([1, 2]),
+        contacts=("lower_upper",),
+        on_interface=lambda name: on,
+    )
+
+
+@pytest.mark.parametrize("order, count", [(1, 1), (2, 4)])
+def test_facets_are_those_between_the_bodies(order: int, count: int) -> None:
+    """Of second order, where contact is known in the middle of edges, each is four."""
+    run = two_bodies(order)
+    triangles = unrolled.facets(run, [2], [1])
+    assert len(triangles) == count
+    assert (triangles >= len(run.points) // 2).all()
+    x = run.points[triangles]
+    assert x[:, :, 2] == pytest.approx(0.0)
+    area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
+    assert area.sum() == pytest.approx(2.0)
+    assert len(FACES) == 4
+
+
+def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:
+    run = two_bodies(1)
+    sides = (("lower",), ("upper",))
+    sheet = unrolled.sheet(run, "blocks", sides, ("lower", "upper"))
+    assert sheet is not None and not sheet.round
+    a, b, c = sheet.corners[0]
+    lengths = sorted(float(np.linalg.norm(e)) for e in (b - a, c - b, a - c))
+    assert lengths == pytest.approx([2.0, 2.0, np.sqrt(8.0)])
+
+
+def test_bodies_that_do_not_meet_have_no_map() -> None:
+    run = two_bodies(1)
+    run.points[4:] += 1.0
+    assert unrolled.sheet(run, "blocks", (("a",), ("b",)), ("a", "b")) is None
+
+
+def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
+    points, triangles = cylinder(0.0)
+    corners, nodes = unrolled.unroll(points, triangles)
+    run: Run = SimpleNamespace()  # type: ignore[assignment]
+    sheet = unrolled.Sheet(corners, nodes, True)
+    rows = [
+        unrolled.Row("height (mm)", "viridis", lambda run: points[:, 2]),
+        unrolled.Row("nothing", "viridis", lambda run: None),
+    ]
+    path = tmp_path / "map.png"
+    assert unrolled.draw(path, [("one", run, sheet), ("two", run, sheet)], rows) == ["height (mm)"]
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert unrolled.draw(tmp_path / "none.png", [("one", run, sheet)], rows[1:]) == []
+    assert not (tmp_path / "none.png").exists()
