@@ -44,6 +44,7 @@ from app.geometries import (
     Cylinders,
     Femur,
     Geometry,
+    IntactFemur,
     MeshFile,
     MeshOptions,
 )
@@ -97,6 +98,7 @@ __all__ = [
     "HeatCondition",
     "HeatFlux",
     "HeatSource",
+    "IntactFemur",
     "Interface",
     "Isotropic",
     "Load",

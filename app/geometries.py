@@ -13,61 +13,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from app.fields import ITEMS, MAPPING, Kinds, Model, Name, Truth, Word, fail, one_of
+from app.femurs import Femur, IntactFemur
+from app.fields import ITEMS, MAPPING, Kinds, Model, Name, Word, fail, one_of
 from app.gmsh_file import content, counts, is_script, physical_names
-from app.units import (
-    Angle,
-    Dimension,
-    Length,
-    NonNegativeLength,
-    Plain,
-    PositiveLength,
-    SizeVector,
-)
+from app.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
+from app.units import Angle, PositiveLength, SizeVector
 
-Sides = tuple[tuple[str, ...], tuple[str, ...]]
-Point3 = tuple[float, float, float]
-
-
-class MeshOptions(Model):
-    """How fine the mesh is and what the displacement is approximated by."""
-
-    size: PositiveLength
-    """Edge length at the interfaces."""
-    far_size: PositiveLength | None = None
-    """Edge length far from them; four times `size` by default."""
-    order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 2
-    """Polynomial degree of the displacement."""
-    curved: Truth | None = None
-    """Whether the cells are curved (second order) to follow the geometry; by default where it is
-    curved and `order` is 2."""
-
-    @property
-    def far(self) -> float:
-        """Edge length far from the interfaces (mm)."""
-        return 4.0 * self.size if self.far_size is None else self.far_size
-
-    @model_validator(mode="after")
-    def _ordered(self) -> MeshOptions:
-        if self.far < self.size:
-            fail(f"{self.far:g} mm is finer than size, {self.size:g} mm", at=("far_size",))
-        return self
-
-
-def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
-    """Estimated number of tetrahedra of a mesh that is fine at its interfaces.
-
-    Args:
-        area: Area of all interfaces (mm2).
-        volume: Volume of all regions (mm3).
-        mesh: The sizes.
-
-    Returns:
-        ``a A / h^2 + b V / H^3`` with the constants fitted to measured meshes of the femur; at
-        most the number of cells of a uniform mesh.
-    """
-    uniform = 8.5 * volume / mesh.size**3
-    return max(6, round(min(uniform, 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3)))
+__all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
+__all__ += ["MeshOptions", "Sides"]
 
 
 class Block(Model):
@@ -79,7 +32,7 @@ class Block(Model):
     """Edge lengths along x, y, z."""
 
 
-class Blocks(Model):
+class Blocks(Shape):
     """Rectangular blocks stacked along z, corner at the origin; the scene of patch tests."""
 
     kind: Literal["blocks"] = "blocks"
@@ -148,7 +101,7 @@ class Blocks(Model):
         return graded_cells(self.interface_area, volume, mesh)
 
 
-class Cylinders(Model):
+class Cylinders(Shape):
     """A stem in a cement mantle in a bone, concentric about z; distal end at z = 0.
 
     With a taper the interfaces are cones that narrow towards z = 0 and have the given radii at mid
@@ -213,6 +166,11 @@ class Cylinders(Model):
         return {"full": 1.0, "half": 0.5, "quarter": 0.25}[self.sector]
 
     @property
+    def mantles(self) -> tuple[Mantle, ...]:
+        """That between stem and bone, from end to end."""
+        return (Mantle(self.cement_thickness, -math.inf),)
+
+    @property
     def interface_area(self) -> float:
         """Area of both interfaces (mm2)."""
         radii = 2.0 * self.stem_radius + self.cement_thickness
@@ -225,130 +183,7 @@ class Cylinders(Model):
         return graded_cells(self.interface_area, volume, mesh)
 
 
-class Femur(Model):
-    """A proximal femur with a straight tapered collarless stem in a cement mantle.
-
-    Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
-    The table of bone sections belongs to the mesher; the parameters here are those of the operation
-    and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
-    """
-
-    kind: Literal["femur"] = "femur"
-    cement_thickness: Annotated[
-        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
-    ] = 4.0
-    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
-    canal_widening: NonNegativeLength = 0.0
-    """Reaming: distance by which the endosteal surface is moved outwards."""
-    stem_length: PositiveLength = 147.0
-    """From the shoulder to the tip."""
-    stem_tip_z: Length = -118.0
-    """Level of the tip."""
-    stem_tip_half_width: PositiveLength = 3.0
-    """Half the medio-lateral width at the tip."""
-    stem_tip_half_depth: PositiveLength = 3.0
-    """Half the antero-posterior depth at the tip."""
-    stem_tip_corner_radius: PositiveLength = 2.1
-    """Radius of the section's corners at the tip."""
-    stem_section_z: Length = 15.0
-    """Level of the proximal section that the next three describe."""
-    stem_half_width: PositiveLength = 8.5
-    """Half the medio-lateral width there."""
-    stem_half_depth: PositiveLength = 5.0
-    """Half the antero-posterior depth there."""
-    stem_corner_radius: PositiveLength = 3.0
-    """Radius of the section's corners there."""
-    neck_diameter: PositiveLength = 9.8
-    """Diameter of the neck where it leaves the body."""
-    trunnion_diameter: PositiveLength = 12.0
-    """Diameter of the neck's end, which carries the head."""
-    head_offset: PositiveLength = 43.0
-    """Medial distance of the head's centre from the shaft axis."""
-    head_height: PositiveLength = 54.0
-    """Height of the head's centre above mid lesser trochanter."""
-    neck_angle: Angle = math.radians(130.0)
-    """Angle between neck and shaft (rad)."""
-    resection_height: Length = 5.0
-    """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
-    resection_angle: Angle = math.radians(38.0)
-    """Angle of the cut to the transverse plane (rad)."""
-    plug_length: PositiveLength = 10.0
-    """Length of cement below the tip."""
-    distal_cut_z: Length = -200.0
-    """Level at which the shaft is cut and held."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Femur:
-        if self.distal_cut_z >= self.stem_tip_z - self.plug_length:
-            fail("is not below the cement plug", at=("distal_cut_z",))
-        for end in ("stem", "stem_tip"):
-            radius = getattr(self, f"{end}_corner_radius")
-            half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
-            if radius >= half:
-                fail(
-                    f"is not below the half-width and half-depth, {half:g} mm",
-                    at=(f"{end}_corner_radius",),
-                )
-        if not self.stem_tip_z < self.stem_section_z < self.stem_tip_z + self.stem_length:
-            fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
-        if not math.pi / 2 < self.neck_angle < math.pi:
-            fail("is not between 90 and 180 deg", at=("neck_angle",))
-        if not 0.0 <= self.resection_angle < math.pi / 2:
-            fail("is not between 0 and 90 deg", at=("resection_angle",))
-        return self
-
-    @property
-    def head_centre(self) -> Point3:
-        """Centre of the femoral head in the model's axes (mm)."""
-        return (self.head_offset, 0.0, self.head_height)
-
-    @property
-    def has_curved_surfaces(self) -> bool:
-        """Whether curved cells follow it better than straight ones."""
-        return True
-
-    @property
-    def coarsest_size(self) -> float:
-        """Largest edge length (mm): coarser facets of the mantle cut through those of the canal."""
-        return 5.0
-
-    @property
-    def region_names(self) -> tuple[str, ...]:
-        """Implant, mantle and the two kinds of bone."""
-        return ("stem", "cement", "cortical_bone", "cancellous_bone")
-
-    @property
-    def boundary_names(self) -> tuple[str, ...]:
-        """The distal cut, the bone with its muscle patches, the trunnion and the resection."""
-        muscles = (
-            "gluteus_medius",
-            "gluteus_minimus",
-            "gluteus_maximus",
-            "psoas",
-            "vastus_lateralis",
-        )
-        return ("distal_cut", "bone_surface", "stem_trunnion", *muscles, "resection")
-
-    @property
-    def interface_sides(self) -> dict[str, Sides]:
-        """``stem_cement`` and ``cement_bone``."""
-        bone = ("cortical_bone", "cancellous_bone")
-        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), bone)}
-
-    @property
-    def interface_area(self) -> float:
-        """Area of both interfaces (mm2), about: the stem's flanks and their offset."""
-        width = self.stem_half_width + self.stem_tip_half_width
-        depth = self.stem_half_depth + self.stem_tip_half_depth
-        flanks = 2.0 * (width + depth) * self.stem_length
-        return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
-
-    def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Estimated number of tetrahedra."""
-        return graded_cells(self.interface_area, 1300.0 * (65.0 - self.distal_cut_z), mesh)
-
-
-class MeshFile(Model):
+class MeshFile(Shape):
     """A gmsh file; its named physical volumes are regions, its surfaces boundaries.
 
     A ``.msh`` file is taken as it is. A ``.geo`` script is meshed: it declares
@@ -457,4 +292,4 @@ def _sides(value: object, name: object) -> object:
     return tuple((side,) if isinstance(side, str) else side for side in value)
 
 
-Geometry = Annotated[Blocks | Cylinders | Femur | MeshFile, Kinds()]
+Geometry = Annotated[Blocks | Cylinders | Femur | IntactFemur | MeshFile, Kinds()]

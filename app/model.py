@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import meshes
-from app import config, folders, quantities, scene, stepping
+from app import config, folders, gruen, quantities, scene, stepping
 from app.balance import Balance
 from app.bonds import Bond, bonds
 from app.conduction import Conduction
@@ -357,6 +357,15 @@ class Model:
             for cure in t.cure:
                 numbers["cure"] = cure.summary()
         return numbers
+
+    def places(self, samples: Samples | None) -> dict[str, Any]:
+        """What only some geometries have: their mantle, their Gruen zones; collective."""
+        notes = self.tagged.notes
+        found = {key: notes[key] for key in ("mantle",) if key in notes}
+        for m in self.mechanics:
+            for zones in self._case.geometry.zones:
+                found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
+        return found
 
     def interfaces(self, samples: Samples | None) -> dict[str, dict[str, Any]]:
         """What is published of the contact interfaces; collective."""

@@ -171,10 +171,27 @@ def exact_size(case: Case, data: MeshData) -> str:
     lines = [_size("size", case, len(data.cells), nodes, corners, each)]
     for name, tag in data.regions.items():
         lines.append(f"  {name}: {_count(np.count_nonzero(data.cell_tags == tag))} cells")
+    if "mantle" in data.notes:
+        lines += textwrap.wrap(
+            _mantle(data.notes["mantle"]), 98, initial_indent="  ", subsequent_indent="    "
+        )
     for name, note in data.notes.items():
+        if name == "mantle" or note == {}:
+            continue
         text = f"{name.replace('_', ' ')}: {_plain(note)}"
         lines += textwrap.wrap(text, 98, initial_indent="  ", subsequent_indent="    ")
     return "\n".join(lines)
+
+
+def _mantle(note: Mapping[str, Any]) -> str:
+    """A line on the thickness of the cement."""
+    t = note["thickness"]
+    return (
+        f"mantle: {t['nominal']:.3g} mm, achieved {t['min']:.2f} to {t['max']:.2f}, mean "
+        f"{t['mean']:.2f}, median {t['median']:.2f}, p5 {t['p5']:.2f}, p95 {t['p95']:.2f} mm; "
+        f"clipped on {t['clipped_fraction']:.1%} of the stem; {note['volume']:.0f} mm3 of cement, "
+        f"{note['plug_volume']:.0f} below the tip"
+    )
 
 
 def _size(

@@ -16,6 +16,7 @@ import basix
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
+from ufl import as_vector
 
 from app.problem import Problem, Trial
 from app.terms import Elastic
@@ -27,6 +28,8 @@ Floats = NDArray[np.float64]
 
 PERCENTILE = 0.99
 MICROMOTION = 0.030  # mm: where biology reacts
+# Of a symmetric tensor, as `elasticity.symmetric` has them.
+COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
 
 
@@ -38,6 +41,11 @@ def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) ->
     cumulative = np.cumsum(weights[order])
     k = np.searchsorted(cumulative, fraction * cumulative[-1])
     return float(values[order[min(int(k), len(values) - 1)]])
+
+
+def face_average(values: Floats, area: Floats) -> float:
+    """Mean of what belongs to the faces of points (n, 3), by their areas (n, 3)."""
+    return float(np.average(values[area > 0], weights=area[area > 0]))
 
 
 class Samples:
@@ -129,9 +137,6 @@ def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
     def p99(values: Floats) -> float:
         return percentile(values[area > 0], area[area > 0])
 
-    def mean(values: Floats) -> float:
-        return float(np.average(values[area > 0], weights=area[area > 0]))
-
     gap, slip = np.maximum(s.gap[at], 0.0), s.slip[at]
     pressure, shear = s.pressure[at], s.shear[at]
     gap_max, gap_at = largest(gap)
@@ -144,11 +149,11 @@ def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
     return {
         "gap_max": gap_max,
         "gap_p99": p99(gap),
-        "gap_mean": mean(gap),
+        "gap_mean": face_average(gap, area),
         "gap_max_at": gap_at,
         "slip_max": slip_max,
         "slip_p99": p99(slip),
-        "slip_mean": mean(slip),
+        "slip_mean": face_average(slip, area),
         "slip_max_at": slip_at,
         "slip_accumulated_max": float(s.accumulated[at].max(initial=0.0)),
         "pressure_max": float(pressure.max(initial=0.0)),
@@ -289,6 +294,29 @@ class Stresses:
         share = self.shares(region)
         return np.asarray(np.einsum("q,cqij->cij", share, self.evaluate(region)))
 
+    def places(self, region: str) -> tuple[Floats, Floats]:
+        """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
+        mesh = self._problem.tagged.mesh
+        (element, *_) = mesh.ufl_domain().ufl_coordinate_element().sub_elements
+        N, *dN = element.tabulate(1, self.at(region))
+        x = mesh.geometry.x[mesh.geometry.dofmap[self.cells[region]]]
+        measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
+        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * self.shares(region)
+
+    def energy_density(self, region: str) -> Floats:
+        r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
+
+        The strain is that which the region's law gives the stress: what is free of stress, such as
+        thermal strain, has no part in it.
+        """
+        (e,) = (e for e in self._problem.scene.elastic if e.region == region)
+        σ = self.evaluate(region)
+        components = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
+        # Each of the last three stands for two entries of the tensors.
+        twice = np.diag([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+        S = twice @ np.linalg.inv(_stiffness(e))
+        return np.einsum("cqi,ij,cqj->cq", components, S, components)
+
     def region(self, region: str) -> dict[str, Any]:
         """Published stresses of a region; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
@@ -327,6 +355,19 @@ class Stresses:
                 ],
             }
         return dict(self._problem.comm.bcast(result))
+
+
+def _stiffness(e: Elastic) -> Floats:
+    """Stress components (6, 6) of unit strains, in the order of `COMPONENTS` [MPa]."""
+
+    def law(ε: Any) -> Any:
+        return e.energy(ε, e.coefficients, as_vector(e.fibre or (0.0, 0.0, 1.0)))
+
+    columns = []
+    for unit in np.eye(6):
+        σ = elasticity.stress(law, elasticity.symmetric([float(c) for c in unit]))
+        columns.append([float(σ[i, j](())) for i, j in COMPONENTS])
+    return np.array(columns).T
 
 
 def _volumes_and_centres(problem: Problem, cells: NDArray[np.int32]) -> tuple[Floats, Floats]:

@@ -181,6 +181,7 @@ class Recorder:
             "units": UNITS,
             "time": self._time,
             **model.numbers(self._samples),
+            **model.places(self._samples),
             "balance": balance,
             "solver": {
                 "dofs": sum(sizes.values()),

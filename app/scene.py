@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from app import config
-from app.geometries import Sides
 from app.scene_heat import field, heat
+from app.shapes import Sides
 from app.terms import (
     BodyForce,
     Contact,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app import config
 from app.errors import InputError
-from app.geometries import Sides
+from app.shapes import Sides
 from app.terms import (
     Autocatalytic,
     Conductor,

@@ -56,7 +56,7 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
         if data is None:
             data = _make(geometry, mesh)
             _cache.store(data, path)
-    return data
+    return data if "mantle" in data.notes else _describe_mantle(data, geometry)
 
 
 def _make(geometry: Any, mesh: Any) -> MeshData:
@@ -74,7 +74,17 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
             for name in data.interfaces
         },
     }
-    return replace(data, notes=notes)
+    return _describe_mantle(replace(data, notes=notes), geometry)
+
+
+def _describe_mantle(data: MeshData, geometry: Any) -> MeshData:
+    """Note how thick the cement is, if the geometry has a mantle."""
+    for m in geometry.mantles:
+        from . import mantle  # needs scipy, which blocks do not
+
+        note = mantle.describe(data, m.thickness, m.tip)
+        data = replace(data, notes={**data.notes, "mantle": note})
+    return data
 
 
 def write_msh(data: MeshData, path: Path) -> None:
@@ -99,6 +109,10 @@ def _generate(geometry: Any, mesh: Any) -> MeshData:
             from . import femur
 
             return femur.build(geometry, mesh)
+        case "intact_femur":
+            from . import femur_intact
+
+            return femur_intact.build(geometry, mesh)
         case "file":
             from . import imported
 

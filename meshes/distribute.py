@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from mpi4py import MPI
 
@@ -32,6 +33,7 @@ class TaggedMesh:
         regions: Region name to cell tag.
         boundaries: Boundary name to its patch tags.
         interfaces: Interface name to the region names on either side.
+        notes: What the mesher has to say.
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -40,6 +42,7 @@ class TaggedMesh:
     regions: Mapping[str, int]
     boundaries: Mapping[str, tuple[int, ...]]
     interfaces: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
+    notes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
@@ -85,6 +88,7 @@ def distribute(data: MeshData | None, comm: MPI.Comm) -> TaggedMesh:
         regions=regions,
         boundaries=boundaries,
         interfaces=interfaces,
+        notes=comm.bcast(data.notes if data is not None else None),
     )
 
 

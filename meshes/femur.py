@@ -18,9 +18,9 @@ from app.errors import GeometryError
 
 from . import femur_bone, femur_mantle, femur_stem
 from .data import Floats, Ints, MeshData, exterior_facets
-from .femur_bone import PATCH_RADIUS, Tube
+from .femur_bone import PATCH_RADIUS
 from .quality import BAD, sicn
-from .session import extract, generate, session
+from .session import drop_orphans, extract, generate, session
 from .tags import assemble, number
 
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -28,7 +28,6 @@ INTERFACES = {
     "stem_cement": (("stem",), ("cement",)),
     "cement_bone": (("cement",), ("cortical_bone", "cancellous_bone")),
 }
-FILM = 0.6  # mm of cancellous bone below which the cement reaches the cortex
 LEAST_MANTLE = 0.4  # mm of cement that the canal must leave room for before the film is added
 # Tried in turn when elements come out flat: factors of the film and of the sizes, and the mesher.
 # Facets much larger than the film cut through each other: the last ones are as coarse as can be.
@@ -48,7 +47,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Returns:
         Four regions, two interfaces, and the boundaries distal_cut, bone_surface, stem_trunnion,
-        resection and five muscle patches. Notes: head centre, achieved thickness, attempts.
+        resection and five muscle patches. Notes: head centre, film, attempts.
 
     Raises:
         GeometryError: The stem does not fit the canal (with the place), or no attempt gave
@@ -59,7 +58,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     best: tuple[float, MeshData] | None = None
     for film, size, algorithm in ATTEMPTS:
         try:
-            data = _attempt(geometry, mesh, film * FILM, size, algorithm)
+            data = _attempt(geometry, mesh, film * femur_mantle.FILM, size, algorithm)
         except GeometryError as error:
             failures.append(str(error).splitlines()[0])
             continue
@@ -81,25 +80,15 @@ def _refuse_the_impossible(geometry: Any) -> None:
     theta, z = np.meshgrid(np.linspace(-np.pi, np.pi, 181), z)
     canal = femur_bone.canal(geometry.distal_cut_z, geometry.canal_widening)
     room = canal.radius(theta, z) - femur_stem.body(geometry).radius(theta, z)
-    if room.min() < FILM + LEAST_MANTLE:
+    if room.min() < femur_mantle.FILM + LEAST_MANTLE:
         at = np.unravel_index(room.argmin(), room.shape)
         side = "medially" if np.cos(theta[at]) > 0.7 else "laterally"
         side = side if abs(np.cos(theta[at])) > 0.7 else "antero-posteriorly"
         raise GeometryError(
             f"geometry: the canal leaves {room.min():.2f} mm beside the stem at z = {z[at]:.0f} mm,"
-            f" {side}; the mantle needs {FILM + LEAST_MANTLE:.1f} mm: widen the canal"
+            f" {side}; the mantle needs {femur_mantle.FILM + LEAST_MANTLE:.1f} mm: widen the canal"
             " (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
         )
-
-
-def _plane(geometry: Any) -> tuple[Floats, float]:
-    """Unit normal n and level c of the resection: bone is kept where n.x < c."""
-    angle = geometry.resection_angle
-    normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
-    edge = femur_bone.outer(geometry.distal_cut_z).radius(
-        np.array(0.0), np.array(geometry.resection_height)
-    )
-    return normal, float(normal @ [float(edge), 0.0, geometry.resection_height])
 
 
 def _rim(geometry: Any) -> float:
@@ -111,7 +100,7 @@ def _rim(geometry: Any) -> float:
     """
     shape = femur_stem.body(geometry)
     shoulder = geometry.stem_tip_z + geometry.stem_length
-    normal, level = _plane(geometry)
+    normal, level = femur_bone.resection(geometry)
     choices = shoulder - np.linspace(1.0, 3.0, 9)
     a, _, r = shape.section(choices)
     t = geometry.cement_thickness
@@ -127,7 +116,7 @@ def _attempt(geometry: Any, mesh: Any, film: float, factor: float, algorithm: in
     with session("femur") as gmsh:
         gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
         pieces = _model(gmsh, geometry, film)
-        _sizes(gmsh, geometry, pieces, mesh.size * factor, far_size * factor)
+        femur_bone.grade(gmsh, geometry, pieces["cement"], mesh.size * factor, far_size * factor)
         _adapt_faces(gmsh, [*pieces["stem"], *pieces["cement"]])
         generate(gmsh, mesh.curved)
         points, cells, entity = extract(gmsh)
@@ -157,7 +146,6 @@ def _attempt(geometry: Any, mesh: Any, film: float, factor: float, algorithm: in
         _boundaries(points, exterior, tags, regions, geometry),
         exterior,
     )
-    notes |= femur_mantle.thickness(data, geometry.cement_thickness, geometry.stem_tip_z)
     notes |= {"head_centre": [geometry.head_offset, 0.0, geometry.head_height], "film_mm": film}
     return MeshData(**{**vars(data), "notes": notes})
 
@@ -176,14 +164,14 @@ def _model(gmsh: Any, geometry: Any, film: float) -> dict[str, list[int]]:
 
     def removed() -> list[tuple[int, int]]:
         """What the operation takes away: above the neck cut, and above the mantle."""
-        normal, level = _plane(geometry)
+        normal, level = femur_bone.resection(geometry)
         box = (3, occ.addBox(-BIG, -BIG, 0, 2 * BIG, 2 * BIG, BIG))
         occ.rotate([box], 0, 0, 0, 0, 1, 0, geometry.resection_angle)
         occ.translate([box], *(level * normal))
         return [box, (3, femur_stem.loft(gmsh, cavity, rim, rim + 60.0))]
 
     bone = [(3, femur_bone.solid(gmsh, outer))]
-    patches = _patches(gmsh, outer, bone)
+    patches = femur_bone.patches(gmsh, outer, bone)
     bone, _ = occ.cut(bone, removed())
     marrow, _ = occ.cut([(3, femur_bone.solid(gmsh, canal))], removed())
     cement, _ = occ.intersect(
@@ -212,35 +200,8 @@ def _model(gmsh: Any, geometry: Any, film: float) -> dict[str, list[int]]:
         for dim, tag in pieces:
             if dim == 3:
                 region[tag] = owner[parent]  # the last one wins: the solids are nested
-    _drop_orphans(gmsh)
+    drop_orphans(gmsh)
     return {name: [v for v, own in region.items() if own == name] for name in REGIONS}
-
-
-def _patches(gmsh: Any, outer: Tube, bone: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Faces of the outer surface inside a sphere about each insertion."""
-    occ = gmsh.model.occ
-    occ.synchronize()
-    faces = gmsh.model.getBoundary(bone, oriented=False)
-    patches: list[tuple[int, int]] = []
-    for centre in femur_bone.insertions(outer).values():
-        ball = [(3, occ.addSphere(*centre, PATCH_RADIUS))]
-        made, _ = occ.intersect(occ.copy(faces), ball)
-        patches += [entity for entity in made if entity[0] == 2]
-    return patches
-
-
-def _drop_orphans(gmsh: Any) -> None:
-    """Remove faces, edges and points that bound no volume: gmsh would mesh them too."""
-    used: set[tuple[int, int]] = set()
-    frontier = gmsh.model.getEntities(3)
-    # Faces inside a volume (the disc) are embedded or shared; all boundaries are kept.
-    for _ in range(3):
-        frontier = gmsh.model.getBoundary(frontier, combined=False, oriented=False)
-        frontier = list({(d, abs(t)) for d, t in frontier})
-        used |= set(frontier)
-    for dim in (2, 1, 0):
-        orphans = [e for e in gmsh.model.getEntities(dim) if e not in used]
-        gmsh.model.removeEntities(orphans)
 
 
 def _adapt_faces(gmsh: Any, volumes: list[int]) -> None:
@@ -252,47 +213,6 @@ def _adapt_faces(gmsh: Any, volumes: list[int]) -> None:
     solids = [(3, volume) for volume in volumes]
     for _, face in gmsh.model.getBoundary(solids, combined=False, oriented=False):
         gmsh.model.mesh.setAlgorithm(2, face, 1)
-
-
-def _sizes(
-    gmsh: Any, geometry: Any, pieces: dict[str, list[int]], size: float, far_size: float
-) -> None:
-    """``size`` at the mantle, growing to ``far_size``; half of it at the patches and trunnion."""
-    field = gmsh.model.mesh.field
-    faces = gmsh.model.getBoundary(
-        [(3, v) for v in pieces["cement"]], combined=True, oriented=False
-    )
-    distance = field.add("Distance")
-    field.setNumbers(distance, "SurfacesList", sorted({abs(t) for _, t in faces}))
-    field.setNumber(distance, "Sampling", 100)
-    threshold = field.add("Threshold")
-    for name, value in (
-        ("InField", distance),
-        ("SizeMin", size),
-        ("SizeMax", far_size),
-        ("DistMin", 0.5 * size),
-        ("DistMax", 0.5 * size + (far_size - size) / 0.4),
-    ):
-        field.setNumber(threshold, name, value)
-    fields = [threshold]
-    centres = list(femur_bone.insertions(femur_bone.outer(geometry.distal_cut_z)).values())
-    centres.append(np.array([geometry.head_offset, 0.0, geometry.head_height]))
-    for x, y, z in centres:
-        ball = field.add("Ball")
-        for name, value in (
-            ("XCenter", x),
-            ("YCenter", y),
-            ("ZCenter", z),
-            ("Radius", PATCH_RADIUS + 1),
-            ("Thickness", far_size),
-            ("VIn", max(size, 0.45 * far_size)),
-            ("VOut", far_size),
-        ):
-            field.setNumber(ball, name, float(value))
-        fields.append(ball)
-    smallest = field.add("Min")
-    field.setNumbers(smallest, "FieldsList", fields)
-    field.setAsBackgroundMesh(smallest)
 
 
 def _boundaries(
@@ -307,7 +227,7 @@ def _boundaries(
     centre = corners.mean(axis=1)
     own = tags[exterior[1]]
     bone = np.isin(own, [regions["cortical_bone"], regions["cancellous_bone"]])
-    normal, level = _plane(geometry)
+    normal, level = femur_bone.resection(geometry)
     near = 1e-4
     head = np.array([geometry.head_offset, 0.0, geometry.head_height])
     neck = np.array([math.sin(geometry.neck_angle), 0.0, -math.cos(geometry.neck_angle)])

@@ -14,6 +14,7 @@ at z = -113 is 12.3 by 12.5 mm. Cortex and trochanter are assumed.
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -213,3 +214,75 @@ def insertions(bone: Tube) -> dict[str, Floats]:
         r = float(bone.radius(np.array(theta), np.array(z)))
         centres[name] = np.array([r * np.cos(theta), r * np.sin(theta), z])
     return centres
+
+
+def resection(geometry: Any) -> tuple[Floats, float]:
+    """Unit normal n and level c of the resection: bone is kept where n.x < c."""
+    angle = geometry.resection_angle
+    normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
+    edge = outer(geometry.distal_cut_z).radius(np.array(0.0), np.array(geometry.resection_height))
+    return normal, float(normal @ [float(edge), 0.0, geometry.resection_height])
+
+
+def patches(gmsh: Any, bone: Tube, solids: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Faces of the outer surface inside a sphere about each insertion.
+
+    Args:
+        gmsh: The open session.
+        bone: The outer surface.
+        solids: It as a solid.
+    """
+    occ = gmsh.model.occ
+    occ.synchronize()
+    faces = gmsh.model.getBoundary(solids, oriented=False)
+    found: list[tuple[int, int]] = []
+    for centre in insertions(bone).values():
+        ball = [(3, occ.addSphere(*centre, PATCH_RADIUS))]
+        made, _ = occ.intersect(occ.copy(faces), ball)
+        found += [entity for entity in made if entity[0] == 2]
+    return found
+
+
+def grade(gmsh: Any, geometry: Any, volumes: list[int], size: float, far_size: float) -> None:
+    """Elements of ``size`` around volumes, growing to ``far_size``; half of it where loads act.
+
+    Args:
+        gmsh: The open session.
+        geometry: The femur, for the places of its loads.
+        volumes: The mantle, or what is inside the endosteal surface.
+        size: At the surface of these [mm].
+        far_size: Far from it [mm].
+    """
+    field = gmsh.model.mesh.field
+    faces = gmsh.model.getBoundary([(3, v) for v in volumes], combined=True, oriented=False)
+    distance = field.add("Distance")
+    field.setNumbers(distance, "SurfacesList", sorted({abs(t) for _, t in faces}))
+    field.setNumber(distance, "Sampling", 100)
+    threshold = field.add("Threshold")
+    for name, value in (
+        ("InField", distance),
+        ("SizeMin", size),
+        ("SizeMax", far_size),
+        ("DistMin", 0.5 * size),
+        ("DistMax", 0.5 * size + (far_size - size) / 0.4),
+    ):
+        field.setNumber(threshold, name, value)
+    fields = [threshold]
+    centres = list(insertions(outer(geometry.distal_cut_z)).values())
+    centres.append(np.array([geometry.head_offset, 0.0, geometry.head_height]))
+    for x, y, z in centres:
+        ball = field.add("Ball")
+        for name, value in (
+            ("XCenter", x),
+            ("YCenter", y),
+            ("ZCenter", z),
+            ("Radius", PATCH_RADIUS + 1),
+            ("Thickness", far_size),
+            ("VIn", max(size, 0.45 * far_size)),
+            ("VOut", far_size),
+        ):
+            field.setNumber(ball, name, float(value))
+        fields.append(ball)
+    smallest = field.add("Min")
+    field.setNumbers(smallest, "FieldsList", fields)
+    field.setAsBackgroundMesh(smallest)

@@ -1,27 +1,24 @@
-"""The mantle after meshing: the film at the endosteum, and the thickness achieved."""
+"""The mantle after meshing: the film at the endosteum."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .data import (
     EDGES,
     Floats,
     Ints,
-    MeshData,
     cell_volumes,
     components,
     face_neighbours,
-    facet_areas,
-    interface_facets,
 )
 from .femur_bone import Tube
 from .femur_stem import Body
 
 ISLAND = 50.0  # mm^3: smaller pieces of cancellous bone between cement and cortex become cement
+FILM = 0.6  # mm of cancellous bone below which the cement reaches the cortex
 SWEEPS = 20
 # A node of the endosteum belongs to the mantle when less than this part of the film would remain
 # over it. 0.65 gives the volume of the exact clip to 1 % at 2 mm and 0.3 % at 4 mm of cement.
@@ -151,69 +148,3 @@ def _fill_pinches(cells: Ints, tags: Any, free: Any, cement: int) -> int:
     change = around.any(axis=1) & free & (tags != cement)
     tags[change] = cement
     return int(change.sum())
-
-
-def thickness(data: MeshData, prescribed: float, tip: float) -> dict[str, Any]:
-    """The thickness achieved: distance of the mantle's outer face from the stem.
-
-    Args:
-        data: The mesh.
-        prescribed: The thickness asked for [mm].
-        tip: Level of the stem's tip [mm]; the plug below is left out.
-
-    Returns:
-        ``thickness_mm`` (least, percentiles by area, greatest), the fraction of the mantle's outer
-        area that is clipped (it touches cortical bone), and the volume of cement.
-    """
-    facets, _, behind = interface_facets(data, "cement_bone")
-    corners = data.points[facets[:, :3]]
-    centre = corners.mean(axis=1)
-    beside = centre[:, 2] > tip
-    area = facet_areas(data.points, facets)[beside]
-    distance = _distance(centre[beside], data)
-    order = np.argsort(distance)
-    share = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
-    p5, p50, p95 = np.interp([0.05, 0.5, 0.95], share, distance[order])
-    cortical = data.cell_tags[behind][beside] == data.regions["cortical_bone"]
-    cement = data.cell_tags == data.regions["cement"]
-    return {
-        "thickness_mm": {
-            "prescribed": prescribed,
-            "min": float(distance.min()),
-            "p5": float(p5),
-            "median": float(p50),
-            "p95": float(p95),
-            "max": float(distance.max()),
-        },
-        "clipped_fraction": float(area[cortical].sum() / area.sum()),
-        "cement_volume_mm3": float(cell_volumes(data.points, data.cells[cement]).sum()),
-    }
-
-
-def _distance(points: Floats, data: MeshData, nearest: int = 12) -> Floats:
-    """Distance of points from the stem's surface, exact for the nearest facets [mm]."""
-    facets, _, _ = interface_facets(data, "stem_cement")
-    a, b, c = (data.points[facets[:, k]] for k in range(3))
-    # Candidates by the distance to vertices, edge middles and centres.
-    samples = np.concatenate([a, b, c, (a + b) / 2, (b + c) / 2, (c + a) / 2, (a + b + c) / 3])
-    _, found = cKDTree(samples).query(points, k=nearest)
-    found = found % len(facets)
-    return np.min(
-        [_to_triangle(points, a[f], b[f], c[f]) for f in found.T],
-        axis=0,
-    )
-
-
-def _to_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> Floats:
-    """Distance of each point p from the triangle a, b, c; all of shape (n, 3)."""
-    normal = np.cross(b - a, c - a)
-    size = np.linalg.norm(normal, axis=1)
-    result = np.abs(np.sum((p - a) * normal, axis=1)) / size
-    inside = np.ones(len(p), dtype=bool)
-    edges = np.full(len(p), np.inf)
-    for start, end in ((a, b), (b, c), (c, a)):
-        side = end - start
-        inside &= np.sum(np.cross(side, p - start) * normal, axis=1) >= 0
-        s = np.clip(np.sum((p - start) * side, axis=1) / np.sum(side * side, axis=1), 0.0, 1.0)
-        edges = np.minimum(edges, np.linalg.norm(p - start - s[:, None] * side, axis=1))
-    return np.where(inside, result, edges)

@@ -330,12 +330,12 @@ TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [("kind: cylinders", "kind: cylinder")],
         [
             "3:3: geometry.kind: 'cylinder' is not one of blocks, cylinders, femur, "
-            "file; did you mean"
+            "intact_femur, file; did you mean"
         ],
     ),
     "kind that is no word": (
         [("kind: cylinders", "kind: [cylinders]")],
-        ["3:3: geometry.kind: a list is not one of blocks, cylinders, femur, file"],
+        ["3:3: geometry.kind: a list is not one of blocks, cylinders, femur, intact_femur, file"],
     ),
     "unknown region and missing material": (
         [("  cement: {", "  cemnt: {")],

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from app import config
+from meshes import femur_bone
 from tests import support
 
 FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}
@@ -435,6 +436,7 @@ COARSE: dict[str, list[str]] = {
     "cylinders.yaml": ["mesh.size=2.5 mm", "mesh.far_size=5 mm", "output.error=true"],
     "stance.yaml": ["mesh.size=5 mm", "stages.0.increments=1", "output.error=false"],
     "stance_cocr.yaml": ["mesh.size=5 mm", "stages.0.increments=1", "output.error=false"],
+    "intact.yaml": ["mesh.size=5 mm", "output.error=false"],
     "variations.yaml": ["mesh.size=4 mm", "mesh.far_size=6 mm"],
     "thermal_100C.yaml": ["mesh.size=5 mm", "time.tolerance=0.2 K", "mesh.order=1"],
     "thermal_rings.yaml": ["mesh.size=0.8 mm", "time.tolerance=0.02 K", "output.error=true"],
@@ -495,6 +497,60 @@ def check_stance(s: dict[str, Any], subsidence: float) -> None:
     assert s["interfaces"]["cement_bone"]["force"] == pytest.approx(opposite, rel=1e-6)
     # Regression, on this coarse mesh.
     assert s["stem"]["subsidence"] == pytest.approx(subsidence, rel=0.02)
+    assert s["mantle"]["thickness"]["nominal"] == 4.0
+    assert s["gruen"].keys() == {str(zone) for zone in range(1, 15)}
+    for zone, q in s["gruen"].items():
+        bone, interfaces = q["strain_energy_density"], q["interfaces"]
+        assert bone.keys() == q["volume"].keys() and interfaces.keys() == s["interfaces"].keys()
+        assert bone["cortical_bone"] > 0, zone
+    for name, whole in s["interfaces"].items():
+        # Both views divide the same; below the tip it is one zone of each.
+        for view in (range(1, 8), range(8, 15)):
+            parts = [s["gruen"][str(zone)]["interfaces"][name] for zone in view]
+            assert sum(p["area"] for p in parts) == pytest.approx(whole["area"])
+            for key in ("gap", "slip", "pressure", "shear"):
+                assert max(p[f"{key}_max"] for p in parts) == whole[f"{key}_max"]
+                mean = sum(p["area"] * p[f"{key}_mean"] for p in parts) / whole["area"]
+                assert mean == pytest.approx(whole[f"{key}_mean"], rel=0.05)
+        assert s["gruen"]["4"]["interfaces"][name] == s["gruen"]["11"]["interfaces"][name]
+
+
+def check_intact(s: dict[str, Any]) -> None:
+    """Bone alone; far below the head it bears what a beam under the same forces does."""
+    assert s["interfaces"] == s["stem"] == {} and "mantle" not in s
+    assert s["regions"].keys() == {"cortical_bone", "cancellous_bone"}
+    assert all(q["interfaces"] == {} for q in s["gruen"].values())
+    # Each point of the bone is in one zone of each view.
+    frontal, lateral = (
+        sum(sum(s["gruen"][str(z)]["volume"].values()) for z in zones)
+        for zones in (range(1, 8), range(8, 15))
+    )
+    assert frontal == pytest.approx(lateral, rel=0.01)
+    shaft = s["gruen"]["4"]
+    density, volume = shaft["strain_energy_density"]["cortical_bone"], shaft["volume"]
+    assert density == pytest.approx(_beam(volume["cortical_bone"] / 20.0), rel=0.05)
+
+
+def _beam(area: float) -> float:
+    """Mean strain energy density 10 mm below the tip of the stem, by the theory of beams [MPa].
+
+    Args:
+        area: That of the cortex [mm2].
+    """
+    case = config.load(support.CONFIGS / "intact.yaml")
+    insertions = femur_bone.insertions(femur_bone.outer(-200.0))
+    force, moment, at = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, -128.0])
+    for load in case.loads.values():
+        assert isinstance(load, config.Force)
+        place = insertions.get(load.boundary, np.array(load.at or 0.0))
+        force += load.force
+        moment += np.cross(place - at, load.force)
+    # A ring of that area and the canal's radius there.
+    inner = 6.3
+    outer = np.sqrt(inner**2 + area / np.pi)
+    second = np.pi / 4 * (outer**4 - inner**4)
+    energy = force[2] ** 2 / (17000 * area) + (moment[0] ** 2 + moment[1] ** 2) / (17000 * second)
+    return float((energy + moment[2] ** 2 / (3300 * 2 * second)) / (2 * area))
 
 
 def check_hot(s: dict[str, Any]) -> None:
@@ -540,6 +596,7 @@ CHECKS = {
     "cure.yaml": check_cure,
     "residual.yaml": check_residual,
     "blocks.yaml": check_blocks,
+    "intact.yaml": check_intact,
     "cylinders.yaml": check_cylinders,
     "variations.yaml": check_variations,
     "stance.yaml": lambda s: check_stance(s, 0.1713),

@@ -8,7 +8,7 @@ import pytest
 import meshes
 from app.errors import GeometryError
 from app.geometries import Femur, MeshOptions
-from meshes import femur_bone, femur_mantle, femur_stem
+from meshes import femur_bone, femur_mantle, femur_stem, mantle
 
 GEOMETRY = Femur()
 TURN = np.linspace(-np.pi, np.pi, 361)
@@ -87,7 +87,7 @@ def test_the_distance_from_a_triangle() -> None:
         ((2.0, 2.0, 0.0), np.sqrt(2.0)),  # beside the slanted edge
     ):
         p = np.array([point])
-        assert femur_mantle._to_triangle(p, a, b, c)[0] == pytest.approx(distance)
+        assert mantle._to_triangle(p, a, b, c)[0] == pytest.approx(distance)
 
 
 def test_pinched_edges_are_found() -> None:

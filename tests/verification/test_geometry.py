@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import meshes
-from app.geometries import Femur, MeshOptions
-from meshes import femur_bone, femur_mantle, femur_stem
+from app.geometries import Femur, IntactFemur, MeshOptions
+from meshes import femur_bone, femur_mantle, femur_stem, mantle
 from meshes.data import (
     MeshData,
     boundary_areas,
@@ -87,15 +87,79 @@ def check_mantle(thickness: float, size: float) -> None:
 
 
 def test_thickness_is_reported() -> None:
+    """As thick as asked for where there is room, and no room in more than half of the canal."""
     notes = femur(4.0).notes
-    thickness = notes["thickness_mm"]
-    assert thickness["prescribed"] == 4.0
-    assert 1.2 < thickness["min"] < thickness["median"] < 4.0 < thickness["max"] < 4.7
-    assert 0.6 < notes["clipped_fraction"] < 0.7
+    thickness = notes["mantle"]["thickness"]
+    assert thickness["nominal"] == 4.0
+    # At its narrowest, at z = -50 or so, the canal leaves 1.5 mm (antero-posteriorly) to 2.
+    assert 1.4 < thickness["min"] < thickness["p5"] < thickness["median"] < 4.0
+    assert thickness["median"] - 0.1 < thickness["mean"] < 4.0 < thickness["p95"] < 4.0 + 0.15
+    assert thickness["max"] < 4.0 + femur_mantle.FILM + 0.4  # ramps of the film, rims
+    assert 0.5 < thickness["clipped_fraction"] < 0.7
     assert notes["head_centre"] == [43.0, 0.0, 54.0]
-    volume = region_volumes(femur(4.0))["cement"]
-    assert notes["cement_volume_mm3"] == pytest.approx(volume)
+    assert notes["mantle"]["volume"] == pytest.approx(region_volumes(femur(4.0))["cement"])
     json.dumps(notes)
+
+
+def test_the_plug_fills_the_canal_below_the_tip() -> None:
+    """Its volume is that of the canal over its length: 7 mm of stem and cement find 6.2."""
+    geometry, plug = Femur(), femur(4.0).notes["mantle"]["plug_volume"]
+    canal = femur_bone.canal(geometry.distal_cut_z, 0.0)
+    low, high = geometry.stem_tip_z - geometry.plug_length, geometry.stem_tip_z
+    angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(low, high, 100))
+    exact = np.pi * (canal.radius(angles, levels) ** 2).mean() * (high - low)
+    # Flat facets of 3 mm lose 4 % of a circle of 6 mm.
+    assert plug == pytest.approx(exact, rel=0.05)
+
+
+def test_more_cement_than_fits_is_no_thicker() -> None:
+    thin, thick = (femur(t).notes["mantle"]["thickness"] for t in (2.0, 4.0))
+    assert thin["clipped_fraction"] < thick["clipped_fraction"]
+    assert thick["min"] == pytest.approx(thin["min"], abs=0.3)
+
+
+@cache
+def intact(curved: bool = True) -> MeshData:
+    return meshes.build(IntactFemur(), MeshOptions(size=f"{SIZE} mm", curved=curved))
+
+
+def test_the_intact_femur_has_the_shaft_of_the_operated_one() -> None:
+    """Cortex and canal far from head and stem, the distal cut, the muscles."""
+    data, operated = intact(), meshes.build(Femur(), MeshOptions(size="5 mm", curved=True))
+    assert data.notes["quality"]["sicn_min"] > 0.05
+    assert set(data.boundaries) == set(IntactFemur().boundary_names)
+    areas, others = boundary_areas(data), boundary_areas(operated)
+    for name in set(areas) & set(others) - {"bone_surface"}:
+        assert areas[name] == pytest.approx(others[name], rel=0.03), name
+    angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(-200, -140, 100))
+    tubes = (femur_bone.outer(-200.0), femur_bone.canal(-200.0, 0.0))
+    bone, canal = (60 * np.pi * (t.radius(angles, levels) ** 2).mean() for t in tubes)
+    exact = {"cortical_bone": bone - canal, "cancellous_bone": canal}
+    for d in (data, operated):
+        below = (d.points[d.cells[:, :4], 2] @ mantle.LATTICE.T < -140.0).mean(axis=1)
+        for region, volume in exact.items():
+            own = d.cell_tags == d.regions[region]
+            found = cell_volumes(d.points, d.cells[own]) @ below[own]
+            assert found == pytest.approx(volume, rel=0.03), region
+
+
+def test_the_head_is_a_sphere_on_a_neck() -> None:
+    data, geometry = intact(), IntactFemur()
+    centre = np.array(geometry.head_centre)
+    facets = data.facets[np.isin(data.facet_tags, data.boundaries["head"])]
+    distance = np.linalg.norm(data.points[np.unique(facets)] - centre, axis=1)
+    assert distance == pytest.approx(np.full(len(distance), geometry.head_radius), abs=0.02)
+    # All of the sphere but the cap in the neck, whose radius there is about 15.5 mm.
+    radius, neck = geometry.head_radius, 15.5
+    cap = 2 * np.pi * radius * (radius - np.sqrt(radius**2 - neck**2))
+    area = boundary_areas(data)["head"]
+    assert area == pytest.approx(4 * np.pi * radius**2 - cap, rel=0.01)
+    # Cortex in the head's shell, cancellous bone within.
+    x = data.points[data.cells[:, :4]].mean(axis=1)
+    deep = np.linalg.norm(x - centre, axis=1) < radius - 3.0
+    assert set(data.cell_tags[deep]) == {data.regions["cancellous_bone"]}
+    shell = (np.linalg.norm(x - centre, axis=1) > radius - 1.5) & (x[:, 2] > 60.0)
+    assert set(data.cell_tags[shell]) == {data.regions["cortical_bone"]}
 
 
 def test_patches_are_discs_on_the_bone_and_the_trunnion_is_at_the_head() -> None:

@@ -1,0 +1,191 @@
+"""The parametric femur, with a cemented stem and before the operation."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import model_validator
+
+from app.fields import fail
+from app.shapes import Mantle, MeshOptions, Point3, Shape, Sides, graded_cells
+from app.units import Angle, Dimension, Length, NonNegativeLength, PositiveLength
+
+if TYPE_CHECKING:
+    from meshes.gruen import Zones
+
+BONE = ("cortical_bone", "cancellous_bone")
+MUSCLES = ("gluteus_medius", "gluteus_minimus", "gluteus_maximus", "psoas", "vastus_lateralis")
+
+
+class _Femur(Shape):
+    """A proximal femur, the operation and the implant."""
+
+    kind: str
+    cement_thickness: Annotated[
+        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
+    ] = 4.0
+    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    canal_widening: NonNegativeLength = 0.0
+    """Reaming: distance by which the endosteal surface is moved outwards."""
+    stem_length: PositiveLength = 147.0
+    """From the shoulder to the tip."""
+    stem_tip_z: Length = -118.0
+    """Level of the tip."""
+    stem_tip_half_width: PositiveLength = 3.0
+    """Half the medio-lateral width at the tip."""
+    stem_tip_half_depth: PositiveLength = 3.0
+    """Half the antero-posterior depth at the tip."""
+    stem_tip_corner_radius: PositiveLength = 2.1
+    """Radius of the section's corners at the tip."""
+    stem_section_z: Length = 15.0
+    """Level of the proximal section that the next three describe."""
+    stem_half_width: PositiveLength = 8.5
+    """Half the medio-lateral width there."""
+    stem_half_depth: PositiveLength = 5.0
+    """Half the antero-posterior depth there."""
+    stem_corner_radius: PositiveLength = 3.0
+    """Radius of the section's corners there."""
+    neck_diameter: PositiveLength = 9.8
+    """Diameter of the neck where it leaves the body."""
+    trunnion_diameter: PositiveLength = 12.0
+    """Diameter of the neck's end, which carries the head."""
+    head_offset: PositiveLength = 43.0
+    """Medial distance of the head's centre from the shaft axis."""
+    head_height: PositiveLength = 54.0
+    """Height of the head's centre above mid lesser trochanter."""
+    neck_angle: Angle = math.radians(130.0)
+    """Angle between neck and shaft (rad)."""
+    resection_height: Length = 5.0
+    """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
+    resection_angle: Angle = math.radians(38.0)
+    """Angle of the cut to the transverse plane (rad)."""
+    plug_length: PositiveLength = 10.0
+    """Length of cement below the tip."""
+    distal_cut_z: Length = -200.0
+    """Level at which the shaft is cut and held."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> _Femur:
+        if self.distal_cut_z >= self.stem_tip_z - self.plug_length:
+            fail("is not below the cement plug", at=("distal_cut_z",))
+        for end in ("stem", "stem_tip"):
+            radius = getattr(self, f"{end}_corner_radius")
+            half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
+            if radius >= half:
+                fail(
+                    f"is not below the half-width and half-depth, {half:g} mm",
+                    at=(f"{end}_corner_radius",),
+                )
+        if not self.stem_tip_z < self.stem_section_z < self.stem_tip_z + self.stem_length:
+            fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
+        if not math.pi / 2 < self.neck_angle < math.pi:
+            fail("is not between 90 and 180 deg", at=("neck_angle",))
+        if not 0.0 <= self.resection_angle < math.pi / 2:
+            fail("is not between 0 and 90 deg", at=("resection_angle",))
+        return self
+
+    @property
+    def head_centre(self) -> Point3:
+        """Centre of the femoral head in the model's axes (mm)."""
+        return (self.head_offset, 0.0, self.head_height)
+
+    @property
+    def zones(self) -> tuple[Zones, ...]:
+        """Those around the stem, or where it will be."""
+        from meshes.gruen import Zones  # here: a check of the configuration needs no meshes
+
+        return (Zones(self),)
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether curved cells follow it better than straight ones."""
+        return True
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length (mm): coarser facets of the mantle cut through those of the canal."""
+        return 5.0
+
+
+class Femur(_Femur):
+    """A proximal femur with a straight tapered collarless stem in a cement mantle.
+
+    Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
+    The table of bone sections belongs to the mesher; the parameters here are those of the operation
+    and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
+    """
+
+    kind: Literal["femur"] = "femur"
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Implant, mantle and the two kinds of bone."""
+        return ("stem", "cement", *BONE)
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """The distal cut, the bone with its muscle patches, the trunnion and the resection."""
+        return ("distal_cut", "bone_surface", "stem_trunnion", *MUSCLES, "resection")
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """``stem_cement`` and ``cement_bone``."""
+        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), BONE)}
+
+    @property
+    def mantles(self) -> tuple[Mantle, ...]:
+        """That around the stem, with a plug below its tip."""
+        return (Mantle(self.cement_thickness, self.stem_tip_z),)
+
+    @property
+    def interface_area(self) -> float:
+        """Area of both interfaces (mm2), about: the stem's flanks and their offset."""
+        width = self.stem_half_width + self.stem_tip_half_width
+        depth = self.stem_half_depth + self.stem_tip_half_depth
+        flanks = 2.0 * (width + depth) * self.stem_length
+        return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        return graded_cells(self.interface_area, 1300.0 * (65.0 - self.distal_cut_z), mesh)
+
+
+class IntactFemur(_Femur):
+    """The same femur before the operation: bone alone, with its head and neck.
+
+    The operation and the implant are those that are planned: they do not change the bone, but say
+    which of it will be left, and that is what Gruen zones are of. So their strain energy can be
+    compared with that of a femur of the same numbers.
+    """
+
+    kind: Literal["intact_femur"] = "intact_femur"
+    head_radius: Annotated[
+        float, Dimension("mm", "a length", "23 mm", at_least=18.0, at_most=30.0)
+    ] = 23.0
+    """Radius of the femoral head, 18 to 30 mm; the neck has about two thirds of it."""
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """The two kinds of bone."""
+        return BONE
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """The distal cut, and the bone's surface with its muscle patches and the head."""
+        return ("distal_cut", "bone_surface", "head", *MUSCLES)
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """None."""
+        return {}
+
+    @property
+    def interface_area(self) -> float:
+        """Area of the endosteal surface (mm2), about, where its mesh is as fine as a mantle's."""
+        return 2.0 * math.pi * (8.0 * (20.0 - self.distal_cut_z) + 3.0 * self.head_radius**2)
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        volume = 1300.0 * (45.0 - self.distal_cut_z) + 6.0 * self.head_radius**3
+        return graded_cells(self.interface_area, volume, mesh)

@@ -1,0 +1,91 @@
+"""Gruen zones: which part of the bone around a stem is where.
+
+Frontal view: 1 to 3 lateral from proximal to distal, 4 distal to the tip, 5 to 7 medial from distal
+to proximal (Gruen, McNeice and Amstutz, Clin Orthop 141 (1979) 17). Lateral view, in the same
+order: 8 to 10 anterior, 11 distal to the tip, 12 to 14 posterior (Johnston et al., J Bone Joint
+Surg 72-A (1990) 161). From memory, not verified against the originals.
+
+Heights are thirds of the length of the stem that is in the bone, measured on its axis from the tip
+to the neck cut; bone beside the stem above that counts to the proximal third. Zones 4 and 11 are
+drawn on radiographs as far as these reach. Here they end 20 mm below the tip, about what is
+measured there by X-ray absorptiometry (a habit, not a standard): to the distal cut they would
+depend on where a model is cut and held. Bone below is in no zone.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from . import femur_bone, femur_mantle, femur_stem
+from .data import Floats, Ints
+
+BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
+EDGE = 1e-6  # mm: the face at the tip belongs to what is below it
+
+
+class Zones:
+    """The zones of a femur with a stem, or of one that is to have it.
+
+    Attributes:
+        numbers: Their numbers.
+        regions: The bone that is divided into them.
+        tip: Level of the stem's tip [mm].
+        top: Level at which its axis leaves the bone [mm].
+    """
+
+    numbers = range(1, 15)
+    regions = ("cortical_bone", "cancellous_bone")
+
+    def __init__(self, geometry: Any) -> None:
+        """Take the frame of the stem from the parameters of a configuration's femur."""
+        self._geometry = geometry
+        self.tip = geometry.stem_tip_z
+        normal, level = self._cut
+        self.top = min(level / normal[2], geometry.stem_tip_z + geometry.stem_length)
+
+    def at(self, x: Floats) -> Ints:
+        """Frontal zone, 1 to 7, and that of the lateral view, 8 to 14, of points; 0: none.
+
+        Args:
+            x: Points (n, 3) [mm].
+
+        Returns:
+            Shape (n, 2).
+        """
+        third = np.floor(3 * (x[:, 2] - self.tip) / (self.top - self.tip))
+        third = np.clip(third, 0, 2)[:, None].astype(np.int64)
+        # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
+        medial, anterior = (x[:, :1] >= 0), (x[:, 1:2] >= 0)
+        frontal = np.where(medial, 5 + third, 3 - third)
+        lateral = np.where(anterior, 10 - third, 12 + third)
+        zones = np.concatenate([frontal, lateral], axis=1)
+        zones[x[:, 2] < self.tip + EDGE] = (4, 11)
+        zones[x[:, 2] < self.tip - BELOW] = 0
+        return zones
+
+    def is_left(self, x: Floats) -> Any:
+        """Whether the operation leaves the bone at points, were its cuts as exact as planned.
+
+        Args:
+            x: Points (n, 3) [mm].
+
+        Returns:
+            Shape (n,).
+        """
+        g = self._geometry
+        normal, level = self._cut
+        z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
+        theta = np.arctan2(x[:, 1], x[:, 0])
+        cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
+        canal = femur_bone.canal(g.distal_cut_z, g.canal_widening).radius(theta, z)
+        # Where cement comes near the endosteum nothing is left between them.
+        film = femur_mantle.REMAINDER * femur_mantle.FILM
+        cavity = np.where(canal - cavity < film, canal, cavity)
+        return (x @ normal <= level) & ((r >= cavity) | (z < self.tip - g.plug_length))
+
+    @cached_property
+    def _cut(self) -> tuple[Floats, float]:
+        return femur_bone.resection(self._geometry)

@@ -1,0 +1,147 @@
+"""Gruen zones: where they are, and the energy that is told of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import ufl
+
+from app.femurs import Femur, IntactFemur
+from app.geometries import Blocks, Cylinders
+from app.quantities import Stresses
+from app.timing import Timing
+from meshes import femur_bone, femur_stem
+from meshes.gruen import BELOW, Zones
+from tests import support
+
+GEOMETRY = Femur()
+(ZONES,) = GEOMETRY.zones
+
+
+def test_zones_are_numbered_as_on_a_radiograph() -> None:
+    """1 to 3 lateral and 8 to 10 anterior downwards, then 4 and 11, then up on the other side."""
+    third = (ZONES.top - ZONES.tip) / 3
+    high, middle, low, below = (ZONES.tip + third * k for k in (2.5, 1.5, 0.5, -0.2))
+    for z, lateral, medial, anterior, posterior in (
+        (high, 1, 7, 8, 14),
+        (middle, 2, 6, 9, 13),
+        (low, 3, 5, 10, 12),
+        (below, 4, 4, 11, 11),
+    ):
+        x = np.array([(-10.0, 1.0, z), (10.0, 1.0, z), (1.0, 10.0, z), (1.0, -10.0, z)])
+        zones = ZONES.at(x)
+        assert zones[:2, 0].tolist() == [lateral, medial]
+        assert zones[2:, 1].tolist() == [anterior, posterior]
+
+
+def test_thirds_are_of_the_length_in_the_bone() -> None:
+    """From the tip to where the axis of the stem leaves the neck cut; 20 mm below it none."""
+    normal, level = femur_bone.resection(GEOMETRY)
+    assert normal @ [0.0, 0.0, ZONES.top] == pytest.approx(level)
+    assert ZONES.tip == -118.0 and 20.0 < ZONES.top < 25.0
+    levels = np.array([ZONES.top + 20.0, ZONES.tip + 1e-3, ZONES.tip, ZONES.tip - BELOW + 1e-3])
+    x = np.column_stack([np.full(4, 10.0), np.ones(4), levels])
+    assert ZONES.at(x).tolist() == [[7, 8], [5, 10], [4, 11], [4, 11]]
+    assert ZONES.at(np.array([(10.0, 1.0, ZONES.tip - BELOW - 1e-3)])).tolist() == [[0, 0]]
+    # A stem whose shoulder is below the cut is embedded as far as that.
+    assert Zones(GEOMETRY.model_copy(update={"stem_length": 130.0})).top == 12.0
+
+
+def test_what_the_operation_takes_is_in_no_zone() -> None:
+    """Stem, cement and neck; the bone beside them stays."""
+    cavity = femur_stem.body(GEOMETRY).offset(GEOMETRY.cement_thickness)
+    medial = float(cavity.section(0.0)[0])
+    assert ZONES.is_left(
+        np.array([(medial - 0.1, 0.0, 0.0), (medial + 0.1, 0.0, 0.0)])
+    ).tolist() == [
+        False,
+        True,
+    ]
+    # Where the canal has no room all of the cancellous bone goes, and none of the cortex.
+    canal = float(femur_bone.canal(-200.0, 0.0).radius(np.array(0.0), np.array(-80.0)))
+    assert canal < cavity.section(-80.0)[0]
+    assert ZONES.is_left(
+        np.array([(canal - 0.1, 0.0, -80.0), (canal + 0.1, 0.0, -80.0)])
+    ).tolist() == [
+        False,
+        True,
+    ]
+    head, below_plug = (43.0, 0.0, 54.0), (0.0, 0.0, -118.0 - 10.1)
+    assert ZONES.is_left(np.array([head, below_plug])).tolist() == [False, True]
+
+
+def test_only_a_femur_has_zones() -> None:
+    assert len(IntactFemur().zones) == 1
+    block = {"name": "a", "size": "[1, 1, 1] mm"}
+    assert Blocks.model_validate({"blocks": [block]}).zones == ()
+    sizes = dict.fromkeys(("stem_radius", "cement_thickness", "bone_thickness", "length"), "5 mm")
+    assert Cylinders.model_validate(sizes).zones == ()
+
+
+# Bone along a tilted fibre beside cement, sheared, pressed and partly let free by an eigenstrain.
+CASE = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [4 mm, 5 mm, 6 mm]}
+    - {name: upper, size: [4 mm, 5 mm, 3 mm]}
+mesh: {order: 2, size: 3 mm}
+regions:
+  lower:
+    kind: transversely_isotropic
+    axial_youngs_modulus: 17 GPa
+    transverse_youngs_modulus: 11.5 GPa
+    axial_poisson_ratio: 0.31
+    transverse_poisson_ratio: 0.51
+    axial_shear_modulus: 3.3 GPa
+    fibre: [1, 2, 2]
+  upper: {youngs_modulus: 600 MPa, poisson_ratio: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+loads:
+  push: {kind: force, boundary: top, force: [30 N, -10 N, -200 N]}
+"""
+
+
+def test_strain_energy_is_half_the_work_of_the_loads() -> None:
+    """Summed over all points, whatever the law: Clapeyron."""
+    solved = support.solve(CASE)
+    stresses = Stresses(solved.problem, Timing())
+    total = 0.0
+    for region, height in (("lower", 6.0), ("upper", 3.0)):
+        x, dx = stresses.places(region)
+        assert dx.sum() == pytest.approx(4 * 5 * height)
+        mean = (x * dx.reshape(-1, 1)).sum(axis=0) / dx.sum()
+        assert mean == pytest.approx([2.0, 2.5, height / 2 if region == "lower" else 7.5])
+        density = stresses.energy_density(region)
+        assert (density > 0).all()
+        total += float((density * dx).sum())
+    mechanics, (load,) = solved.problem.mechanics, solved.problem.scene.loads
+    v = ufl.TestFunction(mechanics.space)
+    f = mechanics.assemble(mechanics.load_work(load, 0, v, mechanics.cells()))
+    u = solved.problem.displacements()[0].x.array[: f.getLocalSize()]
+    assert total == pytest.approx(0.5 * float(f.array @ u), rel=1e-9)
+
+
+def _rollers(*sides: str) -> str:
+    """A support of each side across it."""
+    axes = {side: side[0] if side[0] in "xy" else "z" for side in sides}
+    each = [f"{s}: {{kind: roller, boundary: {s}, axis: {a}}}" for s, a in axes.items()]
+    return f"{{{', '.join(each)}}}"
+
+
+def test_free_strain_has_no_energy() -> None:
+    """A stack that swells freely, and then one that is held: E e^2 / 2 (1 - 2 nu) times 3."""
+    free = "{strain: [1e-3, 1e-3, 1e-3, 0, 0, 0]}"
+    swelling = (
+        "loads={}",
+        f"supports={_rollers('x_min', 'y_min', 'bottom')}",
+        f"regions.lower={{youngs_modulus: 600 MPa, poisson_ratio: 0.3, eigenstrains: [{free}]}}",
+        f"regions.upper.eigenstrains=[{free}]",
+    )
+    stresses = Stresses(support.solve(CASE, *swelling).problem, Timing())
+    assert np.abs(stresses.energy_density("upper")).max() < 1e-12
+    held = _rollers("x_min", "y_min", "bottom", "x_max", "y_max", "top")
+    stresses = Stresses(support.solve(CASE, *swelling, f"supports={held}").problem, Timing())
+    exact = 1.5 * 600.0 * 1e-6 / (1 - 0.6)
+    assert stresses.energy_density("upper") == pytest.approx(exact, rel=1e-9)

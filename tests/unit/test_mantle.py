@@ -1,0 +1,119 @@
+"""The thickness of a mantle, where it is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import meshes
+from app import preview
+from app.geometries import Blocks, Cylinders, MeshOptions
+from meshes import mantle
+from meshes.data import MeshData
+
+INNER, THICKNESS, LENGTH = 7.0, 4.0, 20.0
+ROD = Cylinders(
+    stem_radius=f"{INNER} mm",
+    cement_thickness=f"{THICKNESS} mm",
+    bone_thickness="5 mm",
+    length=f"{LENGTH} mm",
+)
+
+
+def mesh(geometry: Cylinders = ROD, size: str = "3 mm", curved: bool = True) -> MeshData:
+    return meshes.build(geometry, MeshOptions(size=size, far_size="6 mm", curved=curved))
+
+
+@pytest.mark.parametrize(("curved", "within"), [(True, 0.02), (False, 0.2)])
+def test_concentric_cylinders_are_as_thick_as_they_say(curved: bool, within: float) -> None:
+    """On curved cells nearly; on flat ones as well as chords of 3 mm follow the circles."""
+    note = mesh(curved=curved).notes["mantle"]
+    thickness = note["thickness"]
+    for key in ("nominal", "min", "p5", "median", "mean", "p95", "max"):
+        assert thickness[key] == pytest.approx(THICKNESS, abs=within), key
+    assert thickness["clipped_fraction"] == 0.0
+    exact = math.pi * ((INNER + THICKNESS) ** 2 - INNER**2) * LENGTH
+    assert note["volume"] == pytest.approx(exact, rel=1e-3 if curved else 0.05)
+    assert note["plug_volume"] == 0.0
+
+
+def test_a_cone_is_as_thick_as_its_flanks_are_apart() -> None:
+    rod = ROD.model_copy(update={"taper": math.radians(10.0)})
+    thickness = mesh(rod).notes["mantle"]["thickness"]
+    apart = THICKNESS * math.cos(math.radians(10.0))
+    assert thickness["median"] == pytest.approx(apart, abs=0.02)
+    assert thickness["nominal"] == THICKNESS
+
+
+def eccentric(by: float) -> MeshData:
+    """The rod with its stem moved sideways, the cement following."""
+    data = mesh(size="2 mm")
+    x = data.points.copy()
+    r = np.hypot(x[:, 0], x[:, 1])
+    x[:, 0] += by * np.clip((INNER + THICKNESS - r) / THICKNESS, 0.0, 1.0)
+    return replace(data, points=x, notes={})
+
+
+def test_percentiles_and_the_clipped_part_are_by_area() -> None:
+    """Between eccentric circles: the exact distance, all around."""
+    by = 1.5
+    thickness = mantle.describe(eccentric(by), THICKNESS, -math.inf)["thickness"]
+    turn = np.linspace(0.0, 2 * np.pi, 100_000)
+    place = np.hypot(by + INNER * np.cos(turn), INNER * np.sin(turn))
+    exact = INNER + THICKNESS - place
+    assert thickness["min"] == pytest.approx(THICKNESS - by, abs=0.02)
+    assert thickness["max"] == pytest.approx(THICKNESS + by, abs=0.02)
+    for key, part in (("p5", 5), ("median", 50), ("p95", 95)):
+        assert thickness[key] == pytest.approx(np.percentile(exact, part), abs=0.03), key
+    assert thickness["mean"] == pytest.approx(exact.mean(), abs=0.01)
+    clipped = np.mean(exact < mantle.CLIPPED * THICKNESS)
+    assert thickness["clipped_fraction"] == pytest.approx(clipped, abs=0.02)
+
+
+def test_what_is_below_the_tip_is_a_plug() -> None:
+    """A level in the middle of the cells: half of the volume, and no thickness below."""
+    data = eccentric(0.0)
+    half = mantle.describe(data, THICKNESS, 0.5 * LENGTH)
+    assert half["plug_volume"] == pytest.approx(0.5 * half["volume"], rel=6e-3)
+    # Were the lower half thinner nothing of it would be seen.
+    x = data.points.copy()
+    x[:, :2] *= np.where(x[:, 2] < 0.25 * LENGTH, 0.5, 1.0)[:, None]
+    squeezed = replace(data, points=x)
+    assert mantle.describe(squeezed, THICKNESS, -math.inf)["thickness"]["min"] < 3.0
+    assert mantle.describe(squeezed, THICKNESS, 0.5 * LENGTH)["thickness"]["min"] > 3.8
+
+
+def test_a_mesh_cached_before_it_was_noted_has_it_too(
+    tmp_path: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = MeshOptions(size="3 mm", far_size="6 mm", curved=True)
+    with monkeypatch.context() as older:
+        older.setattr(meshes, "_describe_mantle", lambda data, geometry: data)
+        assert "mantle" not in meshes.build(ROD, options, tmp_path).notes  # type: ignore[arg-type]
+    cached = meshes.build(ROD, options, tmp_path)  # type: ignore[arg-type]
+    assert cached.notes["mantle"] == mesh().notes["mantle"]
+
+
+def test_a_stack_of_blocks_has_no_mantle() -> None:
+    """Whatever its parts are called."""
+    blocks = [{"name": n, "size": "[4, 4, 4] mm"} for n in ("stem", "cement", "bone")]
+    stack = Blocks.model_validate({"blocks": blocks})
+    assert "mantle" not in meshes.build(stack, MeshOptions(size="3 mm")).notes
+
+
+def test_it_is_told_in_a_line() -> None:
+    note = {
+        "thickness": {
+            **{"nominal": 4.0, "min": 1.591, "p5": 1.8, "median": 2.95, "mean": 3.05},
+            **{"p95": 4.08, "max": 4.81, "clipped_fraction": 0.6102},
+        },
+        "volume": 20069.8,
+        "plug_volume": 1238.4,
+    }
+    assert preview._mantle(note) == (
+        "mantle: 4 mm, achieved 1.59 to 4.81, mean 3.05, median 2.95, p5 1.80, p95 4.08 mm; "
+        "clipped on 61.0% of the stem; 20070 mm3 of cement, 1238 below the tip"
+    )
