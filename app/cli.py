@@ -88,14 +88,22 @@ def parser() -> argparse.ArgumentParser:
     run = add(
         "run",
         "solve a case",
-        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force] [--error] "
+        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
         "[-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
     )
     add_case(run)
     run.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>")
     run.add_argument("-n", metavar="N", help="number of MPI ranks (default 1)")
-    run.add_argument("--force", action="store_true", help="replace results in the output folder")
+    existing = run.add_mutually_exclusive_group()
+    existing.add_argument(
+        "--force", action="store_true", help="replace results in the output folder"
+    )
+    existing.add_argument(
+        "--keep",
+        action="store_true",
+        help="the same, but leave what is finished with this very configuration",
+    )
     run.add_argument(
         "--error",
         action="store_true",
@@ -233,7 +241,14 @@ def _run(
     output = options.output or Path("out") / options.case.stem
     from app import folders
 
-    folders.prepare_run(output, options.force)
+    folders.prepare_run(output, options.force or options.keep)
+    if options.keep:
+        from app import kept
+
+        if kept.everything(output, case, options.case, options.overrides):
+            if rank() == 0:
+                print(f"{output} is finished already")
+            return 0
     if size is None and count is not None and count > 1:
         return ranks.launch(count, [sys.executable, "-m", "app", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
@@ -242,7 +257,7 @@ def _run(
     with _stack():
         from app.run import run
 
-    return run(case, options.case, output, petsc_options, options.overrides)
+    return run(case, options.case, output, petsc_options, options.overrides, options.keep)
 
 
 def _check(options: argparse.Namespace) -> int:
