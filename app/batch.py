@@ -1,4 +1,4 @@
-"""One engine for many runs: Snakemake over subprocesses of ``mantle run``.
+"""One engine for many runs: Snakemake over subprocesses of ``mantle run``, here or by Slurm.
 
 A run lives in a directory named by its content, so that a finished one is never done twice, and a
 failed or a changed one is::
@@ -7,6 +7,9 @@ failed or a changed one is::
     folder/runs/<id>/           its run directory, complete once it holds DONE
     folder/runs/<id>.log        what it said
     folder/runs/<id>.status     its exit code, and when it began and ended
+    folder/runs/<id>.lock       locked while it runs
+    folder/runs/<id>.ok         for Snakemake: it is done
+    folder/runs/<id>.slurm      what Slurm said of its job
     folder/snakemake.log        what Snakemake said
 """
 
@@ -33,8 +36,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any
 
-from app import __version__, config
+from app import __version__, cluster, config
 from app.errors import EnvironmentProblem, InputError, StoppedError
+from app.folders import write_json, write_text
 
 log = logging.getLogger("mantle")
 
@@ -43,7 +47,7 @@ SNAKEFILE = Path(__file__).with_name("Snakefile")
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that no run imports: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"app/(batch|bench\w*|cli|doctor|results|study\w*|verify\w*|work_precision)\.py"
+    r"app/(batch|bench\w*|cli|cluster|doctor|results|study\w*|verify\w*|work_precision)\.py"
 )
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
@@ -52,6 +56,7 @@ POLL = 0.1  # s
 MISSED = 15.0  # s after which Snakemake is told again to stop
 SAME_SIGNAL = 1.0  # s
 PATIENCE = 10.0  # s
+LOST = 70  # the exit code of a run that left none
 _PR_SET_PDEATHSIG = 1
 
 
@@ -106,13 +111,17 @@ class _Run:
     alone: bool
 
 
-def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
+def run(
+    jobs: Sequence[Job], folder: Path, cores: int, slurm: Sequence[str] | None = None
+) -> list[Result]:
     """Run what is not done yet.
 
     Args:
         jobs: What is wanted.
         folder: Where everything goes; used by one batch at a time.
-        cores: How many cores to use at most.
+        cores: How many cores of this machine to use at most.
+        slurm: Each run is a job of a Slurm cluster, with these options of sbatch; all nodes see
+            the folder. None: all run here.
 
     Returns:
         A result for each job, in their order. A failed job is a result too.
@@ -121,16 +130,18 @@ def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
         InputError: Any job is wrong: all their defects at once, before anything runs. Or the
             folder cannot be written or is in use.
         StoppedError: Interrupted; the same call goes on from there.
-        EnvironmentProblem: Snakemake is missing or failed.
+        EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
+    if slurm is not None:
+        cluster.check()
     cases = _resolve(jobs)
     with _folder(folder) as lock:
         ids, runs = _runs(jobs, cases, folder)
         pending = [r for r in runs.values() if _summary(folder, r.id) is None]
         log.info("%d runs: %d done already, in %s", len(runs), len(runs) - len(pending), folder)
         if pending:
-            _write(pending, folder, cores)
-            _execute(pending, len(runs), folder, cores, lock)
+            _write(pending, folder, cores if slurm is None else None)
+            _execute(pending, len(runs), folder, cores, lock, slurm)
         return [_result(job, folder, id) for job, id in zip(jobs, ids, strict=True)]
 
 
@@ -214,8 +225,15 @@ def _folder(folder: Path) -> Iterator[IO[str]]:
         yield file
 
 
-def _write(pending: Iterable[_Run], folder: Path, cores: int) -> None:
+def _write(pending: Iterable[_Run], folder: Path, cores: int | None) -> None:
     """Write the cases and what Snakemake is to do; forget how earlier tries ended.
+
+    What a killed batch left to Slurm may be running, and end at any time: it is let.
+
+    Args:
+        pending: The runs.
+        folder: The folder of the batch.
+        cores: Those of this machine; None on a cluster.
 
     Raises:
         InputError: The folder cannot be written.
@@ -224,16 +242,18 @@ def _write(pending: Iterable[_Run], folder: Path, cores: int) -> None:
     try:
         for r in pending:
             case, output = folder / "cases" / f"{r.id}.yaml", folder / "runs" / r.id
-            case.write_text(r.text, encoding="utf-8")
-            for old in (output / "DONE", _status_file(folder, r.id)):
-                old.unlink(missing_ok=True)
-            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--force"]
+            write_text(case, r.text)
+            if (output / "DONE").exists() and _summary(folder, r.id) is None:
+                (output / "DONE").unlink()  # its summary cannot be read
+            for kind in ("ok", "slurm", "status"):
+                _file(folder, r.id, kind).unlink(missing_ok=True)
+            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--keep"]
             command += ["-n", r.ranks] if r.ranks > 1 else []
             jobs[r.id] = {
                 "command": shlex.join(map(str, ["env", *_environment(), *command])),
-                "threads": cores if r.alone else min(r.ranks, cores),
+                "threads": r.ranks if not cores else cores if r.alone else min(r.ranks, cores),
             }
-        (folder / "jobs.json").write_text(json.dumps(jobs, indent=1), encoding="utf-8")
+        write_json(folder / "jobs.json", jobs)
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
 
@@ -245,17 +265,30 @@ def _environment() -> list[str]:
     return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])
 
 
-def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock: IO[str]) -> None:
+def _execute(
+    pending: Sequence[_Run],
+    total: int,
+    folder: Path,
+    cores: int,
+    lock: IO[str],
+    slurm: Sequence[str] | None,
+) -> None:
     """Have Snakemake run the pending runs, and tell how it goes.
 
     Raises:
         StoppedError: Interrupted.
-        EnvironmentProblem: Snakemake is missing or failed.
+        EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
     if importlib.util.find_spec("snakemake") is None:
         raise EnvironmentProblem("many runs need Snakemake (Debian: snakemake)")
-    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--cores", cores]
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE]
     command += ["--keep-going", "--nolock", "--rerun-incomplete", "--scheduler", "greedy"]
+    environ, last = dict(os.environ), int(signal.SIGTERM)
+    if slurm is None:
+        command += ["--cores", cores]
+    else:
+        command += cluster.options(folder, slurm, any(r.alone for r in pending))
+        environ, last = cluster.environment(environ), int(signal.SIGKILL)
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     libc = ctypes.CDLL(None)
     said, cache = folder / "snakemake.log", folder.resolve() / ".snakemake"
@@ -265,15 +298,15 @@ def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock
             list(map(str, command)),
             cwd=folder,
             # Snakemake cannot do without a cache of its own, wherever home is.
-            env=os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache)},
+            env=environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache)},
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
             # Ctrl-C is for this process, which passes it on once.
             start_new_session=True,
             # Should this process be killed, Snakemake starts nothing more, and the folder stays
-            # locked until what runs has ended.
-            preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
+            # locked until what runs has ended; what a cluster runs goes on and has its own locks.
+            preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, last),
             pass_fds=(lock.fileno(),),
         )
         try:
@@ -281,13 +314,20 @@ def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock
                 time.sleep(POLL)
                 progress.tell()
         except KeyboardInterrupt:
-            log.info("stopping; running cases save their state first (once more: stop at once)")
-            _end(child)
+            if slurm is None:
+                log.info("stopping; running cases save their state first (once more: stop at once)")
+                _end(child)
+            else:
+                log.info("stopping; the jobs are cancelled")
+                _cancel(child, folder)
             raise StoppedError(
                 f"stopped after {progress.count} of {total} runs; "
                 f"the same command goes on from there (in {folder})"
             ) from None
     progress.tell()
+    if slurm is not None:
+        _settle(pending, folder)
+        progress.tell(lost=True)
     if progress.open:
         lines = _tail(said)
         raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{lines}")
@@ -306,10 +346,17 @@ class _Progress:
         """Runs that have ended, those of earlier calls included."""
         return self._total - len(self.open)
 
-    def tell(self) -> None:
-        """Look for runs that have ended since the last time."""
+    def tell(self, lost: bool = False) -> None:
+        """Look for runs that have ended since the last time.
+
+        Args:
+            lost: Whether those have too that Slurm began and that left no exit code.
+        """
         for id, name in list(self.open.items()):
-            if (status := _status(self._folder, id)) is None:
+            status = _status(self._folder, id)
+            if status is None and lost and _file(self._folder, id, "slurm").exists():
+                status = LOST, 0.0
+            if status is None:
                 continue
             code, seconds = status
             del self.open[id]
@@ -344,7 +391,7 @@ def _interruptible() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = (signal.SIGTERM, signal.SIGHUP)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {n: signal.signal(n, signal.default_int_handler) for n in numbers}
     try:
         yield
@@ -376,6 +423,30 @@ def _end(child: subprocess.Popen[bytes]) -> None:
                 _send(child.pid, signal.SIGKILL)
 
 
+def _cancel(child: subprocess.Popen[bytes], folder: Path) -> None:
+    """End Snakemake and cancel its jobs.
+
+    Raises:
+        EnvironmentProblem: Slurm does not answer.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # it takes some seconds, and they would be in vain
+    _send(child.pid, signal.SIGKILL)
+    child.wait()
+    cluster.cancel(folder)
+
+
+def _settle(pending: Sequence[_Run], folder: Path) -> None:
+    """Wait until the results of runs that are done can be seen here, on a shared file system."""
+    deadline = time.monotonic() + cluster.LATENCY
+    for r in pending:
+        while (_status(folder, r.id) or (LOST, 0.0))[0] == 0 and _summary(folder, r.id) is None:
+            if time.monotonic() > deadline:
+                return
+            os.listdir(folder / "runs" / r.id)  # has it look again
+            time.sleep(1)
+
+
 def _send(group: int, number: int) -> bool:
     """Send a signal to a process group; whether there was anybody."""
     try:
@@ -385,14 +456,15 @@ def _send(group: int, number: int) -> bool:
     return True
 
 
-def _status_file(folder: Path, id: str) -> Path:
-    return folder / "runs" / f"{id}.status"
+def _file(folder: Path, id: str, kind: str) -> Path:
+    """A file beside a run directory."""
+    return folder / "runs" / f"{id}.{kind}"
 
 
 def _status(folder: Path, id: str) -> tuple[int, float] | None:
     """Exit code and seconds of a run; None while there are none."""
     try:
-        code, begin, end = _status_file(folder, id).read_text().split()
+        code, begin, end = _file(folder, id, "status").read_text().split()
         return int(code), float(end) - float(begin)
     except (OSError, ValueError):
         return None
@@ -413,14 +485,17 @@ def _summary(folder: Path, id: str) -> dict[str, Any] | None:
 
 def _result(job: Job, folder: Path, id: str) -> Result:
     """How a run has ended."""
-    code, seconds = _status(folder, id) or (0, 0.0)
+    status = _status(folder, id)
+    code, seconds = status or (LOST, 0.0)
     path, summary = folder / "runs" / id, _summary(folder, id)
     if summary is not None:
         return Result(job, path, 0, seconds, summary, "")
-    message = _tail(folder / "runs" / f"{id}.log")
+    message = _tail(_file(folder, id, "log"))
+    if status is None:
+        message += "\n" + _tail(_file(folder, id, "slurm"))
     if code > 128 and code - 128 in set(signal.Signals):
         message += f"\nkilled by {signal.Signals(code - 128).name}"
-    return Result(job, path, code or 70, seconds, {}, message.strip())
+    return Result(job, path, code or LOST, seconds, {}, message.strip())
 
 
 def _tail(path: Path) -> str:
