@@ -1,4 +1,4 @@
-"""One engine for many runs: Snakemake over subprocesses of ``mantle run``.
+"""One engine for many runs: Snakemake over subprocesses of ``mantle run``, here or by Slurm.
 
 A run lives in a directory named by its content, so that a finished one is never done twice, and a
 failed or a changed one is::
@@ -7,6 +7,9 @@ failed or a changed one is::
     folder/runs/<id>/           its run directory, complete once it holds DONE
     folder/runs/<id>.log        what it said
     folder/runs/<id>.status     its exit code, and when it began and ended
+    folder/runs/<id>.lock       locked while it runs
+    folder/runs/<id>.ok         for Snakemake: it is done
+    folder/runs/<id>.slurm      what Slurm said of its job
     folder/snakemake.log        what Snakemake said
 
 Runs that may share a stiffness (`Job.share`) are variations of one process, whose id the last three
@@ -36,9 +39,9 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import IO, Any
 
-from app import __version__, case_file, config
+from app import __version__, case_file, cluster, config
 from app.errors import ConvergenceError, EnvironmentProblem, InputError, StoppedError
-from app.folders import FAILED
+from app.folders import FAILED, write_json, write_text
 from app.variation_options import split
 
 log = logging.getLogger("mantle")
@@ -48,8 +51,8 @@ SNAKEFILE = Path(__file__).with_name("Snakefile")
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that no run imports: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"app/(batch|bench\w*|cli|doctor|report\w*|results|study\w*|sweep\w*|uncertainty|unrolled|"
-    r"verify\w*|work_precision)\.py"
+    r"app/(batch|bench\w*|cli|cluster|doctor|report\w*|results|study\w*|sweep\w*|uncertainty|"
+    r"unrolled|verify\w*|work_precision)\.py"
 )
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
@@ -58,6 +61,7 @@ SHARED = "shared-"
 LOG_LINES = 12
 POLL = 0.1  # s
 SAME_SIGNAL = 1.0  # s
+LOST = 70  # the exit code of a run that left none
 _PR_SET_PDEATHSIG = 1
 
 
@@ -128,13 +132,17 @@ class _Run:
     path: Path
 
 
-def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
+def run(
+    jobs: Sequence[Job], folder: Path, cores: int, slurm: Sequence[str] | None = None
+) -> list[Result]:
     """Run what is not done yet.
 
     Args:
         jobs: What is wanted.
         folder: Where everything goes; used by one batch at a time.
-        cores: How many cores to use at most.
+        cores: How many cores of this machine to use at most.
+        slurm: Each run is a job of a Slurm cluster, with these options of sbatch; all nodes see
+            the folder. None: all run here.
 
     Returns:
         A result for each job, in their order. A failed job is a result too.
@@ -143,8 +151,10 @@ def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
         InputError: Any job is wrong: all their defects at once, before anything runs. Or the
             folder cannot be written or is in use.
         StoppedError: Interrupted; the same call goes on from there.
-        EnvironmentProblem: Snakemake is missing or failed.
+        EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
+    if slurm is not None:
+        cluster.check()
     cases = _resolve(jobs)
     with _folder(folder) as lock:
         runs = _runs(jobs, cases, folder)
@@ -152,8 +162,8 @@ def run(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
         pending = [r for r in every if _summary(r) is None]
         log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
         if pending:
-            _write(pending, folder, cores)
-            _execute(pending, len(every), folder, cores, lock)
+            _write(pending, folder, cores if slurm is None else None)
+            _execute(pending, len(every), folder, cores, lock, slurm)
         return [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
 
 
@@ -165,13 +175,18 @@ def look(jobs: Sequence[Job], folder: Path) -> list[Result]:
         folder: The same; it need not exist.
 
     Returns:
-        A result for each job; those that have not run count as stopped.
+        A result for each job; those that have not ended count as stopped.
 
     Raises:
         InputError: Any job is wrong.
     """
     runs = _runs(jobs, _resolve(jobs), folder)
-    return [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
+    results = [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
+    stopped = partial(replace, exit_code=StoppedError.exit_code, message="")
+    return [
+        result if result.summary or _status(folder, r.process) or _left(r) else stopped(result)
+        for result, r in zip(results, runs, strict=True)
+    ]
 
 
 def _resolve(jobs: Sequence[Job]) -> list[config.Case]:
@@ -285,8 +300,15 @@ def _folder(folder: Path) -> Iterator[IO[str]]:
         yield file
 
 
-def _write(pending: Iterable[_Run], folder: Path, cores: int) -> None:
+def _write(pending: Iterable[_Run], folder: Path, cores: int | None) -> None:
     """Write the cases and what Snakemake is to do; forget how earlier tries ended.
+
+    What a killed batch left to Slurm may be running, and end at any time: it is let.
+
+    Args:
+        pending: The runs.
+        folder: The folder of the batch.
+        cores: Those of this machine; None on a cluster.
 
     Raises:
         InputError: The folder cannot be written.
@@ -298,18 +320,22 @@ def _write(pending: Iterable[_Run], folder: Path, cores: int) -> None:
     try:
         for id, runs in shared.items():
             case, output = folder / "cases" / f"{id}.yaml", folder / "runs" / id
-            case.write_text(_text(runs), encoding="utf-8")
-            marks = [r.path / mark for r in runs for mark in ("DONE", FAILED)]
-            for old in (*marks, _status_file(folder, id)):
-                old.unlink(missing_ok=True)
+            write_text(case, _text(runs))
+            for r in runs:
+                (r.path / FAILED).unlink(missing_ok=True)
+                if _summary(r) is None:
+                    (r.path / "DONE").unlink(missing_ok=True)
+            for kind in ("ok", "slurm", "status"):
+                _file(folder, id, kind).unlink(missing_ok=True)
             ranks = runs[0].ranks
-            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--force"]
+            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--keep"]
             command += ["-n", ranks] if ranks > 1 else []
+            alone = any(r.alone for r in runs)
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(), *command])),
-                "threads": cores if any(r.alone for r in runs) else min(ranks, cores),
+                "threads": ranks if not cores else cores if alone else min(ranks, cores),
             }
-        (folder / "jobs.json").write_text(json.dumps(jobs, indent=1), encoding="utf-8")
+        write_json(folder / "jobs.json", jobs)
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
 
@@ -336,17 +362,30 @@ def _environment() -> list[str]:
     return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])
 
 
-def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock: IO[str]) -> None:
+def _execute(
+    pending: Sequence[_Run],
+    total: int,
+    folder: Path,
+    cores: int,
+    lock: IO[str],
+    slurm: Sequence[str] | None,
+) -> None:
     """Have Snakemake run the pending runs, and tell how it goes.
 
     Raises:
         StoppedError: Interrupted.
-        EnvironmentProblem: Snakemake is missing or failed.
+        EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
     if importlib.util.find_spec("snakemake") is None:
         raise EnvironmentProblem("many runs need Snakemake (Debian: snakemake)")
-    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE, "--cores", cores]
+    command = [sys.executable, "-m", "snakemake", "--snakefile", SNAKEFILE]
     command += ["--keep-going", "--nolock", "--rerun-incomplete", "--scheduler", "greedy"]
+    environ = dict(os.environ)
+    if slurm is None:
+        command += ["--cores", cores]
+    else:
+        command += cluster.options(folder, slurm, any(r.alone for r in pending))
+        environ = cluster.environment(environ)
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     libc = ctypes.CDLL(None)
     said, cache = folder / "snakemake.log", folder.resolve() / ".snakemake"
@@ -356,14 +395,14 @@ def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock
             list(map(str, command)),
             cwd=folder,
             # Snakemake cannot do without a cache of its own, wherever home is.
-            env=os.environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache)},
+            env=environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache)},
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
             # Ctrl-C is for this process, which passes it on once.
             start_new_session=True,
-            # Should this process be killed, Snakemake starts nothing more. What runs goes on; who
-            # comes next waits for it.
+            # Should this process be killed, Snakemake starts nothing more. What runs goes on under
+            # locks of its own: who comes next waits for it.
             preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL),
             pass_fds=(lock.fileno(),),
         )
@@ -372,13 +411,20 @@ def _execute(pending: Sequence[_Run], total: int, folder: Path, cores: int, lock
                 time.sleep(POLL)
                 progress.tell()
         except KeyboardInterrupt:
-            log.info("stopping; running cases save their state first (once more: stop at once)")
-            _end(child)
+            if slurm is None:
+                log.info("stopping; running cases save their state first (once more: stop at once)")
+                _end(child)
+            else:
+                log.info("stopping; the jobs are cancelled")
+                _cancel(child, folder)
             raise StoppedError(
                 f"stopped after {progress.count} of {total} runs; "
                 f"the same command goes on from there (in {folder})"
             ) from None
     progress.tell()
+    if slurm is not None:
+        _settle(pending, folder)
+        progress.tell(lost=True)
     if progress.open:
         lines = _tail(said)
         raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{lines}")
@@ -397,11 +443,16 @@ class _Progress:
         """Runs that have ended, those of earlier calls included."""
         return self._total - len(self.open)
 
-    def tell(self) -> None:
-        """Look for runs that have ended since the last time."""
+    def tell(self, lost: bool = False) -> None:
+        """Look for runs that have ended since the last time.
+
+        Args:
+            lost: Whether those have too that Slurm began and that left no exit code.
+        """
         for run in list(self.open.values()):
-            ended = _status(self._folder, run.process)
-            if ended is None and (run.process == run.id or not _left(run)):
+            ended = _status(self._folder, run.process) is not None
+            ended |= run.process != run.id and _left(run)
+            if not ended and not (lost and _file(self._folder, run.process, "slurm").exists()):
                 continue
             result = _result(Job(run.name, run.path), self._folder, run)
             code = result.exit_code
@@ -438,7 +489,7 @@ def _interruptible() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = (signal.SIGTERM, signal.SIGHUP)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {n: signal.signal(n, signal.default_int_handler) for n in numbers}
     try:
         yield
@@ -476,6 +527,30 @@ def _others(group: int) -> bool:
     return False
 
 
+def _cancel(child: subprocess.Popen[bytes], folder: Path) -> None:
+    """End Snakemake and cancel its jobs.
+
+    Raises:
+        EnvironmentProblem: Slurm does not answer.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # it takes some seconds, and they would be in vain
+    _send(child.pid, signal.SIGKILL)
+    child.wait()
+    cluster.cancel(folder)
+
+
+def _settle(pending: Sequence[_Run], folder: Path) -> None:
+    """Wait until the results of runs that are done can be seen here, on a shared file system."""
+    deadline = time.monotonic() + cluster.LATENCY
+    for r in pending:
+        while (_status(folder, r.process) or (LOST, 0.0))[0] == 0 and _summary(r) is None:
+            if time.monotonic() > deadline:
+                return
+            os.listdir(r.path)  # has it look again
+            time.sleep(1)
+
+
 def _send(group: int, number: int) -> bool:
     """Send a signal to a process group; whether there was anybody."""
     try:
@@ -485,14 +560,15 @@ def _send(group: int, number: int) -> bool:
     return True
 
 
-def _status_file(folder: Path, id: str) -> Path:
-    return folder / "runs" / f"{id}.status"
+def _file(folder: Path, id: str, kind: str) -> Path:
+    """A file beside a run directory."""
+    return folder / "runs" / f"{id}.{kind}"
 
 
 def _status(folder: Path, id: str) -> tuple[int, float] | None:
     """Exit code and seconds of a run; None while there are none."""
     try:
-        code, begin, end = _status_file(folder, id).read_text().split()
+        code, begin, end = _file(folder, id, "status").read_text().split()
         return int(code), float(end) - float(begin)
     except (OSError, ValueError):
         return None
@@ -517,7 +593,8 @@ def _summary(run: _Run) -> dict[str, Any] | None:
 
 def _result(job: Job, folder: Path, run: _Run) -> Result:
     """How a run has ended."""
-    code, seconds = _status(folder, run.process) or (StoppedError.exit_code, 0.0)
+    status = _status(folder, run.process)
+    code, seconds = status or (LOST, 0.0)
     result = partial(Result, job, run.path, process=run.process)
     if (summary := _summary(run)) is not None:
         own = summary.get("timing", {}).get("total", 0.0)
@@ -526,10 +603,12 @@ def _result(job: Job, folder: Path, run: _Run) -> Result:
         # In a process that goes on without it, what it said stands in its folder.
         why = (run.path / FAILED).read_text(encoding="utf-8").strip()
         return result(ConvergenceError.exit_code, 0.0, {}, why)
-    message = _tail(folder / "runs" / f"{run.process}.log")
+    message = _tail(_file(folder, run.process, "log"))
+    if status is None:
+        message += "\n" + _tail(_file(folder, run.process, "slurm"))
     if code > 128 and code - 128 in set(signal.Signals):
         message += f"\nkilled by {signal.Signals(code - 128).name}"
-    return result(code or 70, seconds, {}, message.strip())
+    return result(code or LOST, seconds, {}, message.strip())
 
 
 def _tail(path: Path) -> str:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import shlex
 import sys
 import textwrap
 import time
@@ -89,14 +90,22 @@ def parser() -> argparse.ArgumentParser:
     run = add(
         "run",
         "solve a case",
-        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force] [--error] "
+        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
         "[-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
     )
     add_case(run)
     run.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>")
     run.add_argument("-n", metavar="N", help="number of MPI ranks (default 1)")
-    run.add_argument("--force", action="store_true", help="replace results in the output folder")
+    existing = run.add_mutually_exclusive_group()
+    existing.add_argument(
+        "--force", action="store_true", help="replace results in the output folder"
+    )
+    existing.add_argument(
+        "--keep",
+        action="store_true",
+        help="the same, but leave what is finished with this very configuration",
+    )
     run.add_argument(
         "--error",
         action="store_true",
@@ -138,6 +147,14 @@ def parser() -> argparse.ArgumentParser:
     )
     sweep.add_argument(
         "--dry-run", action="store_true", help="list the cases and what they would cost"
+    )
+    sweep.add_argument(
+        "--slurm",
+        nargs="?",
+        const="",
+        metavar="OPTIONS",
+        help="run each case as a Slurm job, with these further options of sbatch in one word, "
+        "e.g. --slurm='--partition=long --time=2:00:00'",
     )
     report = add("report", "figures, tables and verdicts of a sweep, as a page")
     report.add_argument("folder", type=Path, metavar="DIR", help="written by mantle sweep")
@@ -254,7 +271,14 @@ def _run(
     output = options.output or Path("out") / options.case.stem
     from app import folders
 
-    folders.prepare_run(output, options.force)
+    folders.prepare_run(output, options.force or options.keep)
+    if options.keep:
+        from app import kept
+
+        if kept.everything(output, case, options.case, options.overrides):
+            if rank() == 0:
+                print(f"{output} is finished already")
+            return 0
     if size is None and count is not None and count > 1:
         return ranks.launch(count, [sys.executable, "-m", "app", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
@@ -263,7 +287,7 @@ def _run(
     with _stack():
         from app.run import run
 
-    return run(case, options.case, output, petsc_options, options.overrides)
+    return run(case, options.case, output, petsc_options, options.overrides, options.keep)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -351,7 +375,8 @@ def _sweep(options: argparse.Namespace) -> int:
     if options.dry_run:
         print(sweep.plan(options.sweep, options.overrides, output, options.cores))
     else:
-        sweep.run(options.sweep, options.overrides, output, options.cores)
+        slurm = None if options.slurm is None else shlex.split(options.slurm)
+        sweep.run(options.sweep, options.overrides, output, options.cores, slurm)
     return 0
 
 

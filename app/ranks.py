@@ -26,6 +26,11 @@ from app.errors import EnvironmentProblem, InputError, StoppedError
 _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
 _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
 _SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
+# On one node only shared memory is needed; looking for a network fails audibly.
+ONE_NODE = {
+    "OMPI_MCA_btl": "self,sm",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+}
 _RULE = b"-" * 74
 _PR_SET_PDEATHSIG = 1
 _SAME_SIGNAL = 1.0  # s
@@ -85,9 +90,7 @@ def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
     """
     defaults = {"OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     if not any(name in environ for name in _SCHEDULERS):
-        # On one node only shared memory is needed; looking for a network fails audibly.
-        defaults["OMPI_MCA_btl"] = "self,sm"
-        defaults["PRTE_MCA_rmaps_default_mapping_policy"] = ":oversubscribe"
+        defaults |= ONE_NODE
     if os.geteuid() == 0:
         defaults |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     return {**defaults, **environ}

@@ -14,7 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import config, error, preview, ranks, variations
+from app import config, error, kept, preview, ranks, variations
 from app import log as text
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
 from app.folders import FAILED, prepare_run, write_text
@@ -32,6 +32,7 @@ def run(
     output: Path,
     petsc_options: list[str],
     overrides: list[str],
+    keep: bool = False,
 ) -> int:
     """Solve a case and write its run directory; collective.
 
@@ -41,6 +42,7 @@ def run(
         output: The run directory.
         petsc_options: Raw PETSc options from the command line.
         overrides: ``--set`` options, for the record.
+        keep: Whether variations that are finished stay.
 
     Returns:
         0.
@@ -62,7 +64,7 @@ def run(
         summary = session.solve(case, overrides, output)
         log.info("%s", text.closing_table(summary))
     else:
-        session.vary(case, overrides, output)
+        session.vary(case, overrides, output, keep)
     log.info("results in %s", output)
     return 0
 
@@ -94,8 +96,14 @@ class Session:
         self._timing = Timing()
         self._models: list[Model] = []
 
-    def vary(self, case: config.Case, overrides: Sequence[str], output: Path) -> None:
+    def vary(self, case: config.Case, overrides: Sequence[str], output: Path, keep: bool) -> None:
         """Solve the variations of a case, each in a folder of its own; collective.
+
+        Args:
+            case: The case.
+            overrides: ``--set`` options, for the record.
+            output: The folder above theirs.
+            keep: Whether those that are finished stay.
 
         Raises:
             ConvergenceError: Some did not converge; the others are done.
@@ -107,7 +115,14 @@ class Session:
         on_root(self._comm, lambda: mark.unlink(missing_ok=True), share=False)
         rows: dict[int, variations.Row] = {}
         failed: dict[str, str] = {}
+        if keep:
+            finished = on_root(self._comm, lambda: kept.summaries(output, varied)) or {}
+            for i, old in finished.items():
+                rows[i] = variations.row(varied[i], old, "converged", old["timing"]["total"])
+            log.info("%d of %d variations are finished already", len(rows), len(chain))
         for number, i in enumerate(chain):
+            if i in rows:
+                continue
             v, folder = varied[i], output / varied[i].name
             log.info("variation %d of %d: %s", number + 1, len(chain), v.name)
             on_root(self._comm, partial(_prepare, folder), share=False)
@@ -125,10 +140,12 @@ class Session:
                 text_ = f"variation {v.name} (number {number + 1} of {len(chain)}): {stop}"
                 raise StoppedError(text_) from stop
             rows[i] = variations.row(v, summary, status, clock.perf_counter() - self._begin)
-            done = [rows[k] for k in sorted(rows)]
-            on_root(self._comm, partial(variations.write, done, output), share=False)
+            table = partial(variations.write, [rows[k] for k in sorted(rows)], output)
+            on_root(self._comm, table, share=False)
             self._begin, self._started = clock.perf_counter(), datetime.now(UTC)
             self._timing.clear()
+        done = [rows[k] for k in sorted(rows)]
+        on_root(self._comm, partial(variations.write, done, output), share=False)
         log.info("%s", variations.table(done))
         if failed:
             names = ", ".join(failed)

@@ -35,7 +35,13 @@ NOT_CONVERGED = "no convergence"
 IDLE = 1.1
 
 
-def run(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> None:
+def run(
+    path: Path,
+    overrides: Sequence[str],
+    folder: Path,
+    cores: int,
+    slurm: Sequence[str] | None = None,
+) -> None:
     """Run the cases of a sweep that are not done yet, and write their table.
 
     Args:
@@ -43,6 +49,7 @@ def run(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> None:
         overrides: ``--set`` options: they hold for every case.
         folder: Where everything goes; what is done there already is not run again.
         cores: Cores to use.
+        slurm: Run each case as a Slurm job, with these further options of sbatch.
 
     Raises:
         InputError: The file or any case of it is wrong: everything at once, before anything runs.
@@ -54,7 +61,7 @@ def run(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> None:
     begin = time.monotonic()
     log.info("%s: %d cases", sweep.title or path.stem, len(planned))
     try:
-        results = batch.run(jobs, folder, cores)
+        results = batch.run(jobs, folder, cores, slurm)
     except StoppedError:
         _write(sweep, path, planned, batch.look(jobs, folder), folder, cores, begin)
         raise
@@ -207,4 +214,4 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
 def _reason(message: str) -> str:
     """What a message comes down to: where nothing converged, else its last line."""
     lines = [line.strip() for line in message.splitlines() if line.strip()]
-    return next((line for line in lines if line.startswith(NOT_CONVERGED)), (*lines, "")[-1])
+    return next((line for line in lines if line.startswith(NOT_CONVERGED)), ["", *lines][-1])

@@ -16,6 +16,8 @@ from app.fields import MAPPING, Model, Name, Text, fail, show
 from app.study_options import Changes, Line, check_ranks, steps
 from app.variation_options import labels, short_keys
 
+# Random designs of samples to choose from.
+DESIGNS = 20
 # A number, and its unit if it has one.
 QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
@@ -102,15 +104,18 @@ class LatinHypercube(Model):
     """The range of each key."""
 
     def draw(self) -> list[dict[str, Any]]:
-        """The overrides of each sample, spread evenly over all inputs together.
+        """The overrides of each sample (McKay, Beckman and Conover, doi:10.2307/1268522).
 
-        McKay, Beckman and Conover, doi:10.2307/1268522.
+        Of some designs the one whose inputs are least correlated by chance.
         """
+        import numpy as np
         from scipy.stats import qmc
 
-        shares = qmc.LatinHypercube(
-            len(self.inputs), seed=self.seed, optimization="random-cd"
-        ).random(self.samples)
+        sampler = qmc.LatinHypercube(len(self.inputs), seed=self.seed)
+        designs = [
+            sampler.random(self.samples) for _ in range(DESIGNS if len(self.inputs) > 1 else 1)
+        ]
+        shares = min(designs, key=lambda d: np.abs(np.tril(np.corrcoef(d, rowvar=False), -1)).max())
         return [
             {key: r.at(float(s)) for (key, r), s in zip(self.inputs.items(), row, strict=True)}
             for row in shares

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +18,8 @@ import h5py
 import numpy as np
 import pytest
 
-from app import config
+import meshes
+from app import config, kept
 from meshes import femur_bone
 from tests import support
 
@@ -309,6 +312,52 @@ def test_force_replaces_results(done: tuple[Path, Path, str], tmp_path: Path) ->
     assert (output / "DONE").read_text() == ""
 
 
+def test_keep_leaves_what_is_finished(done: tuple[Path, Path, str], tmp_path: Path) -> None:
+    """And runs what is of another configuration, or not complete."""
+    case, output = done[0], tmp_path / "out"
+    shutil.copytree(done[1], output)
+    same = ("--set", "interfaces.cement_bone.friction_coefficient=0.80", "--keep")
+
+    def stamps() -> dict[str, int]:
+        return {p.name: p.stat().st_mtime_ns for p in output.iterdir()}
+
+    before = stamps()
+    result = run(case, "-o", output, *same)
+    assert (result.returncode, result.stdout) == (0, f"{output} is finished already\n")
+    assert stamps() == before and result.stderr == ""
+    (output / "DONE").unlink()
+    assert run(case, "-o", output, *same).returncode == 0
+    again = stamps()
+    assert all(again[name] > before[name] for name in FILES)
+    result = run(case, "-o", output, "--keep")
+    assert result.returncode == 0 and "finished" not in result.stdout
+    assert all(stamps()[name] > again[name] for name in FILES)
+    assert "friction_coefficient: 1.0" in (output / "case.yaml").read_text()
+    assert run(case, "-o", tmp_path / "new", "--keep").returncode == 0
+    assert {p.name for p in (tmp_path / "new").iterdir()} == FILES
+    both = run(case, "-o", output, "--keep", "--force")
+    assert both.returncode == 2 and "not allowed with argument --keep" in both.stderr
+
+
+def test_results_of_an_older_mesh_file_are_not_finished(tmp_path: Path) -> None:
+    mesh = tmp_path / "box.msh"
+    blocks = support.case(SLIDING)
+    meshes.write_msh(meshes.build(blocks.geometry, blocks.mesh), mesh)
+    geometry = f"""geometry:
+  kind: file
+  path: {mesh}
+  interfaces: {{lower_upper: [lower, upper]}}
+"""
+    case = support.case(geometry + SLIDING[SLIDING.index("mesh:") :])
+    (tmp_path / "case.yaml").write_text(config.dump(case))
+    assert not kept.finished(tmp_path, case)
+    (tmp_path / "DONE").write_text("")
+    assert kept.finished(tmp_path, case)
+    later = (tmp_path / "DONE").stat().st_mtime + 1
+    os.utime(mesh, (later, later))
+    assert not kept.finished(tmp_path, case)
+
+
 def test_petsc_options_reach_the_solver(tmp_path: Path) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(SLIDING)
@@ -397,7 +446,34 @@ def test_a_variation_that_fails_does_not_stop_the_others(tmp_path: Path) -> None
     assert [r["name"] for r in rows] == ["slides", "holds", "pressed"]
     slip = read(output / "pressed")["interfaces"]["lower_upper"]["slip_p99"]
     assert float(rows[2]["lower_upper.slip_p99 [mm]"]) == pytest.approx(slip, rel=1e-12)
-    # Once more, and now all of them hold: what failed before says nothing any more.
+    # Only what failed is tried again, and what has changed is run: then all of them hold, and what
+    # failed before says nothing any more.
+    stamps = [(output / name / "DONE").stat().st_mtime_ns for name in ("holds", "pressed")]
+    again = run(case, "-o", output, "--keep")
+    assert again.returncode == 4 and "2 of 3 variations are finished already" in again.stdout
+    rows_again = json.loads((output / "variations.json").read_text())
+    assert [[r[k] for k in ("name", "status", "numbers")] for r in rows_again] == [
+        [r[k] for k in ("name", "status", "numbers")] for r in table
+    ]
+    held = (
+        "--set",
+        "variations.slides={loads.push.force: [9 N, 0 N, 0 N]}",
+        "--set",
+        "variations.holds={loads.push.force: [7 N, 0 N, 0 N]}",
+        "--keep",
+    )
+    result = run(case, "-o", output, *held)
+    assert result.returncode == 0, result.stderr
+    assert "1 of 3 variations are finished already" in result.stdout
+    assert (output / "DONE").exists() and not (output / "slides" / "FAILED").exists()
+    assert (output / "holds" / "DONE").stat().st_mtime_ns > stamps[0]
+    assert (output / "pressed" / "DONE").stat().st_mtime_ns == stamps[1]
+    assert run(case, "-o", output, *held).stdout == f"{output} is finished already\n"
+    # All of them are there, but not their table: it was killed in between.
+    (output / "DONE").unlink()
+    (output / "variations.csv").unlink()
+    assert "3 of 3 variations" in run(case, "-o", output, *held).stdout
+    assert (output / "DONE").exists() and (output / "variations.csv").exists()
     more = ("--force", "--set", "variations.slides={loads.push.force: [9 N, 0 N, 0 N]}")
     assert run(case, "-o", output, *more).returncode == 0
     assert (output / "DONE").exists() and not (output / "slides" / "FAILED").exists()

@@ -67,5 +67,15 @@ def test_variations_on_two_ranks(tmp_path: Path) -> None:
             alike = [v for k, v in one["numbers"].items() if k.rpartition(".")[2].startswith(kind)]
             limit = 1e-8 * max(max(map(abs, alike)), 1e-6)
             assert two["numbers"][key] == pytest.approx(one["numbers"][key], abs=limit), key
+    # What is finished stays, on two ranks too; what failed is tried again.
+    output = tmp_path / "2"
+    before = {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")}
+    again = support.on_ranks(2, "-m", "app", "run", case, "-o", output, "--keep", code=4)
+    assert again.stdout.count("5 of 6 variations are finished already") == 1
+    assert {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")} == before
+    table = json.loads((output / "variations.json").read_text())
+    assert [(r["name"], r["numbers"]) for r in table] == [
+        (r["name"], r["numbers"]) for r in tables[1]
+    ]
     # Twice the load costs nothing on two ranks too.
     assert [row["newton_iterations"] for row in tables[1]][-1] == 0

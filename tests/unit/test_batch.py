@@ -6,6 +6,7 @@ summary with the mesh size, an exit code for the sizes that a file lists, a line
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import re
@@ -19,7 +20,7 @@ from pathlib import Path
 import pytest
 
 import meshes
-from app import batch, config
+from app import batch, cluster, config
 from app.batch import Job, Result
 from app.errors import EnvironmentProblem, InputError, StoppedError
 from tests import support
@@ -148,7 +149,7 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
         Job("twin", bench.case, ("mesh.size=3000 um",), alone=True),
     ]
     results = bench.run(*jobs)
-    assert bench.calls() == ["2.0 --force -n 2 1", "2.0 --force 1", "3.0 --force 1"]
+    assert bench.calls() == ["2.0 --keep -n 2 1", "2.0 --keep 1", "3.0 --keep 1"]
     assert [r.summary["size"] for r in results] == [1, 2, 2, 3, 3]
     assert results[0].folder == first[0].folder
     assert results[3].folder == results[4].folder
@@ -299,6 +300,75 @@ def test_a_broken_snakemake_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(batch, "SNAKEFILE", bad)
     with pytest.raises(EnvironmentProblem, match=r"Snakemake failed(?s:.*)SyntaxError"):
         bench.run(bench.job(1.0))
+
+
+def test_a_result_that_cannot_be_read_runs_again(bench: Bench) -> None:
+    """`mantle run --keep` would take it for finished."""
+    (first,) = bench.run(bench.job(1.0))
+    bench.calls()
+    (first.folder / "summary.json").write_text("{")
+    bench.break_(1.0)
+    (second,) = bench.run(bench.job(1.0))
+    assert second.exit_code == 1 and bench.sizes() == [1.0]
+    assert not (first.folder / "DONE").exists()
+
+
+def test_two_controllers_run_a_case_in_turn(bench: Bench) -> None:
+    """The second waits for what the first left running, as Slurm does when a batch is killed."""
+    bench.take(1.0)
+    (first,) = bench.run(bench.job(1.0))
+    bench.calls()
+    (first.folder / "DONE").unlink()
+    lock = first.folder.with_name(f"{first.folder.name}.lock").open("w")
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    ends: list[float] = []
+
+    def leave() -> None:
+        time.sleep(2.0)
+        assert not (bench.folder / "calls").exists()
+        ends.append(time.time())
+        lock.close()
+
+    thread = threading.Thread(target=leave)
+    thread.start()
+    (second,) = bench.run(bench.job(1.0))
+    thread.join()
+    begin = float((first.folder.with_name(f"{first.folder.name}.status")).read_text().split()[1])
+    assert second.exit_code == 0 and ends and begin >= ends[0]
+    assert bench.sizes() == [1.0]
+
+
+def test_missing_slurm_is_told_before_anything_is_written(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(bench.folder))
+    with pytest.raises(EnvironmentProblem, match="sbatch is not here") as error:
+        batch.run([bench.job(1.0)], bench.out, 2, slurm=("--mem=1G",))
+    assert error.value.exit_code == 69 and not bench.out.exists()
+
+
+@pytest.mark.parametrize(
+    ("answer", "code", "state"),
+    [
+        ("COMPLETED", 0, "success"),
+        ("PENDING", 0, "running"),
+        ("COMPLETING", 0, "running"),
+        ("TIMEOUT", 0, "failed"),
+        ("CANCELLED", 0, "failed"),
+        ("", 0, "failed"),
+        ("slurm_load_jobs error: Invalid job id specified", 1, "failed"),
+        ("slurm_load_jobs error: Unable to contact slurm controller", 1, "running"),
+    ],
+)
+def test_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path) -> None:
+    squeue = tmp_path / "squeue"
+    squeue.write_text(f"#!/bin/sh\necho '{answer}'\nexit {code}\n")
+    squeue.chmod(0o755)
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", cluster.STATUS, "17"], env={"PATH": path}, capture_output=True, text=True
+    )
+    assert (done.stdout, done.stderr, done.returncode) == (f"{state}\n", "", 0)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,274 @@
+"""Many runs by a real Slurm: the daemons run in namespaces of their own, on this machine.
+
+The cases are solved for real, on two ranks each; what stands between Slurm and ``mantle run`` only
+writes down what became of every call.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from app import batch
+from app.errors import EnvironmentProblem
+from tests import support
+
+pytestmark = pytest.mark.slow
+
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol", "unshare")
+NAMESPACES = ("unshare", "-m", "-p", "-f", "--kill-child", "--propagation", "unchanged")
+RANKS, CASES = 2, 6
+PATIENCE = 240.0  # s
+
+CONFIGURATION = """\
+ClusterName=mantle
+SlurmctldHost={host}(127.0.0.1)
+SlurmctldPort={ports[0]}
+SlurmdPort={ports[1]}
+SlurmUser=root
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge.socket
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_Core
+SlurmdParameters=config_overrides
+SchedulerParameters=sched_interval=2,bf_interval=2
+MpiDefault=none
+KillWait=5
+NodeName={host} NodeAddr=127.0.0.1 CPUs=4 RealMemory=1000
+PartitionName=all Nodes=ALL Default=YES State=UP
+"""
+# The first process of its namespace: with it all others end, jobs included.
+DAEMONS = """\
+mount --make-rprivate /proc && mount -t proc proc /proc || exit
+munged --force --foreground --key-file=key --socket="$PWD/munge.socket" \\
+    --pid-file="$PWD/munge.pid" --log-file="$PWD/munged.log" --seed-file="$PWD/munge.seed" &
+while [ ! -S munge.socket ]; do sleep 0.1; done
+slurmctld -D -c &
+slurmd -D &
+wait
+"""
+# Runs a case and writes down whether it was solved or was finished before.
+COUNTED = """\
+import pathlib, subprocess, sys
+done = subprocess.run(
+    [sys.executable, "-m", "app", "run", *sys.argv[1:]], stdout=subprocess.PIPE, text=True
+)
+print(done.stdout)
+what = "solved" if "converged: " in done.stdout else "finished" if "already" in done.stdout else "-"
+with (pathlib.Path(__file__).parent / "calls").open("a") as file:
+    file.write(f"{pathlib.Path(sys.argv[3]).name} {done.returncode} {what}\\n")
+sys.exit(done.returncode)
+"""
+CONTROLLER = """\
+import logging, pathlib, sys
+from app import batch
+from tests.robustness.test_slurm import batch_of
+logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
+batch_of(pathlib.Path(sys.argv[1]), int(sys.argv[2]))
+"""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A Slurm of one node with four processors.
+
+    Attributes:
+        environ: What its commands need.
+    """
+
+    environ: dict[str, str]
+
+    def ask(self, *command: str) -> str:
+        """What a command of Slurm says."""
+        done = subprocess.run(command, env=self.environ, capture_output=True, text=True, check=True)
+        return done.stdout
+
+    def queue(self) -> dict[str, str]:
+        """The states of the jobs that wait or run."""
+        lines = self.ask("squeue", "--noheader", "--format=%i %T").splitlines()
+        return {number: state for number, state in (line.split() for line in lines)}
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    missing = [program for program in PROGRAMS if shutil.which(program) is None]
+    if missing:
+        pytest.skip(
+            f"no {', '.join(missing)} here; ./mantle test --all installs packages-optional.txt"
+        )
+    if subprocess.run([*NAMESPACES, "true"], capture_output=True).returncode:
+        pytest.skip("this user may not open namespaces")
+    folder = tmp_path_factory.mktemp("slurm")
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
+    ports = [s.getsockname()[1] for s in sockets]
+    for s in sockets:
+        s.close()
+    host = socket.gethostname().partition(".")[0]
+    text = CONFIGURATION.format(host=host, ports=ports, folder=folder)
+    (folder / "slurm.conf").write_text(text)
+    (folder / "cgroup.conf").write_text("CgroupPlugin=disabled\n")
+    (folder / "key").write_bytes(os.urandom(128))
+    (folder / "key").chmod(0o400)
+    for name in ("state", "spool"):
+        (folder / name).mkdir()
+    environ = support.environment() | {
+        "SLURM_CONF": str(folder / "slurm.conf"),
+        "CI": "true",  # has Snakemake look every second instead of every ten
+    }
+    libc = ctypes.CDLL(None)
+    with (folder / "daemons.log").open("w") as said:
+        daemons = subprocess.Popen(
+            [*NAMESPACES, "sh", "-c", DAEMONS],
+            cwd=folder,
+            env=environ,
+            stdin=subprocess.DEVNULL,
+            stdout=said,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            preexec_fn=lambda: libc.prctl(1, signal.SIGKILL),  # whatever ends the tests
+        )
+    made = Cluster(environ)
+    try:
+
+        def ready() -> bool:
+            assert daemons.poll() is None, (folder / "daemons.log").read_text()
+            up = (folder / "munge.socket").exists()
+            return up and "idle" in made.ask("sinfo", "--noheader", "--format=%T")
+
+        wait(ready, 60)
+        yield made
+    finally:
+        daemons.kill()
+        daemons.wait()
+
+
+def wait(condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def batch_of(folder: Path, cases: int, *options: str) -> list[batch.Result]:
+    """Three blocks in contact, with as many coefficients of friction, on two ranks each."""
+    (folder / "counted.py").write_text(COUNTED)
+    batch.MANTLE_RUN = (sys.executable, str(folder / "counted.py"))
+    jobs = [
+        batch.Job(
+            f"blocks {i}",
+            support.CONFIGS / "blocks.yaml",
+            ("mesh.size=4 mm", f"interfaces.cement_metal.friction_coefficient={0.3 + 0.1 * i}"),
+            ranks=RANKS,
+        )
+        for i in range(cases)
+    ]
+    return batch.run(jobs, folder / "out put", 1, slurm=options)
+
+
+def start(cluster: Cluster, folder: Path, cases: int = CASES) -> subprocess.Popen[str]:
+    """A batch in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-c", CONTROLLER, folder, str(cases)],
+        env=cluster.environ,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def calls(folder: Path) -> list[str]:
+    """How the calls of ``mantle run`` ended, without the case."""
+    path = folder / "calls"
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def test_a_killed_batch_is_resumed_and_runs_nothing_twice(cluster: Cluster, tmp_path: Path) -> None:
+    first = start(cluster, tmp_path)
+    wait(lambda: len(calls(tmp_path)) > 0)
+    first.kill()
+    first.communicate()
+    left = cluster.queue()
+    assert set(left.values()) >= {"RUNNING", "PENDING"}  # two at a time: it was midway
+    second = start(cluster, tmp_path)
+    told, _ = second.communicate(timeout=PATIENCE)
+    assert second.returncode == 0, told
+    assert f"[{CASES}/{CASES}]" in told and "failed" not in told
+    assert cluster.queue() == {}
+    solved = [line.split()[0] for line in calls(tmp_path) if line.endswith(" 0 solved")]
+    assert len(solved) == CASES == len(set(solved))
+    # Those that were left in the queue were submitted again, and found finished.
+    others = [line for line in calls(tmp_path) if not line.endswith(" 0 solved")]
+    assert others and all(line.endswith(" 0 finished") for line in others)
+    for run in solved:
+        folder = tmp_path / "out put" / "runs" / run
+        summary = json.loads((folder / "summary.json").read_text())
+        assert (folder / "DONE").exists() and summary["status"] == "converged"
+        assert summary["solver"]["ranks"] == RANKS
+        assert "converged: " in folder.with_name(f"{run}.log").read_text()
+
+
+def test_an_interrupted_batch_leaves_no_job_behind(cluster: Cluster, tmp_path: Path) -> None:
+    process = start(cluster, tmp_path)
+    wait(lambda: set(cluster.queue().values()) >= {"RUNNING", "PENDING"})
+    process.send_signal(signal.SIGINT)
+    told, _ = process.communicate(timeout=60)
+    assert "StoppedError: stopped after" in told, told
+    wait(lambda: cluster.queue() == {}, 30)
+    done = len(list((tmp_path / "out put" / "runs").glob("*/DONE")))
+    assert done < CASES
+    time.sleep(3)
+    assert cluster.queue() == {} and len(calls(tmp_path)) == done
+
+
+def test_a_job_that_slurm_ends_is_a_failed_run(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With options for sbatch that are not easily quoted."""
+    process = start(cluster, tmp_path, 1)
+    wait(lambda: "RUNNING" in cluster.queue().values())
+    (number,) = cluster.queue()
+    wait(lambda: any((tmp_path / "out put" / "runs").glob("*.log")))
+    cluster.ask("scancel", number)
+    told, _ = process.communicate(timeout=60)
+    assert "failed with exit code 70" in told, told
+    (said,) = (tmp_path / "out put" / "runs").glob("*.slurm")
+    assert "CANCELLED" in said.read_text()
+    for name, value in cluster.environ.items():
+        monkeypatch.setenv(name, value)
+    comment = '{it\'s} a "test"'
+    (result,) = batch_of(tmp_path, 1, f"--comment={comment}")
+    assert result.exit_code == 0 and result.summary["solver"]["ranks"] == RANKS
+    newest = max(
+        cluster.ask("squeue", "--noheader", "--states=all", "--format=%i").split(), key=int
+    )
+    assert f"Comment={comment} " in cluster.ask("scontrol", "show", "job", "-o", newest)
+
+
+def test_what_slurm_refuses_is_told(
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in cluster.environ.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(EnvironmentProblem, match="invalid partition specified: nowhere"):
+        batch_of(tmp_path, 1, "--partition", "nowhere")
