@@ -1,4 +1,4 @@
-"""Geometry to mesh: blocks, cylinders, a femur with stem and cement, or a gmsh file.
+"""Geometry to mesh: blocks, cylinders, a femur with or without a stem, or a gmsh file.
 
 ``build`` runs on one rank and returns plain arrays; ``meshes.distribute.distribute`` makes
 the dolfinx mesh of them, ``meshes.picture.picture`` draws them. gmsh and dolfinx are imported when

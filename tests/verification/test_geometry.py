@@ -125,22 +125,21 @@ def intact(curved: bool = True) -> MeshData:
 
 def test_the_intact_femur_has_the_shaft_of_the_operated_one() -> None:
     """Cortex and canal far from head and stem, the distal cut, the muscles."""
-    data, operated = intact(), meshes.build(Femur(), MeshOptions(size="5 mm", curved=True))
+    data, operated = intact(), meshes.build(Femur(), MeshOptions(size="4 mm", curved=True))
     assert data.notes["quality"]["sicn_min"] > 0.05
     assert set(data.boundaries) == set(IntactFemur().boundary_names)
     areas, others = boundary_areas(data), boundary_areas(operated)
     for name in set(areas) & set(others) - {"bone_surface"}:
-        assert areas[name] == pytest.approx(others[name], rel=0.03), name
+        assert areas[name] == pytest.approx(others[name], rel=0.05), name
     angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(-200, -140, 100))
     tubes = (femur_bone.outer(-200.0), femur_bone.canal(-200.0, 0.0))
     bone, canal = (60 * np.pi * (t.radius(angles, levels) ** 2).mean() for t in tubes)
     exact = {"cortical_bone": bone - canal, "cancellous_bone": canal}
-    for d in (data, operated):
-        below = (d.points[d.cells[:, :4], 2] @ mantle.LATTICE.T < -140.0).mean(axis=1)
-        for region, volume in exact.items():
-            own = d.cell_tags == d.regions[region]
-            found = cell_volumes(d.points, d.cells[own]) @ below[own]
-            assert found == pytest.approx(volume, rel=0.03), region
+    below = (data.points[data.cells[:, :4], 2] @ mantle.LATTICE.T < -140.0).mean(axis=1)
+    for region, volume in exact.items():
+        own = data.cell_tags == data.regions[region]
+        found = cell_volumes(data.points, data.cells[own]) @ below[own]
+        assert found == pytest.approx(volume, rel=0.01), region
 
 
 def test_the_head_is_a_sphere_on_a_neck() -> None:
