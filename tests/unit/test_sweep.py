@@ -437,3 +437,43 @@ def test_samples_tell_spread_and_cause() -> None:
     assert found["numbers"]["stem.retroversion"]["correlation"] == {}
     said = uncertainty.table({"p": found})
     assert "a +1.00, b +0.10" in said and "retroversion" not in said
+
+
+def test_the_shipped_study_of_the_paper_is_all_there() -> None:
+    """Figures 3 to 8 need so many cases; what friction changes alone shares a process."""
+    _, planned = sweep_file.read(support.ROOT / "configs" / "sweeps" / "paper.yaml")
+    stances = {
+        (
+            p.case.geometry.cement_thickness,
+            p.case.regions["stem"].youngs_modulus,
+            p.case.interfaces["cement_bone"].friction_coefficient,
+        )
+        for p in planned
+        if p.point.part in ("thickness", "friction")
+    }
+    assert stances == {(t, e, 1.0) for t in (2, 3, 4, 5, 7) for e in (110e3, 200e3)} | {
+        (4.0, e, friction) for e in (110e3, 200e3) for friction in (0.4, 0.6, 0.8, 1.0)
+    }
+    hot = [p.case for p in planned if p.point.part == "hot"]
+    assert {c.geometry.cement_thickness for c in hot} == {2, 3, 4, 5}
+    assert {"held" in c.heat for c in hot} == {True, False}
+    assert {p.point.part for p in planned} >= {"limits", "residual", "intact"}
+
+
+def test_the_sweep_for_learning(tmp_path: Path) -> None:
+    """As shipped, but on a coarse mesh: friction holds the stem back, the mantle's modulus less."""
+    path = support.ROOT / "configs" / "sweeps" / "friction_cylinders.yaml"
+    overrides = ["mesh.size=6 mm", "mesh.far_size=6 mm", "mesh.order=1", "stages.1.increments=1"]
+    sweep.run(path, overrides, tmp_path, 2)
+    found = json.loads((tmp_path / "sweep.json").read_text())
+    shear = {c["name"]: c["numbers"]["stem_cement.shear_p99"] for c in found["cases"]}
+    for thickness in (2, 4):
+        names = [
+            f"friction/cement_thickness={thickness}mm_friction_coefficient={f}"
+            for f in (0.2, 0.4, 0.6, 0.8)
+        ]
+        values = [shear[name] for name in names]
+        assert values == sorted(values) and values[3] > 2 * values[0]
+    spread = found["uncertainty"]["uncertain"]["numbers"]["stem_cement.shear_p99"]
+    friction, modulus = spread["correlation"].values()
+    assert friction > 0.7 and friction > modulus
