@@ -6,6 +6,7 @@ by the friction coefficient, and a line for every run that it finishes.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import logging
@@ -17,7 +18,6 @@ import signal
 import statistics
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -330,65 +330,76 @@ CONTROLLER = """\
 import sys
 from pathlib import Path
 from app import batch, sweep
-here = Path(sys.argv[1])
-batch.MANTLE_RUN = (sys.executable, str(here / "mantle.py"))
-sweep.run(here / "sweep.yaml", (), here / "out", 2)
+batch.MANTLE_RUN = tuple(sys.argv[3:])
+sweep.run(Path(sys.argv[1]), (), Path(sys.argv[2]), 2)
 """
 
 
-def killed(bench: Bench, seconds: float) -> None:
-    """Start the sweep in a process group of its own, and kill all of it after a while."""
-    command = [sys.executable, "-c", CONTROLLER, str(bench.folder)]
-    environment = os.environ | {"PYTHONPATH": str(support.ROOT)}
+def killed(path: Path, out: Path, seconds: float, runs_too: bool) -> None:
+    """Start a sweep, and after a while kill it; and what it runs too, as if the power failed."""
     child = subprocess.Popen(
-        command,
-        env=environment,
+        [sys.executable, "-c", CONTROLLER, str(path), str(out), *batch.MANTLE_RUN],
+        env=os.environ | {"PYTHONPATH": str(support.ROOT)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,
     )
-    try:
+    with contextlib.suppress(subprocess.TimeoutExpired):
         child.wait(seconds)
-    except subprocess.TimeoutExpired:
-        os.killpg(child.pid, signal.SIGKILL)
-        child.wait()
+    child.kill()
+    child.wait()
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            if runs_too and str(out).encode() in entry.read_bytes():
+                os.kill(int(entry.parent.name), signal.SIGKILL)
 
 
-def finished(bench: Bench) -> dict[str, int]:
-    """When each finished run was, by its folder."""
-    return {str(p): p.stat().st_mtime_ns for p in batch.finished(bench.out)}
+def kill_again_and_again(path: Path, out: Path, times: int, longest: float) -> int:
+    """A sweep killed at random moments keeps what it has, and ends with everything done.
 
+    Returns:
+        How many of the kills found something finished and something not.
+    """
 
-def kill_again_and_again(bench: Bench, times: int, longest: float) -> None:
-    """A sweep killed at random moments keeps what it has, and ends with everything done once."""
-    (bench.folder / "seconds").write_text("0.3")
+    def finished() -> dict[str, int]:
+        return {str(p): p.stat().st_mtime_ns for p in batch.finished(out)}
+
+    wanted = len({config.dump(p.case) for p in sweep_file.read(path)[1]})
     random.seed(times)
     done: dict[str, int] = {}
-    for _ in range(times):
-        killed(bench, random.uniform(0.5, longest))
-        now = finished(bench)
+    amid = 0
+    for k in range(times):
+        killed(path, out, random.uniform(0.5, longest), runs_too=k % 2 == 0)
+        now = finished()
         assert {path: now.get(path) for path in done} == done
         done = now
-    deadline = time.monotonic() + 60
-    while True:
-        try:
-            bench.run()
-            break
-        except InputError as error:  # what was running when all was killed holds the folder
-            assert "another batch" in str(error) and time.monotonic() < deadline
-            time.sleep(0.2)
-    now = finished(bench)
+        amid += 0 < len(done) < wanted
+    sweep.run(path, (), out, 2)
+    now = finished()
     assert {path: now.get(path) for path in done} == done
-    assert len(now) == 8 and {c["status"] for c in bench.cases()} == {"converged"}
+    assert len(now) == wanted
+    cases = json.loads((out / "sweep.json").read_text())["cases"]
+    assert {c["status"] for c in cases} == {"converged"}
+    return amid
 
 
 def test_a_killed_sweep_loses_nothing(bench: Bench) -> None:
-    kill_again_and_again(bench, 2, 5.0)
+    (bench.folder / "seconds").write_text("0.5")
+    kill_again_and_again(bench.sweep, bench.out, 2, 5.0)
 
 
 @pytest.mark.slow
-def test_a_sweep_killed_ten_times_loses_nothing(bench: Bench) -> None:
-    kill_again_and_again(bench, 10, 8.0)
+def test_a_real_sweep_killed_ten_times_loses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "sweep.yaml"
+    path.write_text(
+        """\
+base: BASE
+set: {mesh.size: 4 mm, ranks: 2}
+grid:
+  geometry.cement_thickness: [2 mm, 4 mm, 5 mm]
+  interfaces.stem_cement.friction_coefficient: [0.2, 0.4, 0.6, 0.8]
+""".replace("BASE", str(support.CONFIGS / "cylinders.yaml"))
+    )
+    assert kill_again_and_again(path, tmp_path / "out", 10, 15.0) >= 3
 
 
 def test_shared_and_separate_runs_give_the_same(tmp_path: Path) -> None:
