@@ -17,6 +17,7 @@ from app import (
     report_maps,
     report_page,
     report_trends,
+    uncertainty,
 )
 from app.batch import duration
 from app.errors import StoppedError
@@ -91,6 +92,7 @@ def run(folder: Path) -> Written:
             ("gruen", "Gruen zones", drawn(shields) + _zones(cases, sweep)),
             ("mantle", "Mantles", table(*report_gruen.mantles(sweep.cases))),
             ("other", "What else varies", drawn(multiples)),
+            ("uncertain", "What is not known well", _uncertain(sweep)),
             ("cases", "All cases", _parts(sweep.cases)),
         ]
         head = _summary(sweep, rows, trends)
@@ -105,6 +107,15 @@ def run(folder: Path) -> Written:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     done = sum(c.done for c in sweep.cases)
     return Written(files, trends, done, len(sweep.cases))
+
+
+def _uncertain(sweep: Sweep) -> str:
+    """How far numbers spread over samples of uncertain inputs."""
+    parts = []
+    for part, of in sweep.uncertainty.items():
+        words = f"{of['samples']} samples{f' ({part})' if part else ''}"
+        parts.append(paragraph(words) + table(uncertainty.HEAD, uncertainty.rows(of)))
+    return "".join(parts)
 
 
 def _summary(sweep: Sweep, rows: Sequence[Row], trends: Sequence[Trend]) -> str:

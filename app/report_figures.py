@@ -388,13 +388,15 @@ def multiples(cases: Sequence[Case], folder: Path) -> list[Figure]:
         if not groups:
             continue
         panels = []
-        for name in headlines([c for _, own in groups for c in own.values()])[:MOST_PANELS]:
+        for name in headlines([c for _, own in groups for c in own.values()]):
             text, unit, factor = label(name)
             lines = []
             for k, (common, own) in enumerate(groups[:MOST_SERIES]):
                 values = {x: n.times(factor) for x, c in own.items() if (n := c.number(name))}
                 lines.append(Line(common or "mantle", COLOURS[k], MARKERS[k], values, {}))
-            panels.append(Panel(text, unit or "value", lines))
+            if any(map(_varies, lines)):
+                panels.append(Panel(text, unit or "value", lines))
+        panels = panels[:MOST_PANELS]
         if _few(panels):
             continue
         file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
@@ -404,6 +406,12 @@ def multiples(cases: Sequence[Case], folder: Path) -> list[Figure]:
         caption = f"Bars: estimated errors, where they are known.{more}"
         figures.append(Figure(file, f"Numbers over {key}", caption, _words(panels)))
     return figures
+
+
+def _varies(line: Line) -> bool:
+    """Whether a curve is more than rounding."""
+    values = [n.value for n in line.numbers.values()]
+    return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
 
 
 def unit_of(cases: Sequence[Case], key: str) -> str:

@@ -138,6 +138,7 @@ class Sweep:
         cores: How many it used.
         seconds: How long it took.
         cases: All its cases, those that failed too.
+        uncertainty: What samples of uncertain inputs say, by part (`app/uncertainty.py`).
     """
 
     folder: Path
@@ -147,6 +148,7 @@ class Sweep:
     cores: int
     seconds: float
     cases: Sequence[Case]
+    uncertainty: dict[str, Any] = field(default_factory=dict)
 
 
 # Keys of a case and the types they may have.
@@ -199,6 +201,7 @@ def read(folder: Path) -> Sweep:
         int(data.get("cores") or 1),
         float(data.get("seconds") or 0.0),
         cases,
+        dict(data.get("uncertainty") or {}),
     )
 
 

@@ -69,23 +69,42 @@ def _correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
     return float(x @ y) / size if size else None
 
 
+def rows(of: Mapping[str, Any]) -> list[list[str]]:
+    """A part for people: number, unit, mean, percentiles, and the inputs it follows.
+
+    Args:
+        of: An entry of `of_parts`.
+
+    Returns:
+        Texts; what varies by more than rounding, the most uncertain first.
+    """
+    spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
+    order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
+    found = []
+    for name in order:
+        s = spread[name]
+        causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))
+        follows = ", ".join(f"{key.rpartition('.')[2]} {r:+.2f}" for key, r in causes)
+        numbers = [f"{s[key]:.4g}" for key in ("mean", "p5", "p95")]
+        found.append([name, study_options.unit(name), *numbers, follows])
+    return found
+
+
+HEAD = ("number", "unit", "mean", "5 %", "95 %", "follows (rank correlation)")
+
+
 def table(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """The same for people: what varies by more than rounding, the most uncertain first."""
-    lines = []
+    """All parts as text."""
+    blocks = []
     for part, of in found.items():
-        spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
-        if not spread:
-            continue
-        lines.append(f"{part or 'samples'}: {of['samples']} samples")
-        wide = max(map(len, spread))
-        lines.append(f"  {'':<{wide}} {'mean':>10} {'5 %':>10} {'95 %':>10} unit    follows")
-        order = sorted(
-            spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1)
-        )
-        for name in order:
-            s = spread[name]
-            causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))
-            follows = ", ".join(f"{key.rpartition('.')[2]} {r:+.2f}" for key, r in causes)
-            numbers = " ".join(f"{s[key]:>10.4g}" for key in ("mean", "p5", "p95"))
-            lines.append(f"  {name:<{wide}} {numbers} {study_options.unit(name):<7} {follows}")
-    return "\n".join(lines)
+        lines = [list(HEAD), *rows(of)]
+        wide = [max(len(line[k]) for line in lines) for k in range(len(HEAD))]
+        blocks.append(f"{part or 'samples'}: {of['samples']} samples")
+        blocks += [
+            "  ".join(
+                text.rjust(w) if 2 <= k <= 4 else text.ljust(w)
+                for k, (text, w) in enumerate(zip(line, wide, strict=True))
+            ).rstrip()
+            for line in lines
+        ]
+    return "\n".join(blocks)
