@@ -69,13 +69,16 @@ wait
 """
 # Runs a case and writes down whether it was solved or was finished before.
 COUNTED = """\
-import pathlib, subprocess, sys
+import pathlib, subprocess, sys, time
+here = pathlib.Path(__file__).parent
+while (here / "hold").exists():
+    time.sleep(0.1)
 done = subprocess.run(
     [sys.executable, "-m", "app", "run", *sys.argv[1:]], stdout=subprocess.PIPE, text=True
 )
 print(done.stdout)
 what = "solved" if "converged: " in done.stdout else "finished" if "already" in done.stdout else "-"
-with (pathlib.Path(__file__).parent / "calls").open("a") as file:
+with (here / "calls").open("a") as file:
     file.write(f"{pathlib.Path(sys.argv[3]).name} {done.returncode} {what}\\n")
 sys.exit(done.returncode)
 """
@@ -226,6 +229,23 @@ def test_a_killed_batch_is_resumed_and_runs_nothing_twice(cluster: Cluster, tmp_
         assert (folder / "DONE").exists() and summary["status"] == "converged"
         assert summary["solver"]["ranks"] == RANKS
         assert "converged: " in folder.with_name(f"{run}.log").read_text()
+
+
+def test_a_case_that_still_runs_is_waited_for(cluster: Cluster, tmp_path: Path) -> None:
+    """Though there is room for another job beside it."""
+    (tmp_path / "hold").write_text("")
+    first = start(cluster, tmp_path, 1)
+    wait(lambda: any((tmp_path / "out put" / "runs").glob("*.log")))
+    first.kill()
+    first.communicate()
+    second = start(cluster, tmp_path, 1)
+    wait(lambda: len(cluster.queue()) == 2)
+    time.sleep(3)
+    assert sorted(cluster.queue().values()) == ["PENDING", "RUNNING"]
+    (tmp_path / "hold").unlink()
+    told, _ = second.communicate(timeout=PATIENCE)
+    assert "[1/1] blocks 0 done" in told, told
+    assert [line.partition(" ")[2] for line in calls(tmp_path)] == ["0 solved", "0 finished"]
 
 
 def test_an_interrupted_batch_leaves_no_job_behind(cluster: Cluster, tmp_path: Path) -> None:
