@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import PydanticCustomError
+
+from app import study_options
 from app.report_compare import READINGS, published
 from app.report_paper import (
     QUANTITIES,
@@ -369,8 +373,11 @@ def label(name: str) -> tuple[str, str, float]:
     if quantity in QUANTITIES and how in ("p99", "max", "mean"):
         unit, factor = QUANTITIES[quantity]
         return f"{WORDS.get(place, place)} {WORDS[quantity]}, {how}", unit, factor
-    unit = "°C" if key.startswith("temperature_max") else ""
-    return f"{WORDS.get(place, place)} {key}".replace("_", " "), unit, 1.0
+    text = f"{WORDS.get(place, place)} {key}".replace("_", " ")
+    with suppress(PydanticCustomError):
+        unit = study_options.unit(name).replace("degC", "°C").replace("deg", "°").replace("-", "")
+        return text.replace("von mises", "von Mises"), unit, 1.0
+    return text, "", 1.0
 
 
 def multiples(cases: Sequence[Case], folder: Path) -> list[Figure]:
