@@ -56,17 +56,23 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         raise  # only if an error could not be told in words
     planned: list[Planned] = []
     problems: list[Problem] = []
-    replaced = {o.partition("=")[0].strip() for o in overrides}
+    given = {o.partition("=")[0].strip(): o.partition("=")[2].strip() for o in overrides}
+    if not re.fullmatch("[1-9][0-9]*", given.get("ranks", "1")):
+        raise InputError(
+            f"--set ranks: {given['ranks']} is not a number of ranks; allowed: 1, 2, ..."
+        )
+    others = [o for o in overrides if o.partition("=")[0].strip() != "ranks"]
     for point in expand(sweep):
         base = path.parent / point.base
-        own = {k: v for k, v in point.changes.items() if k != "ranks" and k not in replaced}
-        changes = (*study_options.options(own), "variations={}", *overrides)
+        own = {k: v for k, v in point.changes.items() if k != "ranks" and k not in given}
+        changes = (*study_options.options(own), "variations={}", *others)
         try:
             case = config.load(base, changes)
         except InputError as error:
             problems += [_located(point, base, m, own, file) for m in error.messages]
             continue
-        planned.append(Planned(point, base, changes, point.changes.get("ranks", 1), case))
+        ranks = int(given.get("ranks", point.changes.get("ranks", 1)))
+        planned.append(Planned(point, base, changes, ranks, case))
     file.raise_all(problems)
     return sweep, planned
 

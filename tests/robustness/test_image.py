@@ -1,4 +1,4 @@
-"""The image of the Dockerfile, built without a container engine, and a case run in it.
+"""The image of the Dockerfile, built without a container engine, and a sweep run in it.
 
 The steps of the Dockerfile are carried out as they stand, in a Debian 13 that is written to by
 nobody else: a layer over the one that the tests run in. Only the packages are there already, which
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 
 # What a user gives to `docker run -v "$PWD:/work" mantle`.
 COMMAND = (
-    *("run", "cylinders.yaml", "-n", "2", "-o", "out"),
+    *("sweep", "sweeps/friction_cylinders.yaml", "-o", "out", "--set", "ranks=2"),
     *("--set", "mesh.size=4 mm", "--set", "mesh.far_size=6 mm"),
 )
 PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"  # as engines set it
@@ -162,10 +162,12 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Image:
     return made
 
 
-def test_a_case_runs_in_the_image(image: Image) -> None:
+def test_a_sweep_runs_in_the_image(image: Image) -> None:
     """As its user, in a folder of the caller's, without compiling anything."""
     work = image.folder / "work"
-    shutil.copy(support.CONFIGS / "cylinders.yaml", work)
+    (work / "sweeps").mkdir()
+    for name in ("cylinders.yaml", "sweeps/friction_cylinders.yaml"):
+        shutil.copy(support.CONFIGS / name, work / name)
     done = image.run("id", "-u")
     user = int(done.stdout)
     assert user != 0
@@ -178,11 +180,12 @@ def test_a_case_runs_in_the_image(image: Image) -> None:
     done = image.run(*image.entry, *COMMAND)
     assert done.returncode == 0, done.stdout + done.stderr
     assert before and compiled() == before
-    (summary,) = work.glob("out/**/summary.json")
-    said: dict[str, Any] = json.loads(summary.read_text())
-    assert said["status"] == "converged" and said["solver"]["ranks"] == 2
-    assert (summary.parent / "DONE").stat().st_uid == user
-    # It is the image's mantle that ran, not the checkout.
-    record = json.loads((summary.parent / "provenance.json").read_text())
-    assert not any(str(support.ROOT) in word for word in record["command"])
+    cases: list[dict[str, Any]] = json.loads((work / "out/sweep.json").read_text())["cases"]
+    assert len(cases) == 16
+    for case in cases:
+        folder = work / "out" / case["folder"]
+        assert case["status"] == "converged" and (folder / "DONE").stat().st_uid == user
+        # It is the image's mantle that ran, not the checkout.
+        record = json.loads((folder / "provenance.json").read_text())
+        assert not any(str(support.ROOT) in word for word in record["command"])
     assert not (image.layer / "opt/mantle").exists()

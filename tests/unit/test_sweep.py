@@ -312,6 +312,10 @@ def test_overrides_hold_for_every_case(bench: Bench) -> None:
     _, planned = sweep_file.read(bench.sweep, [f"{FRICTION}=0.7"])
     laws = [p.case.interfaces["lower_upper"] for p in planned]
     assert {law.friction_coefficient for law in laws} == {0.7}
+    _, planned = sweep_file.read(bench.sweep, ["ranks=3"])
+    assert {p.ranks for p in planned} == {3}
+    with pytest.raises(InputError, match="--set ranks: none is not a number of ranks"):
+        sweep_file.read(bench.sweep, ["ranks=none"])
 
 
 def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
