@@ -32,7 +32,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -60,6 +60,7 @@ THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
 SHARED = "shared-"
 LOG_LINES = 12
 POLL = 0.1  # s
+OFTEN = 10.0  # s between what is told of all that has ended so far
 SAME_SIGNAL = 1.0  # s
 LOST = 70  # the exit code of a run that left none
 _PR_SET_PDEATHSIG = 1
@@ -133,7 +134,11 @@ class _Run:
 
 
 def run(
-    jobs: Sequence[Job], folder: Path, cores: int, slurm: Sequence[str] | None = None
+    jobs: Sequence[Job],
+    folder: Path,
+    cores: int,
+    slurm: Sequence[str] | None = None,
+    so_far: Callable[[Sequence[Result]], object] = lambda results: None,
 ) -> list[Result]:
     """Run what is not done yet.
 
@@ -143,6 +148,7 @@ def run(
         cores: How many cores of this machine to use at most.
         slurm: Each run is a job of a Slurm cluster, with these options of sbatch; all nodes see
             the folder. None: all run here.
+        so_far: Given what `look` would say, from time to time as runs end.
 
     Returns:
         A result for each job, in their order. A failed job is a result too.
@@ -163,7 +169,11 @@ def run(
         log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
         if pending:
             _write(pending, folder, cores if slurm is None else None)
-            _execute(pending, len(every), folder, cores, lock, slurm)
+
+            def tell() -> None:
+                so_far(_look(jobs, folder, runs))
+
+            _execute(pending, len(every), folder, cores, lock, slurm, tell)
         return [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
 
 
@@ -180,7 +190,10 @@ def look(jobs: Sequence[Job], folder: Path) -> list[Result]:
     Raises:
         InputError: Any job is wrong.
     """
-    runs = _runs(jobs, _resolve(jobs), folder)
+    return _look(jobs, folder, _runs(jobs, _resolve(jobs), folder))
+
+
+def _look(jobs: Sequence[Job], folder: Path, runs: Sequence[_Run]) -> list[Result]:
     results = [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
     stopped = partial(replace, exit_code=StoppedError.exit_code, message="")
     return [
@@ -369,6 +382,7 @@ def _execute(
     cores: int,
     lock: IO[str],
     slurm: Sequence[str] | None,
+    so_far: Callable[[], None],
 ) -> None:
     """Have Snakemake run the pending runs, and tell how it goes.
 
@@ -406,10 +420,14 @@ def _execute(
             preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL),
             pass_fds=(lock.fileno(),),
         )
+        told, due = progress.count, time.monotonic()
         try:
             while child.poll() is None:
                 time.sleep(POLL)
                 progress.tell()
+                if progress.count > told and time.monotonic() > due:
+                    told, due = progress.count, time.monotonic() + OFTEN
+                    so_far()
         except KeyboardInterrupt:
             if slurm is None:
                 log.info("stopping; running cases save their state first (once more: stop at once)")

@@ -60,12 +60,16 @@ def run(
     jobs = [_job(p) for p in planned]
     begin = time.monotonic()
     log.info("%s: %d cases", sweep.title or path.stem, len(planned))
+
+    def write(results: Sequence[Result]) -> list[dict[str, Any]]:
+        return _write(sweep, path, planned, results, folder, cores, begin)
+
     try:
-        results = batch.run(jobs, folder, cores, slurm)
+        results = batch.run(jobs, folder, cores, slurm, write)
     except StoppedError:
-        _write(sweep, path, planned, batch.look(jobs, folder), folder, cores, begin)
+        write(batch.look(jobs, folder))
         raise
-    rows = _write(sweep, path, planned, results, folder, cores, begin)
+    rows = write(results)
     log.info("%s", _table(rows))
     if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
         log.info("\n%s", spread)

@@ -286,6 +286,23 @@ def test_tables_have_a_row_for_each_case(bench: Bench, caplog: pytest.LogCapture
     assert "[8/8]" in next(m for m in reversed(caplog.messages) if m.startswith("["))
 
 
+def test_the_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "OFTEN", 0.0)
+    (bench.folder / "seconds").write_text("0.3")
+    written: list[list[str]] = []
+    write = sweep.write_json
+
+    def note(path: Path, data: Any) -> None:
+        write(path, data)
+        written.append([c["status"] for c in data["cases"]])
+
+    monkeypatch.setattr(sweep, "write_json", note)
+    bench.run()
+    done = [statuses.count("converged") for statuses in written]
+    assert 0 < done[0] < 8 and done[-1] == 8 and done == sorted(done)
+    assert {s for statuses in written for s in statuses} == {"converged", "stopped"}
+
+
 def test_only_what_failed_or_changed_runs_again(bench: Bench) -> None:
     (bench.folder / "broken").write_text("0.4")
     with pytest.raises(ConvergenceError, match="4 of 8 cases failed") as error:
