@@ -161,9 +161,10 @@ class Cases:
 
     def __init__(self, sweep: Sweep) -> None:
         """Recognise them."""
-        self.every = [Known(c, p) for c in sweep.cases if (p := physics(c.data)) is not None]
+        cases = reversed(sweep.cases)  # of two that are the same the first counts: it comes last
+        self.every = [Known(c, p) for c in cases if (p := physics(c.data)) is not None]
         counts: dict[str, Counter[str]] = {}
-        for k in self.every:
+        for k in reversed(self.every):
             counts.setdefault(k.physics.model, Counter())[k.physics.rest] += 1
         # The rest that most cases of a model agree in; of equals the sweep's first.
         self._common = {model: c.most_common(1)[0][0] for model, c in counts.items()}

@@ -321,28 +321,33 @@ def _cement_first(family: dict[float, Case], reading: str) -> Part:
 
 def _residual(cases: Cases) -> list[Part]:
     """T-h."""
-    bonded: list[Part] = []
-    unilateral: list[Part] = []
-    for k in cases.every:
-        if k.physics.model == "stance" or not k.case.done:
-            continue
-        for place in INTERFACES:
-            tension = k.case.number(f"{place}.normal_max")
-            pressure = k.case.number(f"{place}.pressure_max")
-            if tension is not None:
-                verdict = HELD if tension.value > 0 else NOT_HELD
-                text = f"{k.case.name}, {WORDS[place]} bonded: normal stress up to"
-                bonded.append(Part(verdict, f"{text} {tension.value:.3g} MPa"))
-            elif pressure is not None:
-                verdict = HELD if pressure.value > 0 else NOT_HELD
-                text = f"{k.case.name}, {WORDS[place]} unilateral: compression up to"
-                text += f" {pressure.value:.3g} MPa (its law excludes tension)"
-                unilateral.append(Part(verdict, text))
-    if not bonded:
-        bonded = [Part(UNDECIDED, "no case cools with a bonded interface and mechanics")]
-    if not unilateral:
-        unilateral = [Part(UNDECIDED, "no case cools with a unilateral interface and mechanics")]
-    return [*bonded, *unilateral]
+    hot = [k.case for k in cases.every if k.physics.model != "stance" and k.case.done]
+    parts = []
+    for place in INTERFACES:
+        tension = [n.value for c in hot if (n := c.number(f"{place}.normal_max"))]
+        if tension:
+            verdict = HELD if min(tension) > 0 else NOT_HELD
+            parts.append(Part(verdict, f"{WORDS[place]} bonded: tension of {_range(tension)}"))
+    if not parts:
+        parts.append(Part(UNDECIDED, "no case cools with a bonded interface and mechanics"))
+    known = len(parts)
+    for place in INTERFACES:
+        pressure = [n.value for c in hot if (n := c.number(f"{place}.pressure_max"))]
+        if pressure:
+            verdict = HELD if min(pressure) > 0 else NOT_HELD
+            text = f"{WORDS[place]} unilateral: compression of {_range(pressure)}"
+            parts.append(Part(verdict, f"{text} (its law excludes tension)"))
+    if len(parts) == known:
+        parts.append(Part(UNDECIDED, "no case cools with a unilateral interface and mechanics"))
+    return parts
+
+
+def _range(peaks: Sequence[float]) -> str:
+    """Largest values of some cases [MPa]."""
+    low, high = min(peaks), max(peaks)
+    several = f" to {high:.3g}" if len(peaks) > 1 else ""
+    cases = f"{len(peaks)} case{'s' if len(peaks) > 1 else ''}"
+    return f"{low:.3g}{several} MPa at most in {cases}"
 
 
 _MECHANICAL: tuple[tuple[str, str, Callable[[Cases, str], list[Part]]], ...] = (
