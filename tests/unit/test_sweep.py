@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 
 from app import batch, config, sweep, sweep_file, sweep_options, uncertainty
 from app.cli import main
-from app.errors import ConvergenceError, InputError
+from app.errors import ConvergenceError, InputError, StoppedError
 from tests import support
 
 CASE = """\
@@ -333,6 +333,29 @@ def test_overrides_hold_for_every_case(bench: Bench) -> None:
     assert {p.ranks for p in planned} == {3}
     with pytest.raises(InputError, match="--set ranks: none is not a number of ranks"):
         sweep_file.read(bench.sweep, ["ranks=none"])
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        ([], None),
+        (["--slurm"], []),
+        (["--slurm=--partition=long --comment='a b'"], ["--partition=long", "--comment=a b"]),
+    ],
+)
+def test_options_of_slurm_reach_it(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, option: list[str], expected: list[str] | None
+) -> None:
+    given: list[object] = []
+
+    def run(jobs: object, folder: object, cores: int, slurm: object, tell: object) -> list[object]:
+        given.append(slurm)
+        raise StoppedError("enough")
+
+    monkeypatch.setattr(batch, "run", run)
+    bench.out.mkdir()
+    assert main(["sweep", str(bench.sweep), "-o", str(bench.out), *option]) == 5
+    assert given == [expected]
 
 
 def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
