@@ -76,16 +76,19 @@ def parser() -> argparse.ArgumentParser:
             name, help=summary, description=summary.capitalize() + ".", allow_abbrev=False, **more
         )
 
-    def add_case(command: argparse.ArgumentParser) -> None:
-        command.add_argument("case", type=Path, metavar="CASE", help="the case, a YAML file")
+    def add_file(command: argparse.ArgumentParser, name: str, what: str, key: str) -> None:
+        command.add_argument(name, type=Path, metavar=name.upper(), help=f"{what}, a YAML file")
         command.add_argument(
             "--set",
             dest="overrides",
             action="append",
             default=[],
             metavar="KEY=VALUE",
-            help="override a key, e.g. mesh.size=2mm or regions.stem.rigid=true (repeatable)",
+            help=f"override {key}, e.g. mesh.size=2mm or regions.stem.rigid=true (repeatable)",
         )
+
+    def add_case(command: argparse.ArgumentParser) -> None:
+        add_file(command, "case", "the case", "a key")
 
     run = add(
         "run",
@@ -135,16 +138,8 @@ def parser() -> argparse.ArgumentParser:
         "-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>-study"
     )
     sweep = add("sweep", "run many cases of one base case, and compare them")
-    sweep.add_argument("sweep", type=Path, metavar="SWEEP", help="what varies, a YAML file")
+    add_file(sweep, "sweep", "what varies", "a key of every case")
     sweep.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name>-sweep")
-    sweep.add_argument(
-        "--set",
-        dest="overrides",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override a key of every case (repeatable)",
-    )
     sweep.add_argument(
         "--dry-run", action="store_true", help="list the cases and what they would cost"
     )

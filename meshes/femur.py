@@ -10,6 +10,7 @@ less than a film's width of cancellous bone would remain (``femur_mantle``).
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from app.errors import GeometryError
 from . import femur_bone, femur_mantle, femur_stem
 from .data import Floats, Ints, MeshData, exterior_facets
 from .femur_bone import PATCH_RADIUS
-from .quality import BAD, sicn
+from .quality import best_of
 from .session import drop_orphans, extract, generate, session
 from .tags import assemble, number
 
@@ -54,24 +55,13 @@ def build(geometry: Any, mesh: Any) -> MeshData:
             elements good enough.
     """
     _refuse_the_impossible(geometry)
-    failures: list[str] = []
-    best: tuple[float, MeshData] | None = None
-    for film, size, algorithm in ATTEMPTS:
-        try:
-            data = _attempt(geometry, mesh, film * femur_mantle.FILM, size, algorithm)
-        except GeometryError as error:
-            failures.append(str(error).splitlines()[0])
-            continue
-        worst = float(sicn(data.points, data.cells).min())
-        if best is None or worst > best[0]:
-            best = (worst, data)
-        if worst >= 2 * BAD:
-            break
-        failures.append(f"least SICN {worst:.4f}")
-    if best is None:
-        raise GeometryError("femur: no attempt gave a mesh: " + "; ".join(failures))
-    data = best[1]
-    return MeshData(**{**vars(data), "notes": {**data.notes, "failed_attempts": failures}})
+    return best_of(
+        "femur",
+        (
+            partial(_attempt, geometry, mesh, film * femur_mantle.FILM, size, algorithm)
+            for film, size, algorithm in ATTEMPTS
+        ),
+    )
 
 
 def _refuse_the_impossible(geometry: Any) -> None:

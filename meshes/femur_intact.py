@@ -12,16 +12,15 @@ alike all around (it is thicker below and thinner above); no cartilage; and no f
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from app.errors import GeometryError
-
 from . import femur_bone
 from .data import Floats, Ints, MeshData, exterior_facets
 from .femur_bone import PATCH_RADIUS
-from .quality import BAD, sicn
+from .quality import best_of
 from .session import drop_orphans, extract, generate, session
 from .tags import assemble, number
 
@@ -48,25 +47,9 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     Raises:
         GeometryError: No attempt gave a mesh.
     """
-    failures: list[str] = []
-    best: tuple[float, MeshData] | None = None
-    for size, algorithm in ATTEMPTS:
-        try:
-            data = _attempt(geometry, mesh, size, algorithm)
-        except GeometryError as error:
-            failures.append(str(error).splitlines()[0])
-            continue
-        worst = float(sicn(data.points, data.cells).min())
-        if best is None or worst > best[0]:
-            best = (worst, data)
-        if worst >= 2 * BAD:
-            break
-        failures.append(f"least SICN {worst:.4f}")
-    if best is None:
-        raise GeometryError("femur: no attempt gave a mesh: " + "; ".join(failures))
-    data = best[1]
+    data = best_of("femur", (partial(_attempt, geometry, mesh, *how) for how in ATTEMPTS))
     head = [geometry.head_offset, 0.0, geometry.head_height]
-    return MeshData(**{**vars(data), "notes": {"head_centre": head, "failed_attempts": failures}})
+    return MeshData(**{**vars(data), "notes": {"head_centre": head, **data.notes}})
 
 
 def _attempt(geometry: Any, mesh: Any, factor: float, algorithm: int) -> MeshData:

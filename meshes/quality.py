@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,39 @@ _SAMPLES = np.vstack(
         np.full((1, 4), 0.25),
     ]
 )
+
+
+def best_of(name: str, attempts: Iterable[Callable[[], MeshData]]) -> MeshData:
+    """The first mesh that is twice as good as need be, or else the best of all.
+
+    Args:
+        name: Of what, for the message.
+        attempts: Ways to make it, the best first; each may raise `GeometryError`.
+
+    Returns:
+        The mesh; its notes tell of the attempts that failed.
+
+    Raises:
+        GeometryError: No attempt gave a mesh.
+    """
+    failures: list[str] = []
+    best: tuple[float, MeshData] | None = None
+    for attempt in attempts:
+        try:
+            data = attempt()
+        except GeometryError as error:
+            failures.append(str(error).splitlines()[0])
+            continue
+        worst = float(sicn(data.points, data.cells).min())
+        if best is None or worst > best[0]:
+            best = (worst, data)
+        if worst >= 2 * BAD:
+            break
+        failures.append(f"least SICN {worst:.4f}")
+    if best is None:
+        raise GeometryError(f"{name}: no attempt gave a mesh: " + "; ".join(failures))
+    data = best[1]
+    return MeshData(**{**vars(data), "notes": {**data.notes, "failed_attempts": failures}})
 
 
 def sicn(points: Floats, cells: Ints) -> Floats:
