@@ -14,15 +14,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from app.report_heat import AT, bone_peak, cement_peak
 from app.report_paper import (
-    AT,
     INTERFACES,
     QUANTITIES,
     STEMS,
     WORDS,
     Cases,
-    bone_peak,
-    cement_peak,
     same,
 )
 from app.report_sweep import Case, Number, Sweep, magnitude

@@ -13,14 +13,13 @@ from pydantic_core import PydanticCustomError
 
 from app import study_options
 from app.report_compare import READINGS, published
+from app.report_heat import bone_p99, bone_peak, cement_peak
 from app.report_paper import (
     QUANTITIES,
     STEMS,
     WORDS,
     Cases,
     Numbers,
-    bone_peak,
-    cement_peak,
     series,
 )
 from app.report_sweep import Case, Number, magnitude
@@ -126,7 +125,9 @@ def paper(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
     title = "Figure 8. Highest temperatures over the thickness of the mantle"
     text = (
         "The paper's “100 degrees” read as the cement's initial temperature (cement: after 10 s, "
-        "for at the start it is 100 °C; the paper names no time) and as held. Stars: the paper."
+        "for at the start it is 100 °C; the paper names no time) and as held. Bone, filled: the "
+        "99th percentile over the area, after 10 s or at the end of cement that is held; hollow: "
+        "the largest value at any time, which sits where bone is thinnest. Stars: the paper."
     )
     figures.append(Figure("figure8.png", title, text, _words(panels)))
     return figures, missing
@@ -195,10 +196,11 @@ def _temperatures(cases: Cases) -> list[Panel]:
         for k, ((model, reading), family) in enumerate(cases.heats().items()):
 
             def of(case: Case, reading: str = reading, place: str = place) -> Number | None:
-                return cement_peak(case, reading) if place == "cement" else bone_peak(case)
+                return cement_peak(case, reading) if place == "cement" else bone_p99(case, reading)
 
             label = f"{model}, {READINGS[reading]}, {cases.conductance(model)}"
-            lines.append(Line(label, COLOURS[k], MARKERS[k], series(family, of), {}, stars))
+            peaks = {} if place == "cement" else series(family, bone_peak)
+            lines.append(Line(label, COLOURS[k], MARKERS[k], series(family, of), peaks, stars))
             stars = []
         panels.append(Panel(title, "temperature (°C)", lines))
     return panels
@@ -294,7 +296,8 @@ def _labels(line: Line) -> tuple[str, str, str]:
     """Of the curve, its peaks and what is published, in the legend."""
     own = line.label in STEM_COLOURS
     paper = f"{line.label}, paper" if own else "paper"
-    return f"{line.label}, p99" if line.peaks else line.label, f"{line.label}, max", paper
+    curve = f"{line.label}, p99" if own and line.peaks else line.label
+    return curve, f"{line.label}, max", paper
 
 
 def _values(line: Line) -> list[float]:

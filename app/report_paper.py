@@ -22,10 +22,6 @@ STEMS = {110e3: "titanium", 200e3: "CoCr"}  # Young's modulus [MPa]
 HIP = 1800.0  # N
 STEM_FRICTION, BONE_FRICTION, THICKNESS = 0.4, 1.0, 4.0
 HOT = 100.0  # degC
-# When the temperature of cement that starts at 100 degC is told [s]; the paper does not say.
-AT = 10.0
-# Until then the first instant, an average over the nodes of a perfect interface, is in the numbers.
-SETTLED = 2.0
 # Contact quantities: key in the summary, unit for people, factor.
 QUANTITIES = {
     "gap": ("µm", 1e3),
@@ -243,50 +239,6 @@ class Cases:
 def same(a: float | None, b: float) -> bool:
     """Whether two numbers are equal to rounding."""
     return a is not None and math.isclose(a, b, rel_tol=1e-6)
-
-
-# Temperatures
-
-
-def cement_peak(case: Case, reading: str) -> Number | None:
-    """Highest temperature of the cement [degC]: after ten seconds where it starts at 100 degC."""
-    if reading == "held":
-        return case.number("cement.temperature_max")
-    return at_ten_seconds(case, "cement")
-
-
-def at_ten_seconds(case: Case, region: str) -> Number | None:
-    """Highest temperature of a region after ten seconds [degC]; its error if the run ends then."""
-    rows = [r for r in case.history if _float(r, "seconds [s]") <= AT * (1 + 1e-9)]
-    if not rows:
-        return None
-    value = _float(rows[-1], f"{region} temperature_max [degC]")
-    last = len(rows) == len(case.history)
-    end = case.number(f"{region}.temperature_end_max") if last else None
-    if math.isnan(value) or _float(rows[-1], "seconds [s]") < 0.9 * AT:
-        return None
-    return end or Number(value)
-
-
-def bone_peak(case: Case) -> Number | None:
-    """Highest temperature of bone at the cement-bone interface [degC], at any time.
-
-    Where the conductance is perfect: of bone, from two seconds on.
-    """
-    if (found := case.number("cement_bone.temperature_max_second")) is not None:
-        return found
-    bones = [r for r in case.data.get("regions", {}) if "bone" in r]
-    late = [r for r in case.history if _float(r, "seconds [s]") >= SETTLED]
-    values = [_float(row, f"{bone} temperature_max [degC]") for row in late for bone in bones]
-    known = [v for v in values if not math.isnan(v)]
-    return Number(max(known)) if known else None
-
-
-def _float(row: dict[str, str], key: str) -> float:
-    try:
-        return float(row.get(key) or "nan")
-    except ValueError:
-        return math.nan
 
 
 Numbers = Callable[[Case], Number | None]

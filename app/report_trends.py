@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from app.report_heat import at_ten_seconds, bone_p99, bone_peak, cement_peak
 from app.report_paper import (
     INTERFACES,
     QUANTITIES,
     STEMS,
     WORDS,
     Cases,
-    at_ten_seconds,
-    bone_peak,
-    cement_peak,
     series,
 )
 from app.report_sweep import Case, Number
@@ -283,12 +281,16 @@ def _heat(cases: Cases) -> list[Trend]:
         def hottest(case: Case, reading: str = reading) -> Number | None:
             return cement_peak(case, reading)
 
-        parts = [
-            _warmer("cement", series(family, hottest)),
-            _warmer("bone at the interface", series(family, bone_peak)),
-            _cement_first(family, reading),
-        ]
-        trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, ""))
+        def typical(case: Case, reading: str = reading) -> Number | None:
+            return bone_p99(case, reading)
+
+        cement = _warmer("cement", series(family, hottest))
+        first = _cement_first(family, reading)
+        by_peak = _warmer("bone at the interface", series(family, bone_peak))
+        peaks = _all(p.verdict for p in (cement, by_peak, first))
+        known = series(family, typical)  # where fields were written
+        bone = _warmer("bone at the interface, p99", known) if len(known) > 1 else by_peak
+        trends.append(Trend(f"T-g ({model}, {reading})", claim, [cement, bone, first], peaks))
     return trends
 
 
