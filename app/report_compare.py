@@ -268,21 +268,34 @@ def csv_rows(rows: Iterable[Row]) -> list[list[Any]]:
 def strange(cases: Cases) -> list[str]:
     """What mantle finds where the paper's numbers are odd, a sentence each."""
     found = [s for stem in STEMS.values() for s in _jump(stem, cases)]
-    rows = {f.quantity: _extreme_rows(f, cases)[0] for f in facts() if f.kind == "extreme"}
-    high, low = rows["mean_stress_max"], rows["mean_stress_min"]
-    if high.peak is None or low.peak is None:
-        found.append(
-            "The paper's +296 MPa (tension) and −97 MPa: this sweep has no stress of the heated "
-            "femur to set beside them."
-        )
+    start = "The paper's +296 MPa (tension) and −97 MPa in the heated hip: "
+    told = [t for reading, words in READINGS.items() if (t := _mean_stress(cases, reading, words))]
+    if told:
+        end = "a unilateral interface bears no tension at all."
+        found.append(f"{start}mantle's mean stress lies {'; '.join(told)}; {end}")
     else:
-        found.append(
-            f"The paper's +296 MPa (tension) and −97 MPa in the heated hip: mantle's mean stress "
-            f"lies between {low.peak:.3g} MPa ({low.remark.split(';')[0]}) and "
-            f"{high.peak:.3g} MPa ({high.remark.split(';')[0]}); a unilateral interface bears no "
-            "tension at all."
-        )
+        found.append(f"{start}this sweep has no stress of the heated femur to set beside them.")
     return found
+
+
+def _mean_stress(cases: Cases, reading: str, words: str) -> str:
+    """Between what the mean stress lies in all cases of a reading, and where."""
+    hot = [k.case for k in cases.every if k.physics.model == "femur" and k.case.done]
+    of = {k.case.name for k in cases.every if k.physics.reading == reading}
+    ends = []
+    for how, pick in (("min", min), ("max", max)):
+        values = [
+            (numbers[f"mean_stress_{how}"], region.replace("_", " "))
+            for c in hot
+            if c.name in of
+            for region, numbers in c.summary.get("regions", {}).items()
+            if f"mean_stress_{how}" in numbers
+        ]
+        if not values:
+            return ""
+        value, region = pick(values)
+        ends.append(f"{value:.3g} MPa (in {region})")
+    return f"with {words} between {ends[0]} and {ends[1]}"
 
 
 def _jump(stem: str, cases: Cases) -> list[str]:

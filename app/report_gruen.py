@@ -8,7 +8,7 @@ from typing import Any
 
 from app.report_figures import Figure
 from app.report_paper import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
-from app.report_sweep import Case
+from app.report_sweep import Case, magnitude
 
 ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
@@ -141,7 +141,8 @@ def mantles(cases: Sequence[Case]) -> Table:
         Titles of the columns, and the rows; no rows where no case tells.
     """
     keys = ("min", "p5", "median", "mean", "p95", "max")
-    head = ["nominal (mm)", *(f"{k} (mm)" for k in keys), "clipped by the canal", "cement (cm³)"]
+    head = ["geometry", "mesh (mm)", "nominal (mm)", *(f"{k} (mm)" for k in keys)]
+    head += ["clipped by the canal", "cement (cm³)"]
     found: dict[tuple[str, ...], float] = {}
     for case in cases:
         own = case.summary.get("mantle") or {}
@@ -149,11 +150,14 @@ def mantles(cases: Sequence[Case]) -> Table:
         if "nominal" not in thickness:
             continue
         clipped = thickness.get("clipped_fraction")
+        size = magnitude(case.data.get("mesh", {}).get("size"))
         row = (
+            str(case.data.get("geometry", {}).get("kind", "")),
+            "-" if size is None else f"{size:g}",
             f"{thickness['nominal']:g}",
             *(_shown(thickness.get(k), 1.0) for k in keys),
             "-" if clipped is None else f"{100 * clipped:.0f} %",
             _shown(own.get("volume"), 1e-3),
         )
         found[row] = float(thickness["nominal"])
-    return head, [list(row) for row in sorted(found, key=lambda r: found[r])]
+    return head, [list(row) for row in sorted(found, key=lambda r: (*r[:2], found[r]))]

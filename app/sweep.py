@@ -3,7 +3,7 @@
 Everything goes into one folder, that of a batch (`app/batch.py`), and beside it::
 
     folder/sweep.csv     a row for each case: what varies, numbers and their errors, cost
-    folder/sweep.json    the same with the overrides, folders and messages
+    folder/sweep.json    the same with the overrides, folders and messages; seconds of all calls
     folder/sweep.yaml    the sweep as it was read
 """
 
@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import logging
 import os
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +60,7 @@ def run(
     """
     sweep, planned = sweep_file.read(path, overrides)
     jobs = [_job(p) for p in planned]
-    begin = time.monotonic()
+    begin = time.monotonic() - _spent(folder)
     log.info("%s: %d cases", sweep.title or path.stem, len(planned))
 
     def write(results: Sequence[Result]) -> list[dict[str, Any]]:
@@ -110,6 +112,14 @@ def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
         lines.append(f"{cost}  {note}".rstrip())
     wall = batch.duration(IDLE * total / cores)
     return "\n".join([*lines, "", f"about {wall} for what is not done, on {cores} cores"])
+
+
+def _spent(folder: Path) -> float:
+    """Seconds that earlier calls took."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        text = (folder / "sweep.json").read_text(encoding="utf-8")
+        return float(json.loads(text)["seconds"])
+    return 0.0
 
 
 def _job(p: Planned) -> Job:

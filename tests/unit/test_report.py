@@ -394,7 +394,7 @@ def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
             summary = {"mantle": {"thickness": thickness, "volume": 1e4 * t}}
             maker.stance(stem, t, 1.0, {}, summary=summary)
     head, rows = report_gruen.mantles(rs.read(maker.write()).cases)
-    assert [row[0] for row in rows] == ["3", "5"]
+    assert [row[2] for row in rows] == ["3", "5"] and {row[0] for row in rows} == {"femur"}
     assert dict(zip(head, rows[0], strict=True))["cement (cm³)"] == "30"
     assert "25 %" in rows[0] and "-" in rows[0]
 
