@@ -15,6 +15,8 @@ from .session import generate, session
 from .tags import assemble, number
 
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+# How often the finest cells of a script may be in its diagonal; any more would never be meshed.
+MOST_EDGES = 20_000
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 _TETRAHEDRA, _TRIANGLES = {4: 4, 11: 10}, {2: 3, 9: 6}
@@ -81,6 +83,13 @@ def _run_script(gmsh: Any, path: Path, mesh: Any, unit: float) -> None:
     for source in ("ExtendFromBoundary", "FromPoints"):  # gmsh's defaults, which scripts count on
         gmsh.option.setNumber(f"Mesh.MeshSize{source}", 1)
     gmsh.merge(str(path))
+    box = np.array(gmsh.model.getBoundingBox(-1, -1))
+    edges = np.linalg.norm(box[3:] - box[:3]) * unit / mesh.size
+    if not edges <= MOST_EDGES:
+        raise GeometryError(
+            f"mesh.size: {mesh.size:g} mm is {edges:.2g} times in the diagonal of {path}; at most "
+            f"{MOST_EDGES} times"
+        )
     generate(gmsh, mesh.curved)
 
 
@@ -94,6 +103,8 @@ def _named(
     everything: int,
 ) -> MeshData:
     """Put the pieces of the file together."""
+    if not len(node_tags):
+        raise GeometryError(f"{geometry.path}: the mesh has no nodes")
     row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
     row[node_tags.astype(np.int64)] = np.arange(len(node_tags))
     widths = {block.shape[1] for block in cells_by_name.values() if len(block)}
