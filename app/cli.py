@@ -207,7 +207,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of standard output (head, less) has left: there is nobody to say anything to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except Exception:
+    except Exception as error:
+        from app import compiled
+
+        if (problem := compiled.explain(error)) is not None:
+            if rank() == 0:
+                print(problem, file=sys.stderr, flush=True)
+            return problem.exit_code
         print(
             f"mantle: internal error on rank {rank()}; please report it with what follows\n"
             + traceback.format_exc(),
@@ -283,6 +289,10 @@ def _run(
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     _configure_log(options.log_level)
+    from app import compiled
+
+    if rank() == 0:
+        compiled.mend()
     with _stack():
         from app.run import run
 

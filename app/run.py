@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import time as clock
 from collections.abc import Callable, Sequence
@@ -17,7 +18,7 @@ from mpi4py import MPI
 from app import config, error, kept, preview, ranks, variations
 from app import log as text
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
-from app.folders import FAILED, prepare_run, write_text
+from app.folders import FAILED, claim, prepare_run, write_text
 from app.model import Model
 from app.output import Writer, on_root, provenance
 from app.recorder import Recorder
@@ -57,6 +58,7 @@ def run(
             f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
             "another MPI; use this one's, or mantle run -n"
         )
+    held = on_root(comm, partial(claim, output), share=False)
     for message in preview.warnings(case):
         log.warning("note: %s", message)
     session = Session(comm, case_path, raw_options(petsc_options), _watch_signals(), begin, started)
@@ -66,6 +68,8 @@ def run(
     else:
         session.vary(case, overrides, output, keep)
     log.info("results in %s", output)
+    if held is not None:
+        os.close(held)
     return 0
 
 

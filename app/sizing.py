@@ -26,9 +26,9 @@ def needed(case: Case) -> float:
 
 def available(environ: Mapping[str, str] = os.environ) -> float:
     """Memory of the machines that a run has [byte]: what is built in, or what it may use of it."""
-    limits = [resource.getrlimit(resource.RLIMIT_AS)[0]]
-    limits = [math.inf if limit == resource.RLIM_INFINITY else limit for limit in limits]
-    limits.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
+    if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) != resource.RLIM_INFINITY:
+        limits.append(float(limit))
     for name in ("memory.max", "memory/memory.limit_in_bytes"):
         try:
             limits.append(float((Path("/sys/fs/cgroup") / name).read_text()))

@@ -192,7 +192,8 @@ def test_scripts_do_nothing_but_geometry(program: str, tmp_path: Path) -> None:
 
 
 def test_scripts_may_say_so_in_comments_and_quotations(tmp_path: Path) -> None:
-    talk = "// don't SystemCall\n/* Save, Print */\nx = 'Sleep'; Printf(\"%g\", size); Mesh.SaveAll = 0;\n"
+    talk = "// don't SystemCall\n/* Save, Print */\nx = 'Sleep';\n"
+    talk += 'Printf("%g", size); Mesh.SaveAll = 0;\n'
     assert config.load(scripted(tmp_path, SCRIPT + talk)).geometry.region_names == ("cube",)
 
 
@@ -213,5 +214,5 @@ def test_a_script_is_not_meshed_by_the_nanometre(tmp_path: Path) -> None:
     import meshes
 
     case = config.load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])
-    with pytest.raises(GeometryError, match="1e-06 mm is 1.7e.06 times in the diagonal"):
+    with pytest.raises(GeometryError, match=r"1e-06 mm is 1.7e.06 times in the diagonal"):
         meshes.build(case.geometry, case.mesh, None)

@@ -2,8 +2,8 @@
 
 Each is what a shipped file becomes by a few mutations, of its text or of its content, and maybe
 some ``--set`` options. Reading it has to end in time, well or with an `InputError` that names a
-place; without starting anything, writing anywhere or taking much memory. What does otherwise is printed, a
-line of JSON each, with all that is needed to see it again.
+place; without starting anything, writing anywhere or taking much memory. What does otherwise is
+printed, a line of JSON each, with all that is needed to see it again.
 """
 
 from __future__ import annotations

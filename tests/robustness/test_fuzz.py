@@ -40,8 +40,9 @@ def test_many_files(part: int, tmp_path: Path) -> None:
     fuzz("fuzz", "all", 1000 * part, 1000 * (part + 1), tmp_path)
 
 
-def test_some_mesh_files(tmp_path: Path) -> None:
-    fuzz("fuzz_meshes", "default", 0, 60, tmp_path)
+@pytest.mark.parametrize("first", [0, 620])  # 5 and 626 crash gmsh 4.13
+def test_some_mesh_files(first: int, tmp_path: Path) -> None:
+    fuzz("fuzz_meshes", "all", first, first + 12, tmp_path)
 
 
 @pytest.mark.slow
