@@ -6,7 +6,8 @@ import logging
 import os
 import signal
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -58,18 +59,16 @@ def run(
             f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
             "another MPI; use this one's, or mantle run -n"
         )
-    held = on_root(comm, partial(claim, output), share=False)
     for message in preview.warnings(case):
         log.warning("note: %s", message)
     session = Session(comm, case_path, raw_options(petsc_options), _watch_signals(), begin, started)
-    if not case.variations:
-        summary = session.solve(case, overrides, output)
-        log.info("%s", text.closing_table(summary))
-    else:
-        session.vary(case, overrides, output, keep)
+    with _claimed(comm, output):
+        if not case.variations:
+            summary = session.solve(case, overrides, output)
+            log.info("%s", text.closing_table(summary))
+        else:
+            session.vary(case, overrides, output, keep)
     log.info("results in %s", output)
-    if held is not None:
-        os.close(held)
     return 0
 
 
@@ -208,6 +207,21 @@ class Session:
             summary["timing"] = recorder.seconds()
         writer.finish(summary, done=True)
         return summary
+
+
+@contextmanager
+def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
+    """Keep other runs out of a folder meanwhile; collective.
+
+    Raises:
+        InputError: Another run has it.
+    """
+    held = on_root(comm, partial(claim, output), share=False)
+    try:
+        yield
+    finally:
+        if held is not None:
+            os.close(held)
 
 
 def _prepare(folder: Path) -> None:
