@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
@@ -24,6 +26,12 @@ from app.errors import InputError
 Path = tuple[str | int, ...]
 MOST_NODES = 100_000
 DEEPEST = 50
+TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
+LARGEST = 4 << 20
+# The longest value that means anything is an expression (app/expressions.py).
+LONGEST = 10_000
+# What a mapping or list may be marked as: nothing but itself.
+PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 # Sorting key of what has no place in the file.
 LAST = (1 << 30, 0)
 
@@ -65,7 +73,7 @@ class CaseFile:
         """
         lines = [*self.complaints, *(self._locate(p) for p in problems)]
         if lines:
-            raise InputError(list(dict.fromkeys(text for _, text in sorted(lines))))
+            raise InputError(list(dict.fromkeys(printable(text) for _, text in sorted(lines))))
 
     def _locate(self, problem: Problem) -> tuple[tuple[int, int], str]:
         """Sorting key and line of a problem: the place of its key, or of the nearest above."""
@@ -82,11 +90,18 @@ class CaseFile:
         return place, start + (f"{key}: {problem.text}" if key else problem.text)
 
 
+def printable(text: str) -> str:
+    """A message on one line, without what would steer a terminal, and not endless."""
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return shown if len(shown) <= LONGEST else f"{shown[:LONGEST]} ..."
+
+
 def path_text(path: Path) -> str:
     """``("stages", 0, "name")`` as ``stages[0].name``."""
     text = ""
     for item in path:
-        text += f"[{item}]" if isinstance(item, int) else f".{item}" if text else str(item)
+        word = str(item) if len(str(item)) <= 100 else f"{str(item)[:96]}..."
+        text += f"[{word}]" if isinstance(item, int) else f".{word}" if text else word
     return text
 
 
@@ -125,7 +140,7 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
         case.data = _Builder(case).value(node, ())
     except _BadYaml as error:
         line, column = error.place
-        raise InputError([f"{path}:{line}:{column}: {error.text}"]) from error
+        raise InputError([printable(f"{path}:{line}:{column}: {error.text}")]) from error
     _apply(case, overrides)
     return case
 
@@ -143,7 +158,7 @@ def _apply(case: CaseFile, overrides: Sequence[str]) -> None:
             _override(case, override)
         except _BadYaml as error:
             place = f"--set {override.partition('=')[0]}"
-            case.complaints.append((LAST, f"{place}: {error.text}"))
+            case.complaints.append((LAST, f"{path_text((place,))}: {error.text}"))
 
 
 class _BadYaml(Exception):
@@ -158,16 +173,21 @@ def _text(path: FilePath) -> str:
     """The text of a file.
 
     Raises:
-        InputError: Missing, a folder, unreadable or not UTF-8.
+        InputError: Missing, a folder, unreadable, too large or not UTF-8.
     """
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as file:
+            raw = file.read(LARGEST + 1)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; expected a YAML file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:  # a null character in the name
+        raise InputError(printable(f"{path}: cannot be read: {error}")) from error
+    if len(raw) > LARGEST:
+        raise InputError(f"{path}: is larger than {LARGEST >> 20} MB; no case is")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -185,8 +205,12 @@ def _compose(text: str) -> Node | None:
         _BadYaml: A syntax error.
     """
     try:
-        # Without `pure` ruamel would use libyaml, which knows YAML 1.1 only.
-        return YAML(typ="safe", pure=True).compose(io.StringIO(text))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an anchor may be set again
+            # Without `pure` ruamel would use libyaml, which knows YAML 1.1 only.
+            yaml = YAML(typ="safe", pure=True)
+            yaml.Composer = _Counting
+            return yaml.compose(io.StringIO(text))
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = (mark.line + 1, mark.column + 1) if mark else (1, 1)
@@ -207,6 +231,25 @@ def _compose(text: str) -> Node | None:
     except (YAMLError, RecursionError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
         raise _BadYaml(f"not valid YAML: {reason}") from error
+
+
+class _Counting(Composer):
+    """Stops at a text that is too long to be a case: reading on takes seconds per megabyte."""
+
+    nodes = 0
+
+    def compose_node(self, parent: Node | None, index: int) -> Node | None:
+        """The next node.
+
+        Raises:
+            _BadYaml: There are too many.
+        """
+        self.nodes += 1
+        if self.nodes > MOST_NODES:
+            mark = self.parser.peek_event().start_mark
+            raise _BadYaml(TOO_MANY, (mark.line + 1, mark.column + 1))
+        found: Node | None = super().compose_node(parent, index)
+        return found
 
 
 def _mark(node: Node) -> tuple[int, int]:
@@ -234,6 +277,8 @@ class _Builder:
         here = _mark(node)
         self._count(len(path), here)
         self.case.places.setdefault(path, self.place(node))
+        if not isinstance(node, ScalarNode) and str(node.tag) not in PLAIN_TAGS:
+            raise _BadYaml(f"the tag {node.tag} has no meaning here", here)
         match node:
             case ScalarNode():
                 return self._scalar(node, here)
@@ -250,7 +295,7 @@ class _Builder:
     def _count(self, depth: int, here: tuple[int, int]) -> None:
         self.count += 1
         if self.count > MOST_NODES or depth > DEEPEST:
-            raise _BadYaml("too many or too deeply nested values (an alias inside itself?)", here)
+            raise _BadYaml(TOO_MANY, here)
 
     def _mapping(self, node: MappingNode, path: Path, merging: int = 0) -> dict[str, Any]:
         result: dict[str, Any] = {}
@@ -260,7 +305,7 @@ class _Builder:
             place = self.place(key_node)
             if not isinstance(key_node, ScalarNode):
                 raise _BadYaml("a key must be a plain word", _mark(key_node))
-            key = key_node.value
+            key = self._text(key_node)
             if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
                 merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
                 continue
@@ -283,13 +328,28 @@ class _Builder:
     def _scalar(self, node: ScalarNode, here: tuple[int, int]) -> Any:
         kind = str(node.tag).rpartition(":")[2]
         if kind in ("str", "timestamp", "value"):
-            return node.value
+            return self._text(node)
         if kind not in ("null", "bool", "int", "float"):
             raise _BadYaml(f"the tag {node.tag} has no meaning here", here)
         try:
             return self.scalars.constructor.construct_object(node)
-        except (ValueError, YAMLError) as error:
-            raise _BadYaml(f"'{node.value}' is not a number", here) from error
+        # What is marked as a number or as true may be anything.
+        except (ValueError, LookupError, YAMLError) as error:
+            what = "true or false" if kind == "bool" else "a number"
+            raise _BadYaml(f"'{self._text(node)[:60]}' is not {what}", here) from error
+
+    def _text(self, node: ScalarNode) -> str:
+        """The text of a scalar.
+
+        Raises:
+            _BadYaml: Endless, or half of a character, which no file can hold.
+        """
+        text = str(node.value)
+        if len(text) > LONGEST:
+            raise _BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", _mark(node))
+        if any("\ud800" <= c <= "\udfff" for c in text):
+            raise _BadYaml("a surrogate is no character", _mark(node))
+        return text
 
 
 def _override(case: CaseFile, override: str) -> None:
@@ -300,16 +360,18 @@ def _override(case: CaseFile, override: str) -> None:
     """
     key, equals, text = override.partition("=")
     key = key.strip()
-    items = re.sub(r"\[(\d+)\]", r".\1", key).split(".")
+    items = re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
     if not equals or not all(items):
         raise _BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
+    if len(items) > DEEPEST:
+        raise _BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
     target: Any = case.data
     path: Path = ()
     for n, item in enumerate(items):
         last = n == len(items) - 1
         step: str | int = item
         if isinstance(target, list):
-            if not item.isdigit() or int(item) >= len(target):
+            if not re.fullmatch("[0-9]{1,6}", item) or int(item) >= len(target):
                 raise _BadYaml(
                     f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'"
                 )

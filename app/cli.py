@@ -180,7 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(line_buffering=True)
+        # Paths can hold what is no text.
+        sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     ranks.keep_quiet()
     try:
@@ -201,7 +202,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader of standard output (head, less) has left: there is nobody to say anything to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except Exception:
+    except Exception as error:
+        from app import compiled
+
+        if (problem := compiled.explain(error)) is not None:
+            if rank() == 0:
+                print(problem, file=sys.stderr, flush=True)
+            return problem.exit_code
         print(
             f"mantle: internal error on rank {rank()}; please report it with what follows\n"
             + traceback.format_exc(),
@@ -259,10 +266,8 @@ def _run(
     """Solve a case, on several ranks if asked for."""
     size = ranks.world_size()
     # The input is checked before ranks are started: its errors come at once, and once.
-    from app import config
-
     options.overrides += ["output.error=true"] if options.error else []
-    case = config.load(options.case, options.overrides)
+    case = _case(options)
     output = options.output or Path("out") / options.case.stem
     from app import folders
 
@@ -279,20 +284,35 @@ def _run(
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     _configure_log(options.log_level)
+    from app import compiled
+
+    if rank() == 0:
+        compiled.mend()
     with _stack():
         from app.run import run
 
     return run(case, options.case, output, petsc_options, options.overrides, options.keep)
 
 
+def _case(options: argparse.Namespace) -> Any:
+    """The case, which has to fit this machine."""
+    from app import case_file, config, sizing
+
+    file = case_file.read(options.case, options.overrides)
+    case = config.resolve(file, options.case.parent)
+    sizing.check(file, case)
+    return case
+
+
 def _check(options: argparse.Namespace) -> int:
     """Tell how a case was understood."""
-    from app import case_file, config, preview
+    from app import case_file, config, preview, sizing
 
     file = case_file.read(options.case, options.overrides)
     case = config.resolve(file, options.case.parent)
     print(preview.describe(case, file.data))
     if options.mesh:
+        sizing.check(file, case)
         print(preview.exact_size(case, _build(case)))
     else:
         print(preview.estimated_size(case))
@@ -303,9 +323,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _mesh(options: argparse.Namespace) -> int:
     """Write the mesh and a picture of it."""
-    from app import config
-
-    case = config.load(options.case, options.overrides)
+    case = _case(options)
     path = _mesh_path(options.output, options.case.stem)
     data = _build(case)
     import meshes

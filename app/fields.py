@@ -60,8 +60,12 @@ def did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
 
 
 def _name(value: object) -> object:
-    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", value):
-        fail(f"{show(value)} is not a name; expected letters, digits, _ and -, first a letter")
+    # Names become those of folders and fields.
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]{0,99}", value):
+        fail(
+            f"{show(value)} is not a name; expected letters, digits, _ and -, first a letter, at "
+            "most 100"
+        )
     return value
 
 

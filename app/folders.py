@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -61,14 +63,48 @@ def prepare_run(folder: Path, force: bool) -> None:
         raise InputError(f"-o {folder}: is not writable")
 
 
+def claim(folder: Path) -> int:
+    """Keep other runs out of a folder, until what is returned is closed or this process ends.
+
+    Nothing is written for it.
+
+    Args:
+        folder: The folder of a run.
+
+    Returns:
+        A file descriptor.
+
+    Raises:
+        InputError: Another run has it.
+    """
+    try:
+        held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be read: {error.strerror}") from error
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(held)
+        text = "another run is writing into it; wait for its end, or choose another folder"
+        raise InputError(f"-o {folder}: {text}") from None
+    except OSError:
+        pass  # a file system without locks
+    return held
+
+
 def write_text(path: Path, text: str) -> None:
-    """Write a file under another name, flush it to disk and rename it."""
+    """Write a file under another name, flush it to disk and rename it; all of it or nothing."""
     temporary = path.with_name(path.name + ".partial")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
 
 
 def write_json(path: Path, content: Any) -> None:

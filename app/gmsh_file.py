@@ -12,9 +12,19 @@ ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.
 HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
-COMMENT = re.compile(r'("[^"\n]*")|//[^\n]*|/\*.*?\*/', re.DOTALL)
+COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?\*/""", re.DOTALL)
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
+# A script is a program. What it may not do is start another, read or write any file but geometry,
+# or end or delay this one. Every word below is a command, an option or a field for that.
+QUOTED = re.compile(r"\"[^\"]*\"|'[^']*'")
+FORBIDDEN = re.compile(
+    r"\b(System|SystemCall|NonBlockingSystemCall|Onelab\w*|Parse\w*|Include|Save|Print|CreateDir"
+    r"|Plugin|Exit|Abort|Sleep|ExternalProcess|CommandLine|GetEnv|SendToServer|Solver|\w+FileName"
+    r"|(Printf|Error)\b[^;]*>|(Merge\w*|ShapeFromFile)\b(?!\s*\(?\s*\"))(?!\w)"
+)
+MERGED = re.compile(r'\b(?:Merge\w*|ShapeFromFile)\s*\(?\s*"([^"]*)"')
+GEOMETRY = (".step", ".stp", ".iges", ".igs", ".brep")
 
 
 def is_script(path: Path) -> bool:
@@ -33,7 +43,8 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
         The names, in the order of the file.
 
     Raises:
-        ValueError: The file is not of this format, or the script does not use its parameter.
+        ValueError: The file is not of this format; the script does not use its parameter, or is
+            none that only makes a geometry; gmsh would run a file of options beside it.
     """
     return tuple(name for d, name in _names(path, path.stat().st_mtime_ns) if d == dimension)
 
@@ -41,8 +52,14 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
 @lru_cache(maxsize=8)
 def _names(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     """(dimension, name) of every physical group; `modified` renews the cache."""
+    if path.suffix not in (".msh", ".geo"):
+        raise ValueError("is neither a .msh file nor a .geo script")
+    if (options := Path(f"{path}.opt")).exists():
+        raise ValueError(
+            f"gmsh would run {options.name} beside it, which may do anything; remove it"
+        )
     if is_script(path):
-        return _groups(path.read_bytes())
+        return _groups(path)
     with path.open("rb") as file:
         header = file.read(HEADER)
     if not header.startswith(b"$MeshFormat"):
@@ -58,12 +75,44 @@ def _names(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     return tuple((int(m[1]), m[3].decode("utf-8", "replace")) for m in matches if m)
 
 
-def _groups(content: bytes) -> tuple[tuple[int, str], ...]:
+def _groups(path: Path) -> tuple[tuple[int, str], ...]:
     """(dimension, name) of the groups that a script names."""
+    content = path.read_bytes()
     text = COMMENT.sub(lambda m: m[1] or " ", content.decode("utf-8", "replace"))
+    _harmless(content, text, path.parent)
     if not re.search(r"\bsize\b", text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
     return tuple(dict.fromkeys((DIMENSIONS[m[1]], m[2]) for m in GROUP.finditer(text)))
+
+
+def _harmless(content: bytes, text: str, folder: Path) -> None:
+    """Refuse a script that does more than to make a geometry.
+
+    Args:
+        content: The script.
+        text: The same without comments.
+        folder: Where it is.
+
+    Raises:
+        ValueError: With what it does.
+    """
+    # What gmsh takes for a comment or a quotation has to be what is taken for one here.
+    if re.search(rb"[\0-\x08\x0b-\x1f\x7f]", content.replace(b"\r\n", b"\n")):
+        raise ValueError("the script has control characters in it")
+    for line in text.split("\n"):
+        if "\\" in line or re.search("[\"']", QUOTED.sub("", line)):
+            raise ValueError(f"the script has \\ or half a quotation in it: {line.strip()[:60]!r}")
+    bare = QUOTED.sub('""', text)
+    if found := FORBIDDEN.search(bare):
+        raise ValueError(
+            f"the script says {found[0].split()[0]!r}; it may make a geometry, but start nothing, "
+            f'write no file and read none but by Merge "...": {", ".join(GEOMETRY)}'
+        )
+    for name in MERGED.findall(text):
+        if not name.lower().endswith(GEOMETRY):
+            raise ValueError(f"the script merges {name}; it may merge {', '.join(GEOMETRY)}")
+        if (folder / f"{name}.opt").exists():
+            raise ValueError(f"gmsh would run {name}.opt, which may do anything; remove it")
 
 
 def content(path: Path) -> str:
@@ -83,11 +132,14 @@ def counts(path: Path) -> int:
     if is_script(path):
         return 0
     data = path.read_bytes()
-    version, binary = data.split(b"\n", 2)[1].split()[:2]
     _, found, rest = data.partition(b"$Elements\n")
-    if not found:
+    try:
+        version, binary = data.split(b"\n", 2)[1].split()[:2]
+        if version == b"4.1" and binary == b"1":
+            return int(struct.unpack_from("<QQ", rest)[1]) if found else 0
+        fields = rest.split(b"\n", 1)[0].split()
+        announced = int(fields[1] if version == b"4.1" else fields[0]) if found else 0
+    except (ValueError, IndexError, struct.error):
         return 0
-    if version == b"4.1" and binary == b"1":
-        return int(struct.unpack_from("<QQ", rest)[1])
-    fields = rest.split(b"\n", 1)[0].split()
-    return int(fields[1] if version == b"4.1" else fields[0])
+    # Nothing takes less than a byte: what announces more is damaged.
+    return min(max(announced, 0), len(data))

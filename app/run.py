@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -17,7 +19,7 @@ from mpi4py import MPI
 from app import config, error, kept, preview, ranks, variations
 from app import log as text
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
-from app.folders import FAILED, prepare_run, write_text
+from app.folders import FAILED, claim, prepare_run, write_text
 from app.model import Model
 from app.output import Writer, on_root, provenance
 from app.recorder import Recorder
@@ -60,11 +62,12 @@ def run(
     for message in preview.warnings(case):
         log.warning("note: %s", message)
     session = Session(comm, case_path, raw_options(petsc_options), _watch_signals(), begin, started)
-    if not case.variations:
-        summary = session.solve(case, overrides, output)
-        log.info("%s", text.closing_table(summary))
-    else:
-        session.vary(case, overrides, output, keep)
+    with _claimed(comm, output):
+        if not case.variations:
+            summary = session.solve(case, overrides, output)
+            log.info("%s", text.closing_table(summary))
+        else:
+            session.vary(case, overrides, output, keep)
     log.info("results in %s", output)
     return 0
 
@@ -204,6 +207,21 @@ class Session:
             summary["timing"] = recorder.seconds()
         writer.finish(summary, done=True)
         return summary
+
+
+@contextmanager
+def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
+    """Keep other runs out of a folder meanwhile; collective.
+
+    Raises:
+        InputError: Another run has it.
+    """
+    held = on_root(comm, partial(claim, output), share=False)
+    try:
+        yield
+    finally:
+        if held is not None:
+            os.close(held)
 
 
 def _prepare(folder: Path) -> None:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 Point3 = tuple[float, float, float]
 
+# The least size of a cell (mm), whose powers are numbers too; and more cells than can be.
+LEAST, COUNTLESS = 1e-8, 1e40
+
 
 @dataclass(frozen=True)
 class Mantle:
@@ -65,6 +68,8 @@ class MeshOptions(Model):
 
     @model_validator(mode="after")
     def _ordered(self) -> MeshOptions:
+        if self.size < LEAST:
+            fail(f"{self.size:g} mm is less than an atom", at=("size",))
         if self.far < self.size:
             fail(f"{self.far:g} mm is finer than size, {self.size:g} mm", at=("far_size",))
         return self
@@ -83,4 +88,5 @@ def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
         most the number of cells of a uniform mesh.
     """
     uniform = 8.5 * volume / mesh.size**3
-    return max(6, round(min(uniform, 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3)))
+    graded = 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3
+    return max(6, round(min(uniform, graded, COUNTLESS)))

@@ -89,7 +89,7 @@ def _blame(file: CaseFile, case: Path, message: str, problems: list[Problem]) ->
     """Note a defect of the case where its cause is: in an override of it, or in itself."""
     if message.startswith(f"{case}: "):  # it cannot be read
         problems.append(Problem(("base",), message))
-    elif found := case_file.located(message, file.data.get("set", {}), ("set",)):
+    elif found := case_file.located(message, file.data.get("set") or {}, ("set",)):
         problems.append(found)
     else:
         file.complaints.append((case_file.LAST, message))

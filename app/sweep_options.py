@@ -18,6 +18,7 @@ from app.variation_options import labels, short_keys
 
 # Random designs of samples to choose from.
 DESIGNS = 20
+MOST_CASES = 20_000
 # A number, and its unit if it has one.
 QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
@@ -138,6 +139,16 @@ class Part(Model):
     latin_hypercube: LatinHypercube | None = None
     """Samples of uncertain inputs: one axis."""
 
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        """How many values each axis has."""
+        return (
+            *(len(values) for values in (self.grid or {}).values()),
+            len(steps(self.lists or {})),
+            1 if self.table is None else len(self.table),
+            self.latin_hypercube.samples if self.latin_hypercube else 1,
+        )
+
 
 class Sweep(Part):
     """The content of a sweep file: one part, or several by name that share base and ``set``."""
@@ -156,6 +167,9 @@ class Sweep(Part):
             if (name or not self.parts) and (part.base or self.base) is None:
                 path = ("parts", name, "base") if name else ("base",)
                 fail("missing; expected the case that is varied, relative to this file", at=path)
+            if (number := math.prod(part.lengths)) > MOST_CASES:
+                text = f"{number} combinations; at most {MOST_CASES} are allowed"
+                fail(text, at=("parts", name) if name else ())
         return self
 
 

@@ -30,6 +30,8 @@ NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
 UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
 # Powers of powers and long exponents would cost more than they can mean.
 LONGEST = 60
+# Of a number with its unit; looking for them in endless text takes as long as its square.
+LONGEST_VALUE = 200
 TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
 
 # File of conversions.
@@ -86,9 +88,17 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
     if not UNIT.fullmatch(text) or TOWER.search(text):
         raise LookupError(unit)
     key = f"{text} in {internal}"
-    if key not in _kept():
-        _keep(key, _by_pint(unit, text, internal))
-    slope, offset = map(Fraction, _kept()[key])
+    if (known := _known(_kept().get(key))) is None:
+        _keep(key, known := _by_pint(unit, text, internal))
+    return known
+
+
+def _known(entry: object) -> tuple[Fraction, Fraction] | None:
+    """A conversion as the cache has it; None if it has none, or something else."""
+    try:
+        slope, offset = map(Fraction, entry)  # type: ignore[call-overload]
+    except (TypeError, ValueError, ArithmeticError):
+        return None
     return slope, offset
 
 
@@ -98,7 +108,7 @@ def _kept() -> dict[str, list[str]]:
     folder = folders.cache("units")
     try:
         found = json.loads((folder / KEPT).read_text()) if folder else {}
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
 
@@ -206,7 +216,7 @@ class Dimension(Scalar):
                     fail(f"{show(value)} is not finite; {expected}")
                 fail(f"{value} needs a unit, e.g. '{value} {self.example.split(maxsplit=1)[1]}'")
             fail(f"{show(value)} is not {self.what}; {expected}")
-        match = NUMBER.fullmatch(value)
+        match = NUMBER.fullmatch(value) if len(value) <= LONGEST_VALUE else None
         if match is None:
             wrong = "is not finite" if NOT_FINITE.match(value) else f"is not {self.what}"
             fail(f"{show(value)} {wrong}; {expected}")
@@ -454,8 +464,10 @@ _length = ("mm", "a length", "4 mm")
 _stiffness = ("MPa/mm", "a stiffness per area", "100 MPa/mm")
 
 Length = Annotated[float, Dimension(*_length)]
-PositiveLength = Annotated[float, Dimension(*_length, above=0.0)]
-NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0)]
+# Longer than any planet: of what a geometry is made of, volumes are numbers too.
+_longest = 1e10
+PositiveLength = Annotated[float, Dimension(*_length, above=0.0, at_most=_longest)]
+NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0, at_most=_longest)]
 Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
 Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
 Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]

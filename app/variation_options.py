@@ -7,6 +7,7 @@ shared by the runs (`app/variations.py`).
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from app.fields import MAPPING, Name, did_you_mean, fail, show
 
 # The name of the entry whose lists multiply.
 GRID = "grid"
+MOST = 20_000
 OF_LOADS = ("force", "at", "pressure", "density", "history")
 OF_SOLVER = ("augmentation_factor",)
 MAY_VARY = re.compile(
@@ -61,6 +63,8 @@ def _section(value: dict[str, Any]) -> dict[str, Any]:
                 fail(text, at=(name, key))
     if GRID in value and not value[GRID]:
         fail("varies nothing", at=(GRID,))
+    if (number := math.prod(len(entry) for entry in value.get(GRID, {}).values())) > MOST:
+        fail(f"{number} combinations; at most {MOST} are allowed", at=(GRID,))
     for key, names in labels(value.get(GRID, {})).items():
         for i, label in enumerate(names):
             if label in names[:i]:

@@ -5,19 +5,21 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import logging
 import os
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from .data import MeshData
+
+log = logging.getLogger("mantle")
 
 MESHER_VERSION = 2  # raise it whenever the same input gives another mesh
 
@@ -79,35 +81,46 @@ def load(path: Path) -> MeshData | None:
             arrays = {
                 k: stored[k] for k in ("points", "cells", "cell_tags", "facets", "facet_tags")
             }
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return MeshData(
+            **arrays,
+            regions=names["regions"],
+            boundaries={k: tuple(v) for k, v in names["boundaries"].items()},
+            interfaces={k: (tuple(a), tuple(b)) for k, (a, b) in names["interfaces"].items()},
+            notes=names["notes"],
+        )
+    except Exception:  # of a damaged archive there is no telling which
         return None
-    return MeshData(
-        **arrays,
-        regions=names["regions"],
-        boundaries={k: tuple(v) for k, v in names["boundaries"].items()},
-        interfaces={k: (tuple(a), tuple(b)) for k, (a, b) in names["interfaces"].items()},
-        notes=names["notes"],
-    )
 
 
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
     """Keep others from making the same mesh meanwhile: many runs at once often need one mesh."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.with_suffix(".lock").open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with ExitStack() as stack:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(path.with_suffix(".lock").open("w"))
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError:
+            pass  # where nothing can be written or locked, all make the same mesh
         yield
 
 
 def store(data: MeshData, path: Path) -> None:
-    """Write the mesh under another name and rename it: readers see all of it or nothing."""
+    """Write the mesh under another name and rename it: readers see all of it or nothing.
+
+    Where it cannot be written it is not kept.
+    """
     names = {
         "regions": dict(data.regions),
         "boundaries": dict(data.boundaries),
         "interfaces": dict(data.interfaces),
         "notes": dict(data.notes),
     }
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    except OSError as error:
+        log.warning("the mesh cannot be kept in %s: %s", path.parent, error.strerror)
+        return
     try:
         with os.fdopen(handle, "wb") as file:
             np.savez(
@@ -120,6 +133,9 @@ def store(data: MeshData, path: Path) -> None:
                 names=np.array(json.dumps(names)),
             )
         os.replace(temporary, path)
+    except OSError as error:
+        Path(temporary).unlink(missing_ok=True)
+        log.warning("the mesh cannot be kept in %s: %s", path.parent, error.strerror or error)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
+import resource
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +18,10 @@ from .data import Ints, MeshData, cell_volumes, exterior_facets
 from .session import generate, session
 from .tags import assemble, number
 
+ROOT = Path(__file__).resolve().parents[1]
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+# How often the finest cells of a script may be in its diagonal; any more would never be meshed.
+MOST_EDGES = 20_000
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
 _TETRAHEDRA, _TRIANGLES = {4: 4, 11: 10}, {2: 3, 9: 6}
@@ -40,6 +47,53 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     path = Path(geometry.path)
     if not path.is_file():
         raise GeometryError(f"{path}: no such mesh file")
+    # gmsh crashes on some damaged files; scripts are its own language.
+    parts = _parts(geometry, mesh) if geometry.is_script else _apart(geometry, mesh)
+    return _named(geometry, *parts)
+
+
+def _apart(geometry: Any, mesh: Any) -> Any:
+    """What `_parts` returns, from a process of its own.
+
+    Raises:
+        GeometryError: As `_parts`, or gmsh crashes.
+    """
+    script = (
+        f"import sys; sys.path[:0] = [{str(ROOT)!r}]; from meshes.imported import serve; serve()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        input=pickle.dumps((geometry, mesh)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    if done.returncode:
+        raise GeometryError(f"{geometry.path}: gmsh crashes on it: it is damaged, or too large")
+    result = pickle.loads(done.stdout)
+    if isinstance(result, GeometryError):
+        raise result
+    return result
+
+
+def serve() -> None:
+    """Read a mesh file: what is asked comes from standard input, the answer goes to the output."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    geometry, mesh = pickle.load(sys.stdin.buffer)
+    try:
+        result = _parts(geometry, mesh)
+    except GeometryError as error:
+        result = error
+    sys.stdout.buffer.write(pickle.dumps(result))
+
+
+def _parts(geometry: Any, mesh: Any) -> Any:
+    """What gmsh has of a file.
+
+    Returns:
+        Numbers of the regions; tags and coordinates of the nodes; cells of each region; triangles
+        of each surface; how many cells there are in all.
+    """
+    path = Path(geometry.path)
     with session(path.name) as gmsh:
         if geometry.is_script:
             _run_script(gmsh, path, mesh, MILLIMETRES[geometry.unit])
@@ -68,9 +122,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         cells = {name: _elements(gmsh, 3, name, _TETRAHEDRA, path) for name in regions}
         surfaces = {name: _elements(gmsh, 2, name, _TRIANGLES, path) for name in names[2] if name}
         everything = _count(gmsh)
-    return _named(
-        geometry, regions, node_tags, coordinates.reshape(-1, 3), cells, surfaces, everything
-    )
+    return regions, node_tags, coordinates.reshape(-1, 3), cells, surfaces, everything
 
 
 def _run_script(gmsh: Any, path: Path, mesh: Any, unit: float) -> None:
@@ -81,6 +133,13 @@ def _run_script(gmsh: Any, path: Path, mesh: Any, unit: float) -> None:
     for source in ("ExtendFromBoundary", "FromPoints"):  # gmsh's defaults, which scripts count on
         gmsh.option.setNumber(f"Mesh.MeshSize{source}", 1)
     gmsh.merge(str(path))
+    box = np.array(gmsh.model.getBoundingBox(-1, -1))
+    edges = np.linalg.norm(box[3:] - box[:3]) * unit / mesh.size
+    if not edges <= MOST_EDGES:
+        raise GeometryError(
+            f"mesh.size: {mesh.size:g} mm is {edges:.2g} times in the diagonal of {path}; at most "
+            f"{MOST_EDGES} times"
+        )
     generate(gmsh, mesh.curved)
 
 
@@ -94,6 +153,8 @@ def _named(
     everything: int,
 ) -> MeshData:
     """Put the pieces of the file together."""
+    if not len(node_tags):
+        raise GeometryError(f"{geometry.path}: the mesh has no nodes")
     row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
     row[node_tags.astype(np.int64)] = np.arange(len(node_tags))
     widths = {block.shape[1] for block in cells_by_name.values() if len(block)}

@@ -6,6 +6,7 @@ even after ``gmsh.clear()``.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -39,7 +40,13 @@ def session(name: str) -> Iterator[Any]:
 
     if gmsh.isInitialized():
         gmsh.finalize()
-    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    home = os.environ.get("HOME")
+    os.environ["HOME"] = os.devnull  # the toolkit of its windows would make a folder there
+    try:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+    finally:
+        del os.environ["HOME"]
+        os.environ |= {"HOME": home} if home is not None else {}
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)  # more threads: another mesh every time

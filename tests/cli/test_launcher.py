@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -261,3 +262,34 @@ def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
     _, message = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "stopped before the state was saved" in message
+
+
+# ---------------------------------------------------------------------------------- who and where
+
+
+def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -> None:
+    # Not below tmp_path, whose parents are closed to others.
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        folder = Path(name)
+        for part in (folder, folder / "home", folder / "work"):
+            part.mkdir(exist_ok=True)
+            part.chmod(0o777)
+        who: list[str] = []
+        if os.geteuid() == 0:
+            who = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+            readable = subprocess.run([*who, "test", "-r", MANTLE], check=False).returncode == 0
+            if not readable:
+                pytest.skip(f"others cannot read {ROOT}")
+        case = ROOT / "configs" / "blocks.yaml"
+        done = subprocess.run(
+            [*who, "sh", MANTLE, "mesh", case, "-o", "out/$(touch PWNED);'\"/mesh.msh"],
+            cwd=folder / "work",
+            env={"PATH": os.environ["PATH"], "HOME": str(folder / "home"), "PYTHONPATH": str(ROOT)}
+            | {"MANTLE_BACKEND": "native", "PYTHONDONTWRITEBYTECODE": "1"},
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert done.returncode == 0, done.stderr
+        written = {p.relative_to(folder).parts[:2] for p in folder.rglob("*") if p.is_file()}
+        assert written == {("home", ".cache"), ("work", "out")}

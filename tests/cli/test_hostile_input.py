@@ -1,0 +1,218 @@
+"""Input that means harm or nonsense: refused in words, before anything is run or meshed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app import case_file, config, preview, sizing, study_file, sweep_file
+from app.cli import main
+from app.errors import GeometryError, InputError
+from app.units import LONGEST_VALUE
+from tests.support import CONFIGS
+
+BLOCKS = CONFIGS / "blocks.yaml"
+SCRIPT = """\
+DefineConstant[ size = 1 ];
+SetFactory("OpenCASCADE");
+Box(1) = {0, 0, 0, 1, 1, 1};
+Physical Volume("cube") = {1};
+Physical Surface("bottom") = Surface In BoundingBox {-1, -1, -0.1, 2, 2, 0.1};
+"""
+CASE = """\
+geometry: {kind: file, path: script.geo}
+mesh: {size: 0.5 mm}
+regions: {cube: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}}
+supports: {base: {kind: fixed, boundary: bottom}}
+"""
+
+
+def complaint(path: Path, *overrides: str) -> str:
+    """What is said of a file with one thing wrong in it."""
+    with pytest.raises(InputError) as caught:
+        config.load(path, overrides)
+    (message,) = caught.value.messages
+    assert message.isprintable()
+    return message
+
+
+TITLES = {
+    "!!bool maybe": "'maybe' is not true or false",
+    "!!int ''": "'' is not a number",
+    "!!float ''": "'' is not a number",
+    '"\\ud800"': "a surrogate is no character",
+    "!!python/object/apply:os.system ['touch PWNED']": "has no meaning here",
+    "!!set {a, b}": "has no meaning here",
+    "x" * 10_001: "a text of 10001 characters; at most 10000",
+}
+
+
+@pytest.mark.parametrize("title", TITLES)
+def test_values_that_are_none(title: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(f"title: {title}\n")
+    message = complaint(path)
+    assert message.startswith(f"{path}:1:8: ")
+    assert TITLES[title] in message
+
+
+OVERRIDES = {
+    "geometry.blocks.².name=a": "geometry.blocks has entries 0 to 2, not '²'",
+    ".".join("a" * 60) + "=1": "60 keys in each other; at most 50",
+    f"mesh.size=1{' ' * LONGEST_VALUE}mm": "--set mesh.size: '1   ",
+    "mesh.size=1e-200 mm": "--set mesh.size: 1e-200 mm is less than an atom",
+    "geometry.blocks.0.size.0=1e300 mm": "must be at most 1e+10 mm",
+    f"stages.0.name={'x' * 101}": "is not a name; expected letters, digits, _ and -",
+    "stages.0.name=../../x": "is not a name",
+}
+
+
+@pytest.mark.parametrize("override", OVERRIDES)
+def test_overrides_that_are_none(override: str) -> None:
+    assert OVERRIDES[override] in complaint(BLOCKS, override)
+
+
+def test_keys_do_not_steer_the_terminal(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(BLOCKS.read_text() + '"\\e[31m\\n": 1\n')
+    assert "\\x1b[31m\\n: unknown key" in complaint(path)
+
+
+def test_a_file_too_long_to_be_a_case_is_not_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text("a: [" + "1," * (case_file.MOST_NODES + 10))
+    assert "too many or too deeply nested values" in complaint(path)
+    path.write_text("#" * case_file.LARGEST + "\n")
+    assert complaint(path) == f"{path}: is larger than 4 MB; no case is"
+    assert complaint(Path("/dev/zero")) == "/dev/zero: is larger than 4 MB; no case is"
+
+
+def test_a_study_whose_overrides_are_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(f"base: {BLOCKS}\nset:\nstudy: {{}}\n")
+    with pytest.raises(InputError) as caught:
+        study_file.read(path, ["nonsense.key=1"])
+    assert any("set: nothing is not a mapping" in m for m in caught.value.messages)
+
+
+def test_combinations_beyond_number(tmp_path: Path) -> None:
+    path = tmp_path / "sweep.yaml"
+    values = f"[{', '.join(map(str, range(40)))}]"
+    axes = "".join(f"  a.b{i}: {values}\n" for i in range(6))
+    path.write_text(f"base: {BLOCKS}\ngrid:\n{axes}")
+    with pytest.raises(InputError, match="4096000000 combinations; at most 20000 are allowed"):
+        sweep_file.read(path)
+    axes = "".join(f"    interfaces.a.b{i}: {values}\n" for i in range(6))
+    path.write_text(f"{BLOCKS.read_text()}\nvariations:\n  grid:\n{axes}")
+    assert "variations.grid: 4096000000 combinations; at most 20000" in complaint(path)
+
+
+# ------------------------------------------------------------------------------------ size
+
+
+@pytest.mark.parametrize("name", ["blocks", "cylinders", "stance", "cure"])
+@pytest.mark.parametrize("command", ["run", "mesh", "check"])
+def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
+    name: str, command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = CONFIGS / f"{name}.yaml"
+    arguments = ["--mesh"] if command == "check" else ["-o", str(tmp_path / "out")]
+    # What the command line gives wins; far_size, where the case gives it, stays as it is.
+    assert main([command, str(path), *arguments, "--set", "mesh.size=1 nm"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("--set mesh.size: 1e-06 mm makes about ")
+    for word in (" cells", " unknowns", " GB", " mm would do"):
+        assert word in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sizing, "available", lambda: 8e9)
+    file = case_file.read(BLOCKS, ["mesh.size=1e-3 mm"])
+    with pytest.raises(InputError) as caught:
+        sizing.check(file, config.resolve(file, BLOCKS.parent))
+    size = str(caught.value).split("; ")[-1].removesuffix(" would do")
+    case = config.load(BLOCKS, [f"mesh.size={size}"])
+    assert 0.5 * 8e9 < sizing.needed(case) <= 8e9
+    assert preview.unknowns(case) > 1e5
+
+
+def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
+    file = case_file.read(CONFIGS / "stance.yaml", ["geometry.distal_cut_z=-1e100 mm"])
+    with pytest.raises(InputError, match=r"mesh.size: 3 mm makes about .* GB$"):
+        sizing.check(file, config.resolve(file, CONFIGS))
+
+
+@pytest.mark.parametrize("environ", [{"SLURM_NNODES": "4"}, {"OMPI_COMM_WORLD_SIZE": "8"}])
+def test_several_machines_have_more_memory(environ: dict[str, str]) -> None:
+    more = (
+        {**environ, "OMPI_COMM_WORLD_LOCAL_SIZE": "2"} if "SLURM_NNODES" not in environ else environ
+    )
+    assert sizing.available(more) == 4 * sizing.available({})
+
+
+# --------------------------------------------------------------------------------- scripts
+
+
+def scripted(folder: Path, script: str) -> Path:
+    """A case of a script."""
+    (folder / "script.geo").write_text(script)
+    path = folder / "case.yaml"
+    path.write_text(CASE)
+    return path
+
+
+PROGRAMS = {
+    'SystemCall "touch PWNED";': "says 'SystemCall'",
+    'c = "touch PWNED"; System c;': "says 'System'",
+    'NonBlockingSystemCall "touch PWNED";': "says 'NonBlockingSystemCall'",
+    'Parse "SystemCall Str(...)";': "says 'Parse'",
+    'Printf("x") > "PWNED";': "says 'Printf(",
+    'Printf("x")\n  >> "PWNED";': "says 'Printf(",
+    'Save "PWNED.msh";': "says 'Save'",
+    'CreateDir "PWNED";': "says 'CreateDir'",
+    'OnelabRun("x", "touch PWNED");': "says 'OnelabRun'",
+    "Field[1] = ExternalProcess;": "says 'ExternalProcess'",
+    'Include "other.geo";': "says 'Include'",
+    'Merge StrCat("a.step", ".geo");': "says 'Merge'",
+    'Merge "other.geo";': "merges other.geo",
+    'x = "\n// "; SystemCall "touch PWNED";': "half a quotation",
+    'x = "\\" // "; SystemCall "touch PWNED";': "has \\ or half",
+    "Sleep 1e9;": "says 'Sleep'",
+    "\x07": "has control characters",
+}
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_scripts_do_nothing_but_geometry(program: str, tmp_path: Path) -> None:
+    message = complaint(scripted(tmp_path, f"{SCRIPT}{program}\n"))
+    assert message.startswith(f"{tmp_path}/case.yaml:1:")
+    assert PROGRAMS[program] in message
+
+
+def test_scripts_may_say_so_in_comments_and_quotations(tmp_path: Path) -> None:
+    talk = "// don't SystemCall\n/* Save, Print */\nx = 'Sleep';\n"
+    talk += 'Printf("%g", size); Mesh.SaveAll = 0;\n'
+    assert config.load(scripted(tmp_path, SCRIPT + talk)).geometry.region_names == ("cube",)
+
+
+@pytest.mark.parametrize("name", ["script.geo", "a.step"])
+def test_options_beside_a_script_are_not_run(name: str, tmp_path: Path) -> None:
+    path = scripted(tmp_path, SCRIPT + 'If (0)\n Merge "a.step";\nEndIf\n')
+    (tmp_path / f"{name}.opt").write_text('SystemCall "touch PWNED";')
+    assert f"gmsh would run {name}.opt" in complaint(path)
+
+
+def test_a_mesh_file_is_known_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "mesh.py").write_text("$MeshFormat\n")
+    path = scripted(tmp_path, SCRIPT)
+    assert "neither a .msh file nor a .geo script" in complaint(path, "geometry.path=mesh.py")
+
+
+def test_a_script_is_not_meshed_by_the_nanometre(tmp_path: Path) -> None:
+    import meshes
+
+    case = config.load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])
+    with pytest.raises(GeometryError, match=r"1e-06 mm is 1.7e.06 times in the diagonal"):
+        meshes.build(case.geometry, case.mesh, None)
