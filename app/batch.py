@@ -148,7 +148,7 @@ def run(
         cores: How many cores of this machine to use at most.
         slurm: Each run is a job of a Slurm cluster, with these options of sbatch; all nodes see
             the folder. None: all run here.
-        so_far: Given what `look` would say, from time to time as runs end.
+        so_far: Given what `look` would say, from time to time as runs end, and if interrupted.
 
     Returns:
         A result for each job, in their order. A failed job is a result too.
@@ -435,6 +435,7 @@ def _execute(
             else:
                 log.info("stopping; the jobs are cancelled")
                 _cancel(child, folder)
+            so_far()
             raise StoppedError(
                 f"stopped after {progress.count} of {total} runs; "
                 f"the same command goes on from there (in {folder})"

@@ -22,7 +22,7 @@ from typing import Any
 
 from app import batch, case_file, preview, study_options, sweep_file, uncertainty, variations
 from app.batch import Job, Result
-from app.errors import ConvergenceError, InputError, StoppedError
+from app.errors import ConvergenceError, InputError
 from app.folders import write_json, write_text
 from app.study import quantity
 from app.sweep_file import Planned
@@ -66,12 +66,7 @@ def run(
     def write(results: Sequence[Result]) -> list[dict[str, Any]]:
         return _write(sweep, path, planned, results, folder, cores, begin)
 
-    try:
-        results = batch.run(jobs, folder, cores, slurm, write)
-    except StoppedError:
-        write(batch.look(jobs, folder))
-        raise
-    rows = write(results)
+    rows = write(batch.run(jobs, folder, cores, slurm, write))
     log.info("%s", _table(rows))
     if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
         log.info("\n%s", spread)

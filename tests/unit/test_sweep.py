@@ -18,6 +18,7 @@ import signal
 import statistics
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -302,6 +303,23 @@ def test_the_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.Monke
     done = [statuses.count("converged") for statuses in written]
     assert 0 < done[0] < 8 and done[-1] == 8 and done == sorted(done)
     assert {s for statuses in written for s in statuses} == {"converged", "stopped"}
+
+
+def test_an_interrupted_sweep_has_its_table(bench: Bench) -> None:
+    (bench.folder / "seconds").write_text("0.5")
+
+    def interrupt() -> None:
+        deadline = time.monotonic() + 20
+        while not batch.finished(bench.out) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(StoppedError):
+        bench.run()
+    thread.join()
+    assert {c["status"] for c in bench.cases()} == {"converged", "stopped"}
 
 
 def test_only_what_failed_or_changed_runs_again(bench: Bench) -> None:
