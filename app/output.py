@@ -159,8 +159,8 @@ class Writer:
             [g.resume(f) for g, f in zip(self._grids, found, strict=True)]
         ):
             return
-        if found and self._grids:
-            log.warning("fields.vtkhdf is not that of the checkpoint: it begins anew from here")
+        if self._grids:
+            log.info("no fields.vtkhdf to go on with: it begins here")
         self._begin()
 
     def fields(self, time: float, samples: Samples | None) -> None:
