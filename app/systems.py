@@ -266,15 +266,19 @@ class Contact:
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
-        if self._coupled != self.version:
-            self._coupled = self.version
-            self._jumps.C.copy(self._C)
-            self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
+        self._couple()
         trial = self.trial = self._problem.trial(*x)
         self._set_rows(*self._jumps.row_factors(trial.law))
         status = trial.law.status
         self._changed = -1 if self._last is None else int((status != self._last).sum())
         self._last = status.copy()
+
+    def _couple(self) -> None:
+        """Take in the coupling, if it has changed."""
+        if self._coupled != self.version:
+            self._coupled = self.version
+            self._jumps.C.copy(self._C)
+            self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
 
     def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
         """Set the rows of the jumps."""
@@ -343,6 +347,7 @@ class Contact:
         """Let them go again; collective."""
         if not state:
             return None
+        self._couple()
         known, times, added = (state[k].of(self._jumps.mine) for k in ("motions", "times", "added"))
         self._set_rows(times, added)
         self._then = self._factors
