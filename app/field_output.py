@@ -102,8 +102,8 @@ class Fields:
         )
         # What the points and cells of the file are, in the order of the ranks.
         of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for layer, body in zip(layers, bodies.T, strict=True):
-            of_points = of_points * len(layer.bodies.names) + body[group]
+        for layer, nodes in zip(layers, self._nodes, strict=True):
+            of_points = of_points * len(layer.bodies.names) + nodes.body
         stride = tagged.mesh.geometry.index_map().size_global ** 2
         number = tagged.mesh.topology.original_cell_index[:owned]
         self._keys = [comm.gather(keys) for keys in (of_points * stride + of_mesh, number)]
@@ -123,7 +123,7 @@ class Fields:
             OSError: It cannot be written.
         """
         self._grid = self._make()
-        self._order = [np.concatenate(keys) if keys else none() for keys in self._keys]
+        self._order: list[Ints] = [np.concatenate(keys) if keys else none() for keys in self._keys]
 
     def state(self) -> State:
         """How many steps there are, of what points and cells; collective."""
@@ -132,7 +132,7 @@ class Fields:
 
     def resume(self, state: State) -> bool:
         """Go on after some steps of the file that is there, if it is; collective."""
-        self._order: list[Ints] = [none(), none()]
+        self._order = [none(), none()]
         order: list[Ints] = []
         if self._comm.rank == 0:
             self._order = [state[name].values for name in ("points", "cells")]

@@ -146,8 +146,11 @@ class Writer:
         """What has been written; collective."""
         return {"rows": list(self._rows), "fields": [g.state() for g in self._grids]}
 
-    def resume(self, state: State) -> None:
+    def resume(self, state: State) -> bool:
         """Go on with what has been written; collective.
+
+        Returns:
+            Whether the fields of earlier steps are still there, if there are to be any.
 
         Raises:
             StoppedError: The directory cannot be written.
@@ -158,10 +161,11 @@ class Writer:
         if len(found) == len(self._grids) and all(
             [g.resume(f) for g, f in zip(self._grids, found, strict=True)]
         ):
-            return
+            return True
         if self._grids:
             log.info("no fields.vtkhdf to go on with: it begins here")
         self._begin()
+        return False
 
     def fields(self, time: float, samples: Samples | None) -> None:
         """Append a step to the field file; collective.

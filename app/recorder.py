@@ -115,7 +115,8 @@ class Recorder:
                 then = replace(trial.law, pressures=pressures, status=status.ravel())
                 self._trials = (replace(trial, law=then),)
                 self._samples = Samples(m.problem, *self._trials)
-        self._writer.resume(state["writer"])
+        if not self._writer.resume(state["writer"]):
+            self._written = 0
         self._begin -= state["seconds"]
         for phase, seconds in state["timing"].items():
             self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds

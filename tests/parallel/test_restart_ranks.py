@@ -15,7 +15,7 @@ STEPS = ("--set", "output.checkpoint.steps=1")
 
 
 @pytest.mark.parallel
-@pytest.mark.parametrize(("first", "then"), [(1, 2), (2, 1)])
+@pytest.mark.parametrize(("first", "then"), [(1, 2), pytest.param(2, 1, marks=pytest.mark.slow)])
 def test_another_number_of_ranks(tmp_path: Path, first: int, then: int) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(restarted.RUBBING)

@@ -125,9 +125,9 @@ def test_another_configuration_is_refused(
     said = capsys.readouterr().err
     assert "another configuration" in said
     assert "interfaces.lower_upper.friction_coefficient: 0.2; in the checkpoint 0.3" in said
-    assert main([*command, "--set", other, "--force"]) == 0
     assert main([*command, "--set", "mesh.size=1 mm", "--force"]) == 2
     assert "another mesh" in capsys.readouterr().err
+    assert main([*command, "--set", other, "--force"]) == 0
 
 
 def test_a_finished_run_stays_and_what_was_restored_is_told(
@@ -163,7 +163,14 @@ def test_spans_of_time() -> None:
 LONG = ["--set", "stages.1.increments=400", "--set", FIELDS]
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGUSR1,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+    ],
+)
 def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> None:
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)
