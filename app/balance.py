@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
 from app.problem import Problem, Trial
+from app.state import State
 from app.terms import Elastic, amplitude
 from forms import elasticity, loads
 
 Floats = NDArray[np.float64]
+
+_SUMS = ("_work", "_spent", "_scale", "force", "moment", "energy")
 
 
 class Balance:
@@ -97,6 +100,16 @@ class Balance:
         self._work = self._spent = self._scale = 0.0
         self._last = self._rest
         self.force = self.moment = self.energy = 0.0
+
+    def state(self) -> State:
+        """The sums."""
+        return {name: getattr(self, name) for name in _SUMS}
+
+    def resume(self, state: State, u: PETSc.Vec, trial: Trial | None) -> None:
+        """Read them back, with the committed state, whose displacements are spread; collective."""
+        for name in _SUMS:
+            setattr(self, name, state[name])
+        self._last = self._measure(u, trial)
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
         return self._strain_work_of(e, elasticity.symmetric(components))

@@ -342,6 +342,7 @@ def _write(pending: Iterable[_Run], folder: Path, cores: int | None) -> None:
                 _file(folder, id, kind).unlink(missing_ok=True)
             ranks = runs[0].ranks
             command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--keep"]
+            command += ["--restart", "auto"]
             command += ["-n", ranks] if ranks > 1 else []
             alone = any(r.alone for r in runs)
             jobs[id] = {

@@ -94,7 +94,7 @@ def parser() -> argparse.ArgumentParser:
         "run",
         "solve a case",
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
-        "[-- PETSC OPTIONS]",
+        "[--restart auto|FILE] [--walltime H:MM:SS] [-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
     )
     add_case(run)
@@ -102,12 +102,24 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("-n", metavar="N", help="number of MPI ranks (default 1)")
     existing = run.add_mutually_exclusive_group()
     existing.add_argument(
-        "--force", action="store_true", help="replace results in the output folder"
+        "--force",
+        action="store_true",
+        help="replace results in the output folder; take a checkpoint of another configuration",
     )
     existing.add_argument(
         "--keep",
         action="store_true",
         help="the same, but leave what is finished with this very configuration",
+    )
+    run.add_argument(
+        "--restart",
+        metavar="auto|FILE",
+        help="go on from a checkpoint: from the newest in the output folder, or from FILE",
+    )
+    run.add_argument(
+        "--walltime",
+        metavar="H:MM:SS",
+        help="stop in time, with the state saved and exit code 5",
     )
     run.add_argument(
         "--error",
@@ -269,10 +281,14 @@ def _run(
     options.overrides += ["output.error=true"] if options.error else []
     case = _case(options)
     output = options.output or Path("out") / options.case.stem
-    from app import folders
+    from app import folders, limits
 
-    folders.prepare_run(output, options.force or options.keep)
-    if options.keep:
+    walltime = limits.seconds(options.walltime) if options.walltime else None
+    if options.restart not in (None, "auto") and case.variations:
+        raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
+    keep = options.keep or (options.restart == "auto" and not options.force)
+    folders.prepare_run(output, options.force or keep or bool(options.restart))
+    if keep:
         from app import kept
 
         if kept.everything(output, case, options.case, options.overrides):
@@ -291,7 +307,17 @@ def _run(
     with _stack():
         from app.run import run
 
-    return run(case, options.case, output, petsc_options, options.overrides, options.keep)
+    return run(
+        case,
+        options.case,
+        output,
+        petsc_options,
+        options.overrides,
+        keep,
+        options.restart or "",
+        options.force,
+        walltime,
+    )
 
 
 def _case(options: argparse.Namespace) -> Any:

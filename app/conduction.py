@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -29,6 +30,7 @@ from app.heat_forms import HeatForms
 from app.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
 from app.heat_matrices import HeatMatrices, with_diagonal
 from app.monotone import Bounds, Extremes, Monotone
+from app.state import State, keyed, node_keys
 from app.systems import Measure
 from app.temperature_jumps import TemperatureJumps, cut_off
 from app.terms import Scene, multiplier
@@ -215,6 +217,47 @@ class Conduction:
     def of_region(self, region: str) -> fem.Function:
         """Temperature of a region as last spread by ``temperatures``."""
         return self._moved.get(self.bodies.of_region[region], self._θ)
+
+    # What a run remembers
+
+    @cached_property
+    def nodes(self) -> Ints:
+        """Keys of own nodes."""
+        return node_keys(self.space)
+
+    def _keys(self) -> list[Ints]:
+        """Keys of temperatures, jumps and degrees of cure, as far as there are any."""
+        setting = [self.nodes[n.dof] for cure in self.cures for n in cure.nodes]
+        return [self.nodes, *(j.mine for j in self.jumps), *setting]
+
+    def pack(self, values: Sequence[Floats]) -> State:
+        """Temperatures of own nodes, jumps of own points, degrees of cure, as they are kept."""
+        return {"parts": [keyed(k, v) for k, v in zip(self._keys(), values, strict=False)]}
+
+    def unpack(self, state: State) -> list[Floats]:
+        """Read them back."""
+        return [r.of(k) for k, r in zip(self._keys(), state["parts"], strict=False)]
+
+    def state(self) -> State:
+        """What earlier steps leave to those that come."""
+        setting = self._keys()[1 + len(self.jumps) :]
+        curing = [m for cure in self.cures for m in cure.curing.memory]
+        return {
+            "extremes": self._data.state(),
+            "flagged": [keyed(self.nodes, f) for f in self._monotone.flags],
+            "curing": [keyed(k, m.T) for k, m in zip(setting, curing, strict=True)],
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; collective."""
+        self._data.resume(state["extremes"])
+        self._monotone.resume([r.of(self.nodes) for r in state["flagged"]])
+        setting = self._keys()[1 + len(self.jumps) :]
+        found = [r.of(k).T for k, r in zip(setting, state["curing"], strict=True)]
+        curing = [m for cure in self.cures for m in cure.curing.memory]
+        for memory, values in zip(curing, found, strict=True):
+            memory[:] = values
+        self._fill()
 
     # One implicit solve
 

@@ -33,6 +33,7 @@ from app.points import PointForces
 from app.problem import ROUNDING, Problem, Trial
 from app.solver import Outcome, Solver
 from app.sparse import from_triplets, matrix_sum, owners
+from app.state import State
 from app.systems import Contact, Measure
 from app.terms import FrictionHeat, Scene
 from forms import interface_heat
@@ -276,6 +277,26 @@ class Coupled:
         """Solve with this share of all friction coefficients, if there is friction."""
         return self._motion.lessen_friction(share)
 
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """Both states."""
+        return {
+            "heat": self._heat.pack(x[: self._n]),
+            "motion": self._motion.pack(x[self._n :]),
+        }
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read them back."""
+        self._heat.unpack(state["heat"], x[: self._n])
+        self._motion.unpack(state["motion"], x[self._n :])
+
+    def state(self) -> State:
+        """What the mechanics remember."""
+        return self._motion.state()
+
+    def resume(self, state: State) -> Motions | None:
+        """Read it back; collective."""
+        return self._motion.resume(state)
+
     # Blocks between the two
 
     def _thermal_forces(self) -> tuple[list[list[PETSc.Mat]], ...]:
@@ -404,6 +425,14 @@ class Staggered:
             if self._holds():
                 return outcome
         return replace(outcome, converged=False)
+
+    def state(self) -> State:
+        """That of the solver of the heat; the other one belongs to the mechanics."""
+        return self._heat.state()
+
+    def resume(self, state: State) -> None:
+        """Read it back; collective."""
+        self._heat.resume(state)
 
     def _tell(self) -> None:
         u, q = self._motion.parts()

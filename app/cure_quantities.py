@@ -11,7 +11,10 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from app.state import Rows, State
+
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LEVELS = (0.5, 0.9)
 
@@ -74,6 +77,28 @@ class CureRecord:
             r.fastest = max(r.fastest, float(rate.max(initial=0.0)))
             r.degree, r.rate = degree.copy(), rate.copy()
         self._seconds = seconds
+
+    def state(self, keys: Mapping[str, Ints]) -> State:
+        """All that is history; collective.
+
+        Args:
+            keys: Those of the nodes of each region.
+        """
+        return {
+            name: {
+                "nodes": Rows(keys[name], np.column_stack([r.degree, r.rate, *r.reached])),
+                "fastest": self._comm.allreduce(r.fastest, MPI.MAX),
+                "seconds": self._seconds,
+            }
+            for name, r in self._regions.items()
+        }
+
+    def resume(self, state: State, keys: Mapping[str, Ints]) -> None:
+        """Read it back."""
+        for name, found in state.items():
+            degree, rate, *reached = (c.copy() for c in found["nodes"].of(keys[name]).T)
+            self._regions[name] = _Region(degree, rate, np.array(reached), found["fastest"])
+            self._seconds = found["seconds"]
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv for the state last taken in; collective."""

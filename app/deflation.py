@@ -77,8 +77,15 @@ class Deflated:
         self.inner.setOperators(self._A)
         self.inner.setUp()
         motions = self._follow()
-        if motions is None:
-            return
+        if motions is not None:
+            self.take(motions)
+
+    def take(self, motions: Motions) -> None:
+        """Take in motions with the Jacobian as it is, if they are others than before; collective.
+
+        Args:
+            motions: The motions.
+        """
         if motions is not self._motions:
             self._motions, self._made = motions, 0
             self._weights = motions.displacement.createVecRight()
@@ -307,10 +314,23 @@ class Motions:
         changed, points = self._comm.allreduce(np.array([changed, len(free)]))
         if changed <= STALE * points and (self.version or not changed):
             return
+        self.let_go(free)
+
+    def let_go(self, free: Floats) -> None:
+        """Let directions go, whatever the law; collective.
+
+        Args:
+            free: Projectors on them at own points (n, 3, 3).
+        """
         self._known = free
         self.version += 1
         fill(self._free, free)
         self._free.matMult(self._jump, result=self.jump)
+
+    @property
+    def known(self) -> Floats:
+        """Projectors on the directions that are let go (n, 3, 3)."""
+        return self._known
 
     def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
         """Work of forces on displacement and jumps in each motion: Z^T r."""

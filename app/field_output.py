@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-import basix
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
@@ -22,17 +22,13 @@ from app.heating import Heating
 from app.necrosis import CELSIUS
 from app.problem import Problem
 from app.quantities import Samples, Stresses
+from app.state import ENDS, Rows, State
 from app.thermal_quantities import W_PER_M2, Interfaces, ThermalRecord
 from app.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
 from meshes.distribute import TaggedMesh
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-# Vertices of each node of a tetrahedron in basix's order: itself, or the ends of its edge.
-_ENDS = np.array(
-    [*((v, v) for v in range(4)), *basix.topology(basix.CellType.tetrahedron)[1]], dtype=np.int64
-)
 
 
 @dataclass(frozen=True)
@@ -69,15 +65,12 @@ class Fields:
     """The field file."""
 
     def __init__(self, tagged: TaggedMesh, layers: Sequence[Layer], path: Path) -> None:
-        """Write the grid; collective.
+        """Make the grid; `begin` or `resume` comes next; collective.
 
         Args:
             tagged: The mesh.
             layers: The mechanics, if there are any, then the heat; at least one of them.
             path: The file.
-
-        Raises:
-            OSError: It cannot be written.
         """
         self._layers = tuple(layers)
         space, owned = layers[0].space, tagged.mesh.topology.index_map(3).size_local
@@ -94,17 +87,65 @@ class Fields:
         pairs, first, cells = np.unique(node, return_index=True, return_inverse=True)
         group, dof = np.divmod(pairs, stride)
         cell, local = np.divmod(first, dofs.shape[1])
-        self._nodes = [Copies(body[group], dof, cell, _ENDS[local]) for body in bodies.T]
+        self._nodes = [Copies(body[group], dof, cell, ENDS[local]) for body in bodies.T]
         cells = cells.reshape(dofs.shape)
         quadratic = dofs.shape[1] > 4
-        self._grid = GridFile(
-            tagged.mesh.comm,
+        comm = self._comm = tagged.mesh.comm
+        self._make = partial(
+            GridFile,
+            comm,
             path,
             space.tabulate_dof_coordinates()[dof],
             cells[:, QUADRATIC_NODES] if quadratic else cells,
             QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
             {"region": tags.astype(np.int32)},
         )
+        # What the points and cells of the file are, in the order of the ranks.
+        of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
+        for layer, nodes in zip(layers, self._nodes, strict=True):
+            of_points = of_points * len(layer.bodies.names) + nodes.body
+        stride = tagged.mesh.geometry.index_map().size_global ** 2
+        number = tagged.mesh.topology.original_cell_index[:owned]
+        self._keys = [comm.gather(keys) for keys in (of_points * stride + of_mesh, number)]
+
+    @staticmethod
+    def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
+        """Between which vertices of the mesh file nodes of cells are (n,)."""
+        geometry = tagged.mesh.geometry
+        corners = geometry.input_global_indices[geometry.dofmap[:, :4]][cell]
+        ends = np.take_along_axis(corners, ENDS[local], axis=1)
+        return np.asarray(ends.min(axis=1) * geometry.index_map().size_global + ends.max(axis=1))
+
+    def begin(self) -> None:
+        """Write the grid; collective.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        self._grid = self._make()
+        self._order: list[Ints] = [np.concatenate(keys) if keys else none() for keys in self._keys]
+
+    def state(self) -> State:
+        """How many steps there are, of what points and cells; collective."""
+        points, cells = (Rows(np.arange(len(keys)), keys) for keys in self._order)
+        return {"steps": self._grid.steps, "points": points, "cells": cells}
+
+    def resume(self, state: State) -> bool:
+        """Go on after some steps of the file that is there, if it is; collective."""
+        self._order = [none(), none()]
+        order: list[Ints] = []
+        if self._comm.rank == 0:
+            self._order = [state[name].values for name in ("points", "cells")]
+            for wanted, keys in zip(self._order, self._keys, strict=True):
+                have = np.concatenate(keys)
+                sort = np.argsort(have, kind="stable")
+                place = np.minimum(np.searchsorted(have[sort], wanted), len(have) - 1)
+                order.append(sort[place])
+        try:
+            self._grid = self._make(order=order, steps=state["steps"])
+        except OSError:
+            return False
+        return True
 
     def write(self, time: float, samples: Samples | None) -> None:
         """Append a step; collective."""
@@ -114,6 +155,11 @@ class Fields:
             point |= layer.point(nodes, samples)
             cell |= layer.cell(self._cells)
         self._grid.write(time, point, cell)
+
+
+def none(n: int = 0) -> Ints:
+    """Keys of which nothing is known."""
+    return np.zeros(n, dtype=np.int64)
 
 
 class MechanicalFields:

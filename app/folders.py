@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -92,12 +93,30 @@ def claim(folder: Path) -> int:
     return held
 
 
+def saved(folder: Path) -> list[Path]:
+    """The checkpoints in a run directory, the newest first."""
+    found = {p: p.stem.removeprefix("checkpoint-") for p in folder.glob("checkpoint-*.h5")}
+    numbers = {p: int(n) for p, n in found.items() if n.isdigit()}
+    return sorted(numbers, key=lambda p: numbers[p], reverse=True)
+
+
+def remove(files: Iterable[Path]) -> None:
+    """Remove files, if they are there."""
+    for path in files:
+        path.unlink(missing_ok=True)
+
+
 def write_text(path: Path, text: str) -> None:
+    """Write a file under another name, flush it to disk and rename it; all of it or nothing."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
     """Write a file under another name, flush it to disk and rename it; all of it or nothing."""
     temporary = path.with_name(path.name + ".partial")
     try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
+        with temporary.open("wb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)

@@ -13,6 +13,7 @@ is missing in it is the error of that rule.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 Flows = Mapping[str, float]
 
@@ -92,6 +93,14 @@ class HeatBalance:
         self._end_sum += stored - self._now
         self._stage_sum += stored - self._now
         self._now, self._last = stored, dict(flows)
+
+    def state(self) -> dict[str, Any]:
+        """The sums."""
+        return {k: dict(v) if isinstance(v, dict) else v for k, v in vars(self).items()}
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Read them back."""
+        vars(self).update(state)
 
     def _compare(self, stored: float) -> None:
         gained = stored - self._stored

@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 from app.conduction import Conduction
 from app.linear import INTERFACE, MULTIGRID, Inverse, Options, is_direct
+from app.state import State
 from app.systems import Measure
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
@@ -90,3 +91,19 @@ class HeatSystem:
     def lessen_friction(self, share: float) -> bool:
         """No friction."""
         return False
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """Temperatures, and temperature jumps."""
+        return self._conduction.pack([v.array_r for v in x])
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read them back."""
+        for v, values in zip(x, self._conduction.unpack(state), strict=True):
+            v.array[:] = values
+
+    def state(self) -> State:
+        """Nothing that the next solve would not find again."""
+        return {}
+
+    def resume(self, state: State) -> None:
+        """Nothing moves."""

@@ -7,7 +7,7 @@ of heat and mechanics together where heat depends on contact (`app.coupling`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Protocol
 
 from mpi4py import MPI
@@ -24,6 +24,8 @@ from app.integrator import METHODS, Method, State
 from app.motion import Summary
 from app.problem import Problem
 from app.solver import Outcome
+from app.state import State as SavedState
+from app.state import keyed
 from app.terms import Expansion, Scene
 
 Floats = NDArray[np.float64]
@@ -67,6 +69,12 @@ class Partner(Protocol):
 
     def solve(self) -> Outcome:
         """Solve from the current state."""
+
+    def state(self) -> SavedState:
+        """All that the next solve depends on."""
+
+    def resume(self, state: SavedState) -> None:
+        """Read it back; collective."""
 
     @property
     def block_sizes(self) -> dict[str, int]:
@@ -131,6 +139,61 @@ class Heating:
             FreeStrain(conduction.comm, c, expansion.get(c.region, Expansion(c.region, 0, 0)), n)
             for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
         ]
+
+    # What a run remembers
+
+    def memory(self) -> SavedState:
+        """All that is history; collective."""
+        conduction = self.conduction
+        return {
+            "seconds": self.seconds,
+            "converged": self.outcome.converged,
+            "total": asdict(self.total),
+            "state": conduction.pack(self.state),
+            "slope": conduction.pack(self._slope),
+            "strains": [keyed(conduction.nodes, self._own(f.x.array)) for f in self._strains],
+            "conduction": conduction.state(),
+            "solver": self.solver.state(),
+        }
+
+    def resume(self, found: SavedState) -> None:
+        """Read it back; collective."""
+        self.seconds = found["seconds"]
+        self.outcome = replace(self.outcome, converged=found["converged"])
+        self.total = Summary(**found["total"])
+        self.state = self.conduction.unpack(found["state"])
+        self._slope = self.conduction.unpack(found["slope"])
+        for function, values in zip(self._strains, found["strains"], strict=True):
+            self._put(function, values.of(self.conduction.nodes))
+        self.conduction.resume(found["conduction"])
+        self.solver.resume(found["solver"])
+        self.put(self.state)
+
+    def _own(self, values: Floats) -> Floats:
+        return values[: self.conduction.owned]
+
+    def _put(self, function: fem.Function, own: Floats) -> None:
+        """Own values of a function, and those of ghosts; collective."""
+        function.x.array[: self.conduction.owned] = own
+        function.x.scatter_forward()
+
+    def pack(self, warmth: Warmth) -> SavedState:
+        """What the mechanics know, as it is kept."""
+        keys = self.conduction.nodes
+        return {
+            f.name: [keyed(keys, self._own(values)) for values in getattr(warmth, f.name)]
+            for f in fields(Warmth)
+        }
+
+    def unpack(self, found: SavedState) -> Warmth:
+        """Read it back; collective."""
+        function = fem.Function(self.conduction.space)
+        parts: dict[str, list[Floats]] = {name: [] for name in found}
+        for name, several in found.items():
+            for values in several:
+                self._put(function, values.of(self.conduction.nodes))
+                parts[name].append(function.x.array.copy())
+        return Warmth(**parts)
 
     # Between lists of arrays and the vectors of the solver
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,6 +159,15 @@ class Controller:
         self._events = sorted(events)
         self._next = first
         self._last: tuple[float, float] | None = None
+
+    def state(self) -> dict[str, Any]:
+        """What it knows of the steps so far."""
+        return {"next": self._next, "last": self._last}
+
+    def resume(self, state: dict[str, Any]) -> None:
+        """Read it back."""
+        self._next = state["next"]
+        self._last = None if state["last"] is None else tuple(state["last"])
 
     def propose(self, seconds: float) -> float:
         """Step to try at a time [s]: it ends at the next event or well before it."""

@@ -18,7 +18,8 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -32,6 +33,7 @@ from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
 from app.sparse import from_triplets, matrix_sum, owners
+from app.state import Rows, State, keyed
 from app.terms import Contact, Scene, Support, amplitude
 from app.timing import Timing
 from forms.contact import SLIP
@@ -299,6 +301,20 @@ class Jumps:
         blocks = np.zeros((len(self.mine), 3, 3))
         blocks[rows[k] // 3, rows[k] % 3, columns[k] % 3] = values[k]
         return blocks
+
+    # What a run remembers
+
+    def rows(self, values: NDArray[Any]) -> Rows:
+        """Values of own points with their keys."""
+        return keyed(self.mine, values)
+
+    def state(self) -> State:
+        """The history."""
+        return {f.name: self.rows(getattr(self.history, f.name)) for f in fields(History)}
+
+    def resume(self, state: State) -> None:
+        """Read it back."""
+        self.history = History(**{name: found.of(self.mine) for name, found in state.items()})
 
     # Commit
 

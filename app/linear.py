@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
-from app.deflation import Deflated
+from app.deflation import Deflated, Motions
+from app.state import State
 from app.timing import Timing
 
 if TYPE_CHECKING:
@@ -94,15 +95,23 @@ class Inverse:
         pc: It, as a preconditioner: made once, and again only where `refresh` says so.
     """
 
-    def __init__(self, matrix: PETSc.Mat, version: Callable[[], int], options: Options) -> None:
+    def __init__(
+        self,
+        matrix: PETSc.Mat,
+        version: Callable[[], int],
+        options: Options,
+        shape: Callable[[], State] = dict,
+    ) -> None:
         """Take the matrix as it is.
 
         Args:
             matrix: The matrix, which may change in place.
             version: Counts how often it has changed.
             options: PETSc options of the preconditioner, until others are asked for.
+            shape: What the matrix depends on.
         """
-        self._matrix, self._version = matrix, version
+        self._matrix, self._version, self._shape = matrix, version, shape
+        self._fell = False
         self._options = dict(options)
         self._made: int | None = None
         self.pc = PETSc.PC().create(matrix.comm)
@@ -143,7 +152,23 @@ class Inverse:
         else:
             pc.setUp()
         pc.setReusePreconditioner(True)
-        self._made = self._version()
+        self._made, self._of = self._version(), self._shape()
+
+    def state(self) -> State:
+        """What it was made of, and whether it is factored after all."""
+        return {"of": self._of, "fell": self._fell}
+
+    def resume(self, state: State, reshape: Callable[[State], bool]) -> None:
+        """Make it of the same again; collective.
+
+        Args:
+            state: What was said then.
+            reshape: Makes the matrix one of another shape; says whether it is another one then.
+        """
+        if state["fell"]:
+            self.fall_back()
+        if reshape(state["of"]):
+            self.refresh()
 
     def fall_back(self) -> bool:
         """Factor the matrix instead of approximating its inverse, if it is not too large."""
@@ -151,6 +176,7 @@ class Inverse:
             return False
         self.use(factors(self._matrix))
         self.make()
+        self._fell = True
         return True
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> int:
@@ -225,6 +251,7 @@ class Linear:
         self._inverses: list[Inverse] = []
         self._own: list[PETSc.PC] = []
         self._swept: list[PETSc.PC] = []
+        self._deflated: tuple[Deflated, ...] = ()
         self._sizes = [v.getSize() for v in blocks.values()]
         self._version = system.version
         self._pending = False
@@ -249,6 +276,7 @@ class Linear:
             motions = self._system.motions() if self._split else None
             if motions is not None:
                 context = Deflated(pc, self._names, self._system.motions)
+                self._deflated = (context,)
                 pc = PETSc.PC().createPython(context, comm=self._system.comm)
             ksp.setPC(pc)
             pc.setOperators(self.matrix)
@@ -320,6 +348,28 @@ class Linear:
         elif spent and norms[-1] > 0:
             usual = self._spent / self._gained if self._gained > 0 else USUAL
             self._excess += spent - usual * math.log10(norms[0] / norms[-1])
+
+    def state(self) -> State:
+        """What it has learned."""
+        return {
+            "swept": bool(self._swept),
+            "fresh": self._version == self._system.version,
+            "sums": [self._excess, self._spent, self._gained],
+        }
+
+    def resume(self, state: State, motions: Motions | None) -> None:
+        """Read it back, with motions that were let go; collective.
+
+        The preconditioners that others share are theirs to make.
+        """
+        if motions is not None:
+            self.matrix.assemble()
+            for context in self._deflated:
+                context.take(motions)
+        if not state["swept"]:
+            self.factor_interfaces()
+        self._version = self._system.version - (not state["fresh"])
+        self._excess, self._spent, self._gained = state["sums"]
 
     def factor_interfaces(self) -> bool:
         """Factor interfaces that were swept so far; whether there are any."""

@@ -31,6 +31,7 @@ from app.prediction import Predictor
 from app.problem import Problem, Trial
 from app.quantities import Samples, Stresses
 from app.solver import Solver
+from app.state import State
 from app.stepping import Companion, Following, Joint, March, OnHeat
 from app.systems import Contact, System, mechanical
 from app.terms import Scene, Stage
@@ -139,6 +140,28 @@ class Thermal:
         # Nor does one that waits for its first heat, such as that of friction.
         least = NOTHING * rounding * accepted.dt
         self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved, least)
+
+    def state(self) -> State:
+        """All that is history; collective."""
+        return {
+            "heating": self.heating.memory(),
+            "record": self.record.state(),
+            "cure": [c.state(self._keys()) for c in self.cure],
+            "balance": self.balance.state(),
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; collective."""
+        self.heating.resume(state["heating"])
+        self.record.resume(state["record"])
+        for cure, found in zip(self.cure, state["cure"], strict=True):
+            cure.resume(found, self._keys())
+        self.balance.resume(state["balance"])
+
+    def _keys(self) -> dict[str, NDArray[np.int64]]:
+        """Keys of the nodes of each region that sets."""
+        nodes = self.conduction.nodes
+        return {n.region: nodes[n.dof] for c in self.conduction.cures for n in c.nodes}
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""
@@ -279,6 +302,8 @@ class Model:
         on_heat: OnHeat,
         on_trouble: Callable[[str], None],
         begin: Callable[[Stage], None] = lambda stage: None,
+        mark: Callable[[int], None] = lambda k: None,
+        resume: Callable[[], int] = lambda: 0,
     ) -> Summary:
         """Solve all stages.
 
@@ -287,6 +312,8 @@ class Model:
             on_heat: Called after each step of the heat, the mechanics having followed.
             on_trouble: Told what is tried when a step fails.
             begin: Called before each stage.
+            mark: Called with the number of the stage wherever `state` may be asked for.
+            resume: Called first: may take up a state, and gives the stage that it is in.
 
         Returns:
             What it took.
@@ -307,11 +334,41 @@ class Model:
         march = tuple(
             March(t.heating, self._companions(t, motion), heated, on_trouble) for t in self.thermal
         )
-        stepping.run(self.scene.stages, motion, march, begin)
+        self._walk = motion, march
+        stepping.run(self.scene.stages, motion, march, begin, mark, resume())
         total = Summary()
         for part in (*(m.total for m in motion), *(m.total for m in march)):
             total.add(part)
         return total
+
+    # What a run remembers
+
+    def state(self) -> State:
+        """All that the steps to come depend on, where a step has just ended; collective."""
+        motion, march = self._walk
+        return {
+            "mechanics": [
+                {"problem": m.problem.state(), "solver": m.solver.state()} for m in self.mechanics
+            ],
+            "thermal": [t.state() for t in self.thermal],
+            "motion": [m.state() for m in motion],
+            "march": [m.state() for m in march],
+        }
+
+    def resume(self, state: State, k: int) -> None:
+        """Take up a state in a stage; the model is at rest; collective."""
+        motion, march = self._walk
+        for m, found in zip(self.mechanics, state["mechanics"], strict=True):
+            m.problem.resume(found["problem"])
+            m.solver.resume(found["solver"])
+        for t, found in zip(self.thermal, state["thermal"], strict=True):
+            t.resume(found)
+        for h, found in zip(march, state["march"], strict=True):
+            h.resume(found, k, self.scene.stages[k])
+        for m, found in zip(self.mechanics, state["mechanics"], strict=True):
+            m.problem.settle(found["problem"], *m.solver.parts())
+        for p, found in zip(motion, state["motion"], strict=True):
+            p.resume(found)
 
     def _nested(self, m: Mechanical) -> tuple[Nested, ...]:
         """A start from a coarser mesh, if that pays."""

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.sparse import from_rows
+from app.state import State
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -74,6 +75,20 @@ class Extremes:
         least, most = float(every[:, 2].min()), float(every[:, 3].max())
         self._cooled = self._cooled or least < -ZERO * most
         self._heated = self._heated or most > -ZERO * least
+
+    def state(self) -> State:
+        """What has been seen."""
+        return {
+            "low": self._low,
+            "high": self._high,
+            "heated": self._heated,
+            "cooled": self._cooled,
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back."""
+        self._low, self._high = state["low"], state["high"]
+        self._heated, self._cooled = state["heated"], state["cooled"]
 
     def bounds(self, temperatures: Floats) -> Bounds:
         """Between what temperatures have to be, some of this rank given [K]; collective."""
@@ -136,6 +151,15 @@ class Monotone:
                 for f, t in zip(self._flagged, T, strict=True)
             ]
         )
+
+    @property
+    def flags(self) -> list[Bools]:
+        """Own nodes of each body whose edges are out."""
+        return self._flagged
+
+    def resume(self, flagged: list[Bools]) -> None:
+        """Take out the edges of these nodes; collective."""
+        self._flag(flagged)
 
     @property
     def flagged(self) -> int:

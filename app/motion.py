@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 from app.diagnosis import explain, runaway
 from app.errors import ConvergenceError
 from app.prediction import Extrapolation, Predictor, same
 from app.problem import Problem, Trial
 from app.solver import Outcome, Solver
+from app.state import State
 from app.terms import Stage
 
 EASY_ITERATIONS = 8
@@ -69,6 +70,27 @@ class Summary:
 
 
 OnStep = Callable[[Step, Trial | None], None]
+# Called where a run may be taken up again.
+Mark = Callable[[], None]
+
+
+def unmarked() -> None:
+    """Nothing is kept."""
+
+
+@dataclass
+class Way:
+    """How far a path of loads has been gone.
+
+    Attributes:
+        step: Next step, as a part of the path.
+        done: What is behind.
+        cuts: How often the step was halved, less how often it has grown since.
+    """
+
+    step: float
+    done: float = 0.0
+    cuts: int = 0
 
 
 @dataclass
@@ -95,14 +117,41 @@ class Motion:
         """The line through the last states comes first."""
         self._line = Extrapolation(self.solver)
         self.predictors = (self._line, *self.predictors)
+        self._way: Way | None = None
 
-    def load(self, k: int, stage: Stage) -> None:
+    def state(self) -> State:
+        """Where it is, and what it knows of the states before."""
+        return {
+            "way": self._way and asdict(self._way),
+            "total": asdict(self.total),
+            "predictors": [p.state() for p in self.predictors],
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; `load` goes on from there."""
+        self._way = state["way"] and Way(**state["way"])
+        self.total = Summary(**state["total"])
+        for p, found in zip(self.predictors, state["predictors"], strict=False):
+            p.resume(found)
+
+    def load(self, k: int, stage: Stage, mark: Mark = unmarked) -> None:
         """Load steps through a stage that takes no time."""
         whole = 1.0 / stage.increments
-        self.advance(stage, whole, lambda s: self.problem.set_time(k + s), k, k + 1)
+        self._way = self._way or Way(whole)
+        self.advance(
+            stage, whole, lambda s: self.problem.set_time(k + s), k, k + 1, self._way, mark
+        )
+        self._way = None
 
     def advance(
-        self, stage: Stage, whole: float, place: Callable[[float], None], begin: float, end: float
+        self,
+        stage: Stage,
+        whole: float,
+        place: Callable[[float], None],
+        begin: float,
+        end: float,
+        way: Way | None = None,
+        mark: Mark = unmarked,
     ) -> None:
         """Go along a path of loads, temperatures and supports.
 
@@ -112,16 +161,18 @@ class Motion:
             place: Sets the problem to a point of the path, 0 to 1.
             begin: Time at its begin.
             end: Time at its end.
+            way: How far it has been gone already; kept up to date.
+            mark: Called after each step.
 
         Raises:
             ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
         """
         problem, solver = self.problem, self.solver
-        step, done, cuts = whole, 0.0, 0
+        way = way or Way(whole)
         self._line.begin(begin)
-        while done < 1.0:
+        while way.done < 1.0:
             started = clock.perf_counter()
-            reach = 1.0 if done + 1.001 * step > 1.0 else done + step
+            reach = 1.0 if way.done + 1.001 * way.step > 1.0 else way.done + way.step
             start, predictors = solver.x.copy(), self.predictors
             while True:
                 place(reach)
@@ -141,18 +192,20 @@ class Motion:
                     self.on_trouble(f"{why.short}; again from the state before the step")
                     continue
                 # A smaller step does not hold a body that nothing holds: one is tried, no more.
-                hopeless = bool(why.free) and cuts > 0
-                if not stage.adaptive or cuts == stage.max_cut_backs or hopeless:
+                hopeless = bool(why.free) and way.cuts > 0
+                if not stage.adaptive or way.cuts == stage.max_cut_backs or hopeless:
                     at = begin + reach * (end - begin)
-                    raise ConvergenceError(why.text(stage.name, at - int(begin), cuts))
-                cuts += 1
-                step /= 2
-                reach = done + step
-                self.on_trouble(f"{why.short}; step halved to {step:.4g} of stage '{stage.name}'")
+                    raise ConvergenceError(why.text(stage.name, at - int(begin), way.cuts))
+                way.cuts += 1
+                way.step /= 2
+                reach = way.done + way.step
+                words = f"step halved to {way.step:.4g} of stage '{stage.name}'"
+                self.on_trouble(f"{why.short}; {words}")
             self.commit(stage, begin + reach * (end - begin), outcome, started)
-            done = reach
-            if outcome.iterations <= EASY_ITERATIONS and step < whole:
-                step, cuts = min(GROWTH * step, whole), max(cuts - 1, 0)
+            way.done = reach
+            if outcome.iterations <= EASY_ITERATIONS and way.step < whole:
+                way.step, way.cuts = min(GROWTH * way.step, whole), max(way.cuts - 1, 0)
+            mark()
 
     def commit(self, stage: Stage, time: float, outcome: Outcome, started: float) -> None:
         """Make the state of the solver history, and tell of it; collective.

@@ -26,6 +26,7 @@ from app.motion import Motion
 from app.prediction import imbalance, take_better
 from app.problem import Problem
 from app.solver import Solver
+from app.state import State
 from meshes.interfaces import ContactPoints
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ class Nested:
         self._coarse: Motion | None = None
         self._failed = False
         self._past: list[float] = []
+        self._way: list[float] = []
         self._known: list[tuple[float, Floats]] = []
 
     def predict(self, time: float) -> None:
@@ -106,6 +108,14 @@ class Nested:
     def commit(self, time: float) -> None:
         """The coarse model has to go through it too, when it is asked again."""
         self._past.append(time)
+
+    def state(self) -> State:
+        """Where the coarse model has been and has to go: it goes there again."""
+        return {"way": [*self._way, *self._past], "failed": self._failed}
+
+    def resume(self, state: State) -> None:
+        """Read it back."""
+        self._past, self._failed = state["way"], state["failed"]
 
     def _good(self) -> bool:
         """Whether others have found a start that is good enough."""
@@ -140,6 +150,7 @@ class Nested:
         # A start that takes many steps to find is not worth it.
         stage = replace(problem.scene.stages[k], adaptive=False)
         coarse.advance(stage, 1.0, place, begin, time)
+        self._way.append(time)
         (source,) = problem.jumps
         self._known = [*self._known[-1:], (time, self._weights @ replicated(source))]
 

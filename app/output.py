@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import logging
 import platform
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -25,8 +26,9 @@ from app import __version__, heat_picture
 from app.conduction import Conduction
 from app.errors import StoppedError, everywhere
 from app.field_output import Fields, Layer
-from app.folders import write_json, write_text
+from app.folders import saved, write_json, write_text
 from app.quantities import Samples
+from app.state import State
 from app.thermal_quantities import ThermalRecord
 from meshes.distribute import TaggedMesh
 
@@ -50,10 +52,10 @@ UNITS = {
     "memory per unknown": "kB",
 }
 HISTORY, SECTION = "temperature.png", "temperature_section.png"
-RESULTS = (
-    *("DONE", "summary.json", "provenance.json", "history.csv", "fields.vtkhdf"),
-    *(HISTORY, SECTION),
-)
+# What is written at the end; all that a run directory has.
+ENDS = ("DONE", "summary.json", "provenance.json", HISTORY, SECTION)
+RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
+log = logging.getLogger("mantle")
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
@@ -102,8 +104,9 @@ class Writer:
         resolved: str,
         fields: bool,
         record: Callable[[], dict[str, Any]],
+        again: bool = False,
     ) -> None:
-        """Create the directory and the field file; collective.
+        """Create the directory and the field file, or go on with them; collective.
 
         Args:
             tagged: The mesh.
@@ -112,6 +115,7 @@ class Writer:
             resolved: The resolved configuration, as YAML.
             fields: Whether fields are written.
             record: Gives the provenance when the run ends.
+            again: Whether `resume` follows: what is there may stay.
 
         Raises:
             StoppedError: The directory cannot be written.
@@ -120,15 +124,48 @@ class Writer:
         self._rows: list[dict[str, Any]] = []
 
         def start() -> None:
-            for name in RESULTS:
+            for name in RESULTS[: len(ENDS) if again else None]:
                 (folder / name).unlink(missing_ok=True)
+            for old in () if again else saved(folder):
+                old.unlink()
             write_text(folder / "case.yaml", resolved)
 
         _write(self._comm, start, str(folder))
+        self._grids: tuple[Fields, ...] = (
+            (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
+        )
+        if not again:
+            self._begin()
+
+    def _begin(self) -> None:
         with _full_disk("fields.vtkhdf"):
-            self._grids: tuple[Fields, ...] = (
-                (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
-            )
+            for grid in self._grids:
+                grid.begin()
+
+    def state(self) -> State:
+        """What has been written; collective."""
+        return {"rows": list(self._rows), "fields": [g.state() for g in self._grids]}
+
+    def resume(self, state: State) -> bool:
+        """Go on with what has been written; collective.
+
+        Returns:
+            Whether the fields of earlier steps are still there, if there are to be any.
+
+        Raises:
+            StoppedError: The directory cannot be written.
+        """
+        self._rows = list(state["rows"])
+        self._table()
+        found = state["fields"]
+        if len(found) == len(self._grids) and all(
+            [g.resume(f) for g, f in zip(self._grids, found, strict=True)]
+        ):
+            return True
+        if self._grids:
+            log.info("no fields.vtkhdf to go on with: it begins here")
+        self._begin()
+        return False
 
     def fields(self, time: float, samples: Samples | None) -> None:
         """Append a step to the field file; collective.
@@ -143,6 +180,10 @@ class Writer:
     def history(self, row: dict[str, Any]) -> None:
         """Add a row to history.csv, with what there is to say then; collective."""
         self._rows.append(row)
+        self._table()
+
+    def _table(self) -> None:
+        """Write history.csv; collective."""
         text = io.StringIO()
         names = list(dict.fromkeys(name for row in self._rows for name in row))
         table = csv.DictWriter(text, fieldnames=names, lineterminator="\n")

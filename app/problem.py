@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -25,11 +26,13 @@ from app.mechanics import Mechanics
 from app.points import PointForces
 from app.reduction import holds, near_null_space, reduction_of, support_of_dofs
 from app.setting import Setting
+from app.state import State, keyed, node_keys
 from app.terms import Scene, amplitude
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
@@ -98,7 +101,7 @@ class Problem:
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
         options = stiffness_options("auto", self.K, scene.order)
-        own = Inverse(self.K, lambda: self.version, options)
+        own = Inverse(self.K, lambda: self.version, options, self._shape)
         self.inverse: Inverse = like.inverse if like is not None else own
         self.jumps: tuple[Jumps, ...] = (
             (
@@ -178,6 +181,81 @@ class Problem:
         f = boundary_facets(self.tagged, boundary)
         here = {int(b) for b in np.unique(self.bodies.of_tag[cell_tags(self.tagged)[f.cells]])}
         return set().union(*self.comm.allgather(here))
+
+    # What a run remembers
+
+    @cached_property
+    def nodes(self) -> Ints:
+        """Keys of own nodes of the displacement."""
+        return node_keys(self.space)
+
+    @cached_property
+    def _vertices(self) -> Ints:
+        return node_keys(self.mechanics.scalars)
+
+    def pack(self, u: PETSc.Vec, q: PETSc.Vec | None) -> State:
+        """A state of the unknowns, as it is kept."""
+        state: State = {"displacement": self.reduction.state(u, self.nodes)}
+        for j in self.jumps:
+            assert q is not None
+            state["jump"] = j.rows(q.array_r.reshape(-1, 3))
+        return state
+
+    def unpack(self, state: State, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Read it back."""
+        self.reduction.resume(state["displacement"], u, self.nodes)
+        for j in self.jumps:
+            assert q is not None
+            q.array[:] = state["jump"].of(j.mine).ravel()
+
+    def _shape(self) -> State:
+        """What the stiffness depends on: supports of the stage, and how far regions have set."""
+        n = len(self._vertices) if self.mechanics.growth else 0
+        growth = self.mechanics.growth.items()
+        return {
+            "stage": self._stage,
+            "growth": {r: keyed(self._vertices, g.x.array[:n]) for r, g in growth},
+        }
+
+    def _reshape(self, shape: State) -> bool:
+        """Make the stiffness that of a shape, of this stage or a later one; whether it changed."""
+        before = self.version
+        for k in range(self._stage + 1, shape["stage"] + 1):
+            self.set_stage(k, self.K.createVecRight())
+        changed = False
+        for region, found in shape["growth"].items():
+            g = self.mechanics.growth[region]
+            old = g.x.array.copy()
+            g.x.array[: len(self._vertices)] = found.of(self._vertices)
+            g.x.scatter_forward()
+            changed |= not np.array_equal(old, g.x.array)
+        if self.comm.allreduce(changed, MPI.LOR):
+            self._renew()
+        return self.version != before
+
+    def state(self) -> State:
+        """All that is history."""
+        return {
+            "time": self.time,
+            "inverse": self.inverse.state(),
+            "shape": self._shape(),
+            "contact": [j.state() for j in self.jumps],
+            "setting": [s.state() for s in self.setting],
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back at rest; collective. `settle` follows."""
+        self.inverse.resume(state["inverse"], self._reshape)
+        self._reshape(state["shape"])
+        for j, history in zip(self.jumps, state["contact"], strict=True):
+            j.resume(history)
+
+    def settle(self, state: State, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Read back what depends on displacement, temperature and cure, once these are there."""
+        self.spread(u, q)
+        for s, stress in zip(self.setting, state["setting"], strict=True):
+            s.resume(stress, self.displacements())
+        self.set_time(state["time"])
 
     # State in time
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time as clock
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from app.motion import Step, Summary
 from app.output import UNITS, Writer
 from app.problem import Trial
 from app.quantities import Samples
+from app.state import State
 from app.terms import Stage
 from app.timing import Timing, peak_memory
 from forms.contact import OPEN, SLIP
@@ -66,11 +68,58 @@ class Recorder:
             self._balances = [m.balance(about) for m in model.mechanics]
             self._critical = [uniqueness.check(m.problem) for m in model.mechanics]
         self._samples: Samples | None = None
+        self._trials: tuple[Trial, ...] = ()
         self._time = 0.0
         self._rows = self._written = self._frames = 0
         self._total = Summary()
         self._takes_time = False
         self._mechanical: dict[str, Any] = {}
+
+    def state(self) -> State:
+        """What has been recorded; collective."""
+        contact = [
+            {"pressures": j.rows(t.law.pressures), "status": j.rows(t.law.status)}
+            for t in self._trials
+            for m in self._model.mechanics
+            for j in m.problem.jumps
+        ]
+        return {
+            "step": self._rows,
+            "time": self._time,
+            "frames": self._frames,
+            "written": self._written,
+            "total": asdict(self._total),
+            "mechanical": dict(self._mechanical),
+            "balances": [b.state() for b in self._balances],
+            "contact": contact,
+            "writer": self._writer.state(),
+            "seconds": clock.perf_counter() - self._begin,
+            "timing": dict(self._timing.seconds),
+        }
+
+    def resume(self, state: State) -> None:
+        """Go on from there, the model being there; collective."""
+        self._rows, self._time = state["step"], state["time"]
+        self._frames, self._written = state["frames"], state["written"]
+        self._total = Summary(**state["total"])
+        self._mechanical = dict(state["mechanical"])
+        for m, balance, found in zip(
+            self._model.mechanics, self._balances, state["balances"], strict=True
+        ):
+            u, q = m.solver.parts()
+            trial = m.problem.trial(u, q) if q is not None else None
+            balance.resume(found, u, trial)
+            for j, law in zip(m.problem.jumps, state["contact"], strict=False):
+                assert trial is not None
+                pressures, status = (law[k].of(j.mine) for k in ("pressures", "status"))
+                then = replace(trial.law, pressures=pressures, status=status.ravel())
+                self._trials = (replace(trial, law=then),)
+                self._samples = Samples(m.problem, *self._trials)
+        if not self._writer.resume(state["writer"]):
+            self._written = 0
+        self._begin -= state["seconds"]
+        for phase, seconds in state["timing"].items():
+            self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds
 
     def stage(self, stage: Stage) -> None:
         """A stage begins."""
@@ -82,6 +131,7 @@ class Recorder:
         with self._timing.phase("output"):
             (m,), (balance,) = self._model.mechanics, self._balances
             balance.update(m.solver.parts()[0], trial)
+            self._trials = (trial,) if trial is not None else ()
             self._samples = Samples(m.problem, trial) if trial is not None else None
             self._total.count(step.outcome)
             self._mechanical = self._row_of(step, balance)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from app.bodies import Bodies, boundary_facets, cell_tags
 from app.errors import InputError, everywhere
+from app.state import State, keyed
 from app.terms import Scene, Support
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import gather
@@ -60,6 +61,12 @@ class Reduction(Protocol):
 
     def carry(self, u: PETSc.Vec, old: Self) -> None:
         """Express unknowns of the same scene with other supports as those of this one."""
+
+    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
+        """Own unknowns, given the keys of own nodes."""
+
+    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
+        """Read them back."""
 
 
 def holds(support: Support, stage: int) -> bool:
@@ -148,6 +155,14 @@ class AllFree:
     def carry(self, u: PETSc.Vec, old: Self) -> None:
         """Nothing to do: nodal displacements they stay."""
 
+    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
+        """Nodal displacements."""
+        return {"nodes": keyed(nodes, u.array_r)}
+
+    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
+        """Read them back."""
+        u.array[:] = state["nodes"].of(nodes).ravel()
+
 
 class WithRigid:
     """Rigid regions: six unknowns each, on rank 0, in place of their nodes."""
@@ -164,7 +179,7 @@ class WithRigid:
         nodes = space.dofmap.index_map.size_local
         x = space.tabulate_dof_coordinates()[:nodes]
         region = _region_of_nodes(scene, tagged, space)[:nodes]
-        free = np.flatnonzero(region < 0)
+        free = self._free = np.flatnonzero(region < 0)
         n_rigid = len(scene.rigid)
         n = 3 * len(free) + (6 * n_rigid if comm.rank == 0 else 0)
         start = comm.exscan(n) or 0
@@ -244,8 +259,28 @@ class WithRigid:
     def carry(self, u: PETSc.Vec, old: Self) -> None:
         """Turn the motions of rigid regions from the old axes to these."""
         for place, basis in self._bases.items():
-            rows = slice(place, place + 6)
-            u.array[rows] = basis.T @ old._bases[place] @ u.array[rows]
+            own = slice(place, place + 6)
+            u.array[own] = basis.T @ old._bases[place] @ u.array[own]
+
+    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
+        """Displacements of free nodes, motions of rigid regions and the axes that they are in."""
+        free = 3 * len(self._free)
+        regions = np.arange(len(self._bases))
+        axes = np.array(list(self._bases.values())).reshape(-1, 36)
+        return {
+            "nodes": keyed(nodes[self._free], u.array_r[:free]),
+            "rigid": keyed(regions, u.array_r[free:].reshape(-1, 6)),
+            "axes": keyed(regions, axes),
+        }
+
+    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
+        """Read them back; other ranks may have chosen other axes."""
+        u.array[: 3 * len(self._free)] = state["nodes"].of(nodes[self._free]).ravel()
+        regions = np.arange(len(self._bases))
+        motions, axes = (state[name].of(regions) for name in ("rigid", "axes"))
+        for (place, basis), motion, old in zip(self._bases.items(), motions, axes, strict=True):
+            same = np.array_equal(basis.ravel(), old)
+            u.array[place : place + 6] = motion if same else basis.T @ old.reshape(6, 6) @ motion
 
 
 def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace) -> Ints:

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from mpi4py import MPI
 
-from app import config, error, kept, preview, ranks, variations
+from app import checkpoint, config, error, kept, limits, preview, ranks, variations
 from app import log as text
+from app.checkpoint import Keeper
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
-from app.folders import FAILED, claim, prepare_run, write_text
+from app.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.model import Model
 from app.output import Writer, on_root, provenance
 from app.recorder import Recorder
@@ -35,6 +34,9 @@ def run(
     petsc_options: list[str],
     overrides: list[str],
     keep: bool = False,
+    restart: str = "",
+    force: bool = False,
+    walltime: float | None = None,
 ) -> int:
     """Solve a case and write its run directory; collective.
 
@@ -45,6 +47,9 @@ def run(
         petsc_options: Raw PETSc options from the command line.
         overrides: ``--set`` options, for the record.
         keep: Whether variations that are finished stay.
+        restart: A checkpoint to go on from, ``auto`` or nothing.
+        force: Whether it may be of another configuration.
+        walltime: How long the run may take [s].
 
     Returns:
         0.
@@ -61,7 +66,17 @@ def run(
         )
     for message in preview.warnings(case):
         log.warning("note: %s", message)
-    session = Session(comm, case_path, raw_options(petsc_options), _watch_signals(), begin, started)
+    signalled = limits.signals()
+    late = str if walltime is None else limits.WallTime(begin, walltime)
+    session = Session(
+        comm,
+        case_path,
+        raw_options(petsc_options),
+        lambda: signalled() or late(),
+        begin,
+        started,
+        partial(checkpoint.find, comm, restart, force=force) if restart else None,
+    )
     with _claimed(comm, output):
         if not case.variations:
             summary = session.solve(case, overrides, output)
@@ -83,6 +98,7 @@ class Session:
         stop: Callable[[], str],
         begin: float,
         started: datetime,
+        restart: Callable[..., checkpoint.Checkpoint | None] | None = None,
     ) -> None:
         """Begin.
 
@@ -93,9 +109,10 @@ class Session:
             stop: Names a signal that asks this rank to stop, or gives an empty text.
             begin: When the run began, by `time.perf_counter`.
             started: The same, by the clock.
+            restart: Finds the checkpoint of a run directory (``folder``) and case, if wanted.
         """
         self._comm, self._case_path, self._options, self._stop = comm, case_path, options, stop
-        self._begin, self._started = begin, started
+        self._begin, self._started, self._restart = begin, started, restart
         self._timing = Timing()
         self._models: list[Model] = []
 
@@ -167,6 +184,7 @@ class Session:
             MantleError: With the last converged state on disk where there is one.
         """
         comm, timing = self._comm, self._timing
+        found = self._restart(folder=output, case=case) if self._restart else None
         model = Model(case, comm, self._options, timing, self._stop, self._models)
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
@@ -185,15 +203,26 @@ class Session:
             lambda: provenance(
                 comm.size, self._case_path, list(overrides), model.mesh_hash, started
             ),
+            found is not None,
         )
         recorder = Recorder(case, model, writer, timing, self._begin)
+        keeper = Keeper(case, model, recorder, output, found)
         try:
             total = model.go(
-                recorder.step, recorder.heat, lambda s: log.info("     %s", s), recorder.stage
+                recorder.step,
+                recorder.heat,
+                lambda s: log.info("     %s", s),
+                recorder.stage,
+                keeper.mark,
+                keeper.resume,
             )
-        except (ConvergenceError, StoppedError) as failure:
-            recorder.close("stopped" if isinstance(failure, StoppedError) else "not converged")
-            raise type(failure)(f"{failure}\n{recorder.last_state()}") from failure
+        except ConvergenceError as failure:
+            recorder.close("not converged")
+            raise ConvergenceError(f"{failure}\n{recorder.last_state()}") from failure
+        except StoppedError as failure:
+            where = _saved(keeper)
+            recorder.close("stopped")
+            raise StoppedError(f"{failure}\n{recorder.last_state()}{where}") from failure
         recorder.flush()
         summary = recorder.summary("converged", total)
         if case.output.condition:
@@ -202,10 +231,16 @@ class Session:
         if companions := error.companions(case):
             # The numbers are safe before their errors are looked for.
             writer.finish(summary, done=False)
-            with timing.phase("error"):
-                summary["error"] = _errors(companions, model, summary, case.mesh.order)
+            try:
+                with timing.phase("error"):
+                    summary["error"] = _errors(companions, model, summary, case.mesh.order)
+            except StoppedError as failure:
+                raise StoppedError(f"{failure}, in its companions{_saved(keeper)}") from failure
             summary["timing"] = recorder.seconds()
         writer.finish(summary, done=True)
+        if not case.output.checkpoint.model_fields_set:
+            # Those of interruptions are of no more use.
+            on_root(comm, partial(remove, saved(output)), share=False)
         return summary
 
 
@@ -222,6 +257,12 @@ def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
     finally:
         if held is not None:
             os.close(held)
+
+
+def _saved(keeper: Keeper) -> str:
+    """Save the state; where it is, as the end of a message; collective."""
+    path = keeper.save()
+    return f"\nstate saved in {path}: --restart auto goes on from there" if path else ""
 
 
 def _prepare(folder: Path) -> None:
@@ -268,19 +309,3 @@ def raw_options(arguments: list[str]) -> dict[str, str]:
         elif key:
             options[key], key = word, ""
     return options
-
-
-def _watch_signals() -> Callable[[], str]:
-    """Note signals that ask the run to stop; they are looked at between Newton iterations.
-
-    Returns:
-        A function that names the signal received so far, or gives an empty text.
-    """
-    received: list[str] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        received.append(signal.Signals(number).name)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
-        signal.signal(number, note)
-    return lambda: received[0] if received else ""

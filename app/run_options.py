@@ -108,6 +108,15 @@ class _PointAlone:
         return {"anyOf": [handler(schema), {"type": ["array", "string"]}]}
 
 
+class CheckpointOptions(Model):
+    """When the state of a run is saved; at a signal and at `--walltime` it always is."""
+
+    steps: PositiveInteger | None = None
+    """After so many steps."""
+    minutes: PositiveNumber | None = None
+    """After the first step that ends so many minutes after the last time."""
+
+
 class OutputOptions(Model):
     """What is written."""
 
@@ -119,6 +128,8 @@ class OutputOptions(Model):
     """Whether the condition of the last Jacobian is estimated: some twenty more linear solves."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
+    checkpoint: CheckpointOptions = CheckpointOptions()
+    """When the state is saved, to go on from by `--restart`."""
     probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(
         default_factory=dict
     )

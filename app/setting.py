@@ -34,6 +34,7 @@ from app.bodies import Bodies
 from app.errors import InputError
 from app.mechanics import Mechanics
 from app.pointwise import Pointwise
+from app.state import State, keyed
 from app.terms import Cure, Elastic, Scene
 from app.timing import Timing
 from forms import cure, elasticity, loads
@@ -176,6 +177,21 @@ class Setting:
     def _values(self, region: str) -> Floats:
         dofs = self._stress.function_space.dofmap.list[self._cells[region]]
         return np.asarray(self._stress.x.array.reshape(-1, 6)[dofs])
+
+    def state(self) -> State:
+        """Stress of own cells by region; the rest follows from displacement, cure and strain."""
+        number = self._mechanics.mesh.topology.original_cell_index
+        return {r: keyed(number[cells], self._values(r)) for r, cells in self._cells.items()}
+
+    def resume(self, state: State, displacements: Sequence[fem.Function]) -> None:
+        """Read it back, once displacements are spread and cure and strain are set."""
+        number = self._mechanics.mesh.topology.original_cell_index
+        for region, cells in self._cells.items():
+            dofs = self._stress.function_space.dofmap.list[cells]
+            self._stress.x.array.reshape(-1, 6)[dofs] = state[region].of(number[cells])
+        for b in self.bodies:
+            self._before[b].x.array[:] = displacements[b].x.array
+        self._old = dict(self._new)
 
     def commit(self, displacements: Sequence[fem.Function]) -> None:
         """Make stress and strain of a converged state the history.

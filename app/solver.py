@@ -16,6 +16,7 @@ import numpy as np
 
 from app.errors import StoppedError
 from app.linear import Linear, Options
+from app.state import State
 from app.systems import Measure, System
 from app.timing import Timing
 
@@ -152,6 +153,33 @@ class Solver:
     def named(self, x: PETSc.Vec | None = None) -> dict[str, PETSc.Vec]:
         """Blocks of a state by name, of the current one by default."""
         return dict(zip(self._names, self.blocks(x), strict=True))
+
+    def pack(self, x: PETSc.Vec) -> State:
+        """A state of the unknowns, as it is kept."""
+        return self._system.pack(self.blocks(x))
+
+    def unpack(self, state: State) -> PETSc.Vec:
+        """Read it back."""
+        x = self.vector()
+        self._system.unpack(state, self.blocks(x))
+        return x
+
+    def state(self) -> State:
+        """All that the next solve depends on."""
+        return {
+            "x": self.pack(self.x),
+            "scales": list(self._scales),
+            "augmentation": self._augmentation,
+            "linear": self._linear.state(),
+            "system": self._system.state(),
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; collective."""
+        self.unpack(state["x"]).copy(self.x)
+        self._scales, self._augmentation = state["scales"], state["augmentation"]
+        self._system.soften(self._augmentation)
+        self._linear.resume(state["linear"], self._system.resume(state["system"]))
 
     def _configure(self) -> None:
         """Hand the options to PETSc under the prefix, and take them out of its database again."""

@@ -11,13 +11,15 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from app.coupling import Coupled, Staggered
 from app.errors import ConvergenceError
 from app.heating import Accepted, Heating
 from app.integrator import Controller
-from app.motion import Motion, Step, Summary
+from app.motion import Mark, Motion, Step, Summary, unmarked
+from app.state import State
 from app.terms import Stage
 
 # A time step below this part of its stage is given up.
@@ -35,12 +37,20 @@ class Companion(Protocol):
     def after(self, time: float, whole: bool) -> None:
         """A heat step is history that ends at a time, and perhaps ends an increment."""
 
+    def state(self) -> State:
+        """Where the mechanics stand."""
+
+    def resume(self, state: State, k: int, stage: Stage) -> None:
+        """Read it back within a stage, heat and mechanics being there; collective."""
+
 
 def run(
     stages: Sequence[Stage],
     motion: tuple[Motion, ...],
     march: tuple[March, ...],
     begin: Callable[[Stage], None] = lambda stage: None,
+    mark: Callable[[int], None] = lambda k: None,
+    first: int = 0,
 ) -> None:
     """Take a model through its stages.
 
@@ -49,20 +59,22 @@ def run(
         motion: Its mechanics, at rest at time 0, if it has any.
         march: Its heat, if it has any.
         begin: Called before each stage.
+        mark: Called with the number of the stage wherever a run may be taken up again.
+        first: The stage to begin with: where motion and march have been taken up.
 
     Raises:
         ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
     """
-    for k, stage in enumerate(stages):
+    for k, stage in enumerate(stages[first:], first):
         begin(stage)
         for m in motion:
             m.problem.set_stage(k, m.solver.parts()[0])
         if stage.duration > 0 or stage.steady:
             for h in march:
-                h.go(k, stage)
+                h.go(k, stage, partial(mark, k))
         else:
             for m in motion:
-                m.load(k, stage)
+                m.load(k, stage, partial(mark, k))
 
 
 @dataclass
@@ -81,23 +93,58 @@ class March:
     on_heat: OnHeat
     on_trouble: Callable[[str], None]
 
+    def __post_init__(self) -> None:
+        """Nothing is under way."""
+        self._under_way = False
+        self._begin = 0.0
+        self._steps = 0
+        self._controller: Controller | None = None
+        self._mark: Mark = unmarked
+
     @property
     def total(self) -> Summary:
         """What it took so far."""
         return self.heating.total
 
-    def go(self, k: int, stage: Stage) -> None:
+    def state(self) -> State:
+        """Where in a stage it is."""
+        return {
+            "under_way": self._under_way,
+            "begin": self._begin,
+            "steps": self._steps,
+            "controller": self._controller and self._controller.state(),
+            "companions": [c.state() for c in self.companions],
+        }
+
+    def resume(self, state: State, k: int, stage: Stage) -> None:
+        """Read it back, heat and mechanics being there; `go` goes on from there; collective."""
+        self._under_way, self._begin = state["under_way"], state["begin"]
+        self._steps = state["steps"]
+        if state["controller"]:
+            self._controller = Controller(self.heating.method, (), 0.0)
+            self._controller.resume(state["controller"])
+        for c, found in zip(self.companions, state["companions"], strict=True):
+            c.resume(found, k, stage)
+
+    def go(self, k: int, stage: Stage, mark: Mark = unmarked) -> None:
         """Through a stage that takes time, or to a steady state."""
-        for c in self.companions:
-            c.begin(k, stage)
+        self._mark = mark
+        if not self._under_way:
+            self._begin, self._steps, self._controller = self.heating.seconds, 0, None
+            for c in self.companions:
+                c.begin(k, stage)
+            self._under_way = True
         if stage.steady:
             self._rest(k, stage)
         elif stage.adaptive:
             self._adaptive(k, stage)
         else:
             self._fixed(k, stage)
+        self._under_way = False
 
     def _rest(self, k: int, stage: Stage) -> None:
+        if self._steps:
+            return
         started = clock.perf_counter()
         accepted = self.heating.rest()
         if accepted is None:
@@ -111,8 +158,9 @@ class March:
     def _fixed(self, k: int, stage: Stage) -> None:
         """Equal steps, whatever their error."""
         dt = stage.duration / stage.increments
-        self.heating.start(dt)
-        for n in range(stage.increments):
+        if not self._steps:
+            self.heating.start(dt)
+        for n in range(self._steps, stage.increments):
             started = clock.perf_counter()
             found = self.heating.attempt(dt, fixed=True)
             if found is None:
@@ -122,13 +170,15 @@ class March:
 
     def _adaptive(self, k: int, stage: Stage) -> None:
         """Steps chosen by their error."""
-        heating = self.heating
-        begin = heating.seconds
+        heating, begin = self.heating, self._begin
         whole = stage.duration / stage.increments
         ends = [begin + (n + 1) * whole for n in range(stage.increments)]
         events = [*ends, *(e for e in heating.events if begin < e < ends[-1])]
-        first = heating.start(whole)
-        controller = Controller(heating.method, events, min(first, whole))
+        known = self._controller and self._controller.state()
+        first = whole if known else heating.start(whole)
+        controller = self._controller = Controller(heating.method, events, min(first, whole))
+        if known:
+            controller.resume(known)
         tiny = SHORTEST * stage.duration
         while heating.seconds < ends[-1] - tiny:
             started = clock.perf_counter()
@@ -158,6 +208,8 @@ class March:
         seconds = clock.perf_counter() - started
         step = Step(self.total.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
         self.on_heat(step, accepted)
+        self._steps += 1
+        self._mark()
 
     def _text(self, stage: Stage, part: float, dt: float) -> str:
         """Why a time step failed."""
@@ -187,8 +239,9 @@ class Following:
             limit: Change of temperature after which they are solved again [K].
         """
         self._motion, self._heating, self._limit = motion, heating, limit
-        start = heating.warmth()
-        heating.warm(motion.problem, start, start, 1.0)
+        self._time = 0.0
+        self._before = heating.warmth()
+        heating.warm(motion.problem, self._before, self._before, 1.0)
 
     def begin(self, k: int, stage: Stage) -> None:
         """Remember where the mechanics stand."""
@@ -210,6 +263,16 @@ class Following:
         self._motion.advance(self._stage, 1.0, place, begin, time)
         self._before, self._time = now, time
 
+    def state(self) -> State:
+        """Of which heat the mechanics know, and when that was."""
+        return {"before": self._heating.pack(self._before), "time": self._time}
+
+    def resume(self, state: State, k: int, stage: Stage) -> None:
+        """Read it back; collective."""
+        self._stage, self._time = stage, state["time"]
+        self._before = self._heating.unpack(state["before"])
+        self._heating.warm(self._motion.problem, self._before, self._before, 1.0)
+
 
 class Joint:
     """Mechanics that heat depends on: in one system with it."""
@@ -224,6 +287,7 @@ class Joint:
         """
         self._motion, self._heating, self._system = motion, heating, system
         heating.beside = (self,)
+        self._start = self._committed = heating.seconds
         self._before = heating.warmth()
         heating.warm(motion.problem, self._before, self._before, 1.0)
 
@@ -271,3 +335,14 @@ class Joint:
             self._heating.warm(self._motion.problem, before, now, s)
 
         self._motion.advance(self._stage, 1.0, place, time, time)
+
+    def state(self) -> State:
+        """When the stage began, and when the mechanics were last history."""
+        return {"start": self._start, "committed": self._committed}
+
+    def resume(self, state: State, k: int, stage: Stage) -> None:
+        """Read it back; collective."""
+        self._k, self._stage = k, stage
+        self._start, self._committed = state["start"], state["committed"]
+        self._before = self._heating.warmth()
+        self._heating.warm(self._motion.problem, self._before, self._before, 1.0)

@@ -22,6 +22,7 @@ from app.jumps import Jumps
 from app.linear import SWEEP, Inverse, Options, stiffness_options
 from app.problem import Problem, Trial
 from app.sparse import block_diagonal, fill
+from app.state import State
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,18 @@ class System(Protocol):
 
     def lessen_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """A state of the unknowns, as it is kept."""
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read it back."""
+
+    def state(self) -> State:
+        """What it remembers of Jacobians before."""
+
+    def resume(self, state: State) -> Motions | None:
+        """Read it back, with the Jacobian in which motions were let go last; collective."""
 
 
 def size(vectors: list[PETSc.Vec]) -> float:
@@ -173,6 +186,21 @@ class Bonded:
         """No friction."""
         return False
 
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """The displacement."""
+        return self._problem.pack(x[0], None)
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read it back."""
+        self._problem.unpack(state, x[0], None)
+
+    def state(self) -> State:
+        """Nothing."""
+        return {}
+
+    def resume(self, state: State) -> None:
+        """Nothing moves."""
+
 
 class Contact:
     """Displacement and jumps.
@@ -238,26 +266,37 @@ class Contact:
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
+        self._couple()
+        trial = self.trial = self._problem.trial(*x)
+        self._set_rows(*self._jumps.row_factors(trial.law))
+        status = trial.law.status
+        self._changed = -1 if self._last is None else int((status != self._last).sum())
+        self._last = status.copy()
+
+    def _couple(self) -> None:
+        """Take in the coupling, if it has changed."""
         if self._coupled != self.version:
             self._coupled = self.version
             self._jumps.C.copy(self._C)
             self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
-        trial = self.trial = self._problem.trial(*x)
-        times, added = self._jumps.row_factors(trial.law)
+
+    def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
+        """Set the rows of the jumps."""
+        self._factors = times, added
         fill(self._rows, times)
         fill(self._added, added)
         self._rows.matMult(self._jumps.Ct, result=self._A_qu)
         self._rows.matMult(self._jumps.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-        status = trial.law.status
-        self._changed = -1 if self._last is None else int((status != self._last).sum())
-        self._last = status.copy()
 
     def motions(self) -> Motions:
         """Bodies that slide, lift off or bend away."""
         if self._motions_of != self.version:
             self._motions, self._motions_of = Motions(self._problem), self.version
+        before = self._motions.version
         self._motions.follow(self.trial.law.jacobian)
+        if self._motions.version != before:
+            self._then = self._factors
         return self._motions
 
     @property
@@ -287,3 +326,31 @@ class Contact:
         """Solve with this share of all friction coefficients, if there is friction."""
         self._jumps.lessen_friction(share)
         return any(c.frictional for c in self._problem.scene.contacts)
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """Displacement and jumps."""
+        return self._problem.pack(x[0], x[1])
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read them back."""
+        self._problem.unpack(state, x[0], x[1])
+
+    def state(self) -> State:
+        """The motions that the law let go, and the rows of the Jacobian then."""
+        if self._motions_of != self.version or not self._motions.version:
+            return {}
+        times, added = self._then
+        values = {"motions": self._motions.known, "times": times, "added": added}
+        return {name: self._jumps.rows(v) for name, v in values.items()}
+
+    def resume(self, state: State) -> Motions | None:
+        """Let them go again; collective."""
+        if not state:
+            return None
+        self._couple()
+        known, times, added = (state[k].of(self._jumps.mine) for k in ("motions", "times", "added"))
+        self._set_rows(times, added)
+        self._then = self._factors
+        self._motions, self._motions_of = Motions(self._problem), self.version
+        self._motions.let_go(known)
+        return self._motions

@@ -21,10 +21,12 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app.curves_in_time import State, bend, peak_between, raise_to
+from app import curves_in_time
+from app.curves_in_time import bend, peak_between, raise_to
 from app.heat_forms import HeatForms
 from app.level_sets import RegionCells
 from app.necrosis import CELSIUS, LEVELS, Exposure
+from app.state import Rows, State, keyed, node_keys
 from app.temperature_jumps import TemperatureJumps
 from app.thermal_nodes import Nodes, Probe, Probes, Side, pairs_of, region_nodes, sides_of
 from forms import interface_heat
@@ -50,7 +52,7 @@ class _Region:
     lowest: float
     exposure: Exposure
     # The states before, newest last.
-    before: list[State] = field(default_factory=list)
+    before: list[curves_in_time.State] = field(default_factory=list)
 
     @property
     def begin(self) -> Floats:
@@ -299,6 +301,59 @@ class ThermalRecord:
     def exposure(self, region: str) -> tuple[Nodes, Exposure]:
         """Nodes of a region and what they have been exposed to so far."""
         return self._nodes[region], self._regions[region].exposure
+
+    # What a run remembers
+
+    def state(self) -> State:
+        """All that is history; collective."""
+        comm, nodes = self._comm, node_keys(self._forms.space)
+        extremes = {}
+        for name, e in self._extremes.items():
+            highest = np.array([e.jump, e.flux, -e.entropy_min, e.entropy_max])
+            comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
+            extremes[name] = highest.tolist()
+        regions = {}
+        for name, r in self._regions.items():
+            x, keys = r.exposure, nodes[r.nodes.dof]
+            columns = [r.now, r.peak, r.peak_time, x.cem43, x.damage, *x.over]
+            regions[name] = {
+                "nodes": Rows(keys, np.column_stack(columns)),
+                "lowest": comm.allreduce(r.lowest, MPI.MIN),
+                "before": [[t, keyed(keys, T)] for t, T in r.before],
+            }
+        return {
+            "seconds": list(self.seconds),
+            "rows": list(self.rows),
+            "watched": self._watched,
+            "hottest": [keyed(nodes, T[: self._forms.owned]) for T in self.hottest],
+            "hottest_time": self.hottest_time,
+            "hottest_at": self.hottest_at,
+            "extremes": extremes,
+            "regions": regions,
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; collective."""
+        nodes, function = node_keys(self._forms.space), fem.Function(self._forms.space)
+        self.seconds, self.rows = list(state["seconds"]), list(state["rows"])
+        self._watched = state["watched"]
+        self.hottest_time, self.hottest_at = state["hottest_time"], state["hottest_at"]
+        self.hottest = []
+        for found in state["hottest"]:
+            function.x.array[: self._forms.owned] = found.of(nodes)
+            function.x.scatter_forward()
+            self.hottest.append(function.x.array.copy())
+        for name, (jump, flux, low, high) in state["extremes"].items():
+            self._extremes[name] = _Extremes(jump, flux, -low, high)
+        for name, found in state["regions"].items():
+            r = self._regions[name]
+            keys = nodes[r.nodes.dof]
+            r.now, r.peak, r.peak_time, cem43, damage, *over = (
+                column.copy() for column in found["nodes"].of(keys).T
+            )
+            r.exposure = Exposure(np.array(over), cem43, damage)
+            r.lowest = found["lowest"]
+            r.before = [(t, T.of(keys)) for t, T in found["before"]]
 
     # The summary
 

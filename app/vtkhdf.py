@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -50,8 +50,10 @@ class GridFile:
         cell_type: int,
         cell_data: Mapping[str, Array],
         ghosts: npt.ArrayLike = (),
+        order: Sequence[Array] | None = None,
+        steps: int = 0,
     ) -> None:
-        """Write the geometry to a new file (collective).
+        """Write the geometry to a new file, or go on with one that is there (collective).
 
         Args:
             comm: The ranks that share the grid.
@@ -63,15 +65,25 @@ class GridFile:
             cell_data: Constant values in this rank's own cells, shape (m,) or (m, components).
             ghosts: Global numbers of points that other ranks own; the points of all ranks are
                 numbered in the order of the ranks, as by ``dolfinx.common.IndexMap``.
+            order: To go on, on rank 0: for each point and for each cell of the file the row of
+                those of all ranks that it is, in the order of the ranks.
+            steps: After how many steps to go on; later ones are overwritten.
 
         Raises:
-            OSError: The file cannot be written (on every rank).
+            OSError: The file cannot be written, or has not so many steps of such a grid (on every
+                rank).
         """
         self.comm = comm
         self.path = path
         self.steps = 0
         self._constant = frozenset(cell_data)
         self._names: tuple[frozenset[str], frozenset[str]] | None = None
+        self._order = order
+        if order is not None:
+            self._points, self._cells = comm.bcast([len(rows) for rows in order])
+            self._on_root(lambda: _cut(path, self._points, self._cells, steps))
+            self.steps = steps
+            return
         counts = comm.allgather(len(points))
         self._points, self._cells = sum(counts), comm.allreduce(len(cells))
         first = sum(counts[: comm.rank])
@@ -120,6 +132,12 @@ class GridFile:
     def _append(self, arrays: Mapping[str, tuple[Array, int]]) -> None:
         """Gather the rows of some arrays and write them as those of the current step."""
         gathered = {name: (self._gather(values), rows) for name, (values, rows) in arrays.items()}
+        if self._order:
+            points, cells = self._order
+            gathered = {
+                name: (values[points if name.startswith("Point") else cells], rows)
+                for name, (values, rows) in gathered.items()
+            }
 
         def write() -> None:
             for name, (values, rows) in gathered.items():
@@ -175,6 +193,23 @@ def _create(path: Path, points: int, cells: int, nodes: int, cell_type: int) -> 
         root["Steps"].attrs["NSteps"] = 0
         file.flush()
         path.write_bytes(file.id.get_file_image())
+
+
+def _cut(path: Path, points: int, cells: int, steps: int) -> None:
+    """Leave so many steps of a file.
+
+    Raises:
+        OSError: It is not there, damaged, of another grid, or has not as many.
+    """
+    try:
+        with _edit(path, 0) as root:
+            known = int(root["Steps"].attrs["NSteps"])
+            same = (len(root["Points"]), len(root["Types"])) == (points, cells)
+            if not same or known < steps:
+                raise OSError(errno.EINVAL, "not the file that was written", str(path))
+            root["Steps"].attrs.modify("NSteps", steps)
+    except KeyError as error:
+        raise OSError(errno.EIO, str(error), str(path)) from error
 
 
 def _commit(path: Path, step: int, time: float, offsets: Mapping[str, int]) -> None:

@@ -149,7 +149,11 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
         Job("twin", bench.case, ("mesh.size=3000 um",), alone=True),
     ]
     results = bench.run(*jobs)
-    assert bench.calls() == ["2.0 --keep -n 2 1", "2.0 --keep 1", "3.0 --keep 1"]
+    assert bench.calls() == [
+        "2.0 --keep --restart auto -n 2 1",
+        "2.0 --keep --restart auto 1",
+        "3.0 --keep --restart auto 1",
+    ]
     assert [r.summary["size"] for r in results] == [1, 2, 2, 3, 3]
     assert results[0].folder == first[0].folder
     assert results[3].folder == results[4].folder

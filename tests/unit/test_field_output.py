@@ -83,7 +83,9 @@ def read(path: Path) -> tuple[dict[str, Any], Any, Any, Any]:
 
 def check_heat_alone(comm: MPI.Comm, path: Path) -> None:
     tagged = two_blocks(comm)
-    Fields(tagged, (heat(tagged, True),), path).write(1.0, None)
+    fields = Fields(tagged, (heat(tagged, True),), path)
+    fields.begin()
+    fields.write(1.0, None)
     if comm.rank:
         return
     fields, x, cells, region = read(path)
@@ -108,7 +110,9 @@ def check_both(comm: MPI.Comm, path: Path) -> None:
     """Bonded mechanics of second order over heat that jumps, and over heat that does not."""
     tagged = two_blocks(comm)
     for resists in (True, False):
-        Fields(tagged, (Motion(tagged), heat(tagged, resists)), path).write(1.0, None)
+        fields = Fields(tagged, (Motion(tagged), heat(tagged, resists)), path)
+        fields.begin()
+        fields.write(1.0, None)
         comm.barrier()
         if comm.rank:
             continue

@@ -1,0 +1,146 @@
+"""Runs that are interrupted after every step and go on, and what their numbers differ by."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from app import checkpoint, config
+from app.folders import saved
+from app.run import run
+
+BLOCKS = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [6 mm, 4 mm, 2 mm]}
+    - {name: upper, size: [6 mm, 4 mm, 2 mm]}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
+"""
+# Pressed on, then dragged back and forth: what slips and how much it rubs is history.
+RUBBING = (
+    BLOCKS
+    + """
+regions:
+  lower: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 2000 MPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.3}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  press: {kind: displacement, boundary: top, z: "-0.005 + 0.006 * x / 6", history: [1, 1, 1]}
+  slide: {kind: displacement, boundary: top, x: "0.006 + 0.004 * y / 4", y: 0 mm,
+    history: [0, 1, -0.5]}
+stages:
+  - {name: press, increments: 2}
+  - {name: slide, increments: 2}
+  - {name: back, increments: 2}
+"""
+)
+# Sets between a warm block and a holder that lets go; loaded on what that leaves.
+SETTING = (
+    BLOCKS
+    + """
+regions:
+  lower:
+    youngs_modulus: 1000 MPa
+    poisson_ratio: 0.3
+    thermal: {conductivity: 0.5 W/(m K), density: 1800 kg/m^3, specific_heat: 1300 J/(kg K),
+      initial_temperature: 37 degC, thermal_expansion: 20e-6 1/K}
+  upper:
+    youngs_modulus: 2000 MPa
+    poisson_ratio: 0.3
+    thermal:
+      conductivity: 0.3 W/(m K)
+      density: 1200 kg/m^3
+      specific_heat: 1500 J/(kg K)
+      initial_temperature: 25 degC
+      thermal_expansion: 80e-6 1/K
+      cure:
+        kinetics: {kind: autocatalytic, rate_constant: 2.6397e8 1/s,
+          activation_energy: 62866 J/mol, m: 0.98, n: 1.064}
+        heat: 1.55e8 J/m^3
+        initial: 1e-3
+        gel: 0.5
+        floor: 0.01
+        exponent: 1
+        shrinkage: 0.003
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0.3, conductance: 300 W/(m^2 K)}
+heat:
+  air: {kind: convection, boundary: lower_x_max, coefficient: 200 W/(m^2 K), ambient: 20 degC}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+  hold: {kind: fixed, boundary: top, stages: [setting]}
+  hand: {kind: foundation, boundary: top, stiffness: 1 MPa/mm}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 1 MPa, history: [0, 1]}
+  side: {kind: force, boundary: upper_x_max, force: [-1 N, 0 N, 0 N], history: [0, 1]}
+stages:
+  - {name: setting, duration: 600 s, increments: 2}
+  - {name: load, increments: 2}
+time: {tolerance: 0.5 K, mechanical_step: 10 K}
+solver: {tolerance: 1.0e-12}
+"""
+)
+# What takes time and memory, how the equations were solved, and what rounding leaves of nothing.
+APART = ("timing", "cpu", "memory", "balance", "solver")
+# Below these [mm, MPa, N, N mm, ...] numbers are what rounding and the solver leave of nothing.
+NOTHING = 1e-9
+
+
+def numbers(folder: Path) -> dict[str, Any]:
+    """The numbers of a run by dotted key; places of maxima, which may be several, left out."""
+
+    def leaves(data: Any, key: str) -> Iterator[tuple[str, Any]]:
+        if isinstance(data, dict):
+            for name, value in data.items():
+                if not name.endswith("_at"):
+                    yield from leaves(value, f"{key}.{name}")
+        elif isinstance(data, list):
+            for k, value in enumerate(data):
+                yield from leaves(value, f"{key}.{k}")
+        else:
+            yield key, data
+
+    summary = json.loads((folder / "summary.json").read_text())
+    return dict(leaves({k: v for k, v in summary.items() if k not in APART}, ""))
+
+
+def rows(folder: Path) -> list[list[str]]:
+    """The table of a run without what is of the clock."""
+    lines = [line.split(",") for line in (folder / "history.csv").read_text().splitlines()]
+    clock = [k for k, name in enumerate(lines[0]) if name in ("wall [s]", "step [s]")]
+    return [[v for k, v in enumerate(line) if k not in clock] for line in lines]
+
+
+def assert_same(one: Path, other: Path, relative: float, nothing: float = NOTHING) -> None:
+    """Two runs have the same numbers."""
+    a, b = numbers(one), numbers(other)
+    assert a == pytest.approx(b, rel=relative, abs=nothing)
+
+
+def whole(text: str, folder: Path, *overrides: str) -> tuple[Path, list[Path]]:
+    """Run a case to its end; its case file and a checkpoint after every step."""
+    path = folder / "case.yaml"
+    path.write_text(text)
+    options = [*overrides, "output.checkpoint.steps=1"]
+    (folder / "whole").mkdir()
+    kept, checkpoint.KEPT = checkpoint.KEPT, 10**6
+    try:
+        run(config.load(path, options), path, folder / "whole", [], options)
+    finally:
+        checkpoint.KEPT = kept
+    return path, sorted(saved(folder / "whole"), key=lambda p: int(p.stem.split("-")[1]))
+
+
+def on(path: Path, folder: Path, file: Path, *overrides: str) -> Path:
+    """Go on from a checkpoint in a folder of its own."""
+    output = folder / f"from-{file.stem}"
+    output.mkdir(exist_ok=True)
+    run(config.load(path, overrides), path, output, [], list(overrides), restart=str(file))
+    return output

@@ -1,0 +1,203 @@
+"""Checkpoints: files that are whole or not there, which one is taken, what is refused."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from app import checkpoint, config, limits
+from app.checkpoint import DamagedError
+from app.cli import main
+from app.errors import InputError
+from app.folders import saved
+from app.state import Rows
+from tests import restarted, support
+
+COMM = MPI.COMM_SELF
+FIELDS = "output.fields=false"
+
+
+def written(path: Path) -> Path:
+    state = {"a": 1.5, "b": [Rows(np.array([7, 3, 5]), np.arange(6.0).reshape(3, 2))], "c": None}
+    checkpoint.write(COMM, path, {"format": checkpoint.FORMAT, "mantle": "x"}, state)
+    return path
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    found = checkpoint.read(written(tmp_path / "checkpoint-1.h5"))
+    assert found.state["a"] == 1.5 and found.state["c"] is None
+    (rows,) = found.state["b"]
+    assert rows.keys.tolist() == [3, 5, 7]
+    assert rows.of(np.array([7, 5])).tolist() == [[0.0, 1.0], [4.0, 5.0]]
+    assert rows.has(np.array([3, 7])) and not rows.has(np.array([4]))
+    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint-1.h5"]
+
+
+@pytest.mark.parametrize("place", [0, 600, -1])
+def test_a_changed_byte_is_found(tmp_path: Path, place: int) -> None:
+    path = written(tmp_path / "checkpoint-1.h5")
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(DamagedError):
+        checkpoint.read(path)
+
+
+def test_a_failed_write_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path / "checkpoint-1.h5")
+    before = path.read_bytes()
+
+    def full(number: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("app.folders.os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        checkpoint.write(COMM, path, {"format": 1}, {"a": 2})
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.fixture(scope="module")
+def run_of_blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with a checkpoint after every step, of which two are kept."""
+    folder = tmp_path_factory.mktemp("blocks")
+    (folder / "case.yaml").write_text(restarted.RUBBING)
+    options = ["--set", FIELDS, "--set", "output.checkpoint.steps=1"]
+    assert main(["run", str(folder / "case.yaml"), "-o", str(folder / "out"), *options]) == 0
+    return folder
+
+
+def copied(folder: Path, to: Path) -> Path:
+    """The run directory as if it had been killed at the end."""
+    shutil.copytree(folder / "out", to)
+    (to / "DONE").unlink()
+    return to
+
+
+def choose(out: Path, folder: Path, wanted: str = "auto", force: bool = False) -> Path | None:
+    case = config.load(folder / "case.yaml", [FIELDS])
+    found = checkpoint.find(COMM, wanted, out, case, force)
+    return found and found.path
+
+
+def test_two_are_kept(run_of_blocks: Path) -> None:
+    names = [p.name for p in saved(run_of_blocks / "out")]
+    assert names == ["checkpoint-6.h5", "checkpoint-5.h5"]
+
+
+@pytest.mark.parametrize("damage", ["cut", "garbage", "empty"])
+def test_a_damaged_one_is_passed_over(
+    run_of_blocks: Path, tmp_path: Path, damage: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    out = copied(run_of_blocks, tmp_path / "out")
+    newest, before = saved(out)
+    content = newest.read_bytes()
+    kinds = {"cut": content[: len(content) // 2], "garbage": b"\x00abc" * 999, "empty": b""}
+    newest.write_bytes(kinds[damage])
+    assert choose(out, run_of_blocks) == before
+    assert f"{newest} cannot be used" in caplog.text
+    with pytest.raises(InputError, match="cannot be used"):
+        choose(out, run_of_blocks, str(newest))
+    before.unlink()
+    with caplog.at_level(logging.INFO):
+        assert choose(out, run_of_blocks) is None
+    assert "from the beginning" in caplog.text
+
+
+def test_another_configuration_is_refused(
+    run_of_blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = copied(run_of_blocks, tmp_path / "out")
+    other = "interfaces.lower_upper.friction_coefficient=0.2"
+    command = ["run", str(run_of_blocks / "case.yaml"), "-o", str(out), "--set", FIELDS]
+    command += ["--restart", "auto"]
+    assert main([*command, "--set", other]) == 2
+    said = capsys.readouterr().err
+    assert "another configuration" in said
+    assert "interfaces.lower_upper.friction_coefficient: 0.2; in the checkpoint 0.3" in said
+    assert main([*command, "--set", "mesh.size=1 mm", "--force"]) == 2
+    assert "another mesh" in capsys.readouterr().err
+    assert main([*command, "--set", other, "--force"]) == 0
+
+
+def test_a_finished_run_stays_and_what_was_restored_is_told(
+    run_of_blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = copied(run_of_blocks, tmp_path / "out")
+    command = ["run", str(run_of_blocks / "case.yaml"), "-o", str(out), "--restart", "auto"]
+    options = ["--set", FIELDS, "--set", "output.checkpoint.steps=1"]
+    assert main([*command, *options]) == 0
+    said = capsys.readouterr().out
+    assert "restart from" in said and "contact points" in said and "6 rows of history.csv" in said
+    assert main([*command, *options]) == 0
+    assert capsys.readouterr().out == f"{out} is finished already\n"
+
+
+def test_checkpoints_do_not_change_the_steps(run_of_blocks: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ["run", str(run_of_blocks / "case.yaml"), "-o", str(out), "--set", FIELDS]
+    assert main(command) == 0
+    assert restarted.rows(out) == restarted.rows(run_of_blocks / "out")
+    assert saved(out) == []
+
+
+def test_spans_of_time() -> None:
+    assert limits.seconds("2:00:00") == 7200
+    assert limits.seconds("30:05") == 1805
+    assert limits.seconds("1-1:00:00") == 90000
+    for wrong in ("", "5", "2 h", "1:2:3", "0:00"):
+        with pytest.raises(InputError, match="walltime"):
+            limits.seconds(wrong)
+
+
+LONG = ["--set", "stages.1.increments=400", "--set", FIELDS]
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGUSR1,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+    ],
+)
+def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> None:
+    case, out = tmp_path / "case.yaml", tmp_path / "out"
+    case.write_text(restarted.RUBBING)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", "run", str(case), "-o", str(out), *LONG],
+        env=support.environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    while not process.stdout.readline().startswith("   5 "):
+        assert process.poll() is None
+    process.send_signal(number)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 5
+    (path,) = saved(out)
+    assert f"stopped by {number.name}" in message and f"state saved in {path}" in message
+    assert len(restarted.rows(out)) == 1 + int(path.stem.split("-")[1])
+
+
+def test_the_wall_time_is_kept(tmp_path: Path) -> None:
+    case, out = tmp_path / "case.yaml", tmp_path / "out"
+    case.write_text(restarted.RUBBING)
+    command = ["run", str(case), "-o", str(out), *LONG, "--restart", "auto"]
+    assert main([*command, "--walltime", "0:00:02"]) == 5
+    (path,) = saved(out)
+    steps = len(restarted.rows(out))
+    assert main([*command, "--walltime", "0:00:02"]) == 5
+    assert saved(out)[0] != path and len(restarted.rows(out)) > steps
