@@ -9,6 +9,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from app import uniqueness
 from app.jumps import Jumps
 from app.problem import Problem, Trial
 from app.reduction import rigid_modes
@@ -42,6 +43,7 @@ class Explanation:
         short: One clause for the log.
         where: Interface and place of the largest residual, if it is at one.
         free: Sentences on bodies that nothing holds.
+        beyond: Sentences on friction beyond which solutions need not be unique.
         history: Residuals, relative to the force scale.
         flips: State changes per iteration.
     """
@@ -49,6 +51,7 @@ class Explanation:
     short: str
     where: str
     free: tuple[str, ...]
+    beyond: tuple[str, ...]
     history: tuple[float, ...]
     flips: tuple[int, ...]
 
@@ -58,6 +61,7 @@ class Explanation:
             f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}",
             *(f"  {line}" for line in self.free if line != self.short),
         ]
+        lines += [f"  {line}" for line in self.beyond]
         if self.where:
             lines.append(f"  largest residual: {self.where}")
         tail = ", ".join(f"{r:.1e}" for r in self.history[-6:])
@@ -66,11 +70,11 @@ class Explanation:
             "  tried: smaller and larger augmentations, another line search, less friction, "
             f"{cuts} step halvings"
         )
-        advice = (
-            "hold the free body (a support, friction, an elastic foundation)"
-            if self.free
-            else "more increments, a finer mesh at the interface, or a smaller load"
-        )
+        advice = "more increments, a finer mesh at the interface, or a smaller load"
+        if self.beyond:
+            advice += ", or less friction"
+        if self.free:
+            advice = "hold the free body (a support, friction, an elastic foundation)"
         lines.append(f"  what to change: {advice}")
         return "\n".join(lines)
 
@@ -80,12 +84,14 @@ def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
     x = solver.failed
     where = ""
     free: tuple[str, ...] = ()
+    beyond: tuple[str, ...] = ()
     u, q = solver.parts(x)
     if q is not None:
         (j,) = problem.jumps
         trial = problem.trial(u, q)
         where = _largest(problem, j, trial)
         free = tuple(free_bodies(problem, trial))
+        beyond = tuple(uniqueness.beyond(problem))
     if free:
         short = free[0]
     elif outcome.linear_failed:
@@ -94,7 +100,7 @@ def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
         short = f"contact states keep changing ({outcome.flips[-1]} in the last iteration)"
     else:
         short = f"the residual stays at {outcome.residuals[-1]:.1e} of the force scale"
-    return Explanation(short, where, free, outcome.residuals, outcome.flips)
+    return Explanation(short, where, free, beyond, outcome.residuals, outcome.flips)
 
 
 def _largest(problem: Problem, j: Jumps, trial: Trial) -> str:
