@@ -240,6 +240,10 @@ def _friction() -> Iterator[Trial]:
                 (
                     f"interfaces.base_bar.friction_coefficient={μ}",
                     f"loads.pull.force=[{force} N, 0 N, 0 N]",
+                    # Friction acts on its lower face and turns it: by so much of the closed
+                    # form as friction times height over length, so it is thin, of the same EA.
+                    "geometry.blocks.1.size=[110 mm, 10 mm, 0.1 mm]",
+                    "regions.bar.youngs_modulus=1100 GPa",
                 ),
             ),
             partial(judges.bar, force=force, friction=friction),

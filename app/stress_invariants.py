@@ -230,7 +230,9 @@ def _taper() -> Iterator[Trial]:
             ),
             partial(judges.wedge, half_angle=angle, friction=μ, left=back) if holds else None,
             1e-7,
-            "" if holds else FREE.format("stem"),
+            ""
+            if holds
+            else "friction hardly holds body 'stem'|sides of interface 'stem_cement' moved",
         )
 
 
