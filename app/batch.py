@@ -51,8 +51,8 @@ SNAKEFILE = Path(__file__).with_name("Snakefile")
 ROOT = Path(__file__).resolve().parents[1]
 # Modules that no run imports: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"app/(batch|bench\w*|cli|cluster|doctor|report\w*|results|study\w*|sweep\w*|uncertainty|"
-    r"unrolled|verify\w*|work_precision)\.py"
+    r"app/(batch|bench\w*|cli|cluster|doctor|report\w*|results|stress\w*|study\w*|sweep\w*|"
+    r"uncertainty|unrolled|verify\w*|work_precision)\.py"
 )
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")

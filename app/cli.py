@@ -169,11 +169,15 @@ def parser() -> argparse.ArgumentParser:
     verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
     verify.add_argument("--fine", action="store_true", help="finer meshes too, for the orders")
+    stress = add("stress", "stiff and extreme cases: right, refused with a reason, or wrong")
+    stress.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
+    stress.add_argument("-o", "--output", type=Path, default=Path("out/stress"), metavar="DIR")
+    stress.add_argument("--full", action="store_true", help="the long ones too")
     bench = add("bench", "measure what contact costs, from 50 000 unknowns up (20 minutes)")
     bench.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
     bench.add_argument("-o", "--output", type=Path, default=Path("out/bench"), metavar="DIR")
     bench.add_argument("--full", action="store_true", help="a million unknowns too")
-    for command in (study, sweep, verify):
+    for command in (study, sweep, verify, stress):
         command.add_argument(
             "--cores", type=int, default=os.cpu_count() or 1, metavar="N", help="cores to use"
         )
@@ -264,6 +268,8 @@ def _dispatch(arguments: list[str]) -> int:
             return _report(options)
         case "verify":
             return _verify(options)
+        case "stress":
+            return _stress(options)
         case "bench":
             return _bench(options)
         case "schema":
@@ -444,6 +450,15 @@ def _verify(options: argparse.Namespace) -> int:
 
     passed = verify.run(options.pattern, options.output, options.fine, options.cores)
     return 0 if passed else CHECK_FAILED
+
+
+def _stress(options: argparse.Namespace) -> int:
+    """Stiff and extreme cases; 1 if any is wrong or fails unexplained."""
+    _configure_log("info")
+    from app import stress
+
+    stable = stress.run(options.pattern, options.output, options.full, options.cores)
+    return 0 if stable else CHECK_FAILED
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -93,6 +93,40 @@ def lame_pressure_free(δ: float, b: float, c: float, core: Elastic, ring: Elast
     return δ / b / (((c * c + b * b) / (c * c - b * b) + ν_o) / E_o + (1 - ν_i) / E_i)
 
 
+def compound_pressures(
+    δ: float, radii: Sequence[float], materials: Sequence[Elastic]
+) -> tuple[float, float]:
+    """Pressures at a and b of a core r < a, too large by δ, in rings a < r < b < r < c [MPa].
+
+    Plane strain, no friction; Lamé's solution in each (Timoshenko & Goodier, section 28).
+
+    Args:
+        δ: Interference at a [mm].
+        radii: a, b, c [mm].
+        materials: Of the core, of the inner and of the outer ring.
+    """
+    a, b, c = radii
+    (E_1, ν_1), (E_2, ν_2), (E_3, ν_3) = materials
+
+    def ring(r: float, inner: float, outer: float, p: float, q: float) -> float:
+        """E / (1 + ν) times the displacement, in two parts, of pressures p inside and q outside."""
+        return (1 - 2 * ν_2) * (p * inner**2 - q * outer**2) * r + (p - q) * (
+            inner * outer
+        ) ** 2 / r
+
+    f_2, f_3 = (1 + ν_2) / E_2 / (b * b - a * a), (1 + ν_3) / E_3 / (c * c - b * b)
+    core = -(1 + ν_1) * (1 - 2 * ν_1) / E_1 * a
+    outer = f_3 * ((1 - 2 * ν_3) * b**3 + c * c * b)
+    A = np.array(
+        [
+            [f_2 * ring(a, a, b, 1, 0) - core, f_2 * ring(a, a, b, 0, 1)],
+            [f_2 * ring(b, a, b, 1, 0), f_2 * ring(b, a, b, 0, 1) - outer],
+        ]
+    )
+    p, q = np.linalg.solve(A, [δ, 0.0])
+    return float(p), float(q)
+
+
 def _plane_strain(material: Elastic) -> Elastic:
     E, ν = material
     return E / (1 - ν * ν), ν / (1 - ν)

@@ -273,6 +273,10 @@ class Coupled:
         """Solve with this multiple of the augmentation in force, if an interface has one."""
         return self._motion.soften(factor)
 
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen; collective."""
+        return self._motion.usual_augmentation()
+
     def lessen_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""
         return self._motion.lessen_friction(share)

@@ -9,6 +9,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from app import uniqueness
 from app.jumps import Jumps
 from app.problem import Problem, Trial
 from app.reduction import rigid_modes
@@ -27,6 +28,8 @@ _MODES = (
 )
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
 _FREE = 1e-10
+# A body slides when so much of the area that holds it bears so much of the most friction can.
+SLIDES, ALL_OF_IT = 0.95, 1 - 1e-6
 # Fraction of the size of the interfaces beyond which a jump is no small displacement.
 RUNAWAY = 0.05
 # Motion in units of load / (modulus of the softer side x size): 5 for a stem wedged by friction, 70
@@ -42,6 +45,8 @@ class Explanation:
         short: One clause for the log.
         where: Interface and place of the largest residual, if it is at one.
         free: Sentences on bodies that nothing holds.
+        notes: Sentences on bodies that friction hardly holds, and on friction beyond which
+            solutions need not be unique.
         history: Residuals, relative to the force scale.
         flips: State changes per iteration.
     """
@@ -49,6 +54,7 @@ class Explanation:
     short: str
     where: str
     free: tuple[str, ...]
+    notes: tuple[str, ...]
     history: tuple[float, ...]
     flips: tuple[int, ...]
 
@@ -58,6 +64,7 @@ class Explanation:
             f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}",
             *(f"  {line}" for line in self.free if line != self.short),
         ]
+        lines += [f"  {line}" for line in self.notes]
         if self.where:
             lines.append(f"  largest residual: {self.where}")
         tail = ", ".join(f"{r:.1e}" for r in self.history[-6:])
@@ -66,11 +73,11 @@ class Explanation:
             "  tried: smaller and larger augmentations, another line search, less friction, "
             f"{cuts} step halvings"
         )
-        advice = (
-            "hold the free body (a support, friction, an elastic foundation)"
-            if self.free
-            else "more increments, a finer mesh at the interface, or a smaller load"
-        )
+        advice = "more increments, a finer mesh at the interface, or a smaller load"
+        if self.notes:
+            advice += "; other friction, or a support"
+        if self.free:
+            advice = "hold the free body (a support, friction, an elastic foundation)"
         lines.append(f"  what to change: {advice}")
         return "\n".join(lines)
 
@@ -80,12 +87,14 @@ def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
     x = solver.failed
     where = ""
     free: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     u, q = solver.parts(x)
     if q is not None:
         (j,) = problem.jumps
         trial = problem.trial(u, q)
         where = _largest(problem, j, trial)
         free = tuple(free_bodies(problem, trial))
+        notes = (*(() if free else sliding(problem)), *uniqueness.beyond(problem))
     if free:
         short = free[0]
     elif outcome.linear_failed:
@@ -94,7 +103,7 @@ def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
         short = f"contact states keep changing ({outcome.flips[-1]} in the last iteration)"
     else:
         short = f"the residual stays at {outcome.residuals[-1]:.1e} of the force scale"
-    return Explanation(short, where, free, outcome.residuals, outcome.flips)
+    return Explanation(short, where, free, notes, outcome.residuals, outcome.flips)
 
 
 def _largest(problem: Problem, j: Jumps, trial: Trial) -> str:
@@ -151,6 +160,33 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
     return sorted(set(found))
 
 
+def sliding(problem: Problem) -> list[str]:
+    """Bodies that friction alone held in the last converged state, and hardly did; collective.
+
+    Pulled further they may come off. That is no proof: smaller steps are tried all the same.
+    """
+    (j,) = problem.jumps
+    old, names = j.history, problem.bodies.names
+    normal = np.einsum("pi,pi->p", old.force - old.friction, old.force - old.friction) ** 0.5
+    shear = np.linalg.norm(old.friction, axis=1)
+    sides = j.points.bodies[j.mine]
+    found = []
+    for i, contact in enumerate(problem.scene.contacts):
+        on = (j.interface == i) & (normal > 0)
+        slips = on & (shear >= ALL_OF_IT * contact.friction * normal)
+        local = np.array([j.weight[slips].sum(), j.weight[on].sum()])
+        slip, touch = problem.comm.allreduce(local, MPI.SUM)
+        pairs = problem.comm.allgather({tuple(map(int, s)) for s in sides[on]})
+        loose = {b for pair in set().union(*pairs) for b in pair} - _held_every_way(problem)
+        if contact.frictional and touch and slip >= SLIDES * touch and loose:
+            who = "' and '".join(names[b] for b in sorted(loose))
+            found.append(
+                f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
+                f"on interface '{contact.name}' slips in the last converged state"
+            )
+    return found
+
+
 def runaway(problem: Problem, trial: Trial) -> str:
     """A sentence if loads moved an interface as only a free body moves; collective.
 
@@ -176,6 +212,18 @@ def runaway(problem: Problem, trial: Trial) -> str:
                 "nothing holds them but the facets of the mesh"
             )
     return ""
+
+
+def _held_every_way(problem: Problem) -> set[int]:
+    """Bodies with supports or foundations along all three axes; planes of symmetry leave one."""
+    scene = problem.scene
+    held: dict[int, set[int]] = {}
+    conditions = [(s.boundary, s.components) for s in scene.supports]
+    conditions += [(f.boundary, tuple(k > 0 for k in f.stiffness)) for f in scene.foundations]
+    for boundary, axes in conditions:
+        for body in problem.bodies_at(boundary):
+            held.setdefault(body, set()).update(k for k, given in enumerate(axes) if given)
+    return {body for body, axes in held.items() if len(axes) == 3}
 
 
 def held_bodies(problem: Problem) -> set[int]:

@@ -88,6 +88,10 @@ class HeatSystem:
         """No augmentation."""
         return False
 
+    def usual_augmentation(self) -> float:
+        """No augmentation."""
+        return 1.0
+
     def lessen_friction(self, share: float) -> bool:
         """No friction."""
         return False

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -32,6 +33,7 @@ from app.errors import InputError
 from app.mechanics import Mechanics
 from app.points import PointForces, PointLaw, gap_vectors
 from app.reduction import Reduction
+from app.run_options import USUAL_AUGMENTATION
 from app.sparse import from_triplets, matrix_sum, owners
 from app.state import Rows, State, keyed
 from app.terms import Contact, Scene, Support, amplitude
@@ -181,9 +183,12 @@ class Jumps:
         That with all else held, in its softest direction: it follows materials, setting, mesh and
         order by itself.
         """
-        met = np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight
         given = np.array([c.stiffness for c in self._contacts])[self.interface]
-        return np.where(given > 0, given, self._factor * met)
+        return np.where(given > 0, given, self._factor * self._met())
+
+    def _met(self) -> Floats:
+        """Stiffness per area that each own jump meets in its softest direction (n,)."""
+        return np.asarray(np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight)
 
     def _given_by(self, s: int) -> Floats:
         """Own jumps (n, 3) that a support gives at full amplitude [mm]."""
@@ -248,6 +253,17 @@ class Jumps:
         """Use a multiple of the default augmentation, until told otherwise; penalties stay."""
         self._softness = factor
         self._stiffen()
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen, in the mean; collective."""
+        given = any(c.augmented and c.stiffness > 0 for c in self._contacts)
+        if self._factor == USUAL_AUGMENTATION and not given:
+            return 1.0
+        here = self.augmented
+        usual = USUAL_AUGMENTATION * self._met()[here]
+        logs = float(np.log(usual / self.default_stiffness[here]).sum())
+        total, count = self.comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
+        return float(np.exp(total / count)) if count else 1.0
 
     def _stiffen(self) -> None:
         scale = np.where(self.augmented, self._softness, 1.0)

@@ -17,6 +17,8 @@ from app.conditions import Point
 from app.fields import MAPPING, Model, Name, Truth, Word, fail, show
 from app.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
 
+USUAL_AUGMENTATION = 0.2
+
 
 class Stage(Model):
     """A part of the loading history, from multiplier to multiplier."""
@@ -73,7 +75,7 @@ class SolverOptions(Model):
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
-    augmentation_factor: PositiveNumber = 0.2
+    augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
     """r = factor * (stiffness per area that moving one point alone meets), unless it is given."""
     coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
     """How heat and mechanics that need each other are solved: in one, or in turn."""

@@ -45,6 +45,8 @@ HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
 # Multiples of the augmentation tried in turn where Newton is stuck, and whether it then goes on
 # from where it is or from the start again: mostly it is too large.
 AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
+# Shares of the usual augmentation, where another one was asked for and nothing else has helped.
+USUAL = (1.0, 0.1, 0.01)
 # Shares of friction on the way to all of it, where it cannot be had at once.
 FRICTIONS = (0.25, 0.5, 0.75, 1.0)
 
@@ -288,7 +290,8 @@ class Solver:
         back and forth, and a smaller one finds its way from there. At a kink of the contact law a
         line search may cut steps to nothing where whole steps lead on, and the other way round. A
         sweep over interfaces may leave directions that lead nowhere, where factors do not. With
-        less friction fewer points wait for each other.
+        less friction fewer points wait for each other. An augmentation that was asked for may be
+        off by any power of ten: at last it is what it would be without being asked for.
         """
         if not self._done() and self._linear.factor_interfaces():
             start.copy(self.x)
@@ -308,6 +311,15 @@ class Solver:
             yield "whole steps" if self._other == "basic" else "shorter steps"
         if not self._done():
             yield from self._with_less_friction(start)
+        if self._done() or (usual := self._system.usual_augmentation()) == 1.0:
+            return
+        start.copy(self.x)
+        for share in USUAL:
+            if self._lost():
+                return
+            self._augmentation = share * usual
+            self._system.soften(self._augmentation)
+            yield f"augmentation {self._augmentation:.3g} r, {share:g} of the usual one"
 
     def _with_less_friction(self, start: PETSc.Vec) -> Iterator[str]:
         """From the start again with less friction, which then grows to what it is."""
@@ -353,10 +365,16 @@ class Solver:
         """Change the line search."""
         if kind == self._search:
             return
-        database, key = PETSc.Options(self._system.prefix), "snes_linesearch_type"
-        self._search = database[key] = kind
+        database = PETSc.Options(self._system.prefix)
+        self._search = kind
+        # One of another type begins with the defaults of PETSc: it has to be told everything.
+        told = {k: v for k, v in self.options.items() if k.startswith("snes_linesearch_")}
+        told |= {"snes_linesearch_type": kind}
+        for key, value in told.items():
+            database[key] = value
         self.snes.setFromOptions()
-        database.delValue(key)
+        for key in told:
+            database.delValue(key)
 
     def condition(self) -> float:
         """Condition of the last Jacobian: largest over smallest size of an eigenvalue; collective.

@@ -92,6 +92,9 @@ class System(Protocol):
     def soften(self, factor: float) -> bool:
         """Solve with this multiple of the augmentation in force, if there is one to change."""
 
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen; collective."""
+
     def lessen_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""
 
@@ -181,6 +184,10 @@ class Bonded:
     def soften(self, factor: float) -> bool:
         """No augmentation."""
         return False
+
+    def usual_augmentation(self) -> float:
+        """No augmentation."""
+        return 1.0
 
     def lessen_friction(self, share: float) -> bool:
         """No friction."""
@@ -321,6 +328,10 @@ class Contact:
         """Solve with this multiple of the default augmentation, if an interface has one."""
         self._jumps.soften(factor)
         return any(c.augmented for c in self._problem.scene.contacts)
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen; collective."""
+        return self._jumps.usual_augmentation()
 
     def lessen_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""

@@ -116,7 +116,20 @@ def check(problem: Problem) -> dict[str, float]:
 
     Warns of interfaces whose friction coefficient exceeds it.
     """
-    found = {}
+    found, sentences = _look(problem)
+    for sentence in sentences:
+        log.warning("%s", sentence)
+    return found
+
+
+def beyond(problem: Problem) -> list[str]:
+    """Sentences on interfaces whose friction coefficient exceeds the critical one; collective."""
+    return _look(problem)[1]
+
+
+def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
+    """Least critical coefficient of each frictional interface, and what there is to say."""
+    found, sentences = {}, []
     for j in problem.jumps:
         critical = critical_friction_of_points(j)
         for i, contact in enumerate(problem.scene.contacts):
@@ -130,10 +143,10 @@ def check(problem: Problem) -> dict[str, float]:
                 continue
             found[contact.name] = least
             if over:
-                log.warning(
-                    "interface '%s': friction coefficient %g exceeds the critical one of %d of its "
-                    "points (least %.3g, at (%.2f, %.2f, %.2f) mm): solutions may not be unique "
-                    "there",
-                    *(contact.name, contact.friction, over, least, *x),
+                place = "({:.2f}, {:.2f}, {:.2f}) mm".format(*x)
+                sentences.append(
+                    f"interface '{contact.name}': friction coefficient {contact.friction:g} "
+                    f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
+                    f"{place}): solutions may not be unique there"
                 )
-    return found
+    return found, sentences

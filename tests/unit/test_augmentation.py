@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 from typing import Any
+
+from petsc4py import PETSc
 
 import numpy as np
 import pytest
@@ -77,11 +80,11 @@ def test_it_follows_the_stiffness_in_force() -> None:
     np.testing.assert_allclose(j.stiffness, 0.01 * before, rtol=1e-12)
 
 
-@pytest.mark.parametrize("factor", [1e-3, 1e-2, 1.0, 1e2, 1e3])
+@pytest.mark.parametrize("factor", [1e-4, 1e-3, 1e-2, 1.0, 1e2, 1e3, 1e4])
 def test_the_answer_is_found_from_a_bad_one(
     factor: float, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Six decades of r: one step, none rejected, the same jumps; what was tried is said."""
+    """Eight decades of r: one step, none rejected, the same jumps; what was tried is said."""
     outcomes: list[Outcome] = []
     jumps = []
     for f in (1.0, factor):
@@ -101,7 +104,45 @@ def test_the_answer_is_found_from_a_bad_one(
         jumps.append(q.array.copy())
     np.testing.assert_allclose(jumps[1], jumps[0], atol=1e-6 * np.abs(jumps[0]).max())
     if outcomes[-1].augmentation != 1.0:
-        assert f"augmentation {outcomes[-1].augmentation:g} r" in caplog.text
+        assert f"augmentation {outcomes[-1].augmentation:.3g} r" in caplog.text
+
+
+def test_the_usual_augmentation_is_known() -> None:
+    """From what was asked for, by the factor or for an interface; penalties have none."""
+    for overrides, multiple in (
+        ((), 1.0),
+        (("solver.augmentation_factor=2e3",), 1e-4),
+        (("solver.augmentation_factor=2e-3",), 1e2),
+    ):
+        _, solver = support.assemble(support.case(STEM, *overrides))
+        assert solver._system.usual_augmentation() == pytest.approx(multiple)
+    law = "interfaces.{}={{kind: contact, friction_coefficient: 0.4, augmentation: 1e9 MPa/mm}}"
+    laws = [law.format(name) for name in ("stem_cement", "cement_bone")]
+    _, solver = support.assemble(support.case(STEM, *laws))
+    usual = chosen(STEM)
+    assert solver._system.usual_augmentation() == pytest.approx(np.exp(np.log(usual).mean()) / 1e9)
+    penalty = law.replace("contact", "penalty").replace("augmentation", "penalty")
+    laws = [penalty.format(name) for name in ("stem_cement", "cement_bone")]
+    _, solver = support.assemble(support.case(STEM, *laws))
+    assert solver._system.usual_augmentation() == 1.0
+
+
+def test_a_line_search_comes_back_as_it_was(tmp_path: Path) -> None:
+    """Another type of it begins with defaults of PETSc, and would go on with them."""
+
+    def described(solver: Solver) -> str:
+        viewer = PETSc.Viewer().createASCII(str(tmp_path / "snes.txt"))
+        solver.snes.view(viewer)
+        viewer.destroy()
+        return (tmp_path / "snes.txt").read_text()
+
+    _, solver = support.assemble(support.case(STEM, "solver.petsc.snes_linesearch_order=2"))
+    before = described(solver)
+    assert "quadratic" in before
+    solver._use_search("basic")
+    assert described(solver) != before
+    solver._use_search("bt")
+    assert described(solver) == before
 
 
 def test_friction_grows_to_what_it_is_where_nothing_else_helps(

@@ -1,0 +1,100 @@
+"""What ``mantle stress`` tries: a case of a row, its runs, and what judges them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from app.results import Run
+
+CONFIGS = Path(__file__).resolve().parents[1] / "configs"
+# The cases that are varied, below `CONFIGS`.
+STEM, TAPER, STACK = "stress/stem.yaml", "stress/taper.yaml", "blocks.yaml"
+BAR, RINGS, WALL = (
+    f"verification/{n}.yaml" for n in ("foundation_bar", "lame_plane_strain", "wall")
+)
+INCLINE, COOK = "verification/incline.yaml", "verification/cook.yaml"
+# What an answer may be off where a closed form is compared with a mesh.
+MESH = 0.02
+# A message that names the body that nothing holds.
+FREE = r"nothing holds body '{}': it is free to"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a judge says.
+
+    Attributes:
+        deviation: How far off the answer is, in the judge's own measure.
+        note: What else is worth telling.
+    """
+
+    deviation: float
+    note: str = ""
+
+
+Judge = Callable[[Sequence[Run]], Judged]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A run that a case needs.
+
+    Attributes:
+        case: The case file, below `CONFIGS`.
+        overrides: As after ``--set``.
+        mesh: How its mesh is changed first, a name in `app.stress_meshes`; empty if it is not.
+    """
+
+    case: str
+    overrides: tuple[str, ...] = ()
+    mesh: str = ""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A case: runs and what they must satisfy.
+
+    Attributes:
+        row: What is varied.
+        line: What else is set, shared by the cases of a line; may be empty.
+        at: The value that is varied.
+        parameters: The same for machines.
+        runs: The run in question first, then those that it is compared with.
+        judge: How far off the answer is; None if there is no answer, and mantle has to say so.
+        tolerance: Largest deviation.
+        refused: What its message has to contain where mantle may, or has to, refuse: a regular
+            expression; empty where it may not.
+    """
+
+    row: str
+    line: str
+    at: str
+    parameters: dict[str, Any]
+    runs: tuple[Wanted, ...]
+    judge: Judge | None
+    tolerance: float = 0.0
+    refused: str = ""
+    name: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Its name is made of row, line and value."""
+        words = " ".join(filter(None, (self.row, self.line, self.at)))
+        object.__setattr__(self, "name", words.replace(" ", "_").replace("/", "_"))
+
+
+def trial(
+    row: str,
+    line: str,
+    at: str,
+    parameters: dict[str, Any],
+    runs: Wanted | Sequence[Wanted],
+    judge: Judge | None,
+    tolerance: float = 0.0,
+    refused: str = "",
+) -> Trial:
+    """A case, of one run or of several."""
+    runs = (runs,) if isinstance(runs, Wanted) else tuple(runs)
+    return Trial(row, line, at, parameters, runs, judge, tolerance, refused)

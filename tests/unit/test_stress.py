@@ -1,0 +1,241 @@
+"""``mantle stress``: what it tries, how it judges, what it writes."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app import batch, config, stress, stress_judges, stress_meshes
+from app.errors import InputError
+from app.results import Run
+from app.stress_case import CONFIGS, Judged, Trial, Wanted
+from app.stress_cases import trials
+from app.stress_picture import picture
+from meshes import build
+from meshes.data import cell_volumes
+from meshes.quality import sicn
+from tests import support
+
+KEYS = {"case", "parameters", "outcome", "explanation", "deviation", "seconds"}
+
+
+def trial(deviation: float | None, refused: str = "", runs: int = 1) -> Trial:
+    """A case whose judge has made up its mind."""
+    judge = None if deviation is None else lambda runs: Judged(deviation, "as it is")
+    wanted = tuple(Wanted("blocks.yaml", (f"mesh.size={k + 1} mm",)) for k in range(runs))
+    return Trial("row", "line", "3 mm", {"size": 3.0}, wanted, judge, 1e-6, refused)
+
+
+@pytest.fixture
+def done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> batch.Result:
+    monkeypatch.setattr(stress, "Run", lambda folder: folder)
+    return batch.Result(batch.Job("one", tmp_path), tmp_path, 0, 1.5, {"status": "converged"}, "")
+
+
+def ended(code: int, message: str) -> batch.Result:
+    return batch.Result(batch.Job("one", Path()), Path(), code, 2.0, {}, message)
+
+
+def test_an_answer_is_correct_or_wrong(done: batch.Result) -> None:
+    """By its judge, and never because it converged."""
+    right = stress.judge(trial(9e-7), [done])
+    assert (right.state, right.deviation, right.seconds) == ("correct", 9e-7, 1.5)
+    assert right.explanation == "as it is"
+    assert stress.judge(trial(2e-6), [done]).state == "wrong"
+    assert stress.judge(trial(np.nan), [done]).state == "wrong"
+    assert stress.judge(trial(np.inf), [done]).state == "wrong"
+
+
+def test_convergence_without_an_answer_is_wrong(done: batch.Result) -> None:
+    outcome = stress.judge(trial(None, "nothing holds"), [done])
+    assert outcome.state == "wrong" and "there is no answer" in outcome.explanation
+
+
+@pytest.mark.parametrize(
+    ("code", "message", "state"),
+    [
+        (4, "no convergence: nothing holds body 'stem'", "refused"),
+        (2, "supports: nothing holds the model", "refused"),
+        (4, "the residual stays at 1e-3 of the force scale", "failed"),
+        (70, "nothing holds body 'stem'", "failed"),
+        (5, "stopped: nothing holds", "failed"),
+    ],
+)
+def test_a_refusal_names_the_cause(code: int, message: str, state: str) -> None:
+    """And comes with the exit code of one."""
+    outcome = stress.judge(trial(None, "nothing holds"), [ended(code, message)])
+    assert outcome.state == state and message in outcome.explanation
+    assert outcome.deviation is None
+
+
+def test_no_refusal_where_there_is_an_answer(done: batch.Result) -> None:
+    """Of the case, or of what it is compared with."""
+    assert stress.judge(trial(0.0), [ended(4, "nothing holds body 'stem'")]).state == "failed"
+    both = trial(0.0, "nothing holds", runs=2)
+    assert stress.judge(both, [done, ended(4, "nothing holds body 'stem'")]).state == "failed"
+    assert stress.judge(both, [ended(4, "nothing holds body 'stem'"), done]).state == "refused"
+
+
+def test_a_judge_that_breaks_is_a_failure(done: batch.Result) -> None:
+    def breaks(runs: object) -> Judged:
+        raise ValueError("no such field")
+
+    case = Trial("row", "", "1", {}, (Wanted("blocks.yaml"),), breaks)
+    outcome = stress.judge(case, [done])
+    assert outcome.state == "failed" and "no such field" in outcome.explanation
+
+
+def test_table_and_verdict(done: batch.Result) -> None:
+    outcomes = [
+        stress.judge(trial(9e-7), [done]),
+        stress.judge(trial(2e-6), [done]),
+        stress.judge(trial(None, "nothing holds"), [ended(4, "nothing holds body 'a'")]),
+        stress.judge(trial(0.0), [ended(70, "internal error")]),
+    ]
+    lines = stress.table(outcomes).splitlines()
+    assert lines[1].split()[:6] == ["row", "4", "1", "1", "1", "1"]
+    assert "2.0e-06 of 1.0e-06" in lines[1]
+    assert "row_line_3_mm is wrong by 2.00e-06: as it is" in lines
+    assert any("is failed: one: exit code 70: internal error" in line for line in lines)
+    assert stress.verdict(outcomes) == "4 cases: 1 correct, 1 refused, 1 wrong, 1 failed"
+
+
+def test_the_plan() -> None:
+    """Names are unique, cases resolve, each row has its share."""
+    small, everything = trials(), trials(full=True)
+    rows = Counter(t.row for t in small)
+    assert {"augmentation", "penalty", "modulus", "poisson", "friction", "thin mantle"} < set(rows)
+    assert {"loads", "units", "floating", "taper", "cycles", "increments"} < set(rows)
+    assert {"symmetry", "bad cells", "heat"} < set(rows)
+    assert len(small) > 150 and len(everything) > 1.5 * len(small)
+    for plan in (small, everything):
+        assert len({t.name for t in plan}) == len(plan)
+    factors = {t.parameters["augmentation"] for t in small if t.row == "augmentation"}
+    assert factors == {10.0**k for k in range(-4, 5) if k}
+    for t in everything:
+        assert re.fullmatch(r"[^\s/]+", t.name)
+        assert (t.judge is not None and t.tolerance > 0) or t.refused
+        assert all((CONFIGS / w.case).is_file() for w in t.runs)
+        json.dumps(t.parameters)
+    for name in ("stem", "taper"):
+        text = (CONFIGS / "stress" / f"{name}.yaml").read_text(encoding="utf-8")
+        assert f"run configs/stress/{name}.yaml" in text
+    # Every override is one: what is refused at once is meant to be.
+    jobs, refused = stress._jobs([t for t in small if not any(w.mesh for w in t.runs)], Path())
+    assert len(jobs) > 150
+    meant = {t.runs[0] for t in small if t.row == "floating" and t.judge is None}
+    assert set(refused) <= meant and len(refused) == 3
+
+
+def test_picture_and_json(done: batch.Result, tmp_path: Path) -> None:
+    outcomes = [
+        stress.judge(trial(d), [done]) for d in (0.0, 1e-12, 9e-7, 2e-6, np.inf, np.nan)
+    ] + [stress.judge(trial(None, "no"), [ended(c, "no")]) for c in (4, 70)]
+    entries = [o.as_json() for o in outcomes]
+    assert all(e.keys() >= KEYS for e in entries)
+    json.loads(json.dumps(entries, allow_nan=False))
+    picture(entries, tmp_path / "stress.png")
+    assert (tmp_path / "stress.png").stat().st_size > 5_000
+
+
+def test_a_wrong_name_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no case has this in its name; rows: augmentation"):
+        stress.run("agumentation", tmp_path, full=False, cores=1)
+
+
+# Meshes
+
+
+def blocks(*overrides: str) -> Any:
+    case = config.load(CONFIGS / "blocks.yaml", ["mesh.size=4 mm", *overrides])
+    return build(case.geometry, case.mesh, None)
+
+
+def test_turned_and_scaled_meshes() -> None:
+    data = blocks()
+    R = stress_meshes.ROTATION
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(R) == pytest.approx(1) and np.trace(R) == pytest.approx(
+        1 + 2 * np.cos(np.radians(40))
+    )
+    whole = cell_volumes(data.points, data.cells).sum()
+    turned = stress_meshes.turned(data)
+    assert cell_volumes(turned.points, turned.cells).sum() == pytest.approx(whole)
+    small = stress_meshes.scaled(data, 1e-3)
+    assert cell_volumes(small.points, small.cells).sum() == pytest.approx(1e-9 * whole)
+
+
+def test_bad_cells_are_bad_and_fill_the_blocks() -> None:
+    data = blocks()
+    bad = stress_meshes.flattened(data, 0.012)
+    quality = sicn(bad.points, bad.cells)
+    assert 0.012 <= quality.min() < 0.05 < sicn(data.points, data.cells).min()
+    for tag in data.regions.values():
+        on = data.cell_tags == tag
+        volume = cell_volumes(bad.points, bad.cells[on]).sum()
+        assert volume == pytest.approx(cell_volumes(data.points, data.cells[on]).sum())
+
+
+def test_a_quarter_mirrored_is_the_whole() -> None:
+    case = config.load(
+        CONFIGS / "cylinders.yaml", ["mesh.size=6 mm", "mesh.far_size=8 mm", "mesh.order=1"]
+    )
+    quarter = build(case.geometry, case.mesh, None)
+    whole = stress_meshes.mirrored(quarter)
+    volumes = cell_volumes(whole.points, whole.cells)
+    assert volumes.min() > 0
+    assert volumes.sum() == pytest.approx(4 * cell_volumes(quarter.points, quarter.cells).sum())
+    assert len(np.unique(np.round(whole.points, 7), axis=0)) == len(whole.points)
+    assert not any(name.startswith("symmetry") for name in whole.boundaries)
+
+
+# Judges
+
+
+def test_judges_see_what_is_off(tmp_path: Path) -> None:
+    """Real runs: a right one is right, another answer is not."""
+    path = tmp_path / "case.yaml"
+    twice, slack = "loads.press.pressure: 4 MPa", "interfaces.cement_metal.gap: 0.001 mm"
+    text = (CONFIGS / "blocks.yaml").read_text(encoding="utf-8").replace("size: 2 mm", "size: 4 mm")
+    path.write_text(f"{text}\nvariations: {{one: {{}}, twice: {{{twice}}}, slack: {{{slack}}}}}\n")
+    support.on_ranks(1, "-m", "app", "run", path, "-o", tmp_path / "out")
+    first, second, third = (Run(tmp_path / "out" / name) for name in ("one", "twice", "slack"))
+    moduli, ratios = (17e3, 2200, 110e3), (0.3, 0.3, 0.3)
+    assert stress_judges.stack([first], moduli, ratios).deviation < 1e-9
+    assert stress_judges.stack([third], moduli, ratios).deviation > 1e-2
+    assert stress_judges.stack([second], moduli, ratios).deviation == pytest.approx(1, rel=1e-6)
+    assert stress_judges.same([first, first]).deviation == 0
+    assert stress_judges.same([second, first], lengths=2, stresses=2).deviation < 1e-9
+    assert stress_judges.same([second, first]).deviation == pytest.approx(1, rel=1e-6)
+    assert stress_judges.same([third, first]).deviation > 1e-2
+    with pytest.raises(ValueError, match="not the same"):
+        stress_judges.same([first, first], points=2)
+    assert stress_judges.lawful([first]).deviation < 1e-9
+    assert stress_judges.close([second, first], factor=0.5).deviation == pytest.approx(1, rel=1e-6)
+    assert stress_judges.nothing_moves([first]).deviation == pytest.approx(2, rel=1e-6)
+
+
+def test_rows_end_to_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """An exact answer whatever the penalty, and a body that nothing holds; nothing runs twice."""
+    caplog.set_level(logging.INFO, "mantle")
+    for pattern, states, count in (
+        ("penalty_bar_on_a_wall_1", {"correct"}, 5),
+        ("floating_no_support", {"refused"}, 1),
+        ("friction_bar_pulled_off_0.3", {"refused"}, 1),
+    ):
+        assert stress.run(pattern, tmp_path, full=False, cores=2)
+        entries = json.loads((tmp_path / "stress.json").read_text())
+        assert all(e.keys() >= KEYS for e in entries)
+        assert {e["outcome"] for e in entries} == states and len(entries) == count
+        assert (tmp_path / "stress.png").stat().st_size > 5_000
+    assert "nothing holds body 'bar'" in entries[0]["explanation"]
+    begin = len(caplog.text)
+    assert stress.run("penalty_bar_on_a_wall_1", tmp_path, full=False, cores=2)
+    assert "5 runs: 5 done already" in caplog.text[begin:]
