@@ -218,7 +218,8 @@ def _held_every_way(problem: Problem) -> set[int]:
     """Bodies with supports or foundations along all three axes; planes of symmetry leave one."""
     scene = problem.scene
     held: dict[int, set[int]] = {}
-    conditions = [(s.boundary, s.components) for s in scene.supports]
+    conditions: list[tuple[str, tuple[bool, ...]]] = []
+    conditions += [(s.boundary, s.components) for s in scene.supports]
     conditions += [(f.boundary, tuple(k > 0 for k in f.stiffness)) for f in scene.foundations]
     for boundary, axes in conditions:
         for body in problem.bodies_at(boundary):

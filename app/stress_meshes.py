@@ -48,10 +48,9 @@ def flattened(data: MeshData, worst: float) -> MeshData:
     free[shared, 2] = False
     size = np.cbrt(6 * np.sqrt(2) * np.prod(high - low) / len(data.cells))
     touching: list[list[int]] = [[] for _ in x]
-    for c, nodes in enumerate(data.cells.tolist()):
-        for n in nodes:
-            touching[n].append(c)
-    for n in ROUNDS * np.flatnonzero(free.any(axis=1)).tolist():
+    for (c, _), n in np.ndenumerate(data.cells):
+        touching[n].append(c)
+    for n in np.tile(np.flatnonzero(free.any(axis=1)), ROUNDS):
         cells, old = data.cells[touching[n]], x[n].copy()
         before = sicn(x, cells).min()
         x[n] += 0.5 * size * random.standard_normal(3) * free[n]
