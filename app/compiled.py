@@ -47,6 +47,10 @@ def mend() -> None:
         names = {entry.name: entry for entry in os.scandir(folder)}
         sources = [n for n in names if n.endswith(".c") or n.endswith(".c.cached")]
         for source in sorted({name.removesuffix(".cached") for name in sources}):
+            if source not in names:
+                # Of two that compiled the same: whoever compiles it next must not find the mark.
+                (folder / f"{source}.cached").unlink(missing_ok=True)
+                continue
             if f"{source}.cached" not in names:
                 if alone:
                     _remove(folder, source)

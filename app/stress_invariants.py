@@ -61,7 +61,7 @@ def _loads() -> Iterator[Trial]:
             {"force": force},
             (Wanted(STEM, _pushed(force)), *((Wanted(STEM),) if c else ())),
             judge,
-            1e-9 if c else 1e-14,
+            1e-10 if c else 1e-14,
         )
     for c in (1e-6, 1e-3, 1e-1, 10.0, 1e3):
         yield trial(
@@ -74,7 +74,7 @@ def _loads() -> Iterator[Trial]:
                 Wanted(STEM, _gaps(1.0)),
             ),
             partial(judges.same, lengths=c, stresses=c),
-            1e-9,
+            1e-10,
         )
     yield trial(
         "loads",

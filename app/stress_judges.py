@@ -40,11 +40,11 @@ def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
     from scipy.spatial import cKDTree
 
     def labelled(r: Run, x: Floats) -> Floats:
-        # The two sides of an interface are at one place and in different regions.
+        # The two sides of an interface are at one place and in different regions, which a mesh
+        # file may number in another order: they are told by how many cells they have.
+        cells = np.bincount(r.region)[r.region].astype(float)
         first = np.full(len(x), len(r.cells) + 1.0)
-        np.minimum.at(first, r.cells[:, :4], np.repeat(r.region[:, None], 4, axis=1))
-        if r.cells.shape[1] == 10:
-            np.minimum.at(first, r.cells[:, 4:], np.repeat(r.region[:, None], 6, axis=1))
+        np.minimum.at(first, r.cells, np.repeat(cells[:, None], r.cells.shape[1], axis=1))
         return np.column_stack([x, first * 10 * np.ptp(other.points)])
 
     distance, found = cKDTree(labelled(other, other.points)).query(labelled(run, points))
@@ -86,6 +86,9 @@ def same(
         note(_off(run.displacement(step), u), f"displacement at time {time:g}")
         for name in run.contacts:
             pressure = other.at_interface(name, "pressure", step)[k] * stresses
+            # Gap and slip are one vector. One that is nothing but rounding has no scale of its own.
+            sizes = [float(other.at_interface(name, q, step).max()) for q in ("gap", "slip")]
+            jump = max(*(lengths * x for x in sizes), NOTHING * float(np.abs(u).max()))
             for quantity, factor in (
                 ("gap", lengths),
                 ("slip", lengths),
@@ -93,14 +96,7 @@ def same(
                 ("shear", stresses),
             ):
                 reference = other.at_interface(name, quantity, step)[k] * factor
-                largest = pressure if factor is stresses and quantity == "shear" else u
-                if quantity in ("gap", "slip"):
-                    # A gap that is nothing but rounding has no scale of its own.
-                    scale = max(
-                        float(np.abs(reference).max()), NOTHING * float(np.abs(largest).max())
-                    )
-                else:
-                    scale = float(np.abs(pressure).max())
+                scale = jump if quantity in ("gap", "slip") else float(pressure.max())
                 value = run.at_interface(name, quantity, step)
                 note(_off(value, reference, scale), f"{quantity} of {name} at time {time:g}")
     return Judged(worst, where)
@@ -173,11 +169,10 @@ def nothing_moves(runs: Sequence[Run]) -> Judged:
 
 def mirrored(runs: Sequence[Run]) -> Judged:
     """A load the other way gives the displacement along it the other way."""
-    run, other = runs
-    worst = max(
-        _off(run.displacement(k)[:, 0], -other.displacement(k)[:, 0]) for k in range(len(run.times))
+    ours, theirs = (
+        np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs
     )
-    return Judged(worst, "displacement along the load")
+    return Judged(_off(ours, -theirs), "displacement along the load")
 
 
 # Closed forms
@@ -354,7 +349,7 @@ def path_matters(runs: Sequence[Run]) -> Judged:
 
 
 def close(runs: Sequence[Run], factor: float = 1.0) -> Judged:
-    """Numbers of each interface are those of the second run, whose forces are so many times."""
+    """Numbers of each interface are those of the second run, forces so many times those."""
     run, other = runs
     worst, where = 0.0, ""
     for name, q in other.summary["interfaces"].items():
@@ -362,7 +357,7 @@ def close(runs: Sequence[Run], factor: float = 1.0) -> Judged:
         for key in ("slip_mean", "pressure_mean", "shear_mean"):
             off = abs(mine[key] - q[key]) / (abs(q[key]) or 1.0)
             worst, where = max((worst, where), (off, f"{key} of {name}"))
-        off = abs(mine["force"][2] * factor / q["force"][2] - 1)
+        off = abs(mine["force"][2] / (factor * q["force"][2]) - 1)
         worst, where = max((worst, where), (off, f"force of {name}"))
     return Judged(worst, where)
 
