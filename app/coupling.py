@@ -128,7 +128,7 @@ class ContactHeat:
         (j,) = self._problem.jumps
         slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may be far from where they were.
-        met = np.where(j.augmented, j.D.getDiagonal().array.reshape(-1, 3).max(axis=1), 0.0)
+        met = j.share * j.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
         force = (met + j.stiffness * j.weight) * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.rubbing, force * slip, 0.0) / elapsed
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
@@ -155,9 +155,9 @@ class ContactHeat:
         return Rows(scale * rows.by_equilibrium, scale * (rows.by_jump + tangential))
 
     def _rows(self, by_trial_force: Floats) -> Rows:
-        """From derivatives by S (n, 3): -de/W for augmented interfaces, r dq for all."""
+        """From derivatives by S (n, 3): -de/W as far as S has F in it, r dq."""
         (j,) = self._problem.jumps
-        by_e = np.where(j.augmented[:, None], -by_trial_force / j.weight[:, None], 0.0)
+        by_e = -(j.share / j.weight)[:, None] * by_trial_force
         return Rows(by_e, j.stiffness[:, None] * by_trial_force)
 
 

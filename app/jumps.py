@@ -86,6 +86,7 @@ class Jumps:
         edge_lengths: Mean edge of the facets of each interface [mm].
         augmented: Whether each own point is of an augmented-Lagrangian interface (n,).
         stiffness: Augmentation or penalty of each own point (n,) [MPa/mm].
+        share: Part of the force of equilibrium in the trial force: 1 for an augmentation (n,).
     """
 
     def __init__(
@@ -250,7 +251,12 @@ class Jumps:
             self.given += amplitude(support.history, time) * jump
 
     def soften(self, factor: float) -> None:
-        """Use a multiple of the default augmentation, until told otherwise; penalties stay."""
+        """Use a multiple of the default augmentation, until told otherwise.
+
+        A penalty ε is exact contact of D - (F - F_old) / ε: with S = F + r (D - (F - F_old) / ε) it
+        is found with any r, and r = ε is the usual way. Softer, it is as easily solved as without
+        penalty, and the answer is the same.
+        """
         self._softness = factor
         self._stiffen()
 
@@ -266,8 +272,13 @@ class Jumps:
         return float(np.exp(total / count)) if count else 1.0
 
     def _stiffen(self) -> None:
-        scale = np.where(self.augmented, self._softness, 1.0)
-        self.stiffness = scale * self.default_stiffness
+        """Stiffness of the trial forces S, and the share of the force of equilibrium in them."""
+        softer = self._softness * self.default_stiffness
+        if self._softness != 1.0 and not self.augmented.all():
+            soft = self._softness * USUAL_AUGMENTATION * self._met()
+            softer = np.where(self.augmented, softer, np.minimum(soft, self.default_stiffness))
+        self.stiffness = softer
+        self.share = np.where(self.augmented, 1.0, 1.0 - softer / self.default_stiffness)
 
     # Residual and Jacobian
 
@@ -284,10 +295,15 @@ class Jumps:
     def law(self, e: Floats, q: Floats) -> PointForces:
         """The law at own points for a trial state."""
         free = ~self.held
-        F = np.where(self.augmented[:, None], self.forces(e), self.history.friction)
+        F = self._multiplier(self.forces(e))
         return self._law.evaluate(
             F * free, q * free, self.gap, self.history.jump * free, self.stiffness
         )
+
+    def _multiplier(self, F: Floats) -> Floats:
+        """The part of the trial force that is no stretch: of a penalty only the friction before."""
+        share = self.share[:, None]
+        return share * F + (1 - share) * self.history.friction
 
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
         """Residual e + W P at own points (n, 3) [N]; the given jumps where supports hold."""
@@ -303,7 +319,7 @@ class Jumps:
         P = law.jacobian.copy()
         P[self.held[:, :, None] | self.held[:, None, :]] = 0
         eye = np.eye(3)[None]
-        times = np.where(self.augmented[:, None, None], eye - P, np.broadcast_to(eye, P.shape))
+        times = eye - self.share[:, None, None] * P
         added = self._scale[:, None, None] * P
         held = self.held[:, :, None] & np.eye(3, dtype=bool)[None]
         times = np.where(self.held[:, :, None], 0.0, times)
@@ -358,8 +374,7 @@ class Jumps:
         # Friction and slip as the law has them: none where a point is open or sticks, though the
         # solver's tolerance leaves some.
         rubbing = law.force + normal
-        multiplier = np.where(self.augmented[:, None], F, old.friction)
-        slipped = step + (multiplier - rubbing) / self.stiffness[:, None]
+        slipped = step + (self._multiplier(F) - rubbing) / self.stiffness[:, None]
         rubbed = np.einsum("pi,pi->p", rubbing, self._tangential(slipped, opening, law))
         slides = self._frictional & (law.status == SLIP)
         dissipated = self.weight * np.where(slides, rubbed, 0.0)

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 
 from app.diagnosis import explain, runaway
 from app.errors import ConvergenceError
+from app.facets import held_by_facets
 from app.prediction import Extrapolation, Predictor, same
 from app.problem import Problem, Trial
 from app.solver import Outcome, Solver
@@ -216,7 +217,9 @@ class Motion:
         problem = self.problem
         u, q = self.solver.parts()
         trial = problem.trial(u, q) if q is not None else None
-        if trial is not None and (away := runaway(problem, trial)):
+        if trial is not None and (
+            away := held_by_facets(problem, trial) or runaway(problem, trial)
+        ):
             part = 100 * (time - int(time)) or 100
             raise ConvergenceError(
                 f"stage '{stage.name}' at {part:.3g} % of it: {away}\n"

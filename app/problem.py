@@ -429,7 +429,8 @@ class Problem:
         values = {}
         for j in self.jumps:
             for i, c in enumerate(self.scene.contacts):
-                local = float(j.stiffness[j.interface == i].max(initial=0.0))
+                stiffness = j.stiffness if c.augmented else j.default_stiffness
+                local = float(stiffness[j.interface == i].max(initial=0.0))
                 values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
         return values
 

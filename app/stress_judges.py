@@ -169,9 +169,7 @@ def nothing_moves(runs: Sequence[Run]) -> Judged:
 
 def mirrored(runs: Sequence[Run]) -> Judged:
     """A load the other way gives the displacement along it the other way."""
-    ours, theirs = (
-        np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs
-    )
+    ours, theirs = (np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs)
     return Judged(_off(ours, -theirs), "displacement along the load")
 
 

@@ -127,6 +127,34 @@ def test_the_usual_augmentation_is_known() -> None:
     assert solver._system.usual_augmentation() == 1.0
 
 
+def test_a_penalty_is_found_with_any_augmentation() -> None:
+    """Softer trial forces, the same answer: jumps, forces, slip and what friction has cost."""
+    law = "interfaces.{}={{kind: penalty, friction_coefficient: 0.4, penalty: {} MPa/mm}}"
+    laws = [law.format("stem_cement", 2e3), law.format("cement_bone", 5e3)]
+    path = "loads.hip.history=[1, 0.2]"
+    stages = "stages=[{name: on, adaptive: false}, {name: off, adaptive: false}]"
+    found = []
+    for factor in (1.0, 0.1):
+        problem, solver = support.assemble(support.case(STEM, path, stages, *laws))
+        (j,) = problem.jumps
+        solver._augmentation = factor
+        states = []
+        for time in (0.5, 1.0, 1.5, 2.0):
+            problem.set_time(time)
+            outcome = solver.solve()
+            assert outcome.converged and outcome.augmentation == factor
+            u, q = solver.parts()
+            problem.commit(problem.trial(u, q))
+            h = j.history
+            states.append(np.column_stack([h.jump, h.force, h.accumulated, h.dissipation]))
+        found.append(np.array(states))
+        assert problem.augmentation() == pytest.approx({"stem_cement": 2e3, "cement_bone": 5e3})
+        assert (j.stiffness < 2e3).all() if factor < 1 else set(j.stiffness) == {2e3, 5e3}
+    size = np.abs(found[0]).max(axis=(0, 1))
+    assert (np.abs(found[1] - found[0]).max(axis=(0, 1)) <= 1e-8 * size).all()
+    assert found[0][-1, :, -1].sum() > 0
+
+
 def test_a_line_search_comes_back_as_it_was(tmp_path: Path) -> None:
     """Another type of it begins with defaults of PETSc, and would go on with them."""
 

@@ -1,0 +1,52 @@
+"""What only the facets of a mesh hold is no answer."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from app.errors import ConvergenceError
+from app.motion import Motion
+from tests import support
+
+STEM = (support.CONFIGS / "stress" / "stem.yaml").read_text(encoding="utf-8")
+SMOOTH = tuple(
+    f"interfaces.{name}.friction_coefficient=0" for name in ("stem_cement", "cement_bone")
+)
+TWIST = (
+    "loads.lateral={kind: force, boundary: stem_top, force: [0 N, 10 N, 0 N], "
+    "at: [100 mm, 0 mm, 24 mm]}"
+)
+
+
+def moved(*overrides: str) -> float:
+    """Run the first stage; the largest jump [mm]."""
+    problem, solver = support.assemble(support.case(STEM, *overrides))
+    found: list[float] = []
+
+    def note(step: object, trial: object) -> None:
+        found.append(float(np.abs(trial.jump).max()))  # type: ignore[attr-defined]
+
+    Motion(problem, solver, note, pytest.fail).load(0, problem.scene.stages[0])
+    return found[-1]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "mode"),
+    [((TWIST,), "turn about z"), (("geometry.taper=0 deg",), "(move along|turn about) z")],
+)
+def test_a_smooth_stem_is_free(overrides: tuple[str, ...], mode: str) -> None:
+    """To turn in its taper, to fall out of a straight hole: the mesh resists, and says nothing."""
+    with pytest.raises(ConvergenceError) as caught:
+        moved(*SMOOTH, *overrides)
+    said = str(caught.value)
+    expected = rf"body '(stem|cement)' but the facets of the mesh: it is free to {mode} on a smooth"
+    assert re.search(expected, said)
+
+
+@pytest.mark.parametrize("overrides", [SMOOTH, (TWIST,), (*SMOOTH, "mesh.size=5 mm")])
+def test_what_surfaces_hold_is_held(overrides: tuple[str, ...]) -> None:
+    """A smooth taper holds what pushes it in; friction holds the turn."""
+    assert moved(*overrides) > 0
