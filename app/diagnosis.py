@@ -12,20 +12,12 @@ from numpy.typing import NDArray
 from app import uniqueness
 from app.jumps import Jumps
 from app.problem import Problem, Trial
-from app.reduction import rigid_modes
+from app.rigid_motions import describe, rigid_modes
 from app.solver import Outcome, Solver
 from forms.contact import OPEN
 
 Floats = NDArray[np.float64]
 
-_MODES = (
-    "move along x",
-    "move along y",
-    "move along z",
-    "turn about x",
-    "turn about y",
-    "turn about z",
-)
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
 _FREE = 1e-10
 # A body slides when so much of the area that holds it bears so much of the most friction can.
@@ -151,13 +143,15 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
     for body in held:
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value > _FREE * max(values[-1], total):
-            break
-        k = int(np.argmax(np.abs(vector)))
-        found.append(f"nothing holds body '{names[k // 6]}': it is free to {_MODES[k % 6]}")
-    return sorted(set(found))
+    free = vectors[:, values <= _FREE * max(values[-1], total)]
+    every = j.points.bodies
+    centres = np.array(
+        [
+            j.points.x[here].mean(axis=0) if (here := (every == b).any(axis=1)).any() else centre
+            for b in range(n)
+        ]
+    )
+    return describe(free, [f"'{name}'" for name in names], centres, centre, float(size))
 
 
 def sliding(problem: Problem) -> list[str]:
@@ -199,18 +193,22 @@ def runaway(problem: Problem, trial: Trial) -> str:
     if problem.comm.allreduce(pushed, MPI.LOR) or not forces:
         return ""  # where supports move the model, they may move it far
     size = float(np.linalg.norm(np.ptp(j.points.x, axis=0)))
-    moved = np.linalg.norm(trial.jump, axis=1)
+    # What closes a gap or makes room for an interference is no running away.
+    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(j.gap, axis=1)
     for i, contact in enumerate(problem.scene.contacts):
         local = float(moved[j.interface == i].max(initial=0.0))
         largest = problem.comm.allreduce(local, MPI.MAX)
         elastic = forces / (contact.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
-            free = "".join(f"{line}; " for line in free_bodies(problem, trial))
-            return (
-                f"{free}the sides of interface '{contact.name}' moved {largest:.3g} mm apart or "
-                f"along each other, {100 * largest / size:.0f} % of the interface's size: "
-                "nothing holds them but the facets of the mesh"
+            free = free_bodies(problem, trial)
+            how = (
+                f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
+                "of the interface's size"
+                if largest < size
+                else "left each other for good"
             )
+            by = "" if free else ": nothing holds them but the facets of the mesh"
+            return "; ".join([*free, f"the sides of interface '{contact.name}' {how}{by}"])
     return ""
 
 

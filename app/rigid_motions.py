@@ -25,7 +25,7 @@ WITHIN, NEW = 0.98, 0.2
 MOST = 6
 
 
-def modes(x: Floats) -> Floats:
+def rigid_modes(x: Floats) -> Floats:
     """Translations along and rotations about the axes at points x (n, 3) -> (n, 3, 6)."""
     result = np.zeros((len(x), 3, 6))
     result[:, :, :3] = np.eye(3)

@@ -24,6 +24,8 @@ from .data import (
 
 # Nodes this close, in parts of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7
+# Facets that meet at more than this angle are different faces [rad].
+SMOOTH = np.radians(50)
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,14 @@ class Touch:
         x: Middles of the facets (n, 3) [mm].
         normals: Their unit normals (n, 3).
         areas: Their areas (n,) [mm2].
+        bend: Mean angle between neighbouring facets of a smooth face; 0 if they are curved [rad].
     """
 
     pieces: tuple[int, int]
     x: Floats
     normals: Floats
     areas: Floats
+    bend: float
 
 
 @dataclass(frozen=True)
@@ -110,9 +114,7 @@ def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
     bare = outer.copy()
     tags = [t for name in held for t in data.boundaries.get(name, ())]
     bare[outside[np.isin(keys, on[np.isin(data.facet_tags, tags)])]] = False
-    areas = np.bincount(
-        piece[cell[outer]], facet_areas(data.points, faces[outer]), minlength=count
-    )
+    areas = np.bincount(piece[cell[outer]], facet_areas(data.points, faces[outer]), minlength=count)
     flat = _flat(data.cells, faces, cell, piece, bare, count)
     volumes = cell_volumes(data.points, data.cells)
     middles = data.points[data.cells[:, :4]].mean(axis=1)
@@ -185,21 +187,33 @@ def _flat(
 
 def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
     """The facets of each pair of pieces, with their normals."""
-    x = points[facets[:, :3]]
-    normals = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    x = points[facets]
+    a, b, middle = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, :3].mean(axis=1)
+    if facets.shape[1] == 6:
+        # Quadratic shape functions and their derivatives at the middle of the triangle.
+        middle = (4 * x[:, 3:].sum(axis=1) - x[:, :3].sum(axis=1)) / 9
+        a = a / 3 + 4 / 3 * (x[:, 4] - x[:, 5])
+        b = b / 3 + 4 / 3 * (x[:, 4] - x[:, 3])
+    normals = np.cross(a, b)
     double = np.linalg.norm(normals, axis=1)
+    normals /= double[:, None]
     found = []
-    for a, b in sorted(set(zip(first.tolist(), second.tolist(), strict=True))):
-        here = (first == a) & (second == b)
-        found.append(
-            Touch(
-                (a, b),
-                x[here].mean(axis=1),
-                normals[here] / double[here, None],
-                double[here] / 2,
-            )
-        )
+    for pair in sorted({(int(i), int(k)) for i, k in zip(first, second, strict=True)}):
+        here = (first == pair[0]) & (second == pair[1])
+        bend = _bend(facets[here], normals[here]) if facets.shape[1] == 3 else 0.0
+        found.append(Touch(pair, middle[here], normals[here], double[here] / 2, bend))
     return found
+
+
+def _bend(facets: Ints, normals: Floats) -> float:
+    """Mean angle between facets that share an edge, but for edges of the surface [rad]."""
+    edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T)
+    same = np.all(edges[order][1:] == edges[order][:-1], axis=1)
+    one, two = (normals[order[k][same] // 3] for k in (np.s_[:-1], np.s_[1:]))
+    angles = np.arccos(np.clip(np.einsum("ei,ei->e", one, two), -1.0, 1.0))
+    smooth = angles[angles < SMOOTH]
+    return float(smooth.mean()) if len(smooth) else 0.0
 
 
 def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
@@ -212,7 +226,7 @@ def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[in
     count = np.zeros(n, dtype=np.int64)
     for nodes in of:
         count[nodes] += 1
-    shared = [set(nodes[count[nodes] > 1].tolist()) for nodes in of]
+    shared = [set(map(int, nodes[count[nodes] > 1])) for nodes in of]
     return frozenset(
         (a, b)
         for a in range(len(pieces))
