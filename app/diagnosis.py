@@ -134,7 +134,7 @@ def _restless(problem: Problem, j: Jumps, active: ActiveSet) -> tuple[str, ...]:
             r.changes,
             f"{' <-> '.join(STATES[s] for s in r.states)} at "
             f"{_place(j.points.x[j.mine[r.row]])} on interface "
-            f"'{problem.scene.contacts[j.interface[r.row]].name}', {r.changes} times in "
+            f"'{problem.scene.contacts[j.interface[r.row]].name}', in {r.changes} of the last "
             f"{r.looks} iterations",
         )
         for r in active.restless()[:SHOWN]

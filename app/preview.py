@@ -34,7 +34,7 @@ USUAL = {
     "thermal_expansion": (1e-8, 1e-3),
 }
 MODULI = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
-# Young's moduli of what the name of a region says it is, else of anything from gel to diamond [MPa]:
+# Young's moduli of what the name of a region says it is, else of all from gel to diamond [MPa]:
 # wide enough for any such material, and a thousand times off for none.
 STIFFNESS = {
     "cancellous": (5.0, 2e4),

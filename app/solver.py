@@ -374,7 +374,7 @@ class Solver:
     def _values(self) -> str:
         """The augmentation in force, in words; collective."""
         found = self._system.augmentation().values()
-        return f" (at most {max(found):.3g} MPa/mm)" if found else ""
+        return f" (up to {max(found):.3g} MPa/mm)" if found else ""
 
     def _newton(self) -> tuple[int, int]:
         """Iterate from the current state; Newton and Krylov iterations."""

@@ -258,18 +258,32 @@ def _boundaries(data: MeshData, keys: Ints, on: Ints, owner: Ints) -> dict[str, 
     return found
 
 
+def coincident(points: Floats) -> Ints:
+    """Pairs of points (k, 2) that are one but for rounding.
+
+    Points that are near are near along any direction: along one at random few others are.
+    """
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    along = points @ np.random.default_rng(0).normal(size=3)
+    order = np.argsort(along)
+    sorted_, near = along[order], COINCIDENT * size
+    pairs = []
+    for shift in range(1, len(points)):
+        close = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * near)
+        if not len(close):
+            break
+        a, b = order[close], order[close + shift]
+        same = np.linalg.norm(points[a] - points[b], axis=1) <= near
+        pairs.append(np.sort(np.column_stack([a, b])[same], axis=1))
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
+
+
 def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:
     """Places where two nodes of the mesh are meant to be one, by the regions they are of."""
-    from scipy.spatial import cKDTree
-
-    size = float(np.linalg.norm(np.ptp(data.points, axis=0)))
-    pairs = cKDTree(data.points).query_pairs(COINCIDENT * size, output_type="ndarray")
-    found: dict[tuple[str, str], list[Floats]] = {}
-    if not len(pairs):
-        return {}
     of_node = np.zeros(len(data.points), dtype=np.int64)
     of_node[data.cells] = piece[:, None]
-    for a, b in pairs:
+    found: dict[tuple[str, str], list[Floats]] = {}
+    for a, b in coincident(data.points):
         one, two = sorted(pieces[int(of_node[k])].region for k in (a, b))
         found.setdefault((one, two), []).append(data.points[a])
     return {names: np.array(x) for names, x in found.items()}
