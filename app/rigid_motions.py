@@ -21,6 +21,8 @@ DIRECTIONS = (
 # A named motion is free if so much of it (squared) lies among the free ones, and is worth telling
 # beside others if so much of it is not among them.
 WITHIN, NEW = 0.98, 0.2
+# Cosine of the angle to an axis of what is along it.
+ALIGNED = 0.9999
 # Bodies of which all sets are looked at.
 MOST = 6
 
@@ -92,8 +94,9 @@ def _oblique(v: Floats) -> str:
     axis = v[3:] if turns else v[:3]
     axis = axis / np.linalg.norm(axis)
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))]) + 0.0
-    text = "({:.2f}, {:.2f}, {:.2f})".format(*axis)
-    return f"{'turn about' if turns else 'move along'} {text}"
+    k = int(np.argmax(axis))
+    text = "xyz"[k] if axis[k] > ALIGNED else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
+    return f"turn about an axis along {text}" if turns else f"move along {text}"
 
 
 def _sentence(names: Sequence[str], words: Sequence[str]) -> str:
