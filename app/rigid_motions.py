@@ -20,7 +20,7 @@ DIRECTIONS = (
 )
 # A named motion is free if so much of it (squared) lies among the free ones, and is worth telling
 # beside others if so much of it is not among them.
-WITHIN, NEW = 0.98, 0.2
+WITHIN, NEW = 0.9, 0.2
 # Cosine of the angle to an axis of what is along it.
 ALIGNED = 0.9999
 # Bodies of which all sets are looked at.

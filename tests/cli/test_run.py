@@ -690,7 +690,7 @@ def test_shipped_configuration(name: str, tmp_path: Path) -> None:
     result = run(support.CONFIGS / name, "-o", tmp_path / "out", *overrides)
     assert result.returncode == 0, result.stderr
     # Coarsened, some are one linear cell thick: rightly told.
-    notes = [line for line in result.stdout.splitlines() if "note: " in line]
+    notes = [line for line in result.stderr.splitlines() if "note: " in line]
     assert all("one cell thick" in note for note in notes), notes
     assert (tmp_path / "out" / "DONE").exists()
     folders = {p.parent for p in (tmp_path / "out").glob("**/summary.json")}
