@@ -245,7 +245,8 @@ def loosely_held(case: config.Case, found: Parts, groups: list[list[int]]) -> li
         left = bodies.left(supports.values())
         free, steepest = bodies.sloped(left, frictions)
         if free.shape[1]:
-            smooth = " and ".join(f"'{n}'" for n, μ in frictions.items() if not μ)
+            slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
+            smooth = f"contact on {' and '.join(slippery)}"
             by = (
                 f"{smooth} has no friction and is sloped against that by {steepest:.2g} degrees in "
                 "the mean, which may be no more than its facets"

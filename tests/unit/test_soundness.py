@@ -134,8 +134,8 @@ def test_a_sound_case_gives_no_note() -> None:
     [
         (
             ["interfaces.bone_metal.friction_coefficient=0"],
-            "body 'metal': it is free to move along x, y and to turn about z: 'bone_metal' has no "
-            "friction",
+            "body 'metal': it is free to move along x, y and to turn about z: contact on "
+            "'bone_metal' has no friction",
         ),
         (
             ["interfaces.bone_metal.gap=0.01 mm"],
@@ -160,7 +160,9 @@ def test_a_smooth_pin_may_turn_and_a_smooth_taper_slide(order: int) -> None:
     assert not [n for n in judged(PIN, chosen, rough) if "holds body" in n]
     loose = "supports={base: {kind: fixed, boundary: bone_bottom}}"
     (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=1.5 deg") if "holds" in n]
-    assert "'stem': it is free to move along z and to turn about z: 'stem_cement'" in note
+    assert (
+        "'stem': it is free to move along z and to turn about z: contact on 'stem_cement'" in note
+    )
     (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=6 deg") if "holds" in n]
     assert "'stem': it is free to turn about z:" in note  # the cone is steep enough
 
