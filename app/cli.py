@@ -343,12 +343,17 @@ def _check(options: argparse.Namespace) -> int:
     file = case_file.read(options.case, options.overrides)
     case = config.resolve(file, options.case.parent)
     print(preview.describe(case, file.data))
+    notes = preview.warnings(case)
     if options.mesh:
         sizing.check(file, case)
-        print(preview.exact_size(case, _build(case)))
+        data = _build(case)
+        print(preview.exact_size(case, data))
+        with _stack():
+            from app import soundness
+        notes += soundness.judge(case, soundness.look(case, data))
     else:
         print(preview.estimated_size(case))
-    for message in preview.warnings(case):
+    for message in notes:
         print(f"note: {message}", file=sys.stderr)
     return 0
 

@@ -186,6 +186,7 @@ class Coupled:
         self._conduction, self._problem = conduction, problem
         self._heat, self._motion = heat, motion
         self.inverses = motion.inverses
+        self.active = motion.active
         self.exchange = ContactHeat(scene, problem, conduction)
         self._n = len(heat.blocks())
         self._forces = self._thermal_forces() if self.exchange.expands else ()
@@ -261,17 +262,13 @@ class Coupled:
         heat = replace(heat, rounding=heat.rounding + noise)
         return [heat, *self._motion.measure(x[self._n :], f[self._n :])]
 
-    def flips(self) -> int:
-        """Contact points whose state changed."""
-        return self._motion.flips()
-
-    def forget(self) -> None:
-        """Count flips from the next Jacobian on."""
-        self._motion.forget()
-
     def soften(self, factor: float) -> bool:
         """Solve with this multiple of the augmentation in force, if an interface has one."""
         return self._motion.soften(factor)
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
+        return self._motion.augmentation()
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen; collective."""

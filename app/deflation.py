@@ -22,7 +22,7 @@ from dolfinx import fem, la
 from numpy.typing import NDArray
 
 from app.bodies import cell_tags
-from app.reduction import rigid_modes
+from app.rigid_motions import rigid_modes
 from app.sparse import block_diagonal, fill, from_rows, from_triplets, matrix_sum
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -10,24 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app import uniqueness
+from app.active_set import ActiveSet
 from app.jumps import Jumps
 from app.problem import Problem, Trial
-from app.reduction import rigid_modes
+from app.rigid_motions import describe, rigid_modes
 from app.solver import Outcome, Solver
 from forms.contact import OPEN
 
 Floats = NDArray[np.float64]
 
-_MODES = (
-    "move along x",
-    "move along y",
-    "move along z",
-    "turn about x",
-    "turn about y",
-    "turn about z",
-)
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
 _FREE = 1e-10
+# What a contact point does, by its status.
+STATES = ("open", "stick", "slip")
+# Points told of that keep changing.
+SHOWN = 3
 # A body slides when so much of the area that holds it bears so much of the most friction can.
 SLIDES, ALL_OF_IT = 0.95, 1 - 1e-6
 # Fraction of the size of the interfaces beyond which a jump is no small displacement.
@@ -47,19 +45,27 @@ class Explanation:
         free: Sentences on bodies that nothing holds.
         notes: Sentences on bodies that friction hardly holds, and on friction beyond which
             solutions need not be unique.
+        restless: Contact points that keep changing their states: where, between which.
         history: Residuals, relative to the force scale.
-        flips: State changes per iteration.
+        tried: What the solver tried in turn, and the residual that it got to.
     """
 
     short: str
     where: str
     free: tuple[str, ...]
     notes: tuple[str, ...]
+    restless: tuple[str, ...]
     history: tuple[float, ...]
-    flips: tuple[int, ...]
+    tried: tuple[tuple[str, float], ...]
 
-    def text(self, stage: str, reach: float, cuts: int) -> str:
-        """The whole message for the user."""
+    def text(self, stage: str, reach: float, steps: Sequence[float]) -> str:
+        """The whole message for the user.
+
+        Args:
+            stage: Name of the stage.
+            reach: Part of it at which the solve failed.
+            steps: Halved steps that were tried before, as parts of the stage.
+        """
         lines = [
             f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}",
             *(f"  {line}" for line in self.free if line != self.short),
@@ -67,12 +73,10 @@ class Explanation:
         lines += [f"  {line}" for line in self.notes]
         if self.where:
             lines.append(f"  largest residual: {self.where}")
+        lines += [f"  changing: {line}" for line in self.restless]
         tail = ", ".join(f"{r:.1e}" for r in self.history[-6:])
         lines.append(f"  last residuals (of the force scale): {tail}")
-        lines.append(
-            "  tried: smaller and larger augmentations, another line search, less friction, "
-            f"{cuts} step halvings"
-        )
+        lines.append(f"  tried: {attempts(self.tried, steps)}")
         advice = "more increments, a finer mesh at the interface, or a smaller load"
         if self.notes:
             advice += "; other friction, or a support"
@@ -88,11 +92,13 @@ def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
     where = ""
     free: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    restless: tuple[str, ...] = ()
     u, q = solver.parts(x)
     if q is not None:
         (j,) = problem.jumps
         trial = problem.trial(u, q)
         where = _largest(problem, j, trial)
+        restless = _restless(problem, j, solver.active)
         free = tuple(free_bodies(problem, trial))
         notes = (*(() if free else sliding(problem)), *uniqueness.beyond(problem))
     if free:
@@ -100,10 +106,41 @@ def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
     elif outcome.linear_failed:
         short = "the linear solver failed"
     elif sum(outcome.flips[-5:]) > 0:
-        short = f"contact states keep changing ({outcome.flips[-1]} in the last iteration)"
+        short = f"contact states keep changing ({outcome.flips[-1]} in the last iteration"
+        again = f", the same every {outcome.period} iterations" if outcome.period else ""
+        short += f"{again})"
     else:
         short = f"the residual stays at {outcome.residuals[-1]:.1e} of the force scale"
-    return Explanation(short, where, free, notes, outcome.residuals, outcome.flips)
+    return Explanation(short, where, free, notes, restless, outcome.residuals, outcome.tried)
+
+
+def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
+    """What was really tried, in words.
+
+    Args:
+        tried: Changes of the solver, and the residuals that they got to.
+        steps: Halved steps that were tried before, as parts of the stage.
+    """
+    words = [f"{what}: {residual:.1e}" for what, residual in tried]
+    text = f"{'; '.join(words)} (residuals they got to)" if words else "Newton as it is"
+    halved = f"; steps of {', '.join(f'{s:.3g}' for s in steps)} of the stage" if steps else ""
+    return text + halved
+
+
+def _restless(problem: Problem, j: Jumps, active: ActiveSet) -> tuple[str, ...]:
+    """Contact points that change their states most in the last iterations, in words; collective."""
+    local = [
+        (
+            r.changes,
+            f"{' <-> '.join(STATES[s] for s in r.states)} at "
+            f"{_place(j.points.x[j.mine[r.row]])} on interface "
+            f"'{problem.scene.contacts[j.interface[r.row]].name}', in {r.changes} of the last "
+            f"{r.looks} iterations",
+        )
+        for r in active.restless()[:SHOWN]
+    ]
+    every = sorted((r for part in problem.comm.allgather(local) for r in part), reverse=True)
+    return tuple(text for _, text in every[:SHOWN])
 
 
 def _largest(problem: Problem, j: Jumps, trial: Trial) -> str:
@@ -116,12 +153,13 @@ def _largest(problem: Problem, j: Jumps, trial: Trial) -> str:
         k = int(np.argmax(r))
         x = j.points.x[j.mine[k]]
         name = problem.scene.contacts[j.interface[k]].name
-        state = ("open", "sticking", "slipping")[trial.law.status[k]]
-        text = (
-            f"{size:.2e} N on interface '{name}' at "
-            f"({x[0]:.2f}, {x[1]:.2f}, {x[2]:.2f}) mm, {state}"
-        )
+        state = STATES[trial.law.status[k]]
+        text = f"{size:.2e} N on interface '{name}' at {_place(x)}, {state}"
     return str(problem.comm.bcast(text, root=rank))
+
+
+def _place(x: Floats) -> str:
+    return "({:.2f}, {:.2f}, {:.2f}) mm".format(*x)
 
 
 def free_bodies(problem: Problem, trial: Trial) -> list[str]:
@@ -151,13 +189,15 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
     for body in held:
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
-    found = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value > _FREE * max(values[-1], total):
-            break
-        k = int(np.argmax(np.abs(vector)))
-        found.append(f"nothing holds body '{names[k // 6]}': it is free to {_MODES[k % 6]}")
-    return sorted(set(found))
+    free = vectors[:, values <= _FREE * max(values[-1], total)]
+    every = j.points.bodies
+    centres = np.array(
+        [
+            j.points.x[here].mean(axis=0) if (here := (every == b).any(axis=1)).any() else centre
+            for b in range(n)
+        ]
+    )
+    return describe(free, [f"'{name}'" for name in names], centres, centre, float(size))
 
 
 def sliding(problem: Problem) -> list[str]:
@@ -199,18 +239,22 @@ def runaway(problem: Problem, trial: Trial) -> str:
     if problem.comm.allreduce(pushed, MPI.LOR) or not forces:
         return ""  # where supports move the model, they may move it far
     size = float(np.linalg.norm(np.ptp(j.points.x, axis=0)))
-    moved = np.linalg.norm(trial.jump, axis=1)
+    # What closes a gap or makes room for an interference is no running away.
+    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(j.gap, axis=1)
     for i, contact in enumerate(problem.scene.contacts):
         local = float(moved[j.interface == i].max(initial=0.0))
         largest = problem.comm.allreduce(local, MPI.MAX)
         elastic = forces / (contact.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
-            free = "".join(f"{line}; " for line in free_bodies(problem, trial))
-            return (
-                f"{free}the sides of interface '{contact.name}' moved {largest:.3g} mm apart or "
-                f"along each other, {100 * largest / size:.0f} % of the interface's size: "
-                "nothing holds them but the facets of the mesh"
+            free = free_bodies(problem, trial)
+            how = (
+                f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
+                "of the interface's size"
+                if largest < size
+                else "left each other for good"
             )
+            by = "" if free else ": nothing holds them but the facets of the mesh"
+            return "; ".join([*free, f"the sides of interface '{contact.name}' {how}{by}"])
     return ""
 
 

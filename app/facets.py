@@ -12,10 +12,9 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from app.diagnosis import _MODES as MODES
 from app.diagnosis import held_bodies
 from app.problem import Problem, Trial
-from app.reduction import rigid_modes
+from app.rigid_motions import DIRECTIONS, rigid_modes
 from forms.contact import OPEN
 from meshes.interfaces import ContactPoints
 
@@ -98,7 +97,7 @@ def held_by_facets(problem: Problem, trial: Trial) -> str:
     most = problem.comm.allreduce(far, MPI.MAX)
     return (
         f"nothing holds body '{problem.bodies.names[body]}' but the facets of the mesh: it is free "
-        f"to {MODES[mode]} on a smooth surface, and moved by {most:.3g} mm; another mesh would "
+        f"to {DIRECTIONS[mode]} on a smooth surface, and moved by {most:.3g} mm; another mesh would "
         "give another answer"
     )
 

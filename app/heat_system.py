@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from petsc4py import PETSc
 
+from app.active_set import ActiveSet
 from app.conduction import Conduction
 from app.linear import INTERFACE, MULTIGRID, Inverse, Options, is_direct
 from app.state import State
@@ -32,6 +33,8 @@ class HeatSystem:
     def __init__(self, conduction: Conduction) -> None:
         """Wrap the operators."""
         self._conduction, self.comm = conduction, conduction.comm
+        # Conduction has no states to change.
+        self.active = ActiveSet(self.comm)
 
     @property
     def version(self) -> int:
@@ -77,16 +80,13 @@ class HeatSystem:
         m = self._conduction.measure(x, f)
         return [replace(m, scale=STRICTER * m.scale)]
 
-    def flips(self) -> int:
-        """Conduction has no states to change."""
-        return 0
-
-    def forget(self) -> None:
-        """No state."""
-
     def soften(self, factor: float) -> bool:
         """No augmentation."""
         return False
+
+    def augmentation(self) -> dict[str, float]:
+        """No augmentation."""
+        return {}
 
     def usual_augmentation(self) -> float:
         """No augmentation."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import meshes
-from app import config, folders, gruen, quantities, scene, stepping
+from app import config, folders, gruen, quantities, scene, soundness, stepping
 from app.balance import Balance
 from app.bonds import Bond, bonds
 from app.conduction import Conduction
@@ -40,6 +40,7 @@ from app.thermal_quantities import ThermalRecord, exchange
 from app.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
+from meshes.parts import Parts
 
 log = logging.getLogger("mantle")
 
@@ -178,6 +179,7 @@ class Model:
         scene: What is solved.
         tagged: On what mesh.
         mesh_hash: Digest of that mesh.
+        parts: What that mesh consists of, on rank 0.
         mechanics: Its mechanics, if it has any.
         thermal: Its heat, if it has any.
     """
@@ -206,7 +208,7 @@ class Model:
         self.options, self.stop = options, stop
         self._kin = [] if kin is None else kin
         with timing.phase("mesh"):
-            self.tagged, self.mesh_hash = self._mesh(comm)
+            self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
         with timing.phase("assemble"):
             self.scene: Scene = scene.build(case)
             self.mechanics = self._mechanics()
@@ -214,18 +216,33 @@ class Model:
             self.thermal = tuple(Thermal(case, h) for h in heatings)
         self._kin[:] = [m for m in self._kin if not self.deforms_like(m._case)] + [self]
 
-    def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str]:
-        """The mesh and its digest; collective."""
+    def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
+        """The mesh, its digest, and what it consists of, on rank 0; collective."""
         case = self._case
         for model in self._kin:
             if (model._case.geometry, model._case.mesh) == (case.geometry, case.mesh):
-                return model.tagged, model.mesh_hash
+                return model.tagged, model.mesh_hash, model.parts
         data = on_root(
             comm,
             lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
             share=False,
         )
-        return distribute(data, comm), comm.bcast(_mesh_hash(data) if data is not None else "")
+        found = soundness.look(case, data) if data is not None else None
+        digest = comm.bcast(_mesh_hash(data) if data is not None else "")
+        return distribute(data, comm), digest, found
+
+    def judge(self) -> list[str]:
+        """What is suspicious about the case on its mesh; collective.
+
+        Raises:
+            InputError: It cannot be solved.
+        """
+        found = self.parts
+        notes = on_root(
+            self.tagged.mesh.comm,
+            lambda: soundness.judge(self._case, found) if found is not None else [],
+        )
+        return notes or []
 
     def deforms_like(self, case: config.Case) -> bool:
         """Whether a case has the matrices of this one, its contacts, and loads in its places."""

@@ -175,6 +175,7 @@ class Motion:
             started = clock.perf_counter()
             reach = 1.0 if way.done + 1.001 * way.step > 1.0 else way.done + way.step
             start, predictors = solver.x.copy(), self.predictors
+            halved: list[float] = []
             while True:
                 place(reach)
                 problem.restiffen()
@@ -196,9 +197,10 @@ class Motion:
                 hopeless = bool(why.free) and way.cuts > 0
                 if not stage.adaptive or way.cuts == stage.max_cut_backs or hopeless:
                     at = begin + reach * (end - begin)
-                    raise ConvergenceError(why.text(stage.name, at - int(begin), way.cuts))
+                    raise ConvergenceError(why.text(stage.name, at - int(begin), halved))
                 way.cuts += 1
                 way.step /= 2
+                halved.append(way.step)
                 reach = way.done + way.step
                 words = f"step halved to {way.step:.4g} of stage '{stage.name}'"
                 self.on_trouble(f"{why.short}; {words}")

@@ -33,6 +33,20 @@ USUAL = {
     "reference_temperature": TEMPERATURES,
     "thermal_expansion": (1e-8, 1e-3),
 }
+MODULI = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
+# Young's moduli of what the name of a region says it is, else of all from gel to diamond [MPa]:
+# wide enough for any such material, and a thousand times off for none.
+STIFFNESS = {
+    "cancellous": (5.0, 2e4),
+    "cortical": (1e3, 1e5),
+    "bone": (50.0, 1e5),
+    "cement": (100.0, 2e4),
+    "stem": (1e3, 5e5),
+    "metal": (5e3, 1e6),
+    "": (1e-3, 1.5e6),
+}
+# Forces on a hip from that of a finger to that of a fall [N].
+HIP_FORCES = (20.0, 5e4)
 # What a run costs on one core (measured): seconds at 1e5 unknowns by order, exponent of growth, a
 # later load step beside the first, seconds per temperature and time step, time steps of a stage,
 # errors beside the run alone, a run that shares matrices beside one that makes them, and what is
@@ -314,6 +328,10 @@ def warnings(case: Case) -> list[str]:
             if getattr(region, "nearly_incompressible", False)
         ]
     for name, region in case.regions.items():
+        known = next(limits for word, limits in STIFFNESS.items() if word in name)
+        for key in MODULI:
+            if hasattr(region, key):
+                messages += _far_off(f"regions.{name}.{key}", region, key, *known)
         if region.thermal is not None:
             messages += _unusual(f"regions.{name}.thermal", region.thermal)
     expands = any(
@@ -325,6 +343,12 @@ def warnings(case: Case) -> list[str]:
         for name, law in case.interfaces.items()
         if expands and isinstance(law.conductance, PressureConductance)
     ]
+    if case.geometry.kind in ("femur", "intact_femur"):
+        messages += [
+            f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
+            for force in _largest_force(case)
+            if not HIP_FORCES[0] <= force <= HIP_FORCES[1]
+        ]
     for name, condition in case.heat.items():
         for key in ("temperature", "ambient"):
             if isinstance(getattr(condition, key, None), float):
@@ -338,6 +362,16 @@ def _acts(case: Case) -> bool:
     moved = any(any(getattr(s, a, None) for a in "xyz") for s in case.supports.values())
     strained = any(getattr(r, "eigenstrains", ()) for r in case.regions.values())
     return bool(case.loads) or gaps or moved or strained
+
+
+def _largest_force(case: Case) -> Iterable[float]:
+    """The largest force at any time, if there are forces [N]."""
+    sizes = [
+        math.hypot(*load.force) * max(map(abs, load.history or (1.0,)))
+        for load in case.loads.values()
+        if isinstance(load, Force)
+    ]
+    return [max(sizes)] if any(sizes) else []
 
 
 def _unusual(place: str, thermal: Thermal) -> Iterable[str]:

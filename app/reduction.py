@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from app.bodies import Bodies, boundary_facets, cell_tags
 from app.errors import InputError, everywhere
+from app.rigid_motions import rigid_modes
 from app.state import State, keyed
 from app.terms import Scene, Support
 from meshes.distribute import TaggedMesh
@@ -112,15 +113,6 @@ def given_values(scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> li
         return result
 
     return everywhere(space.mesh.comm, values)
-
-
-def rigid_modes(x: Floats) -> Floats:
-    """Translations along and rotations about the axes at nodes x (n, 3) -> (n, 3, 6)."""
-    modes = np.zeros((len(x), 3, 6))
-    modes[:, :, :3] = np.eye(3)
-    for k in range(3):
-        modes[:, :, 3 + k] = np.cross(np.eye(3)[k], x)
-    return modes
 
 
 class AllFree:

@@ -14,7 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import checkpoint, config, error, kept, limits, preview, ranks, variations
+from app import checkpoint, config, error, kept, limits, preview, ranks, soundness, variations
 from app import log as text
 from app.checkpoint import Keeper
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
@@ -64,8 +64,6 @@ def run(
             f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
             "another MPI; use this one's, or mantle run -n"
         )
-    for message in preview.warnings(case):
-        log.warning("note: %s", message)
     signalled = limits.signals()
     late = str if walltime is None else limits.WallTime(begin, walltime)
     session = Session(
@@ -77,6 +75,7 @@ def run(
         started,
         partial(checkpoint.find, comm, restart, force=force) if restart else None,
     )
+    session.note(preview.warnings(case))
     with _claimed(comm, output):
         if not case.variations:
             summary = session.solve(case, overrides, output)
@@ -115,6 +114,14 @@ class Session:
         self._begin, self._started, self._restart = begin, started, restart
         self._timing = Timing()
         self._models: list[Model] = []
+        self._noted: set[str] = set()
+
+    def note(self, messages: Sequence[str]) -> None:
+        """Tell what is suspicious, each thing once."""
+        for message in messages:
+            if message not in self._noted:
+                log.warning("note: %s", message)
+        self._noted.update(messages)
 
     def vary(self, case: config.Case, overrides: Sequence[str], output: Path, keep: bool) -> None:
         """Solve the variations of a case, each in a folder of its own; collective.
@@ -186,6 +193,7 @@ class Session:
         comm, timing = self._comm, self._timing
         found = self._restart(folder=output, case=case) if self._restart else None
         model = Model(case, comm, self._options, timing, self._stop, self._models)
+        self.note(model.judge())
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
             case.title or self._case_path.stem,
@@ -225,6 +233,7 @@ class Session:
             raise StoppedError(f"{failure}\n{recorder.last_state()}{where}") from failure
         recorder.flush()
         summary = recorder.summary("converged", total)
+        self.note(soundness.doubts(case, summary["regions"]))
         if case.output.condition:
             for m in model.mechanics:
                 summary["solver"]["condition"] = m.solver.condition()

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from app.active_set import ActiveSet
 from app.errors import StoppedError
 from app.linear import Linear, Options
 from app.state import State
@@ -42,6 +43,8 @@ ENOUGH = 0.3
 # A residual that has not fallen to this part of itself in so many iterations is stuck; whole steps
 # may go up before they go down.
 HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
+# Residuals that differ by less than this part after a cycle of the states will go on doing so.
+CYCLING = 1e-2
 # Multiples of the augmentation tried in turn where Newton is stuck, and whether it then goes on
 # from where it is or from the start again: mostly it is too large.
 AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
@@ -63,6 +66,10 @@ class Outcome:
         flips: Contact points whose state changed, at each iteration.
         linear_failed: Whether the linear solver gave up.
         augmentation: Multiple of the augmentation in force that it ended with.
+        tried: What was changed in turn where Newton did not converge, in words, and the residual
+            that it ended with.
+        period: After how many iterations the states of the contact points came back in the end; 0
+            if they did not.
     """
 
     converged: bool
@@ -72,6 +79,8 @@ class Outcome:
     flips: tuple[int, ...]
     linear_failed: bool
     augmentation: float = 1.0
+    tried: tuple[tuple[str, float], ...] = ()
+    period: int = 0
 
 
 class Solver:
@@ -206,7 +215,7 @@ class Solver:
         names = [name for name in self._system.comm.allgather(self._stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
-        self._flips.append(self._system.flips())
+        self._flips.append(self._system.active.flips())
 
     def _converged(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
@@ -224,6 +233,9 @@ class Solver:
             snes.getKSP().setTolerances(atol=self._enough * min(map(self._limit, parts)))
         last, window = self._residuals, STUCK.get(self._search, STUCK_WHOLE)
         stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
+        # Whole steps from the same states lead to the same states again.
+        period = self._system.active.period() if self._search == "basic" and not stuck else 0
+        stuck |= period > 0 and abs(last[-1] / last[-1 - period] - 1) < CYCLING
         return reasons.DIVERGED_LINE_SEARCH if stuck else reasons.ITERATING
 
     def meets(self, part: Measure) -> bool:
@@ -259,10 +271,12 @@ class Solver:
         self._system.soften(self._augmentation)
         start = self.x.copy() if self._has_kinks else self.x
         newton, krylov = self._newton()
+        tried: list[tuple[str, float]] = []
         for words in self._remedies(start):
             log.info("     %s; %s", self._trouble(), words)
             more = self._newton()
             newton, krylov = newton + more[0], krylov + more[1]
+            tried.append((words, self._residuals[-1]))
         augmentation = self._augmentation
         self._use_search(self._usual)
         reason = self.snes.getConvergedReason()
@@ -281,6 +295,8 @@ class Solver:
             flips=tuple(self._flips),
             linear_failed=reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE,
             augmentation=augmentation,
+            tried=tuple(tried),
+            period=self._system.active.period(),
         )
 
     def _remedies(self, start: PETSc.Vec) -> Iterator[str]:
@@ -305,7 +321,7 @@ class Solver:
                 if not on:
                     start.copy(self.x)
                 self._augmentation = factor
-                yield f"augmentation {factor:g} r"
+                yield f"augmentation {factor:g} r{self._values()}"
         if not self._lost() and self._has_kinks:
             self._use_search(self._other)
             yield "whole steps" if self._other == "basic" else "shorter steps"
@@ -319,7 +335,10 @@ class Solver:
                 return
             self._augmentation = share * usual
             self._system.soften(self._augmentation)
-            yield f"augmentation {self._augmentation:.3g} r, {share:g} of the usual one"
+            yield (
+                f"augmentation {self._augmentation:.3g} r, {share:g} of the usual one"
+                f"{self._values()}"
+            )
 
     def _with_less_friction(self, start: PETSc.Vec) -> Iterator[str]:
         """From the start again with less friction, which then grows to what it is."""
@@ -348,11 +367,18 @@ class Solver:
         if self._done():
             return "Newton has converged"
         changing = f", {self._flips[-1]} contact points change" if self._flips[-1] else ""
+        if period := self._system.active.period():
+            changing += f" and change back, in a cycle of {period} iterations"
         return f"Newton is stuck at {self._residuals[-1]:.1e} of the force scale{changing}"
+
+    def _values(self) -> str:
+        """The augmentation in force, in words; collective."""
+        found = self._system.augmentation().values()
+        return f" (up to {max(found):.3g} MPa/mm)" if found else ""
 
     def _newton(self) -> tuple[int, int]:
         """Iterate from the current state; Newton and Krylov iterations."""
-        self._system.forget()
+        self._system.active.forget()
         with self._timing.phase("solve"):
             try:
                 self.snes.solve(None, self.x)
@@ -394,6 +420,11 @@ class Solver:
                 x, y = y, x
             sizes.append(float(x.norm()))
         return sizes[0] * sizes[1]
+
+    @property
+    def active(self) -> ActiveSet:
+        """States of the contact points at the last Jacobians."""
+        return self._system.active
 
     @property
     def block_sizes(self) -> dict[str, int]:

@@ -15,6 +15,7 @@ from functools import partial
 from typing import Protocol
 
 from app.coupling import Coupled, Staggered
+from app.diagnosis import attempts
 from app.errors import ConvergenceError
 from app.heating import Accepted, Heating
 from app.integrator import Controller
@@ -223,6 +224,7 @@ class March:
             f"no convergence in stage '{stage.name}' at {100 * part:.3g} % of it, "
             f"with a time step of {dt:.3g} s\n"
             f"  last residuals (of the scale of heat or forces): {tail}\n"
+            f"  tried: {attempts(self.heating.outcome.tried)}\n"
             f"  what to change: {advice}"
         )
 

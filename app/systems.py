@@ -17,6 +17,7 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 
+from app.active_set import ActiveSet
 from app.deflation import Motions
 from app.jumps import Jumps
 from app.linear import SWEEP, Inverse, Options, stiffness_options
@@ -48,6 +49,8 @@ class System(Protocol):
 
     comm: MPI.Comm
     prefix: str
+    # States of its contact points at the last Jacobians.
+    active: ActiveSet
     # PETSc options of its Newton iteration that differ from the solver's.
     newton: Options
 
@@ -83,14 +86,11 @@ class System(Protocol):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """How large the residual f of a state x is, by part; collective."""
 
-    def flips(self) -> int:
-        """Points whose state changed between the last two Jacobians; collective."""
-
-    def forget(self) -> None:
-        """Forget the last Jacobian."""
-
     def soften(self, factor: float) -> bool:
         """Solve with this multiple of the augmentation in force, if there is one to change."""
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen; collective."""
@@ -137,6 +137,7 @@ class Bonded:
         """Take the stiffness as it is."""
         self._problem, self.comm = problem, problem.comm
         self.inverses = {"displacement": problem.inverse}
+        self.active = ActiveSet(self.comm)
 
     @property
     def version(self) -> int:
@@ -174,16 +175,13 @@ class Bonded:
         problem, u = self._problem, x[0]
         return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
 
-    def flips(self) -> int:
-        """No points."""
-        return 0
-
-    def forget(self) -> None:
-        """No state."""
-
     def soften(self, factor: float) -> bool:
         """No augmentation."""
         return False
+
+    def augmentation(self) -> dict[str, float]:
+        """No augmentation."""
+        return {}
 
     def usual_augmentation(self) -> float:
         """No augmentation."""
@@ -235,8 +233,7 @@ class Contact:
         self._A_qq = self._rows.matMult(j.D)
         self._added = block_diagonal(j.comm, len(j.mine))
         self._motions_of = -1
-        self._last: NDArray[np.int64] | None = None
-        self._changed = 0
+        self.active = ActiveSet(self.comm)
 
     @property
     def version(self) -> int:
@@ -276,9 +273,7 @@ class Contact:
         self._couple()
         trial = self.trial = self._problem.trial(*x)
         self._set_rows(*self._jumps.row_factors(trial.law))
-        status = trial.law.status
-        self._changed = -1 if self._last is None else int((status != self._last).sum())
-        self._last = status.copy()
+        self.active.add(trial.law.status)
 
     def _couple(self) -> None:
         """Take in the coupling, if it has changed."""
@@ -316,18 +311,14 @@ class Contact:
         problem = self._problem
         return [Measure(size(f), problem.force_scale(*x), problem.rounding(x[0]))]
 
-    def flips(self) -> int:
-        """Points whose state changed."""
-        return int(self.comm.allreduce(max(self._changed, 0), MPI.SUM))
-
-    def forget(self) -> None:
-        """Count flips from the next Jacobian on."""
-        self._last, self._changed = None, 0
-
     def soften(self, factor: float) -> bool:
         """Solve with this multiple of the default augmentation."""
         self._jumps.soften(factor)
         return True
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
+        return self._problem.augmentation()
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen; collective."""

@@ -26,6 +26,7 @@ from .data import (
     interface_facets,
     region_volumes,
 )
+from .parts import coincident
 
 __all__ = ["MeshData", "build", "write_msh"]
 
@@ -141,7 +142,9 @@ def _check_parts(data: MeshData, whole: Collection[str]) -> None:
         if not len(interface_facets(data, name)[0])
     ]
     if missing:
-        raise GeometryError("the mesh has no " + ", no ".join(missing))
+        doubled = len(coincident(data.points))
+        hint = f"; {doubled} pairs of nodes coincide but are not one: merge them" if doubled else ""
+        raise GeometryError("the mesh has no " + ", no ".join(missing) + hint)
     _, component = components(face_neighbours(data.cells), data.cell_tags)
     pieces = {n: len(set(component[data.cell_tags == data.regions[n]].tolist())) for n in whole}
     if any(n > 1 for n in pieces.values()):

@@ -111,16 +111,20 @@ def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> tuple[int, In
     Returns:
         Their number and the component of each cell.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    cell = np.repeat(np.arange(len(neighbours)), 4)
-    other = neighbours.ravel()
-    joined = (other >= 0) & (labels[cell] == labels[other])
-    shape = (len(neighbours), len(neighbours))
-    graph = coo_array((np.ones(joined.sum(), bool), (cell[joined], other[joined])), shape=shape)
-    count, component = connected_components(graph, directed=False)
-    return int(count), component.astype(np.int64)
+    cell = np.arange(len(neighbours))
+    near = np.where(neighbours >= 0, neighbours, cell[:, None])
+    near = np.where(labels[near] == labels[:, None], near, cell[:, None])
+    found = cell.copy()
+    while True:
+        least = np.minimum(found, found[near].min(axis=1))
+        if np.array_equal(least, found):
+            break
+        # The cell that a component is known by follows too, and all that are known by it.
+        np.minimum.at(found, found, least)
+        found = np.minimum(found, least)
+        found = found[found]
+    first, component = np.unique(found, return_inverse=True)
+    return len(first), component.ravel()
 
 
 # Quadrature exact for the volume of a quadratic tetrahedron (cubic Jacobian, four points of

@@ -689,6 +689,9 @@ def test_shipped_configuration(name: str, tmp_path: Path) -> None:
     overrides = [word for o in COARSE[name] for word in ("--set", o)]
     result = run(support.CONFIGS / name, "-o", tmp_path / "out", *overrides)
     assert result.returncode == 0, result.stderr
+    # Coarsened, some are one linear cell thick: rightly told.
+    notes = [line for line in result.stderr.splitlines() if "note: " in line]
+    assert all("one cell thick" in note for note in notes), notes
     assert (tmp_path / "out" / "DONE").exists()
     folders = {p.parent for p in (tmp_path / "out").glob("**/summary.json")}
     assert len(folders) == (14 if name == "variations.yaml" else 1)

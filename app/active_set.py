@@ -1,0 +1,86 @@
+"""The states of the contact points from one Newton iteration to the next: which change, and how."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
+
+# Iterations that are looked back at, and the longest cycle that is looked for.
+KEPT, LONGEST = 12, 5
+
+
+@dataclass(frozen=True)
+class Restless:
+    """A contact point that keeps changing its state.
+
+    Attributes:
+        row: The point, among those of its rank.
+        changes: How often it changed its state.
+        looks: In how many iterations it could have.
+        states: What it changed between.
+    """
+
+    row: int
+    changes: int
+    looks: int
+    states: tuple[int, ...]
+
+
+class ActiveSet:
+    """States of the contact points of this rank at the last Jacobians."""
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        """Nothing is known yet."""
+        self._comm = comm
+        self._known: list[Ints] = []
+
+    def forget(self) -> None:
+        """Begin again with the next Jacobian."""
+        self._known = []
+
+    def add(self, status: Ints) -> None:
+        """Take in the states (n,) at a Jacobian."""
+        self._known = [*self._known[-KEPT:], status.copy()]
+
+    def flips(self) -> int:
+        """Points whose state changed between the last two Jacobians; collective."""
+        changed = int((self._known[-1] != self._known[-2]).sum()) if len(self._known) > 1 else 0
+        return int(self._comm.allreduce(changed, MPI.SUM))
+
+    def period(self) -> int:
+        """After how many iterations the states come back, twice in turn; 0 if not; collective."""
+        known = self._known
+        for p in range(2, LONGEST + 1):
+            again = len(known) > 2 * p and all(
+                np.array_equal(known[-1 - k], known[-1 - k - p]) for k in range(p + 1)
+            )
+            if self._comm.allreduce(again, MPI.LAND):
+                moves = not np.array_equal(known[-1], known[-2])
+                return p if self._comm.allreduce(moves, MPI.LOR) else 0
+        return 0
+
+    def restless(self) -> list[Restless]:
+        """Points of this rank that changed their state last, the most restless first."""
+        if len(self._known) < 2:
+            return []
+        states = np.array(self._known)
+        changes = (states[1:] != states[:-1]).sum(axis=0)
+        # What settled long ago is no trouble.
+        late = (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
+        rows = np.flatnonzero(late)
+        return [
+            Restless(
+                int(k),
+                int(changes[k]),
+                len(states) - 1,
+                tuple(sorted(s for s, _ in Counter(map(int, states[:, k])).most_common(3))),
+            )
+            for k in rows[np.argsort(-changes[rows], kind="stable")]
+        ]

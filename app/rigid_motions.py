@@ -1,0 +1,112 @@
+"""Rigid motions of several bodies, and which of them are free, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+DIRECTIONS = (
+    "move along x",
+    "move along y",
+    "move along z",
+    "turn about x",
+    "turn about y",
+    "turn about z",
+)
+# A named motion is free if so much of it (squared) lies among the free ones, and is worth telling
+# beside others if so much of it is not among them.
+WITHIN, NEW = 0.9, 0.2
+# Cosine of the angle to an axis of what is along it.
+ALIGNED = 0.9999
+# Bodies of which all sets are looked at.
+MOST = 6
+
+
+def rigid_modes(x: Floats) -> Floats:
+    """Translations along and rotations about the axes at points x (n, 3) -> (n, 3, 6)."""
+    result = np.zeros((len(x), 3, 6))
+    result[:, :, :3] = np.eye(3)
+    for k in range(3):
+        result[:, :, 3 + k] = np.cross(np.eye(3)[k], x)
+    return result
+
+
+def describe(
+    free: Floats, names: Sequence[str], centres: Floats, origin: Floats, size: float
+) -> list[str]:
+    """Sentences on motions that nothing resists, one for each set of bodies that share them.
+
+    Args:
+        free: Free motions (6 n, k): of each body translation and rotation x size, about the origin.
+        names: Names of the n bodies, in quotes.
+        centres: A point of each body that it would turn about (n, 3) [mm].
+        origin: What the motions are about (3,) [mm].
+        size: Length that makes rotations translations [mm].
+    """
+    if not free.shape[1]:
+        return []
+    Q = np.linalg.qr(free)[0]
+    known = np.zeros((len(Q), 0))
+    found: dict[tuple[int, ...], list[str]] = {}
+    for bodies, k, v in _named(centres, origin, size):
+        if known.shape[1] == Q.shape[1]:
+            break
+        rest = v - known @ (known.T @ v)
+        if np.linalg.norm(Q.T @ v) ** 2 < WITHIN or np.linalg.norm(rest) ** 2 < NEW:
+            continue
+        known = np.column_stack([known, rest / np.linalg.norm(rest)])
+        found.setdefault(bodies, []).append(DIRECTIONS[k])
+    # What is along no axis.
+    left = Q - known @ (known.T @ Q)
+    u, s, _ = np.linalg.svd(left, full_matrices=False)
+    for v in u.T[: Q.shape[1] - known.shape[1]][s[: Q.shape[1] - known.shape[1]] > NEW]:
+        body = int(np.argmax(np.linalg.norm(v.reshape(-1, 6), axis=1)))
+        found.setdefault((body,), []).append(_oblique(v[6 * body : 6 * body + 6]))
+    return [_sentence([names[b] for b in bodies], words) for bodies, words in found.items()]
+
+
+def _named(
+    centres: Floats, origin: Floats, size: float
+) -> Iterator[tuple[tuple[int, ...], int, Floats]]:
+    """Motions that have a name, of few bodies first: bodies, number, unit vector (6 n,)."""
+    n = len(centres)
+    for count in range(1, n + 1 if n <= MOST else 2):
+        for bodies in combinations(range(n), count):
+            arm = (origin - centres[list(bodies)].mean(axis=0)) / size
+            for k in range(6):
+                one = np.zeros(6)
+                one[k] = 1.0
+                if k >= 3:
+                    one[:3] = np.cross(one[3:], arm)
+                v = np.zeros((n, 6))
+                v[list(bodies)] = one
+                yield bodies, k, v.ravel() / np.linalg.norm(v)
+
+
+def _oblique(v: Floats) -> str:
+    """A motion (6,) in words."""
+    turns = np.linalg.norm(v[3:]) > np.linalg.norm(v[:3])
+    axis = v[3:] if turns else v[:3]
+    axis = axis / np.linalg.norm(axis)
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))]) + 0.0
+    k = int(np.argmax(axis))
+    text = "xyz"[k] if axis[k] > ALIGNED else "({:.2f}, {:.2f}, {:.2f})".format(*axis)
+    return f"turn about an axis along {text}" if turns else f"move along {text}"
+
+
+def _sentence(names: Sequence[str], words: Sequence[str]) -> str:
+    """Who is free to do what."""
+    doing = []
+    for verb in ("move along", "turn about"):
+        axes = [w.removeprefix(verb).strip() for w in words if w.startswith(verb)]
+        if axes:
+            doing.append(f"{verb} {', '.join(axes)}")
+    text = " and to ".join(doing)
+    if len(names) == 1:
+        return f"nothing holds body {names[0]}: it is free to {text}"
+    return f"nothing holds bodies {' and '.join(names)}: they are free to {text} together"

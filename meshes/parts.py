@@ -1,0 +1,289 @@
+"""What a mesh consists of: its pieces, where they touch, and what hangs together by accident.
+
+A piece is a part of a region whose cells are joined by faces. All here is small beside the mesh and
+serves judging a case before anything is solved (`app.soundness`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .data import (
+    Floats,
+    Ints,
+    MeshData,
+    cell_faces,
+    cell_volumes,
+    components,
+    face_neighbours,
+    facet_areas,
+)
+
+# Nodes this close, in parts of the mesh's diagonal, are meant to be one.
+COINCIDENT = 1e-7
+# Facets that meet at more than this angle are different faces [rad].
+SMOOTH = np.radians(50)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a region that hangs together.
+
+    Attributes:
+        region: Its region.
+        cells: How many cells it has.
+        centre: Its centroid (3,) [mm].
+        volume: Its volume [mm3].
+        surface: Area of its surface [mm2].
+        box: Edges of its bounding box (3,) [mm].
+        flat: Part of its cells that have all their corners on surfaces that nothing holds.
+    """
+
+    region: str
+    cells: int
+    centre: Floats
+    volume: float
+    surface: float
+    box: Floats
+    flat: float
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Facets between two pieces.
+
+    Attributes:
+        pieces: The two pieces.
+        x: Middles of the facets (n, 3) [mm].
+        normals: Their unit normals (n, 3).
+        areas: Their areas (n,) [mm2].
+        bend: Mean angle between neighbouring facets of a smooth face; 0 if they are curved [rad].
+    """
+
+    pieces: tuple[int, int]
+    x: Floats
+    normals: Floats
+    areas: Floats
+    bend: float
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a mesh consists of.
+
+    Attributes:
+        pieces: Its pieces.
+        touches: Where pieces of different regions share facets.
+        joined: Pairs of pieces of one region that share nodes.
+        boundaries: For each boundary and piece the nodes of the piece on it (n,).
+        boundary_areas: Area of each boundary [mm2].
+        x: Coordinates of all nodes (n, 3) [mm].
+        interfaces: Corner nodes of the facets of each interface (n,).
+        doubled: For each pair of regions, the places of nodes of either that coincide (n, 3) [mm].
+    """
+
+    pieces: tuple[Piece, ...]
+    touches: tuple[Touch, ...]
+    joined: frozenset[tuple[int, int]]
+    boundaries: Mapping[str, Mapping[int, Ints]]
+    boundary_areas: Mapping[str, float]
+    x: Floats
+    interfaces: Mapping[str, Ints]
+    doubled: Mapping[tuple[str, str], Floats]
+
+
+def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
+    """Find them.
+
+    Args:
+        data: The mesh.
+        held: Boundaries that supports hold.
+    """
+    names = {tag: name for name, tag in data.regions.items()}
+    neighbours = face_neighbours(data.cells)
+    count, piece = components(neighbours, data.cell_tags)
+    faces = cell_faces(data.cells)
+    behind = neighbours.ravel()
+    cell = np.repeat(np.arange(len(data.cells)), 4)
+    outer = (behind < 0) | (piece[np.maximum(behind, 0)] != piece[cell])
+    outside = np.flatnonzero(behind < 0)
+    keys, on = _numbered(faces[outside, :3], data.facets[:, :3])
+    bare = outer.copy()
+    tags = [t for name in held for t in data.boundaries.get(name, ())]
+    bare[outside[np.isin(keys, on[np.isin(data.facet_tags, tags)])]] = False
+    areas = np.bincount(piece[cell[outer]], facet_areas(data.points, faces[outer]), minlength=count)
+    flat = _flat(data.cells, faces, cell, piece, bare, count)
+    volumes = cell_volumes(data.points, data.cells)
+    middles = data.points[data.cells[:, :4]].mean(axis=1)
+    pieces = []
+    for k in range(count):
+        here = piece == k
+        nodes = data.points[np.unique(data.cells[here, :4])]
+        volume = float(volumes[here].sum())
+        centre = volumes[here] @ middles[here] / volume
+        region = names[int(data.cell_tags[here][0])]
+        box = np.ptp(nodes, axis=0)
+        pieces.append(
+            Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, float(flat[k]))
+        )
+    rows = np.flatnonzero((behind >= 0) & outer & (piece[cell] < piece[np.maximum(behind, 0)]))
+    first, second = piece[cell[rows]], piece[behind[rows]]
+    corners = {
+        name: np.unique(faces[rows][_between(first, second, pieces, sides)][:, :3])
+        for name, sides in data.interfaces.items()
+    }
+    return Parts(
+        pieces=tuple(pieces),
+        touches=tuple(_touches(data.points, faces[rows], first, second)),
+        joined=_joined(data.cells, piece, pieces),
+        boundaries=_boundaries(data, keys, on, piece[cell[outside]]),
+        boundary_areas={
+            name: float(facet_areas(data.points, data.facets[np.isin(data.facet_tags, tags)]).sum())
+            for name, tags in data.boundaries.items()
+        },
+        x=data.points,
+        interfaces=corners,
+        doubled=_doubled(data, piece, pieces),
+    )
+
+
+def _between(
+    first: Ints,
+    second: Ints,
+    pieces: list[Piece],
+    sides: tuple[tuple[str, ...], tuple[str, ...]],
+) -> np.ndarray:
+    """Which facets lie between the regions of two sides."""
+    a, b = (np.array([p.region in side for p in pieces]) for side in sides)
+    return np.asarray((a[first] & b[second]) | (b[first] & a[second]))
+
+
+def _numbered(a: Ints, b: Ints) -> tuple[Ints, Ints]:
+    """The same number for the same triangle of either list, in any order of its corners."""
+    both = np.sort(np.concatenate([a, b]), axis=1)
+    n = int(both.max(initial=0)) + 1
+    if n**3 < 2**63:
+        label = (both[:, 0] * n + both[:, 1]) * n + both[:, 2]
+    else:
+        label = np.unique(both, axis=0, return_inverse=True)[1].ravel()
+    return label[: len(a)], label[len(a) :]
+
+
+def _flat(
+    cells: Ints, faces: Ints, cell: Ints, piece: Ints, bare: np.ndarray, count: int
+) -> Floats:
+    """Part of the cells of each piece whose corners are all on bare faces of it."""
+    n = int(cells.max()) + 1
+    nodes = faces[bare, :3]
+    known = np.unique(nodes + n * piece[cell[bare]][:, None])
+    keys = cells[:, :4] + n * piece[:, None]
+    all_bare = np.isin(keys, known).all(axis=1)
+    total = np.bincount(piece, minlength=count)
+    return np.asarray(np.bincount(piece, weights=all_bare, minlength=count) / total)
+
+
+def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
+    """The facets of each pair of pieces, with their normals."""
+    x = points[facets]
+    a, b, middle = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, :3].mean(axis=1)
+    if facets.shape[1] == 6:
+        # Quadratic shape functions and their derivatives at the middle of the triangle.
+        middle = (4 * x[:, 3:].sum(axis=1) - x[:, :3].sum(axis=1)) / 9
+        a = a / 3 + 4 / 3 * (x[:, 4] - x[:, 5])
+        b = b / 3 + 4 / 3 * (x[:, 4] - x[:, 3])
+    normals = np.cross(a, b)
+    double = np.linalg.norm(normals, axis=1)
+    normals /= double[:, None]
+    found = []
+    for pair in sorted({(int(i), int(k)) for i, k in zip(first, second, strict=True)}):
+        here = (first == pair[0]) & (second == pair[1])
+        bend = _bend(facets[here], normals[here]) if facets.shape[1] == 3 else 0.0
+        found.append(Touch(pair, middle[here], normals[here], double[here] / 2, bend))
+    return found
+
+
+def _bend(facets: Ints, normals: Floats) -> float:
+    """Mean angle between facets that share an edge, but for edges of the surface [rad]."""
+    edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T)
+    same = np.all(edges[order][1:] == edges[order][:-1], axis=1)
+    one, two = (normals[order[k][same] // 3] for k in (np.s_[:-1], np.s_[1:]))
+    angles = np.arccos(np.clip(np.einsum("ei,ei->e", one, two), -1.0, 1.0))
+    smooth = angles[angles < SMOOTH]
+    return float(smooth.mean()) if len(smooth) else 0.0
+
+
+def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
+    """Pieces of one region that meet in edges or corners alone."""
+    regions = [p.region for p in pieces]
+    if len(set(regions)) == len(regions):
+        return frozenset()
+    n = int(cells.max()) + 1
+    of = [np.unique(cells[piece == k, :4]) for k in range(len(pieces))]
+    count = np.zeros(n, dtype=np.int64)
+    for nodes in of:
+        count[nodes] += 1
+    shared = [set(map(int, nodes[count[nodes] > 1])) for nodes in of]
+    return frozenset(
+        (a, b)
+        for a in range(len(pieces))
+        for b in range(a + 1, len(pieces))
+        if regions[a] == regions[b] and shared[a] & shared[b]
+    )
+
+
+def _boundaries(data: MeshData, keys: Ints, on: Ints, owner: Ints) -> dict[str, dict[int, Ints]]:
+    """Nodes of each piece on each boundary.
+
+    Args:
+        data: The mesh.
+        keys: Numbers of all faces on the outside.
+        on: Numbers of the facets of the boundaries.
+        owner: Pieces of all faces on the outside.
+    """
+    order = np.argsort(keys)
+    at = order[np.minimum(np.searchsorted(keys, on, sorter=order), len(keys) - 1)]
+    of_facet = np.where(keys[at] == on, owner[at], -1)
+    found: dict[str, dict[int, Ints]] = {}
+    for name, tags in data.boundaries.items():
+        here = np.isin(data.facet_tags, tags)
+        found[name] = {
+            int(k): np.unique(data.facets[here & (of_facet == k)])
+            for k in np.unique(of_facet[here])
+            if k >= 0
+        }
+    return found
+
+
+def coincident(points: Floats) -> Ints:
+    """Pairs of points (k, 2) that are one but for rounding.
+
+    Points that are near are near along any direction: along one at random few others are.
+    """
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    along = points @ np.random.default_rng(0).normal(size=3)
+    order = np.argsort(along)
+    sorted_, near = along[order], COINCIDENT * size
+    pairs = []
+    for shift in range(1, len(points)):
+        close = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * near)
+        if not len(close):
+            break
+        a, b = order[close], order[close + shift]
+        same = np.linalg.norm(points[a] - points[b], axis=1) <= near
+        pairs.append(np.sort(np.column_stack([a, b])[same], axis=1))
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
+
+
+def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:
+    """Places where two nodes of the mesh are meant to be one, by the regions they are of."""
+    of_node = np.zeros(len(data.points), dtype=np.int64)
+    of_node[data.cells] = piece[:, None]
+    found: dict[tuple[str, str], list[Floats]] = {}
+    for a, b in coincident(data.points):
+        one, two = sorted(pieces[int(of_node[k])].region for k in (a, b))
+        found.setdefault((one, two), []).append(data.points[a])
+    return {names: np.array(x) for names, x in found.items()}

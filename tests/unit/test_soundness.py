@@ -1,0 +1,421 @@
+"""What is refused or asked about before anything is solved, and what is not."""
+
+from __future__ import annotations
+
+import logging
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import meshes
+from app import config, folders, preview, soundness
+from app.active_set import ActiveSet
+from app.errors import ConvergenceError, GeometryError, InputError
+from app.holding import groups_of
+from app.rigid_motions import describe, rigid_modes
+from meshes.data import MeshData, components, face_neighbours
+from meshes.parts import coincident
+from tests import support
+from tests.support import CONFIGS
+
+TWO = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: bone, size: [10 mm, 10 mm, 5 mm]}
+    - {name: metal, size: [10 mm, 10 mm, 5 mm]}
+mesh: {size: 3 mm, order: 1}
+regions:
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+  metal: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+interfaces:
+  bone_metal: {kind: contact, friction_coefficient: 0.4}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 2 MPa}
+"""
+PIN = """
+geometry:
+  {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 6 mm,
+   length: 20 mm, sector: full}
+mesh: {size: 4 mm, far_size: 6 mm, order: 2}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0}
+  cement_bone: {kind: contact, friction_coefficient: 1}
+supports:
+  base: {kind: fixed, boundary: bone_bottom}
+  step: {kind: roller, boundary: stem_bottom, axis: z}
+loads:
+  press: {kind: force, boundary: stem_top, force: [0 N, 0 N, -100 N]}
+"""
+
+
+def build(case: config.Case) -> MeshData:
+    return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+
+
+def judged(text: str, *overrides: str) -> list[str]:
+    """What is noted of a case on its mesh."""
+    case = support.case(text, *overrides)
+    return soundness.judge(case, soundness.look(case, build(case)))
+
+
+def torn(data: MeshData, case: config.Case, name: str, share: float = 1.0) -> MeshData:
+    """The mesh with its first facets of an interface, by x, cut open."""
+    upper = case.geometry.interface_sides[name][1]
+    tags = [data.regions[r] for r in upper]
+    nodes = np.unique(meshes.interface_facets(data, name)[0])
+    x = data.points[nodes, 0]
+    inside = nodes[x <= x.min() + share * np.ptp(x)] if share < 1 else nodes
+    number = np.arange(len(data.points))
+    number[inside] = len(data.points) + np.arange(len(inside))
+    cells, of = data.cells.copy(), np.isin(data.cell_tags, tags)
+    cells[of] = number[cells[of]]
+    # Facets follow the cells that they are faces of.
+    sorted_ = {tuple(sorted(f)) for c in cells[of] for f in _faces(c)}
+    facets = np.array(
+        [number[f] if tuple(sorted(number[f].tolist())) in sorted_ else f for f in data.facets]
+    )
+    points = np.vstack([data.points, data.points[inside]])
+    return replace(data, points=points, cells=cells, facets=facets)
+
+
+def _faces(cell: Any) -> list[tuple[int, ...]]:
+    a, b, c, d = map(int, cell[:4])
+    return [(a, b, c), (a, b, d), (a, c, d), (b, c, d)]
+
+
+EXPECTED = {
+    "stress/stem": {"one cell thick"},
+    "verification/foundation_bar": {"one cell thick"},
+    "verification/heated_walls": {"initial temperatures decide"},
+    "verification/stiff_contact": {"initial temperatures decide"},
+    "verification/wavy_contact": {"initial temperatures decide"},
+    "verification/rubbing": {"200000 MPa: a wrong unit?"},  # metal by another name
+}
+SHIPPED = sorted(
+    str(p.relative_to(CONFIGS).with_suffix(""))
+    for folder in (".", "stress", "verification", "bench")
+    for p in (CONFIGS / folder).glob("*.yaml")
+)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
+    case = config.load(CONFIGS / f"{name}.yaml")
+    # Meshes of these are made where they are run, in tests/cli/test_run.py.
+    large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
+    notes = preview.warnings(case)
+    notes += [] if large else soundness.judge(case, soundness.look(case, build(case)))
+    for note in notes:
+        assert any(words in note for words in EXPECTED.get(name, ())), note
+    if not large:
+        for words in EXPECTED.get(name, ()):
+            assert any(words in note for note in notes)
+
+
+def test_a_sound_case_gives_no_note() -> None:
+    assert judged(TWO) == []
+
+
+@pytest.mark.parametrize(
+    ("overrides", "free"),
+    [
+        (
+            ["interfaces.bone_metal.friction_coefficient=0"],
+            "body 'metal': it is free to move along x, y and to turn about z: contact on "
+            "'bone_metal' has no friction",
+        ),
+        (
+            ["interfaces.bone_metal.gap=0.01 mm"],
+            "body 'metal': it is free to move along x, y, z and to turn about x, y, z until "
+            "'bone_metal' closes",
+        ),
+    ],
+)
+def test_what_only_contact_holds_is_told(overrides: list[str], free: str) -> None:
+    (note,) = judged(TWO, *overrides)
+    assert free in note
+    held = "supports.top={kind: fixed, boundary: metal_x_min}"
+    assert not any("holds body" in n for n in judged(TWO, *overrides, held))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_smooth_pin_may_turn_and_a_smooth_taper_slide(order: int) -> None:
+    chosen = f"mesh.order={order}"
+    turning = [n for n in judged(PIN, chosen) if "holds body" in n]
+    assert len(turning) == 1 and "body 'stem': it is free to turn about z:" in turning[0]
+    rough = "interfaces.stem_cement.friction_coefficient=0.1"
+    assert not [n for n in judged(PIN, chosen, rough) if "holds body" in n]
+    loose = "supports={base: {kind: fixed, boundary: bone_bottom}}"
+    (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=1.5 deg") if "holds" in n]
+    assert (
+        "'stem': it is free to move along z and to turn about z: contact on 'stem_cement'" in note
+    )
+    (note,) = [n for n in judged(PIN, chosen, loose, "geometry.taper=6 deg") if "holds" in n]
+    assert "'stem': it is free to turn about z:" in note  # the cone is steep enough
+
+
+def test_a_body_that_nothing_holds_is_refused() -> None:
+    """A block that a crack parts from the one below, though its interface is bonded."""
+    case = support.case(TWO, "interfaces={}")
+    found = soundness.look(case, build(case))
+    assert len(groups_of(case, found)) == 1
+    cracked = soundness.look(case, torn(build(case), case, "bone_metal"))
+    assert len(groups_of(case, cracked)) == 2
+    with pytest.raises(InputError) as caught:
+        soundness.judge(case, cracked)
+    error, crack = caught.value.messages
+    assert error.startswith(
+        "supports: nothing holds body 'metal': it is free to move along x, y, z and to turn about "
+        "x, y, z, by a support"
+    )
+    assert "regions 'bone' and 'metal'" in crack and "coincide but are not one" in crack
+
+
+def test_a_turn_that_supports_leave_is_refused() -> None:
+    """Nodes on one edge hold all axes and leave a turn about the edge."""
+    case = support.case(TWO, "interfaces={}")
+    data = build(case)
+    found = soundness.look(case, data)
+    bottom = found.boundaries["bottom"]
+    ((piece, nodes),) = bottom.items()
+    edge = nodes[data.points[nodes, 1] < 1e-9]
+    assert len(edge) >= 2
+    held = replace(found, boundaries={**found.boundaries, "bottom": {piece: edge}})
+    with pytest.raises(InputError, match="it is free to turn about an axis along x, by a support"):
+        soundness.judge(case, held)
+
+
+def test_a_piece_of_a_region_that_hangs_on_nothing_is_named() -> None:
+    case = support.case(TWO)
+    data = build(case)
+    apart = len(data.points)
+    far = replace(
+        data,
+        points=np.vstack([data.points, data.points[data.cells[0, :4]] + [40.0, 0, 0]]),
+        cells=np.vstack([data.cells, apart + np.arange(4)]),
+        cell_tags=np.append(data.cell_tags, data.regions["metal"]).astype(np.int32),
+    )
+    with pytest.raises(InputError, match=r"body 'metal' \(the piece of 1 cells at \(4"):
+        soundness.judge(case, soundness.look(case, far))
+
+
+def test_holes_in_an_interface_are_told() -> None:
+    case = support.case(TWO)
+    (note,) = soundness.judge(
+        case, soundness.look(case, torn(build(case), case, "bone_metal", 0.4))
+    )
+    assert "regions 'bone' and 'metal'" in note and "a crack that nothing closes" in note
+
+
+def test_an_interface_of_doubled_nodes_says_so() -> None:
+    case = support.case(TWO)
+    cracked = torn(build(case), case, "bone_metal")
+    with pytest.raises(GeometryError, match=r"no facet between bone and metal.*merge them"):
+        meshes._check_parts(cracked, ())
+
+
+def test_coincident_nodes_are_found_whatever_their_order() -> None:
+    rng = np.random.default_rng(3)
+    x = rng.random((500, 3))
+    again = rng.choice(500, 40, replace=False)
+    both = np.vstack([x, x[again] + 1e-10])
+    assert sorted(map(tuple, coincident(both).tolist())) == sorted(
+        (int(k), 500 + i) for i, k in enumerate(again)
+    )
+
+
+def test_components_are_those_of_a_graph() -> None:
+    sparse = pytest.importorskip("scipy.sparse")
+    csgraph = pytest.importorskip("scipy.sparse.csgraph")
+    cells = build(support.case(TWO)).cells
+    near = face_neighbours(cells)
+    labels = np.random.default_rng(0).integers(0, 2, len(cells)).astype(np.int32)
+    count, found = components(near, labels)
+    cell, other = np.repeat(np.arange(len(near)), 4), near.ravel()
+    pick = (other >= 0) & (labels[cell] == labels[other])
+    graph = sparse.coo_array((np.ones(pick.sum()), (cell[pick], other[pick])), (len(near),) * 2)
+    wanted, expected = csgraph.connected_components(graph, directed=False)
+    assert count == wanted == len(set(zip(found.tolist(), expected.tolist(), strict=True)))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["interfaces.bone_metal.gap=-1 mm"], "strains bodies of 10 mm by more than small"),
+        (["interfaces.bone_metal.gap=2 mm"], "2 mm apart everywhere"),
+        (["loads.press.pressure=20 GPa"], "loads.press is 2e+04 MPa on boundary 'top'"),
+        (
+            ["loads.press={kind: force, boundary: top, force: [0 N, 0 N, -2 MN]}"],
+            "loads.press is 2e+04 MPa",
+        ),
+        (
+            ["supports.more={kind: displacement, boundary: metal_x_min, x: 10 mm}"],
+            "moves a model of 17.3 mm by 10 mm",
+        ),
+        (
+            ["supports.more={kind: displacement, boundary: bone_x_min, x: 0.01 mm}"],
+            "supports.floor and supports.more give",
+        ),
+        (
+            [
+                f"supports.{a}_{b}={{kind: fixed, boundary: {a}_{b}}}"
+                for a in "xy"
+                for b in ("min", "max")
+            ],
+            "hold both sides of interface 'bone_metal' at",
+        ),
+        (["mesh.size=5 mm", "geometry.blocks[1].size=[10 mm, 10 mm, 1 mm]"], "'metal' is thin"),
+    ],
+)
+def test_what_is_out_of_proportion_is_told(overrides: list[str], words: str) -> None:
+    assert any(words in note for note in judged(TWO, *overrides))
+
+
+def test_too_much_interference_is_refused() -> None:
+    with pytest.raises(InputError, match=r"interfaces\.bone_metal\.gap: .* no contact is admis"):
+        judged(TWO, "interfaces.bone_metal.gap=-4 mm")
+
+
+def test_two_displacements_of_all_nodes_are_refused() -> None:
+    """A boundary that is the whole of another one, by another name."""
+    change = "supports.more={kind: displacement, boundary: y_min, z: 0.1 mm}"
+    also = "supports.again={kind: displacement, boundary: bone_y_min, z: 0.2 mm}"
+    with pytest.raises(InputError, match=r"supports\.more and supports\.again give .* along z"):
+        judged(TWO, change, also)
+
+
+@pytest.mark.parametrize(
+    ("more", "wrong"),
+    [
+        ("{kind: displacement, boundary: bottom, z: 0.1 mm}", True),
+        ("{kind: displacement, boundary: bottom, z: 0.1 mm, history: [0]}", False),
+        ("{kind: roller, boundary: bottom, axis: x}", False),
+        ("{kind: displacement, boundary: top, z: 0.1 mm}", False),
+    ],
+)
+def test_two_displacements_of_one_boundary_are_refused_in_the_file(more: str, wrong: bool) -> None:
+    text = TWO.replace("loads:", f"  more: {more}\nloads:")
+    if not wrong:
+        support.case(text)
+        return
+    with pytest.raises(InputError, match=r"yaml:15:3: supports\.more: gives boundary 'bottom'"):
+        support.case(text)
+
+
+@pytest.mark.parametrize(
+    ("override", "place"),
+    [
+        ("regions.bone.youngs_modulus=17 MPa", "regions.bone.youngs_modulus"),
+        ("regions.bone.youngs_modulus=17 TPa", "regions.bone.youngs_modulus"),
+        ("regions.metal.youngs_modulus=110 MPa", "regions.metal.youngs_modulus"),
+    ],
+)
+def test_moduli_a_thousand_times_off_are_asked_about(override: str, place: str) -> None:
+    (note,) = preview.warnings(support.case(TWO, override))
+    assert note.startswith(f"{place} is ") and note.endswith("a wrong unit?")
+
+
+@pytest.mark.parametrize("force", ["1.8 N", "1800 kN"])
+def test_hip_forces_a_thousand_times_off_are_asked_about(force: str) -> None:
+    path = CONFIGS / "stance.yaml"
+    value, unit = force.split()
+    names = config.load(path).loads
+    changes = [f"loads.{n}.history=[0]" for n in names if n != "hip"]
+    change = f"loads.hip.force=[0 N, 0 N, -{value} {unit}]"
+    (note,) = preview.warnings(config.load(path, [*changes, change]))
+    assert "on a hip: a wrong unit?" in note
+
+
+def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> None:
+    case = support.case(TWO)
+    data = build(case)
+    small = replace(data, points=data.points * 1e-3)
+    meshes.write_msh(small, tmp_path / "a.msh")
+    file = TWO.replace(
+        TWO[TWO.index("geometry:") : TWO.index("mesh:")],
+        f"geometry: {{kind: file, path: {tmp_path}/a.msh, "
+        "interfaces: {bone_metal: [bone, metal]}}\n",
+    )
+    assert any("0.0173 mm from corner to corner: is its unit mm?" in n for n in judged(file))
+
+
+def test_strains_that_are_not_small_are_told() -> None:
+    case = support.case(TWO)
+    numbers = {"bone": {"von_mises_p99": 1200.0}, "metal": {"von_mises_p99": 1200.0}}
+    (note,) = soundness.doubts(case, numbers)
+    assert note.startswith("region 'bone' is strained by 7.1 %")
+
+
+def test_free_motions_are_named() -> None:
+    """One body along an axis, two bodies together, and about an axis that has no name."""
+    centres, names = np.array([[1.0, 2, 3], [4.0, 0, -1]]), ["'a'", "'b'"]
+    origin, size = np.array([0.5, 0.5, 0.5]), 10.0
+
+    def motion(body: int, axis: np.ndarray, about: np.ndarray) -> np.ndarray:
+        v = np.zeros((2, 6))
+        v[body, 3:], v[body, :3] = axis, np.cross(axis, (origin - about) / size)
+        return v.ravel()
+
+    z = np.array([0, 0, 1.0])
+    (text,) = describe(motion(0, z, centres[0])[:, None], names, centres, origin, size)
+    assert text == "nothing holds body 'a': it is free to turn about z"
+    both = np.tile([1.0, 0, 0, 0, 0, 0], 2)[:, None]
+    (text,) = describe(both, names, centres, origin, size)
+    assert text == "nothing holds bodies 'a' and 'b': they are free to move along x together"
+    oblique = motion(1, np.array([0.6, 0, 0.8]), centres[1])[:, None]
+    (text,) = describe(oblique, names, centres, origin, size)
+    assert (
+        text == "nothing holds body 'b': it is free to turn about an axis along (0.60, 0.00, 0.80)"
+    )
+    assert rigid_modes(np.zeros((1, 3)))[0, :, 3:].any() is np.False_
+
+
+def test_states_that_come_back_are_a_cycle() -> None:
+    """Two points that change in turn, one that settled, and one that never moved."""
+    active = ActiveSet(MPI.COMM_SELF)
+    for k in range(7):
+        active.add(np.array([k % 2, 1 + (k + 1) % 2, int(k > 1), 1]))
+    assert active.flips() == 2 and active.period() == 2
+    assert [(r.row, r.changes, r.looks, r.states) for r in active.restless()] == [
+        (0, 6, 6, (0, 1)),
+        (1, 6, 6, (1, 2)),
+    ]
+    active.add(np.array([2, 2, 1, 1]))
+    assert active.period() == 0
+    active.forget()
+    assert active.flips() == active.period() == 0 and active.restless() == []
+
+
+def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCaptureFixture) -> None:
+    """Two iterations at a time do not do: the message has places, states, remedies, residuals."""
+    caplog.set_level(logging.INFO, "mantle")
+    case = (CONFIGS / "stress" / "stem.yaml").read_text()
+    with pytest.raises(ConvergenceError) as caught:
+        support.solve(case, "solver.max_iterations=2", "mesh.size=5 mm", "mesh.far_size=5 mm")
+    text = str(caught.value)
+    place = r"\(-?[\d.]+, -?[\d.]+, -?[\d.]+\) mm"
+    assert re.search(
+        rf"largest residual: .* N on interface '\w+' at {place}, (open|stick|slip)", text
+    )
+    changing = rf"changing: \w+ <-> .* at {place} on interface '\w+', in \d+ of the last \d+ iter"
+    assert len(re.findall(changing, text)) == 3
+    (tried,) = [line for line in text.splitlines() if line.startswith("  tried: ")]
+    logged = [m.partition("; ")[2] for m in caplog.messages if "Newton is stuck" in m]
+    # Exactly what the log tells, in its order, with the residual that each got to.
+    words = [part.rpartition(": ")[0] for part in tried.removeprefix("  tried: ").split("; ")]
+    assert words == logged and len(words) > 5
+    assert re.search(r"augmentation 0\.1 r \(up to [\d.e+]+ MPa/mm\): \d\.\de[-+]\d\d;", tried)
+    assert "what to change: " in text
