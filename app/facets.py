@@ -95,10 +95,10 @@ def held_by_facets(problem: Problem, trial: Trial) -> str:
     body, mode = divmod(int(np.argmax(np.abs(soft @ amounts))), 6)
     far = float(np.linalg.norm(moved @ amounts, axis=1).max(initial=0.0))
     most = problem.comm.allreduce(far, MPI.MAX)
+    who, way = problem.bodies.names[body], DIRECTIONS[mode]
     return (
-        f"nothing holds body '{problem.bodies.names[body]}' but the facets of the mesh: it is free "
-        f"to {DIRECTIONS[mode]} on a smooth surface, and moved by {most:.3g} mm; another mesh would "
-        "give another answer"
+        f"nothing holds body '{who}' but the facets of the mesh: it is free to {way} on a smooth "
+        f"surface, and moved by {most:.3g} mm; another mesh would give another answer"
     )
 
 
