@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from app.linear import FACTORED, configure, on_one_rank
 from app.sparse import entries
 from app.state import State
 
@@ -39,8 +40,7 @@ class KeptFactors:
         if not self.made:
             self._of = pc.getOperators()[1]
             self._pc = PETSc.PC().create(self._of.comm)
-            self._pc.setType("cholesky")
-            self._pc.setFactorSolverType("mumps")
+            self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
             self._joined = PETSc.Mat() if self._of.getType() == "nest" else self._of
             self._factor()
 
@@ -85,7 +85,10 @@ class KeptFactors:
         self._joined.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._pc.setReusePreconditioner(False)
         self._pc.setOperators(self._joined)
-        self._pc.setUp()
+        if self.made:
+            self._pc.setUp()
+        else:
+            configure(self._pc, on_one_rank(FACTORED, self._of.comm.size))
         self._pc.setReusePreconditioner(True)
         self._diagonal = self._of.getDiagonal()
         self._size = float(self._diagonal.norm(PETSc.NormType.N1))

@@ -72,6 +72,7 @@ WORDS = {
     "fgmres": "flexible GMRES",
     "gamg": "by multigrid",
     "cholesky": "factored",
+    "telescope": "factored",
     "lu": "factored",
     "sor": "swept",
 }
@@ -91,7 +92,26 @@ def stiffness_options(linear: str, K: PETSc.Mat, order: int) -> Options:
 
 def factors(matrix: PETSc.Mat) -> Options:
     """Options that factor a symmetric positive definite matrix."""
-    return FACTORED_SERIALLY if matrix.comm.size == 1 else FACTORED
+    if matrix.comm.size > 1 and matrix.getSize()[0] > DIRECT_LIMIT:
+        return FACTORED
+    return on_one_rank(FACTORED_SERIALLY, matrix.comm.size)
+
+
+def on_one_rank(options: Options, ranks: int) -> Options:
+    """A preconditioner as one rank makes it for all.
+
+    What several of them factor together depends in its rounding on which message comes first; up to
+    the size at which matrices are factored at all, one rank takes no more time (measured: 16 000
+    unknowns on two ranks, 13 CPU s of solving against 19).
+    """
+    if ranks == 1:
+        return options
+    inner = {f"telescope_{key}": value for key, value in options.items()}
+    return {
+        "pc_type": "telescope",
+        "pc_telescope_reduction_factor": ranks,
+        "telescope_ksp_type": "preonly",
+    } | inner
 
 
 class Inverse:
@@ -154,7 +174,7 @@ class Inverse:
         pc.setOperators(self._matrix)
         if self._made is None:
             pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
-            _configure(pc, self._options)
+            configure(pc, self._options)
         else:
             pc.setUp()
         pc.setReusePreconditioner(True)
@@ -206,7 +226,7 @@ class Inverse:
         return int(self._krylov.getIterationNumber())
 
 
-def _configure(pc: PETSc.PC, options: Options) -> None:
+def configure(pc: PETSc.PC, options: Options) -> None:
     """Set a preconditioner up by PETSc options that nobody else sees."""
     database = PETSc.Options(pc.getOptionsPrefix())
     for key, value in options.items():
