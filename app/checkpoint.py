@@ -228,11 +228,16 @@ def _readable(path: Path) -> Checkpoint:
 
 
 def _refuse_another(found: Checkpoint, case: config.Case, force: bool) -> None:
-    """Refuse a checkpoint of another configuration.
+    """Refuse a checkpoint of another version or configuration.
 
     Raises:
         InputError: It is, with what differs.
     """
+    if found.header["mantle"] != __version__ and not force:
+        raise InputError(
+            f"--restart: {found.path} is of mantle {found.header['mantle']}, this is "
+            f"{__version__}: its numbers may be others (--force: use it all the same)"
+        )
     before, now = (dict(_leaves(c)) for c in (found.header["case"], described(case)))
     absent = "nothing"
     differ = [
