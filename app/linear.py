@@ -107,11 +107,12 @@ def on_one_rank(options: Options, ranks: int) -> Options:
     if ranks == 1:
         return options
     inner = {f"telescope_{key}": value for key, value in options.items()}
-    return {
+    outer: Options = {
         "pc_type": "telescope",
         "pc_telescope_reduction_factor": ranks,
         "telescope_ksp_type": "preonly",
-    } | inner
+    }
+    return {**outer, **inner}
 
 
 class Inverse:
