@@ -44,16 +44,8 @@ def test_the_same_number_of_ranks(tmp_path: Path) -> None:
     """The mesh is parted as before, and its matrices are factored as before: every bit is there."""
     case = tmp_path / "case.yaml"
     case.write_text(restarted.RUBBING)
-    command = (
-        "-m",
-        "app",
-        "run",
-        case,
-        "--set",
-        "mesh.size=1.2 mm",
-        "--set",
-        "output.fields=false",
-    )
+    options = ("--set", "mesh.size=1.2 mm", "--set", "output.fields=false")
+    command = ("-m", "app", "run", case, *options)
     support.on_ranks(2, *command, "-o", tmp_path / "whole")
     out = tmp_path / "out"
     support.on_ranks(2, *command, "-o", out, *STEPS)
