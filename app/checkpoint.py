@@ -28,12 +28,12 @@ from app.folders import saved, write_bytes
 from app.model import Model
 from app.output import on_root
 from app.recorder import Recorder
-from app.state import Rows, State
+from app.state import Rows, Share, State
 
 log = logging.getLogger("mantle")
 
 # Of the layout of the file.
-FORMAT = 1
+FORMAT = 2
 # The first block, of a size that HDF5 looks behind.
 BLOCK = 512
 # What stands for rows in the text of a state.
@@ -228,11 +228,16 @@ def _readable(path: Path) -> Checkpoint:
 
 
 def _refuse_another(found: Checkpoint, case: config.Case, force: bool) -> None:
-    """Refuse a checkpoint of another configuration.
+    """Refuse a checkpoint of another version or configuration.
 
     Raises:
         InputError: It is, with what differs.
     """
+    if found.header["mantle"] != __version__ and not force:
+        raise InputError(
+            f"--restart: {found.path} is of mantle {found.header['mantle']}, this is "
+            f"{__version__}: its numbers may be others (--force: use it all the same)"
+        )
     before, now = (dict(_leaves(c)) for c in (found.header["case"], described(case)))
     absent = "nothing"
     differ = [
@@ -409,6 +414,8 @@ def _keep(folder: Path, newest: Path) -> None:
 
 def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None, int]]:
     """For all rows of a model at rest: name, number in a checkpoint if it has those, own number."""
+    if isinstance(here, Share):
+        return
     if isinstance(here, Rows):
         fits = isinstance(there, Rows) and there.has(here.keys)
         yield name, len(there.keys) if fits else None, len(here.keys)

@@ -11,6 +11,10 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from app.linear import FACTORED, configure, on_one_rank
+from app.sparse import entries
+from app.state import State
+
 # Factors cost as much as so many solutions with them (measured: 8 to 12 for 7 000 to 30 000).
 WORTH = 10
 # A diagonal that has changed by this part asks for new factors at once: a step of another length.
@@ -22,6 +26,7 @@ class KeptFactors:
 
     Attributes:
         made: How often the matrix was factored.
+        of: The entries that were, and a digest of their places (`app.sparse.entries`).
     """
 
     def __init__(self) -> None:
@@ -35,8 +40,7 @@ class KeptFactors:
         if not self.made:
             self._of = pc.getOperators()[1]
             self._pc = PETSc.PC().create(self._of.comm)
-            self._pc.setType("cholesky")
-            self._pc.setFactorSolverType("mumps")
+            self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
             self._joined = PETSc.Mat() if self._of.getType() == "nest" else self._of
             self._factor()
 
@@ -59,6 +63,16 @@ class KeptFactors:
         # A vector of blocks does not see that these have changed, and remembers its norm.
         y.stateIncrease()
 
+    def state(self) -> State:
+        """What the next decision to factor depends on."""
+        return {"solves": self._solves, "applied": self._applied}
+
+    def resume(self, state: State) -> None:
+        """Read it back, with factors of the matrix as it is; collective."""
+        self._factor()
+        self._solves, self._applied = state["solves"], state["applied"]
+        self._seen = self._current = -1
+
     def _moved(self) -> bool:
         """Whether the diagonal is another one, on the whole."""
         diagonal = self._of.getDiagonal()
@@ -71,10 +85,14 @@ class KeptFactors:
         self._joined.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self._pc.setReusePreconditioner(False)
         self._pc.setOperators(self._joined)
-        self._pc.setUp()
+        if self.made:
+            self._pc.setUp()
+        else:
+            configure(self._pc, on_one_rank(FACTORED, self._of.comm.size))
         self._pc.setReusePreconditioner(True)
         self._diagonal = self._of.getDiagonal()
         self._size = float(self._diagonal.norm(PETSc.NormType.N1))
+        self.of = entries(self._of)
         self.made += 1
         self._seen = self._current = self._of.stateGet()
         self._solves, self._applied = 1, 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,9 @@ from dolfinx.io.utils import distribute_entity_data
 from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags, meshtags_from_entities
 
 from .data import MeshData
+
+# Several threads part a mesh in another way each time, and the numbers end with other rounding.
+os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,6 @@ stages:
   - {name: setting, duration: 600 s, increments: 2}
   - {name: load, increments: 2}
 time: {tolerance: 0.5 K, mechanical_step: 10 K}
-solver: {tolerance: 1.0e-12}
 """
 )
 # What takes time and memory, how the equations were solved, and what rounding leaves of nothing.

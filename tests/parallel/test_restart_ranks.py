@@ -37,3 +37,21 @@ def test_another_number_of_ranks(tmp_path: Path, first: int, then: int) -> None:
         assert norms[0] == pytest.approx(norms[1], rel=1e-6)
         mean = [np.average(r.stress(k)[:, 2, 2], weights=r.volumes()) for r in (one, other)]
         assert mean[0] == pytest.approx(mean[1], rel=1e-6)
+
+
+@pytest.mark.parallel
+def test_the_same_number_of_ranks(tmp_path: Path) -> None:
+    """The mesh is parted as before, and its matrices are factored as before: every bit is there."""
+    case = tmp_path / "case.yaml"
+    case.write_text(restarted.RUBBING)
+    options = ("--set", "mesh.size=1.2 mm", "--set", "output.fields=false")
+    command = ("-m", "app", "run", case, *options)
+    support.on_ranks(2, *command, "-o", tmp_path / "whole")
+    out = tmp_path / "out"
+    support.on_ranks(2, *command, "-o", out, *STEPS)
+    saved(out)[0].unlink()
+    for name in ("DONE", "summary.json", "history.csv"):
+        (out / name).unlink()
+    support.on_ranks(2, *command, "-o", out, "--restart", "auto")
+    assert restarted.numbers(tmp_path / "whole") == restarted.numbers(out)
+    assert restarted.rows(tmp_path / "whole") == restarted.rows(out)

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time as clock
 from pathlib import Path
 
 from mpi4py import MPI
@@ -130,6 +131,29 @@ def test_another_configuration_is_refused(
     assert main([*command, "--set", other, "--force"]) == 0
 
 
+def test_another_version_is_refused(run_of_blocks: Path, tmp_path: Path) -> None:
+    out = copied(run_of_blocks, tmp_path / "out")
+    newest, before = saved(out)
+    found = checkpoint.read(newest)
+    checkpoint.write(COMM, newest, {**found.header, "mantle": "0.0"}, found.state)
+    with pytest.raises(InputError, match=r"is of mantle 0\.0, this is .*--force"):
+        choose(out, run_of_blocks)
+    assert choose(out, run_of_blocks, force=True) == newest
+    # What is laid out in another way cannot be read at all.
+    checkpoint.write(COMM, newest, {**found.header, "format": 0, "mantle": "0.0"}, found.state)
+    assert choose(out, run_of_blocks) == before
+    with pytest.raises(InputError, match=r"of mantle 0\.0, in another format"):
+        choose(out, run_of_blocks, str(newest), force=True)
+
+
+@pytest.mark.parametrize(("minutes", "kept"), [(1e-9, 2), (60, 0)])
+def test_minutes_between_checkpoints(tmp_path: Path, minutes: float, kept: int) -> None:
+    (tmp_path / "case.yaml").write_text(restarted.RUBBING)
+    options = ["--set", FIELDS, "--set", f"output.checkpoint.minutes={minutes}"]
+    assert main(["run", str(tmp_path / "case.yaml"), "-o", str(tmp_path / "out"), *options]) == 0
+    assert len(saved(tmp_path / "out")) == kept
+
+
 def test_a_finished_run_stays_and_what_was_restored_is_told(
     run_of_blocks: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -163,15 +187,12 @@ def test_spans_of_time() -> None:
 LONG = ["--set", "stages.1.increments=400", "--set", FIELDS]
 
 
-@pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGUSR1,
-        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
-        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
-    ],
-)
-def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> None:
+AGAIN = [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
+
+
+@pytest.mark.parametrize("step", AGAIN)
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGTERM, signal.SIGINT])
+def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: int) -> None:
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)
     process = subprocess.Popen(
@@ -182,7 +203,7 @@ def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> Non
         text=True,
     )
     assert process.stdout is not None
-    while not process.stdout.readline().startswith("   5 "):
+    while not process.stdout.readline().startswith(f"{step:4d} "):
         assert process.poll() is None
     process.send_signal(number)
     _, message = process.communicate(timeout=60)
@@ -192,7 +213,8 @@ def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> Non
     assert len(restarted.rows(out)) == 1 + int(path.stem.split("-")[1])
 
 
-def test_the_wall_time_is_kept(tmp_path: Path) -> None:
+@pytest.mark.parametrize("time", AGAIN)
+def test_the_wall_time_is_kept(tmp_path: Path, time: int) -> None:
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)
     command = ["run", str(case), "-o", str(out), *LONG, "--restart", "auto"]
@@ -201,3 +223,77 @@ def test_the_wall_time_is_kept(tmp_path: Path) -> None:
     steps = len(restarted.rows(out))
     assert main([*command, "--walltime", "0:00:02"]) == 5
     assert saved(out)[0] != path and len(restarted.rows(out)) > steps
+
+
+def started(*command: str) -> subprocess.Popen[str]:
+    """A process of its own, with all that it starts."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "app", *command],
+        env=support.environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@pytest.mark.slow
+def test_fifty_kills(tmp_path: Path) -> None:
+    """Whenever a run is killed, what it left goes on to the same numbers."""
+    case, _ = restarted.whole(restarted.RUBBING, tmp_path, FIELDS)
+    command = ["run", str(case), "--set", FIELDS, "--set", "output.checkpoint.steps=1"]
+    begin = clock.monotonic()
+    assert started(*command, "-o", str(tmp_path / "timed")).wait() == 0
+    seconds = clock.monotonic() - begin
+    random = np.random.default_rng(7)
+    left = []
+    for k in range(50):
+        out = tmp_path / f"out-{k}"
+        process = started(*command, "-o", str(out))
+        clock.sleep(seconds * random.uniform(0.3, 1.0))
+        process.kill()
+        process.wait()
+        left.append(len(saved(out)))
+        assert main([*command, "-o", str(out), "--restart", "auto"]) == 0
+        restarted.assert_same(tmp_path / "whole", out, 1e-10, 1e-12)
+        assert restarted.rows(out) == restarted.rows(tmp_path / "whole")
+        shutil.rmtree(out)
+    print(f"killed 50 times, checkpoints left: {np.bincount(left).tolist()}")
+    assert left.count(2) > 10
+
+
+VARIATIONS = """
+variations:
+  a: {interfaces.lower_upper.friction_coefficient: 0.2}
+  b: {interfaces.lower_upper.friction_coefficient: 0.3}
+  c: {interfaces.lower_upper.friction_coefficient: 0.4}
+"""
+
+
+def others(out: Path) -> list[str]:
+    """Variations that are not done, once one is."""
+    left = [n for n in "abc" if not (out / n / "DONE").exists()]
+    return left if len(left) == 2 else []
+
+
+@pytest.mark.slow
+def test_variations_go_on_where_they_were_killed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    case = tmp_path / "case.yaml"
+    case.write_text(restarted.RUBBING + VARIATIONS)
+    command = ["run", str(case), "--set", FIELDS, "--set", "output.checkpoint.steps=1"]
+    command += ["--set", "stages.1.increments=20"]
+    assert main([*command, "-o", str(tmp_path / "whole")]) == 0
+    out = tmp_path / "out"
+    process = started(*command, "-o", str(out))
+    # One is done and the next is under way, whichever that is.
+    while not (under_way := [n for n in others(out) if saved(out / n)]):
+        assert process.poll() is None
+        clock.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert main([*command, "-o", str(out), "--restart", "auto"]) == 0
+    assert f"restart from {out / under_way[0]}" in capsys.readouterr().out
+    for name in "abc":
+        restarted.assert_same(tmp_path / "whole" / name, out / name, 1e-10, 1e-12)

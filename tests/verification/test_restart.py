@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from app import config
+from app import config, nested
+from app import run as running
+from app.errors import StoppedError
+from app.folders import saved
 from app.results import Run
 from app.run import run
-from tests import coupled, restarted
+from tests import coupled, restarted, support
+from tests.unit import test_nested
 
 NUMBERS = 1e-10
 FIELDS = "output.fields=false"
@@ -31,6 +36,87 @@ def test_cure_and_what_it_leaves(tmp_path: Path) -> None:
         restarted.assert_same(
             tmp_path / "whole", restarted.on(case, tmp_path, file, FIELDS), NUMBERS
         )
+
+
+KINDS = {
+    "rigid": (
+        "regions.upper={rigid: true}",
+        "supports.press.z=-0.005 mm",
+        "supports.slide.x=0.006 mm",
+    ),
+    "second order": ("mesh.order=2",),
+    "let go": ("supports.clamp={kind: fixed, boundary: lower_x_max, stages: [press, back]}",),
+    "augmented more": ("solver.augmentation_factor=100",),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "steps", [slice(1, None, 2), pytest.param(slice(None), marks=pytest.mark.slow)]
+)
+def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
+    case, files = restarted.whole(restarted.RUBBING, tmp_path, FIELDS, *KINDS[kind])
+    for file in files[steps]:
+        part = restarted.on(case, tmp_path, file, FIELDS, *KINDS[kind])
+        restarted.assert_same(tmp_path / "whole", part, NUMBERS, 1e-12)
+
+
+def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in test_nested.ALWAYS.items():
+        monkeypatch.setattr(nested, name, value)
+    options = (FIELDS, *test_nested.TURNS)
+    case, files = restarted.whole(test_nested.STEM, tmp_path, *options)
+    # Before the turn, which is where a coarser mesh is asked.
+    part = restarted.on(case, tmp_path, files[0], *options)
+    restarted.assert_same(tmp_path / "whole", part, NUMBERS, 1e-12)
+
+
+# Coarse, and for heat not for long.
+COARSE = ("mesh.size=6 mm", "mesh.far_size=12 mm", FIELDS)
+SHIPPED = {
+    "cylinders": ("mesh.size=4 mm", "mesh.far_size=8 mm", FIELDS),
+    "stance": COARSE,
+    "cure": (*COARSE, "stages.0.increments=2"),
+    "thermal_100C": COARSE,
+    "residual": COARSE,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_cases(tmp_path: Path, name: str) -> None:
+    text = (support.CONFIGS / f"{name}.yaml").read_text()
+    case, files = restarted.whole(text, tmp_path, *SHIPPED[name])
+    n = len(files)
+    for k in sorted({0, n // 3, 2 * n // 3, max(n - 2, 0)}):
+        part = restarted.on(case, tmp_path, files[k], *SHIPPED[name])
+        restarted.assert_same(tmp_path / "whole", part, NUMBERS, 1e-12)
+
+
+def test_an_interruption_while_companions_are_solved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = (FIELDS, "output.error=true", "mesh.size=1.5 mm", "mesh.far_size=1.5 mm")
+    case, _ = restarted.whole(restarted.RUBBING, tmp_path, *options)
+    stop: list[str] = []
+    monkeypatch.setattr("app.limits.signals", lambda: lambda: stop[0] if stop else "")
+    errors = running._errors
+
+    def interrupted(*arguments: Any) -> Any:
+        stop.append("SIGTERM")
+        return errors(*arguments)
+
+    out = tmp_path / "out"
+    out.mkdir()
+    monkeypatch.setattr(running, "_errors", interrupted)
+    with pytest.raises(StoppedError, match="in its companions"):
+        run(config.load(case, options), case, out, [], [])
+    assert saved(out) and not (out / "DONE").exists()
+    stop.clear()
+    monkeypatch.setattr(running, "_errors", errors)
+    run(config.load(case, options), case, out, [], [], restart="auto")
+    restarted.assert_same(tmp_path / "whole", out, NUMBERS, 1e-12)
+    assert restarted.numbers(out)[".error.companions.0"]
 
 
 @pytest.mark.slow
