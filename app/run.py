@@ -14,7 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import checkpoint, config, error, kept, limits, preview, ranks, variations
+from app import arithmetic, checkpoint, config, error, kept, limits, preview, ranks, variations
 from app import log as text
 from app.checkpoint import Keeper
 from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
@@ -64,7 +64,10 @@ def run(
             f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
             "another MPI; use this one's, or mantle run -n"
         )
-    for message in preview.warnings(case):
+    arithmetic.check(comm)
+    here = os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", "")
+    crowd = arithmetic.crowd(int(here) if here.isdigit() else comm.size)
+    for message in (*preview.warnings(case), *([crowd] if crowd else [])):
         log.warning("note: %s", message)
     signalled = limits.signals()
     late = str if walltime is None else limits.WallTime(begin, walltime)

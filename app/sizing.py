@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import resource
@@ -11,9 +12,16 @@ from pathlib import Path
 from app import preview
 from app.case_file import CaseFile, Problem
 from app.config import Case, MeshFile
+from app.errors import EnvironmentProblem
 
 # Bytes that a run takes at least: in all, per unknown (measured: 6 kB) and per cell.
 BASE, PER_UNKNOWN, PER_CELL = 3e8, 4e3, 3e2
+# Addresses that libraries take without using them (measured: 0.5 GB); without them some of them
+# wait for ever.
+UNUSED = 6e8
+# What the libraries say where there is no more memory: C++, the system, CHOLMOD, MUMPS by PETSc.
+SAID = ("bad_alloc", "Cannot allocate memory", "Out of memory", "status -2", "INFOG(1)=-13")
+OUT_OF_MEMORY = 55  # of PETSc
 GIGABYTE = 1e9
 ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 
@@ -28,7 +36,7 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     """Memory of the machines that a run has [byte]: what is built in, or what it may use of it."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) != resource.RLIM_INFINITY:
-        limits.append(float(limit))
+        limits.append(limit - UNUSED)
     for name in ("memory.max", "memory/memory.limit_in_bytes"):
         try:
             limits.append(float((Path("/sys/fs/cgroup") / name).read_text()))
@@ -40,6 +48,34 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     return min(limits) * max(machines, float(number) if number.isdigit() else 1.0, 1.0)
 
 
+def explain(error: BaseException | None) -> EnvironmentProblem | None:
+    """What to say of an error that is for want of memory; None for any other."""
+    while error is not None:
+        said, code = str(error), getattr(error, "ierr", None)
+        if (
+            isinstance(error, MemoryError)
+            or getattr(error, "errno", None) == errno.ENOMEM
+            or code == OUT_OF_MEMORY
+            or any(word in said for word in SAID)
+        ):
+            reason = next(filter(None, map(str.strip, said.splitlines())), type(error).__name__)
+            return EnvironmentProblem(
+                f"there is not enough memory: {reason}\n{_limits()}; a larger mesh.size, "
+                "solver.linear: multigrid or more machines need less"
+            )
+        error = error.__cause__ or error.__context__
+    return None
+
+
+def _limits() -> str:
+    """What limits memory, in words."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    memory = f"{available({}) / GIGABYTE:.1f} GB"
+    if limit == resource.RLIM_INFINITY:
+        return f"a process may have {memory}"
+    return f"a process may have {limit / GIGABYTE:.1f} GB of addresses (ulimit -v)"
+
+
 def check(file: CaseFile, case: Case) -> None:
     """Refuse what cannot be held.
 
@@ -49,8 +85,14 @@ def check(file: CaseFile, case: Case) -> None:
 
     Raises:
         InputError: With the estimate, what there is, and a size that would work.
+        EnvironmentProblem: No case can be held.
     """
     memory = available()
+    if memory < BASE:
+        raise EnvironmentProblem(
+            f"there is too little memory for any case: {_limits()}; mantle alone takes "
+            f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of addresses"
+        )
     if needed(case) <= memory:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), preview.unknowns(case)
