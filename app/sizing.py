@@ -50,7 +50,9 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
 
 def explain(error: BaseException | None) -> EnvironmentProblem | None:
     """What to say of an error that is for want of memory; None for any other."""
-    while error is not None:
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))  # what PETSc hands back may be its own cause
         said, code = str(error), getattr(error, "ierr", None)
         if (
             isinstance(error, MemoryError)
