@@ -22,13 +22,12 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from app import __version__, ranks
-from app.errors import EnvironmentProblem, InputError, MantleError
+from app.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
 
 INTERNAL_ERROR = 70
 STOPPED = 5
 CHECK_FAILED = 1
 GRACE = 1.0
-PATIENCE = 5.0
 # The rank of this process, by whatever started it; MPI itself is not up yet when input is checked.
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 
@@ -251,7 +250,8 @@ def _leave(error: MantleError) -> int:
     else:
         # The first rank to leave has mpirun end the others, of which one is about to speak.
         time.sleep(GRACE)
-    if not _together():
+    world = _world()
+    if world is not None and (isinstance(error, AloneError) or not together(world)):
         if rank() != 0:
             print(f"rank {rank()}: {error}", file=sys.stderr, flush=True)
         _abort(error.exit_code)
@@ -264,18 +264,6 @@ def _world() -> Any:
     if mpi is None or not mpi.Is_initialized() or mpi.Is_finalized():
         return None
     return mpi.COMM_WORLD if mpi.COMM_WORLD.size > 1 else None
-
-
-def _together() -> bool:
-    """Whether all ranks come here; those that met no error wait for this one elsewhere."""
-    if (world := _world()) is None:
-        return True
-    here, end = world.Ibarrier(), time.monotonic() + PATIENCE
-    while not here.Test():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.01)
-    return True
 
 
 def _abort(code: int) -> None:

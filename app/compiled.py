@@ -10,6 +10,7 @@ import fcntl
 import hashlib
 import logging
 import os
+import re
 import shutil
 import struct
 import time
@@ -27,6 +28,10 @@ from app.errors import EnvironmentProblem
 log = logging.getLogger("mantle")
 
 LOCK, COMPILING = "mantle.lock", "compiling.lock"
+# Where the compiler puts what it needs for a moment, and stays if it is killed.
+SCRATCH = "compiling"
+# What is begun and not finished: of cffi (its own copy, the object), of ffcx.
+UNFINISHED = re.compile(r"\.c\.~\d+$|\.c\.failed$")
 POLL = 0.1  # s
 SOURCES = ("ffcx/codegeneration/jit.py", "dolfinx/jit.py")
 # Of a 64-bit ELF file: where its last table begins (offset 40), its entries' size and number (58).
@@ -53,7 +58,12 @@ def mend() -> None:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             alone = False
+        if alone:
+            shutil.rmtree(folder / SCRATCH, ignore_errors=True)
         names = {entry.name: entry for entry in os.scandir(folder)}
+        for name in names if alone else ():
+            if UNFINISHED.search(name):
+                (folder / name).unlink(missing_ok=True)
         sources = [n for n in names if n.endswith(".c") or n.endswith(".c.cached")]
         for source in sorted({name.removesuffix(".cached") for name in sources}):
             if f"{source}.cached" not in names:
@@ -124,9 +134,15 @@ def _locked(file: int, at: int) -> bool:
 
 def _let_go(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Compile, and let go of what `_wait` has locked for it."""
+    before, scratch = os.environ.get("TMPDIR"), form_cache() / SCRATCH
+    with suppress(OSError):
+        scratch.mkdir(exist_ok=True)
+        os.environ["TMPDIR"] = str(scratch)
     try:
         return compile(*arguments, **options)
     finally:
+        os.environ.pop("TMPDIR", None)
+        os.environ |= {} if before is None else {"TMPDIR": before}
         while _compiling:
             os.close(_compiling.pop())
 

@@ -17,7 +17,13 @@ from mpi4py import MPI
 from app import arithmetic, checkpoint, config, error, kept, limits, preview, ranks, variations
 from app import log as text
 from app.checkpoint import Keeper
-from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
+from app.errors import (
+    ConvergenceError,
+    EnvironmentProblem,
+    GeometryError,
+    StoppedError,
+    agree,
+)
 from app.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.model import Model
 from app.output import Writer, on_root, provenance
@@ -220,9 +226,11 @@ class Session:
                 keeper.resume,
             )
         except ConvergenceError as failure:
+            agree(comm, failure)
             recorder.close("not converged")
             raise ConvergenceError(f"{failure}\n{recorder.last_state()}") from failure
         except StoppedError as failure:
+            agree(comm, failure)
             where = _saved(keeper)
             recorder.close("stopped")
             raise StoppedError(f"{failure}\n{recorder.last_state()}{where}") from failure
@@ -238,6 +246,7 @@ class Session:
                 with timing.phase("error"):
                     summary["error"] = _errors(companions, model, summary, case.mesh.order)
             except StoppedError as failure:
+                agree(comm, failure)
                 raise StoppedError(f"{failure}, in its companions{_saved(keeper)}") from failure
             summary["timing"] = recorder.seconds()
         writer.finish(summary, done=True)
@@ -288,6 +297,7 @@ def _errors(
         try:
             numbers = model.relative(companion.case)
         except (ConvergenceError, GeometryError) as failure:
+            agree(model.tagged.mesh.comm, failure)
             log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
             failed.append(str(companion))
             continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import math
 import os
+import re
 import resource
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ UNUSED = 6e8
 # What the libraries say where there is no more memory: C++, the system, CHOLMOD, MUMPS by PETSc.
 SAID = ("bad_alloc", "Cannot allocate memory", "Out of memory", "status -2", "INFOG(1)=-13")
 OUT_OF_MEMORY = 55  # of PETSc
+NEARLY = 0.9  # of what a process may have
 GIGABYTE = 1e9
 ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 
@@ -48,25 +50,41 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     return min(limits) * max(machines, float(number) if number.isdigit() else 1.0, 1.0)
 
 
-def explain(error: BaseException | None) -> EnvironmentProblem | None:
+def explain(error: BaseException) -> EnvironmentProblem | None:
     """What to say of an error that is for want of memory; None for any other."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        seen.add(id(error))  # what PETSc hands back may be its own cause
-        said, code = str(error), getattr(error, "ierr", None)
-        if (
-            isinstance(error, MemoryError)
-            or getattr(error, "errno", None) == errno.ENOMEM
-            or code == OUT_OF_MEMORY
-            or any(word in said for word in SAID)
-        ):
-            reason = next(filter(None, map(str.strip, said.splitlines())), type(error).__name__)
-            return EnvironmentProblem(
-                f"there is not enough memory: {reason}\n{_limits()}; a larger mesh.size, "
-                "solver.linear: multigrid or more machines need less"
-            )
-        error = error.__cause__ or error.__context__
-    return None
+    chain: list[BaseException] = []
+    link: BaseException | None = error
+    while link is not None and link not in chain:  # what PETSc hands back may be its own cause
+        chain.append(link)
+        link = link.__cause__ or link.__context__
+    found = next(filter(_for_want, chain), error if _short() else None)
+    if found is None:
+        return None
+    lines = filter(None, map(str.strip, str(found).splitlines()))
+    return EnvironmentProblem(
+        f"there is not enough memory: {next(lines, type(found).__name__)}\n{_limits()}; a larger "
+        "mesh.size, solver.linear: multigrid or more machines need less"
+    )
+
+
+def _for_want(error: BaseException) -> bool:
+    """Whether an error says that there is no more memory."""
+    return (
+        isinstance(error, MemoryError)
+        or getattr(error, "errno", None) == errno.ENOMEM
+        or getattr(error, "ierr", None) == OUT_OF_MEMORY
+        or any(word in str(error) for word in SAID)
+    )
+
+
+def _short() -> bool:
+    """Whether this process has nearly had all that it may: libraries do not always say why."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return False
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    (peak,) = re.findall(r"VmPeak:\s+(\d+) kB", status)
+    return 1024 * int(peak) > NEARLY * limit
 
 
 def _limits() -> str:
