@@ -334,6 +334,8 @@ def _run(
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     _configure_log(options.log_level)
+    if size is None:
+        ranks.alone()
     from app import compiled
 
     if rank() == 0:
