@@ -60,7 +60,7 @@ def _errors() -> Iterator[tuple[str, float]]:
     a, b = i[0], i[1]
     x, y = (PETSc.Vec().createWithArray(v.astype(float), comm=PETSc.COMM_SELF) for v in (a, b))
     yield "scalar product (ddot)", abs(x.dot(y) - a @ b)
-    yield "norm (dnrm2)", abs(x.norm() - np.sqrt(float(a @ a)))
+    yield "norm of a vector", abs(x.norm() - np.sqrt(float(a @ a)))
     y.axpy(3.0, x)
     yield "sum of vectors (daxpy)", _most(y.array - (b + 3 * a))
     y.scale(-2.0)
@@ -74,6 +74,17 @@ def _errors() -> Iterator[tuple[str, float]]:
     f = i.astype(float)
     yield "matrix times matrix of numpy", _most(f @ f - i @ i)
     yield "factors of a matrix (dpotrf)", _factored(i.T @ i + n * np.eye(n, dtype=np.int64), a)
+    yield "eigenvalues of LAPACK (dnrm2)", _eigenvalues(i[:20, :20])
+
+
+def _eigenvalues(A: np.ndarray) -> float:
+    """By how much the sums of eigenvalues and of their squares are wrong, to the largest."""
+    try:
+        λ = np.linalg.eigvals(A.astype(float))
+    except np.linalg.LinAlgError:
+        return np.inf
+    sums = np.array([λ.sum() - np.trace(A), (λ**2).sum() - np.trace(A @ A)])
+    return _most(sums / np.array([_most(λ), _most(λ) ** 2]))
 
 
 def _factored(definite: np.ndarray, b: np.ndarray) -> float:

@@ -22,13 +22,23 @@ from tests.robustness.faulty import CASE, HERE, OPTIONS, run, slow
 
 STEM = support.CONFIGS / "cylinders.yaml"
 SMALL = ("mesh.size=4 mm", "mesh.order=1", "output.fields=false", "solver.max_iterations=8")
+LIMIT = ("--walltime", "0:02:00")
 
 
 def solve(output: Path, *before: str, **more: str) -> subprocess.CompletedProcess[str]:
     """Run a small stem."""
     sets = [word for o in SMALL for word in ("--set", o)]
     return subprocess.run(
-        [sys.executable, *(before or ("-m", "app")), "run", str(STEM), "-o", str(output), *sets],
+        [
+            sys.executable,
+            *(before or ("-m", "app")),
+            "run",
+            str(STEM),
+            "-o",
+            str(output),
+            *sets,
+            *LIMIT,
+        ],
         env=support.environment() | more,
         capture_output=True,
         text=True,
@@ -81,7 +91,7 @@ def test_a_clock_that_is_set_changes_nothing(
     sets = [word for o in SMALL for word in ("--set", o)]
     command = [sys.executable, "-m", "app", "run", str(STEM), "-o", str(tmp_path / "out"), *sets]
     done = subprocess.run(
-        [*command, "--walltime", "0:20:00", "--set", "output.checkpoint.minutes=1"],
+        [*command, *LIMIT, "--set", "output.checkpoint.minutes=1"],
         env=support.environment() | more,
         capture_output=True,
         text=True,
@@ -199,7 +209,7 @@ def test_a_blas_that_becomes_wrong_gives_no_wrong_result(
     library = str(shims.library(tmp_path, shims.BLAS, routine))
     more = {"LD_PRELOAD": library, "AFTER": "400"} | ({"NOT_A_NUMBER": nan} if nan else {})
     done = solve(tmp_path / "out", **more)
-    assert done.returncode in (0, 4, 69, 70), done.stderr
+    assert done.returncode in (0, 4, 5, 69, 70), done.stderr
     if done.returncode == 0:
         assert numbers(tmp_path / "out") == pytest.approx(usual, rel=1e-6)
     else:
