@@ -234,6 +234,7 @@ class Session:
             where = _saved(keeper)
             recorder.close("stopped")
             raise StoppedError(f"{failure}\n{recorder.last_state()}{where}") from failure
+        arithmetic.check(comm)  # once more: what has converged by wrong sums is no result
         recorder.flush()
         summary = recorder.summary("converged", total)
         if case.output.condition:
