@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from app import __version__, ranks
-from app.errors import EnvironmentProblem, InputError, MantleError
+from app.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
 
 INTERNAL_ERROR = 70
 STOPPED = 5
@@ -203,12 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _dispatch(list(sys.argv[1:] if arguments is None else arguments))
     except MantleError as error:
-        if rank() == 0:
-            print(error, file=sys.stderr, flush=True)
-        else:
-            # The first rank to leave has mpirun end the others, of which one is about to speak.
-            time.sleep(GRACE)
-        return error.exit_code
+        return _leave(error)
     except KeyboardInterrupt:
         if rank() == 0:
             print("stopped", file=sys.stderr, flush=True)
@@ -219,12 +214,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        from app import compiled
-
-        if (problem := compiled.explain(error)) is not None:
-            if rank() == 0:
-                print(problem, file=sys.stderr, flush=True)
-            return problem.exit_code
+        if (problem := _explain(error)) is not None:
+            return _leave(problem)
         print(
             f"mantle: internal error on rank {rank()}; please report it with what follows\n"
             + traceback.format_exc(),
@@ -235,14 +226,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERNAL_ERROR
 
 
-def _abort(code: int) -> None:
-    """End all ranks, if there are others: they may be waiting for this one."""
+def _explain(error: Exception) -> EnvironmentProblem | None:
+    """The machine's part in an error, if it has any."""
+    from app import compiled, sizing
+
+    if (problem := sizing.explain(error) or compiled.explain(error)) is not None:
+        return problem
+    if type(error).__name__ == "LinAlgError":
+        from app import arithmetic
+
+        return arithmetic.problem()
+    return None
+
+
+def _leave(error: MantleError) -> int:
+    """Say what is wrong, once, and leave together; ranks that do not come too are ended.
+
+    Returns:
+        The exit code.
+    """
+    if rank() == 0:
+        print(error, file=sys.stderr, flush=True)
+    else:
+        # The first rank to leave has mpirun end the others, of which one is about to speak.
+        time.sleep(GRACE)
+    world = _world()
+    if world is not None and (isinstance(error, AloneError) or not together(world)):
+        if rank() != 0:
+            print(f"rank {rank()}: {error}", file=sys.stderr, flush=True)
+        _abort(error.exit_code)
+    return error.exit_code
+
+
+def _world() -> Any:
+    """The communicator of all ranks, if there are others."""
     mpi = sys.modules.get("mpi4py.MPI")
     if mpi is None or not mpi.Is_initialized() or mpi.Is_finalized():
-        return
-    if mpi.COMM_WORLD.size > 1:
+        return None
+    return mpi.COMM_WORLD if mpi.COMM_WORLD.size > 1 else None
+
+
+def _abort(code: int) -> None:
+    """End all ranks, if there are others: they may be waiting for this one."""
+    if (world := _world()) is not None:
         sys.stdout.flush()
-        mpi.COMM_WORLD.Abort(code)
+        world.Abort(code)
 
 
 def _dispatch(arguments: list[str]) -> int:
@@ -306,6 +334,8 @@ def _run(
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     _configure_log(options.log_level)
+    if size is None:
+        ranks.alone()
     from app import compiled
 
     if rank() == 0:
@@ -313,6 +343,7 @@ def _run(
     with _stack():
         from app.run import run
 
+        compiled.share()
     return run(
         case,
         options.case,

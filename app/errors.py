@@ -6,10 +6,14 @@ on rank 0, and leaves with its ``exit_code``. Anything else is an internal error
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+
+# How long to wait for ranks that met no error to come too [s].
+PATIENCE = 5.0
 
 
 class MantleError(Exception):
@@ -56,6 +60,35 @@ class EnvironmentProblem(MantleError):
     """A package, a compiler or MPI is missing or unusable."""
 
     exit_code = 69
+
+
+class AloneError(MantleError):
+    """An error of one rank, of which the others know nothing: all that is left is to end them."""
+
+    def __init__(self, error: MantleError) -> None:
+        """Keep the message and the exit code."""
+        super().__init__(str(error))
+        self.exit_code = error.exit_code
+
+
+def together(comm: Any) -> bool:
+    """Whether all ranks come here soon; those that met no error wait for this one elsewhere."""
+    here, end = comm.Ibarrier(), time.monotonic() + PATIENCE
+    while not here.Test():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def agree(comm: Any, error: MantleError) -> None:
+    """See that all ranks have met an error, before they do anything about it together.
+
+    Raises:
+        AloneError: They have not.
+    """
+    if not together(comm):
+        raise AloneError(error) from error
 
 
 def everywhere(comm: Any, action: Callable[[], T]) -> T:

@@ -178,6 +178,8 @@ class Inverse:
             configure(pc, self._options)
         else:
             pc.setUp()
+        if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
+            raise MemoryError(f"the factors of {self.size} unknowns")
         pc.setReusePreconditioner(True)
         self._made, self._of = self._version(), self._shape()
 

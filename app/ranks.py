@@ -6,6 +6,7 @@ step nothing is started: the ranks are there already.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import math
@@ -18,8 +19,10 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, MutableMapping, Sequence
+from pathlib import Path
 from typing import IO
 
+from app import scratch
 from app.errors import EnvironmentProblem, InputError, StoppedError
 
 # Where the number of ranks is found, by the process manager that started this process.
@@ -33,6 +36,7 @@ ONE_NODE = {
 }
 _RULE = b"-" * 74
 _PR_SET_PDEATHSIG = 1
+_CRASHED = 59  # how PETSc leaves after a signal such as SIGSEGV, of which it has told
 _SAME_SIGNAL = 1.0  # s
 
 
@@ -152,9 +156,10 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
         signal.signal(number, stop)
     libc = ctypes.CDLL(None)
+    folder, held = _scratch()
     child = subprocess.Popen(
         [mpirun, "-n", str(ranks), *command],
-        env=environment(),
+        env=environment() | (scratch.variables(folder) if folder else {}),
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         # The terminal sends Ctrl-C to the whole process group; mpirun would end the ranks at once.
@@ -171,12 +176,32 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     relay.start()
     code = child.wait()
     relay.join(timeout=2.0)
+    if folder:
+        scratch.remove(folder, held)
     if received and (code < 0 or code == 1 or code > 128):
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
         _tell("stopped" if len(received) == 1 else "stopped before the state was saved")
         return StoppedError.exit_code if len(received) == 1 else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has told.
-    return 70 if code < 0 or code > 128 else code
+    return 70 if code < 0 or code > 128 or code == _CRASHED else code
+
+
+def alone() -> None:
+    """Give MPI a folder of its own where there is but one rank, until this process ends."""
+    folder, held = _scratch()
+    if folder:
+        os.environ |= scratch.variables(folder)
+        atexit.register(scratch.remove, folder, held)
+
+
+def _scratch() -> tuple[Path | None, int]:
+    """A folder for this node; under a scheduler, whose ranks may be elsewhere, its own is used."""
+    if any(name in os.environ for name in _SCHEDULERS):
+        return None, -1
+    try:
+        return scratch.make()
+    except OSError:
+        return None, -1
 
 
 def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:

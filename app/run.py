@@ -14,10 +14,27 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app import checkpoint, config, error, kept, limits, preview, ranks, soundness, variations
+from app import (
+    arithmetic,
+    checkpoint,
+    config,
+    error,
+    kept,
+    limits,
+    preview,
+    ranks,
+    soundness,
+    variations,
+)
 from app import log as text
 from app.checkpoint import Keeper
-from app.errors import ConvergenceError, EnvironmentProblem, GeometryError, StoppedError
+from app.errors import (
+    ConvergenceError,
+    EnvironmentProblem,
+    GeometryError,
+    StoppedError,
+    agree,
+)
 from app.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.model import Model
 from app.output import Writer, on_root, provenance
@@ -64,6 +81,10 @@ def run(
             f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
             "another MPI; use this one's, or mantle run -n"
         )
+    arithmetic.check(comm)
+    here = os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", "")
+    if crowd := arithmetic.crowd(int(here) if here.isdigit() else comm.size):
+        log.warning("note: %s", crowd)
     signalled = limits.signals()
     late = str if walltime is None else limits.WallTime(begin, walltime)
     session = Session(
@@ -225,12 +246,15 @@ class Session:
                 keeper.resume,
             )
         except ConvergenceError as failure:
+            agree(comm, failure)
             recorder.close("not converged")
             raise ConvergenceError(f"{failure}\n{recorder.last_state()}") from failure
         except StoppedError as failure:
+            agree(comm, failure)
             where = _saved(keeper)
             recorder.close("stopped")
             raise StoppedError(f"{failure}\n{recorder.last_state()}{where}") from failure
+        arithmetic.check(comm)  # once more: what has converged by wrong sums is no result
         recorder.flush()
         summary = recorder.summary("converged", total)
         self.note(soundness.doubts(case, summary["regions"]))
@@ -244,6 +268,7 @@ class Session:
                 with timing.phase("error"):
                     summary["error"] = _errors(companions, model, summary, case.mesh.order)
             except StoppedError as failure:
+                agree(comm, failure)
                 raise StoppedError(f"{failure}, in its companions{_saved(keeper)}") from failure
             summary["timing"] = recorder.seconds()
         writer.finish(summary, done=True)
@@ -294,6 +319,7 @@ def _errors(
         try:
             numbers = model.relative(companion.case)
         except (ConvergenceError, GeometryError) as failure:
+            agree(model.tagged.mesh.comm, failure)
             log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
             failed.append(str(companion))
             continue

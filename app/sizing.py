@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
+import re
 import resource
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +13,17 @@ from pathlib import Path
 from app import preview
 from app.case_file import CaseFile, Problem
 from app.config import Case, MeshFile
+from app.errors import EnvironmentProblem
 
 # Bytes that a run takes at least: in all, per unknown (measured: 6 kB) and per cell.
 BASE, PER_UNKNOWN, PER_CELL = 3e8, 4e3, 3e2
+# Addresses that libraries take without using them (measured: 0.5 GB); without them some of them
+# wait for ever.
+UNUSED = 6e8
+# What the libraries say where there is no more memory: C++, the system, CHOLMOD, MUMPS by PETSc.
+SAID = ("bad_alloc", "Cannot allocate memory", "Out of memory", "status -2", "INFOG(1)=-13")
+OUT_OF_MEMORY = 55  # of PETSc
+NEARLY = 0.9  # of what a process may have
 GIGABYTE = 1e9
 ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 
@@ -28,7 +38,7 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     """Memory of the machines that a run has [byte]: what is built in, or what it may use of it."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) != resource.RLIM_INFINITY:
-        limits.append(float(limit))
+        limits.append(limit - UNUSED)
     for name in ("memory.max", "memory/memory.limit_in_bytes"):
         try:
             limits.append(float((Path("/sys/fs/cgroup") / name).read_text()))
@@ -40,6 +50,52 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     return min(limits) * max(machines, float(number) if number.isdigit() else 1.0, 1.0)
 
 
+def explain(error: BaseException) -> EnvironmentProblem | None:
+    """What to say of an error that is for want of memory; None for any other."""
+    chain: list[BaseException] = []
+    link: BaseException | None = error
+    while link is not None and link not in chain:  # what PETSc hands back may be its own cause
+        chain.append(link)
+        link = link.__cause__ or link.__context__
+    found = next(filter(_for_want, chain), error if _short() else None)
+    if found is None:
+        return None
+    lines = filter(None, map(str.strip, str(found).splitlines()))
+    return EnvironmentProblem(
+        f"there is not enough memory: {next(lines, type(found).__name__)}\n{_limits()}; a larger "
+        "mesh.size, solver.linear: multigrid or more machines need less"
+    )
+
+
+def _for_want(error: BaseException) -> bool:
+    """Whether an error says that there is no more memory."""
+    return (
+        isinstance(error, MemoryError)
+        or getattr(error, "errno", None) == errno.ENOMEM
+        or getattr(error, "ierr", None) == OUT_OF_MEMORY
+        or any(word in str(error) for word in SAID)
+    )
+
+
+def _short() -> bool:
+    """Whether this process has nearly had all that it may: libraries do not always say why."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return False
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    (peak,) = re.findall(r"VmPeak:\s+(\d+) kB", status)
+    return 1024 * int(peak) > NEARLY * limit
+
+
+def _limits() -> str:
+    """What limits memory, in words."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    memory = f"{available({}) / GIGABYTE:.1f} GB"
+    if limit == resource.RLIM_INFINITY:
+        return f"a process may have {memory}"
+    return f"a process may have {limit / GIGABYTE:.1f} GB of addresses (ulimit -v)"
+
+
 def check(file: CaseFile, case: Case) -> None:
     """Refuse what cannot be held.
 
@@ -49,8 +105,14 @@ def check(file: CaseFile, case: Case) -> None:
 
     Raises:
         InputError: With the estimate, what there is, and a size that would work.
+        EnvironmentProblem: No case can be held.
     """
     memory = available()
+    if memory < BASE:
+        raise EnvironmentProblem(
+            f"there is too little memory for any case: {_limits()}; mantle alone takes "
+            f"{BASE / GIGABYTE:.1f} GB, and {(BASE + UNUSED) / GIGABYTE:.1f} GB of addresses"
+        )
     if needed(case) <= memory:
         return
     cells, unknowns = case.geometry.estimate_cells(case.mesh), preview.unknowns(case)

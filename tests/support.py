@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 import meshes
-from app import config, quantities, ranks, scene, stepping
+from app import compiled, config, quantities, ranks, scene, stepping
 from app.balance import Balance
 from app.motion import Motion, Step
 from app.problem import Problem, Trial
@@ -28,6 +28,10 @@ from app.timing import Timing
 from meshes.distribute import TaggedMesh, distribute
 
 Floats = NDArray[np.float64]
+
+# Tests compile into the cache that runs of other tests use at the same time.
+compiled.mend()
+compiled.share()
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"

@@ -216,3 +216,20 @@ def test_a_script_is_not_meshed_by_the_nanometre(tmp_path: Path) -> None:
     case = config.load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])
     with pytest.raises(GeometryError, match=r"1e-06 mm is 1.7e.06 times in the diagonal"):
         meshes.build(case.geometry, case.mesh, None)
+
+
+# ----------------------------------------------------------------------------------- folders
+
+
+@pytest.mark.parametrize("name", ["../up", "..", ".", "a/b", "/tmp/x", "a b", "$(touch PWNED)", ""])
+def test_names_that_become_folders_or_columns_lead_nowhere_else(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    quoted = name.replace("'", "''")
+    path.write_text(f"{BLOCKS.read_text()}\nvariations: {{'{quoted}': {{}}, other: {{}}}}\n")
+    assert f"'{name}' is not a name" in complaint(path) or not name
+    path.write_text(
+        f"{BLOCKS.read_text()}\noutput: {{probes: {{'{quoted}': {{at: [0, 0, 0]}}}}}}\n"
+    )
+    with pytest.raises(InputError) as caught:
+        config.load(path)
+    assert any("is not a name" in m for m in caught.value.messages)

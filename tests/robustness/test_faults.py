@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +13,8 @@ import pytest
 
 import meshes
 from app import compiled, config, folders
-from tests.support import CONFIGS, environment
-
-CASE = CONFIGS / "blocks.yaml"
-OPTIONS = ("--set", "mesh.order=1", "--set", "mesh.size=5 mm", "--set", "mesh.far_size=5 mm")
-UNSHARE = ("unshare", "-m", "--propagation", "unchanged")
-DAMAGES = ["truncated", "garbage", "zero length", "tail lost"]
-
-
-def damage(path: Path, how: str) -> None:
-    raw = path.read_bytes()
-    cut = {"truncated": raw[: len(raw) // 3], "zero length": b"", "tail lost": raw[:-64]}
-    path.write_bytes(cut.get(how, bytes(range(256)) * (len(raw) // 256)))
+from tests.robustness.faulty import CASE, DAMAGES, HERE, OPTIONS, damage, mounts, run, slow
+from tests.support import environment
 
 
 @pytest.mark.parametrize("how", DAMAGES)
@@ -87,37 +76,6 @@ def test_modules_are_whole_or_not(tmp_path: Path) -> None:
 
 
 # -------------------------------------------------------------------------------- whole runs
-
-
-def run(
-    output: Path, path: str, cache: Path | str | None, *before: str, **more: str
-) -> subprocess.CompletedProcess[str]:
-    """Run a small case, after some commands of the shell in a mount namespace of its own."""
-    command = [sys.executable, "-m", "app", "run", str(CASE), "-o", str(output), *OPTIONS]
-    environ = environment() | {"PYTHONPATH": path} | more
-    environ |= {"XDG_CACHE_HOME": str(cache)} if cache else {}
-    if before:
-        private = 'mount --make-rprivate "$(findmnt -n -o TARGET --target "$PWD")"'
-        script = "; ".join(["set -e", private, *before])
-        command = [*UNSHARE, "sh", "-c", script + '; exec "$@"', "sh", *command]
-    return subprocess.run(command, env=environ, capture_output=True, text=True, timeout=300)
-
-
-@pytest.fixture(scope="module")
-def warmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A cache in which everything is."""
-    folder = tmp_path_factory.mktemp("warm")
-    done = run(folder / "out", environment()["PYTHONPATH"], folder / "cache")
-    assert done.returncode == 0, done.stderr
-    yield folder / "cache"
-
-
-HERE = environment()["PYTHONPATH"]
-slow = pytest.mark.slow
-mounts = pytest.mark.skipif(
-    os.geteuid() != 0 or subprocess.run([*UNSHARE, "true"], check=False).returncode != 0,
-    reason="only root may mount a small disk",
-)
 
 
 @slow

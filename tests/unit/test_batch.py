@@ -7,6 +7,7 @@ summary with the mesh size, an exit code for the sizes that a file lists, a line
 from __future__ import annotations
 
 import fcntl
+import json
 import logging
 import os
 import re
@@ -418,3 +419,36 @@ def test_two_runs_at_once_make_their_mesh_once(
     for thread in threads:
         thread.join()
     assert len(made) == 1
+
+
+WICKED = [
+    "$(touch PWNED)",
+    "`touch PWNED`",
+    "; touch PWNED; :",
+    "' ; touch PWNED ; '",
+    '" ; touch PWNED ; "',
+    "a\ntouch PWNED\n",
+    "{wildcards.id} {{x}} {input:q}",
+    "../../../PWNED",
+    "-o PWNED --force",
+    "| tee PWNED > PWNED & \\",
+    "%(x)s ${HOME} ~ * ?",
+]
+
+
+def test_names_values_and_folders_are_never_commands(bench: Bench) -> None:
+    """Neither those of cases nor what is in them, by Snakemake, the shell or Python."""
+    bench.out = bench.folder / "out ;$(touch PWNED) '{x}"
+    jobs = [
+        Job(word, bench.case, ("mesh.size=4 mm", f"title={json.dumps(word)}")) for word in WICKED
+    ]
+    results = bench.run(*jobs)
+    assert [r.exit_code for r in results] == [0] * len(jobs), results
+    assert len(bench.calls()) == len(jobs)
+    for word, result in zip(WICKED, results, strict=True):
+        assert result.folder.parent == bench.out / "runs"
+        case = config.load(bench.out / "cases" / f"{result.folder.name}.yaml")
+        assert case.title == config.load(bench.case, jobs[WICKED.index(word)].overrides).title
+        assert case.title.split() == word.split()
+    everything = [*bench.folder.rglob("*"), *bench.folder.parent.glob("*")]
+    assert not [p for p in everything if p.name == "PWNED"]

@@ -1,0 +1,51 @@
+"""``mantle run`` that meets an error in a phase, on one rank: started by `test_fault_ranks`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+from mpi4py import MPI
+
+import meshes
+from app import checkpoint, cli, problem, solver
+from app.errors import ConvergenceError, StoppedError
+from app.output import Writer
+from meshes import distribute
+
+# What is called in a phase, and the call that fails.
+PHASES: dict[str, tuple[Any, str, int]] = {
+    "mesh": (meshes, "build", 1),
+    "distribution": (distribute, "_cell_tags", 1),
+    "assembly": (problem.Problem, "__init__", 1),
+    "solve": (solver.Solver, "_residual", 2),
+    "output": (Writer, "history", 1),
+    "checkpoint": (checkpoint, "write", 1),
+}
+ERRORS: dict[str, BaseException] = {
+    "internal": RuntimeError("thrown here"),
+    "memory": MemoryError("thrown here"),
+    "stop": StoppedError("thrown here"),
+    "divergence": ConvergenceError("thrown here"),
+    "interrupt": KeyboardInterrupt("thrown here"),
+}
+
+
+def arm(phase: str, error: str, rank: int) -> None:
+    """Have a call fail on a rank."""
+    owner, name, at = PHASES[phase]
+    usual, calls = getattr(owner, name), [0]
+
+    def failing(*arguments: Any, **options: Any) -> Any:
+        calls[0] += 1
+        if MPI.COMM_WORLD.rank == rank and calls[0] == at:
+            raise ERRORS[error]
+        return usual(*arguments, **options)
+
+    setattr(owner, name, failing)
+
+
+if __name__ == "__main__":
+    arm(os.environ["PHASE"], os.environ["ERROR"], int(os.environ["RANK"]))
+    sys.exit(cli.main())

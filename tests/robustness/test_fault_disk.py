@@ -1,0 +1,151 @@
+"""Disks that are full or become read-only, folders of two runs: told, and the next run works."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.robustness.faulty import CASE, HERE, OPTIONS, mounts, run, slow
+from tests.support import environment
+
+# Whatever a run writes, in an order that small disks interrupt at other places.
+ALL = ("--set", "output.checkpoint.steps=1", "--set", "stages=[{name: press, increments: 3}]")
+
+
+def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[int], str]:
+    """Run on a disk of a size [kB], then again when it has grown; exit codes and what was said."""
+    script = "\n".join(
+        [
+            'mount --make-rprivate "$(findmnt -n -o TARGET --target "$PWD")"',
+            f"mount -t tmpfs -o size={size}k,mode=777 none {disk}",
+            '"$@"; first=$?',
+            f"mount -o remount,size=200m {disk}",
+            '"$@" --force; echo "codes $first $?" >&2',
+            f"cp -r {disk} {disk}.kept",
+        ]
+    )
+    done = subprocess.run(
+        ["unshare", "-m", "--propagation", "unchanged", "sh", "-c", script, "sh", *command],
+        env=environment() | {"XDG_CACHE_HOME": str(cache)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    said, _, codes = done.stderr.rpartition("codes ")
+    return [int(code) for code in codes.split()], said
+
+
+def command(output: Path) -> list[str]:
+    return [sys.executable, "-m", "app", "run", str(CASE), "-o", str(output), *OPTIONS, *ALL]
+
+
+@slow
+@mounts
+@pytest.mark.parametrize("size", [4, 8, 12, 20, 32, 48, 64, 80, 96, 128, 160, 192])
+def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Path) -> None:
+    """Fields, history, checkpoints, summary: whichever comes last before the disk is full."""
+    (tmp_path / "out").mkdir()
+    codes, said = twice(command(tmp_path / "out"), size, tmp_path / "out", warmed)
+    assert codes[0] in (0, 5) and codes[1] == 0, said
+    if codes[0]:
+        assert "No space left" in said
+    assert "Traceback" not in said
+    kept = tmp_path / "out.kept"
+    assert (kept / "DONE").exists() and json.loads((kept / "summary.json").read_text())
+    assert not list(kept.glob("*.partial"))
+
+
+@slow
+@mounts
+@pytest.mark.parametrize("size", [16, 64, 128, 256, 384, 512, 768, 1024, 1536, 2048])
+def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
+    """Forms have to be kept, meshes need not."""
+    (tmp_path / "cache").mkdir()
+    codes, said = twice(command(tmp_path / "out"), size, tmp_path / "cache", tmp_path / "cache")
+    assert codes[0] in (0, 69) and codes[1] == 0, said
+    if codes[0]:
+        assert "a form cannot be compiled: " in said
+    assert "Traceback" not in said
+    assert not list((tmp_path / "cache.kept").rglob("*.part"))
+
+
+@slow
+@mounts
+def test_meshes_without_room_are_not_kept(warmed: Path, tmp_path: Path) -> None:
+    shutil.copytree(warmed, tmp_path / "cache")
+    meshes = tmp_path / "cache" / "mantle" / "meshes"
+    for path in meshes.iterdir():
+        path.unlink()
+    done = run(
+        tmp_path / "out", HERE, tmp_path / "cache", f"mount -t tmpfs -o size=8k none {meshes}"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "the mesh cannot be kept in " in done.stderr
+
+
+@slow
+@mounts
+@pytest.mark.parametrize("number", range(10))
+def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path) -> None:
+    """At a random moment, as disks with errors do."""
+    out = tmp_path / "out"
+    out.mkdir()
+    moment = random.Random(number).uniform(0.3, 2.5)
+    script = "\n".join(
+        [
+            'mount --make-rprivate "$(findmnt -n -o TARGET --target "$PWD")"',
+            f"mount -t tmpfs -o mode=777 none {out}",
+            '"$@" & pid=$!',
+            f"sleep {moment}; until mount -o remount,ro {out} 2>/dev/null; do :; done",
+            "wait $pid; first=$?",
+            f"[ ! -e {out}/DONE ] || ended=yes",
+            f"mount -o remount,rw {out}",
+            '"$@" --force; echo "codes $first $? ${ended:-no}" >&2',
+        ]
+    )
+    done = subprocess.run(
+        ["unshare", "-m", "--propagation", "unchanged", "sh", "-c", script, "sh", *command(out)],
+        env=environment() | {"XDG_CACHE_HOME": str(warmed)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    said, _, codes = done.stderr.rpartition("codes ")
+    first, second, ended = codes.split()
+    assert second == "0", said
+    assert "Traceback" not in said
+    assert (first, ended) in {("0", "yes"), ("5", "no"), ("2", "no")}, said
+    if first != "0":
+        assert "Read-only file system" in said or "is not writable" in said
+
+
+@slow
+@pytest.mark.parametrize("number", range(10))
+def test_two_runs_in_one_folder(number: int, warmed: Path, tmp_path: Path) -> None:
+    """One of them gets it, at whatever moment the other comes."""
+    out = tmp_path / "out"
+    environ = environment() | {"XDG_CACHE_HOME": str(warmed)}
+    both = []
+    for _ in range(2):
+        both.append(
+            subprocess.Popen(
+                [*command(out), "--force"], env=environ, stderr=subprocess.PIPE, text=True
+            )
+        )
+        try:
+            both[0].wait(timeout=0.15 * number)
+        except subprocess.TimeoutExpired:
+            pass
+    said = [child.communicate(timeout=300)[1] for child in both]
+    codes = [child.returncode for child in both]
+    assert 0 in codes and set(codes) <= {0, 2}, said
+    for code, text in zip(codes, said, strict=True):
+        assert code == 0 or "another run is writing into it" in text
+    assert (out / "DONE").exists()
+    assert json.loads((out / "summary.json").read_text())["status"] == "converged"

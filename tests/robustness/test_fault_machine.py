@@ -1,0 +1,320 @@
+"""Clocks that jump, no compiler, a wrong BLAS, too little memory, forms compiled elsewhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app import arithmetic, compiled, sizing
+from app.errors import EnvironmentProblem
+from tests import support
+from tests.robustness import shims
+from tests.robustness.faulty import CASE, HERE, OPTIONS, run, slow
+
+STEM = support.CONFIGS / "cylinders.yaml"
+SMALL = ("mesh.size=4 mm", "mesh.order=1", "output.fields=false", "solver.max_iterations=8")
+LIMIT = ("--walltime", "0:02:00")
+
+
+def solve(output: Path, *before: str, **more: str) -> subprocess.CompletedProcess[str]:
+    """Run a small stem."""
+    sets = [word for o in SMALL for word in ("--set", o)]
+    return subprocess.run(
+        [
+            sys.executable,
+            *(before or ("-m", "app")),
+            "run",
+            str(STEM),
+            "-o",
+            str(output),
+            *sets,
+            *LIMIT,
+        ],
+        env=support.environment() | more,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+
+
+def numbers(output: Path) -> list[float]:
+    q = json.loads((output / "summary.json").read_text())["interfaces"]["stem_cement"]
+    return [q[key] for key in ("slip_max", "pressure_mean", "shear_mean", "dissipation")]
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory: pytest.TempPathFactory) -> list[float]:
+    """Numbers of the small stem where nothing is wrong."""
+    output = tmp_path_factory.mktemp("usual") / "out"
+    done = solve(output)
+    assert done.returncode == 0, done.stderr
+    return numbers(output)
+
+
+# ------------------------------------------------------------------------------------ clocks
+
+
+def test_only_records_are_by_the_clock_of_the_wall() -> None:
+    """Limits and durations are by clocks that are never set."""
+    used = {
+        f"{path.parent.name}/{path.name}"
+        for folder in ("app", "meshes", "forms")
+        for path in (support.ROOT / folder).glob("*.py")
+        if re.search(r"\btime\.time\(|datetime\.now|clock\.time\(", path.read_text())
+    }
+    # Provenance of a run, of a checkpoint; and how old files are, which is by that clock.
+    assert used == {"app/run.py", "app/output.py", "app/checkpoint.py", "app/compiled.py"}
+
+
+@slow
+@pytest.mark.parametrize("days", [-40000, -366, -30, -1, -0.04, 0.04, 1, 30, 366, 20000])
+def test_a_clock_that_is_set_changes_nothing(
+    days: float, usual: list[float], tmp_path: Path
+) -> None:
+    """To and fro at every other look at it, with limits of time and checkpoints by time."""
+    clock = str(shims.library(tmp_path, shims.CLOCK))
+    more = {"LD_PRELOAD": clock, "JUMP": str(int(86400 * days))}
+    probe = "import time; a, b = time.time(), time.time(); print(abs(b - a))"
+    jumped = subprocess.run(
+        [sys.executable, "-c", probe], env=os.environ | more, capture_output=True, text=True
+    )
+    assert float(jumped.stdout) > 1000
+    sets = [word for o in SMALL for word in ("--set", o)]
+    command = [sys.executable, "-m", "app", "run", str(STEM), "-o", str(tmp_path / "out"), *sets]
+    done = subprocess.run(
+        [*command, *LIMIT, "--set", "output.checkpoint.minutes=1"],
+        env=support.environment() | more,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    assert numbers(tmp_path / "out") == usual
+
+
+def test_modules_are_looked_at_again_when_the_clock_was_set_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled, "form_cache", lambda: tmp_path)
+    compiled.mend()
+    later = time.time() + 1e6
+    os.utime(tmp_path / compiled.LOCK, (later, later))
+    module = tmp_path / f"form{compiled.EXTENSION_SUFFIXES[0]}"
+    for path in (module, tmp_path / "form.c", tmp_path / "form.c.cached"):
+        path.write_bytes(b"half")
+    compiled.mend()
+    assert not module.exists()
+
+
+# ------------------------------------------------------------------------------------- memory
+
+
+def test_errors_for_want_of_memory_are_told_as_such() -> None:
+    for error in (
+        MemoryError(),
+        OSError(12, "Cannot allocate memory"),
+        Exception("std::bad_alloc"),
+    ):
+        found = sizing.explain(error)
+        assert isinstance(found, EnvironmentProblem) and "not enough memory" in str(found)
+    try:
+        try:
+            raise MemoryError("the factors of 10 unknowns")
+        except MemoryError as error:
+            raise ValueError("else") from error
+    except ValueError as error:
+        assert "the factors of 10 unknowns" in str(sizing.explain(error))
+    own = ValueError("x")
+    own.__cause__ = own
+    assert sizing.explain(own) is None
+
+
+def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
+    program = ["-m", "app", "run", str(CASE), "-o", str(tmp_path / "out")]
+    done = subprocess.run(
+        ["sh", "-c", 'ulimit -v 500000; exec "$@"', "sh", sys.executable, *program],
+        env=support.environment(),
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 69
+    assert "there is too little memory for any case: a process may have 0.5 GB" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@slow
+@pytest.mark.parametrize("more", [1, 2, 4, 8, 12, 16, 24, 32, 48, 64, 96])
+def test_memory_that_runs_out(more: int, usual: list[float], tmp_path: Path) -> None:
+    """Wherever that happens it is told; the next run works."""
+    done = solve(tmp_path / "out", "-m", "tests.robustness.short_of_memory", MORE=str(more))
+    if done.returncode == 0:
+        assert numbers(tmp_path / "out") == pytest.approx(usual, rel=1e-6)
+    else:
+        assert done.returncode in (69, 5), done.stderr
+        assert "memory" in done.stderr and "Traceback" not in done.stderr
+        assert not (tmp_path / "out" / "DONE").exists()
+    assert more > 2 or done.returncode == 69
+
+
+# --------------------------------------------------------------------------------------- BLAS
+
+
+def test_the_blas_here_is_right() -> None:
+    assert all(error <= arithmetic.ROUNDING for _, error in arithmetic._errors())
+    assert arithmetic.problem() is None
+
+
+def test_a_wrong_number_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    for error in (1e-3, np.nan, np.inf):
+        monkeypatch.setattr(arithmetic, "_errors", lambda e=error: iter([("dxyz", e)]))
+        assert "computes wrong numbers: dxyz" in str(arithmetic.problem())
+
+
+def test_threads_that_have_no_core_are_told() -> None:
+    cores = len(os.sched_getaffinity(0))
+    assert not arithmetic.crowd(2 * cores, {"OMP_NUM_THREADS": "1"})
+    assert not arithmetic.crowd(1, {"OMP_NUM_THREADS": str(cores)})
+    found = arithmetic.crowd(cores, {"OMP_NUM_THREADS": "2"})
+    assert "OMP_NUM_THREADS=1" in found and f"{cores} rank(s) of 2 threads" in found
+    assert arithmetic.crowd(2, {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": str(cores)})
+
+
+@slow
+@pytest.mark.parametrize("nan", ["", "yes"])
+@pytest.mark.parametrize("routine", shims.ROUTINES)
+def test_a_wrong_blas_is_refused(routine: str, nan: str, tmp_path: Path) -> None:
+    library = str(shims.library(tmp_path, shims.BLAS, routine))
+    done = solve(tmp_path / "out", LD_PRELOAD=library, **({"NOT_A_NUMBER": nan} if nan else {}))
+    assert done.returncode == 69, done.stderr
+    assert "computes wrong numbers: " in done.stderr and "Traceback" not in done.stderr
+
+
+@slow
+@pytest.mark.parametrize("nan", ["", "yes"])
+@pytest.mark.parametrize("routine", [*shims.ROUTINES, "DTRSM"])
+def test_a_blas_that_becomes_wrong_gives_no_wrong_result(
+    routine: str, nan: str, usual: list[float], tmp_path: Path
+) -> None:
+    """Some time after the start: what comes out all the same is right."""
+    library = str(shims.library(tmp_path, shims.BLAS, routine))
+    more = {"LD_PRELOAD": library, "AFTER": "400"} | ({"NOT_A_NUMBER": nan} if nan else {})
+    done = solve(tmp_path / "out", **more)
+    assert done.returncode in (0, 4, 5, 69, 70), done.stderr
+    if done.returncode == 0:
+        assert numbers(tmp_path / "out") == pytest.approx(usual, rel=1e-6)
+    else:
+        assert not (tmp_path / "out" / "DONE").exists()
+
+
+@slow
+def test_threads_do_not_change_results(usual: list[float], tmp_path: Path) -> None:
+    done = solve(tmp_path / "out", OMP_NUM_THREADS="4")
+    assert done.returncode == 0, done.stderr
+    assert numbers(tmp_path / "out") == pytest.approx(usual, rel=1e-6)
+
+
+# ------------------------------------------------------------------------------- compilations
+
+
+COMPILERS = {
+    "fails": "exit 1",
+    "makes nothing": "exit 0",
+    "is killed": "kill -9 $$",
+    "crashes": "kill -SEGV $$",
+    "runs out of memory": "echo 'cc1: out of memory allocating 65536 bytes' >&2; exit 1",
+    "has no headers": "echo 'fatal error: Python.h: No such file' >&2; exit 1",
+    "has no linker": 'for w; do [ "$w" = -shared ] && exit 1; done; exec cc "$@"',
+    "links nothing": 'for w; do [ "$w" = -shared ] && exit 0; done; exec cc "$@"',
+    "makes garbage": 'for o; do :; done; while [ "$1" != -o ]; do shift; done; echo x >"$2"',
+    "is not executable": "",
+}
+
+
+@slow
+@pytest.mark.parametrize("how", COMPILERS)
+def test_a_compiler_that(how: str, tmp_path: Path) -> None:
+    compiler = tmp_path / "cc"
+    compiler.write_text(f"#!/bin/sh\n{COMPILERS[how]}\n")
+    compiler.chmod(0o755 if COMPILERS[how] else 0o644)
+    done = run(tmp_path / "out", HERE, tmp_path / "cache", CC=str(compiler))
+    assert done.returncode == 69, done.stderr
+    assert done.stderr.count("a form cannot be compiled: ") == 1
+    assert "Traceback" not in done.stderr
+    again = run(tmp_path / "out", HERE, tmp_path / "cache")
+    assert again.returncode == 0, again.stderr
+
+
+def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
+    """A process that compiles a module for ever."""
+    script = (
+        "import sys, time\nfrom pathlib import Path\nfrom app import compiled\n"
+        "def get(name, objects, folder, timeout): (folder / f'{name}.c').touch()\n"
+        "compiled._wait(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
+        "print('compiling', flush=True)\ntime.sleep(60)\n"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", script, folder, name],
+        env=support.environment(),
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert child.stdout is not None and child.stdout.readline() == "compiling\n"
+    return child
+
+
+def test_a_compilation_is_waited_for_as_long_as_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, seen = time.monotonic(), []
+
+    def asleep(seconds: float) -> None:
+        # Another form is free meanwhile.
+        compiled._wait(get, "other", [], tmp_path, 10)
+        seen.append((tmp_path / "form.c").exists())
+        if len(seen) == 3:
+            child.kill()
+            child.communicate()
+
+    def get(name: str, objects: list[str], folder: Path, timeout: int) -> bool:
+        return (folder / f"{name}.c").exists()
+
+    child = waiting(tmp_path, "form")
+    monkeypatch.setattr(compiled.time, "sleep", asleep)
+    # What it had begun is removed once it is dead, and not before.
+    assert compiled._let_go(lambda: compiled._wait(get, "form", [], tmp_path, 10)) is False
+    assert seen == [True, True, True] and time.monotonic() - begun < 60
+    assert not compiled._compiling
+    (tmp_path / "form.c").touch()
+    (tmp_path / "form.c.cached").touch()
+    assert compiled._wait(get, "form", [], tmp_path, 10) is True  # nothing to wait for
+
+
+@slow
+@pytest.mark.parametrize("number", range(10))
+def test_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
+    """A compiler that takes longer than anybody would wait without asking."""
+    compiler = tmp_path / "cc"
+    compiler.write_text(f'#!/bin/sh\nsleep {12 if number == 0 else 1}\nexec cc "$@"\n')
+    compiler.chmod(0o755)
+    environ = support.environment() | {"XDG_CACHE_HOME": str(tmp_path / "c"), "CC": str(compiler)}
+    both = []
+    for k in range(2):
+        command = [sys.executable, "-m", "app", "run", str(CASE), "-o", str(tmp_path / f"{k}")]
+        both.append(
+            subprocess.Popen([*command, *OPTIONS], env=environ, stderr=subprocess.PIPE, text=True)
+        )
+        time.sleep(0.2 * number)
+    for child in both:
+        assert child.communicate(timeout=600)[1] == ""
+        assert child.returncode == 0
+    shutil.rmtree(tmp_path / "c")
