@@ -200,6 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     ranks.keep_quiet()
+    ranks.end_with_parent()
     try:
         return _dispatch(list(sys.argv[1:] if arguments is None else arguments))
     except MantleError as error:

@@ -113,6 +113,16 @@ def keep_quiet(environ: MutableMapping[str, str] = os.environ) -> None:
         environ.setdefault("OMPI_MCA_btl", "self,sm")
 
 
+def end_with_parent(environ: Mapping[str, str] = os.environ) -> None:
+    """End this rank when ``mpirun`` is killed: the others would wait for each other for ever.
+
+    Args:
+        environ: The environment variables.
+    """
+    if "OMPI_COMM_WORLD_SIZE" in environ:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def launch(ranks: int, command: Sequence[str]) -> int:
     """Run a command on several ranks and wait for it.
 

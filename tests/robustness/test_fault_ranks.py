@@ -137,3 +137,30 @@ def test_an_error_on_one_rank_ends_all(phase: str, error: str, rank: int, tmp_pa
     assert error == "interrupt" or "thrown here" in done.stderr
     assert not (output / "DONE").exists()
     assert not processes(output)
+
+
+@pytest.mark.parametrize("number", [pytest.param(k, marks=slow) for k in range(10)])
+def test_ranks_end_with_a_killed_mpirun(number: int, tmp_path: Path) -> None:
+    """They would wait for each other for ever, at full speed."""
+    output = tmp_path / "out"
+    words = support.mpirun(2, "-m", "app", "run", CASE, "-o", output, *ALL)
+    child = subprocess.Popen(
+        [*words, "--set", "mesh.size=1 mm"],
+        env=support.environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    begin = time.monotonic()
+    while len(ranks(output)) < 2 and time.monotonic() - begin < ENDS:
+        time.sleep(0.05)
+    time.sleep(0.5 + 0.15 * number)
+    assert child.poll() is None and len(ranks(output)) == 2
+    child.kill()
+    child.wait()
+    begin = time.monotonic()
+    while ranks(output) and time.monotonic() - begin < ENDS:
+        time.sleep(0.1)
+    left = ranks(output)
+    for pid in left:
+        os.kill(pid, signal.SIGKILL)
+    assert not left

@@ -218,7 +218,7 @@ def test_judges_see_what_is_off(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not the same"):
         stress_judges.same([first, first], points=2)
     assert stress_judges.lawful([first]).deviation < 1e-9
-    assert stress_judges.close([second, first], factor=0.5).deviation == pytest.approx(1, rel=1e-6)
+    assert stress_judges.close([second, first], factor=2).deviation == pytest.approx(1, rel=1e-6)
     assert stress_judges.nothing_moves([first]).deviation == pytest.approx(2, rel=1e-6)
 
 
