@@ -52,11 +52,14 @@ def bodies(data: MeshData, ranks: int) -> Ints:
 def far(data: MeshData, ranks: int) -> Ints:
     """The last rank has a few cells far from all interfaces, the others what `board` says."""
     owner = board(data, max(ranks - 1, 1))
-    nodes = np.unique(data.cells[between(data).ravel(), :4])
+    near = np.unique(between(data))
+    nodes = np.unique(data.cells[near, :4])
     x = data.points[data.cells[:, :4]].mean(axis=1)
     distance, _ = cKDTree(data.points[nodes]).query(x)
-    owner[np.argsort(distance)[-max(len(x) // 50, 5) :]] = ranks - 1
-    assert ranks - 1 not in owner[between(data).ravel()]
+    distance[near] = -1.0
+    few = np.argsort(distance)[-max(len(x) // 50, 5) :]
+    owner[few[distance[few] > 0]] = ranks - 1
+    assert ranks - 1 in owner
     return owner
 
 
