@@ -424,12 +424,16 @@ class Problem:
         """Half the work of the free strains' forces now acting in a displacement [N mm]."""
         return self._forces.free_work(self.reduction.expand(u))
 
-    def augmentation(self) -> dict[str, float]:
-        """Augmentation or penalty in force on each interface [MPa/mm]; collective."""
+    def augmentation(self, trial: bool = False) -> dict[str, float]:
+        """Augmentation or penalty of each interface [MPa/mm]; collective.
+
+        Args:
+            trial: Of penalties what they are solved with, not what they are.
+        """
         values = {}
         for j in self.jumps:
             for i, c in enumerate(self.scene.contacts):
-                stiffness = j.stiffness if c.augmented else j.default_stiffness
+                stiffness = j.stiffness if c.augmented or trial else j.default_stiffness
                 local = float(stiffness[j.interface == i].max(initial=0.0))
                 values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
         return values

@@ -318,7 +318,7 @@ class Contact:
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation in force on each interface [MPa/mm]; collective."""
-        return self._problem.augmentation()
+        return self._problem.augmentation(trial=True)
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen; collective."""
