@@ -12,6 +12,8 @@ Entry = dict[str, Any]
 BLUE, RED, BLACK = "#4a90c4", "#d1343b", "#2b2b2b"
 # Decades below its tolerance at which a deviation is as good as none.
 DEEP = 6.0
+# Cells side by side; what is longer goes on below.
+WIDE = 11
 
 
 def picture(entries: Sequence[Entry], path: Path) -> None:
@@ -31,13 +33,16 @@ def picture(entries: Sequence[Entry], path: Path) -> None:
     lines: dict[tuple[str, str], list[Entry]] = {}
     for e in entries:
         lines.setdefault((e["row"], e["line"]), []).append(e)
-    columns = max(map(len, lines.values()))
-    figure = Figure(figsize=(3.2 + 0.78 * columns, 1.7 + 0.33 * len(lines)), layout="constrained")
+    rows = [
+        ((f"{row}: {line}" if line else row) if k == 0 else "", members[k : k + WIDE])
+        for (row, line), members in lines.items()
+        for k in range(0, len(members), WIDE)
+    ]
+    columns = max(len(members) for _, members in rows)
+    figure = Figure(figsize=(3.2 + 0.78 * columns, 1.7 + 0.33 * len(rows)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    labels = []
-    for y, ((row, line), members) in enumerate(lines.items()):
-        labels.append(f"{row}: {line}" if line else row)
+    for y, (_, members) in enumerate(rows):
         for x, e in enumerate(members):
             colour, ink = _colours(e, greens)
             axes.add_patch(Rectangle((x, y), 0.96, 0.92, facecolor=colour, linewidth=0))
@@ -46,8 +51,10 @@ def picture(entries: Sequence[Entry], path: Path) -> None:
             )
             axes.text(x + 0.48, y + 0.46, text, ha="center", va="center", fontsize=5.5, color=ink)
     axes.set_xlim(0, columns)
-    axes.set_ylim(len(lines), 0)
-    axes.set_yticks([y + 0.46 for y in range(len(lines))], labels, fontsize=7.5)
+    axes.set_ylim(len(rows), 0)
+    axes.set_yticks(
+        [y + 0.46 for y in range(len(rows))], [label for label, _ in rows], fontsize=7.5
+    )
     axes.set_xticks([])
     axes.tick_params(length=0)
     for spine in axes.spines.values():
