@@ -280,7 +280,7 @@ def _friction() -> Iterator[Trial]:
 
 
 def _thin(full: bool) -> Iterator[Trial]:
-    """A mantle of 0.2 mm in cells of ten times that."""
+    """A mantle of 0.2 mm in cells of ten times that, and of twenty."""
     sizes = (0.5, 1.0, 2.0, 4.0) if full else (1.0, 2.0)
     for size in sizes:
         for t in (4.0, 1.0, 0.5, 0.2):
@@ -309,5 +309,8 @@ def _thin(full: bool) -> Iterator[Trial]:
                         ),
                     ),
                     _rings((RADIUS, RADIUS + t, RADIUS + t + 6), (TITANIUM, CEMENT, BONE)),
-                    MESH,
+                    # Cells of more than half the radius do not follow it as closely; those of
+                    # twenty times its thickness leave no mantle, and the mesh says so.
+                    MESH * max(1.0, (size / 2) ** 2),
+                    "the mesh has no region cement" if size >= 20 * t else "",
                 )
