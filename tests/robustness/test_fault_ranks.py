@@ -97,7 +97,9 @@ def test_a_killed_rank_ends_all(number: int, usual: tuple[float, str], tmp_path:
     assert time.monotonic() - begin < ENDS
     if child.returncode:
         assert child.returncode == 70, told
-        assert "signal 9" in told and "Traceback" not in told
+        # While MPI begins, the other rank may find out before mpirun does.
+        assert "signal 9" in told or "unable to reach each other" in told
+        assert "Traceback" not in told
     if (output / "DONE").exists():  # it was killed on its way out
         assert numbers(output) == usual[1]
     else:
