@@ -14,7 +14,7 @@ from app import uniqueness
 from app.active_set import ActiveSet
 from app.jumps import Jumps
 from app.problem import Problem, Trial
-from app.rigid_motions import describe, rigid_modes
+from app.rigid_motions import add_relative, describe, rigid_modes
 from app.solver import Outcome, Solver
 from forms.contact import OPEN
 
@@ -182,8 +182,7 @@ def free_bodies(problem: Problem, trial: Trial) -> list[str]:
     K = j.weight[:, None, None] * (R.transpose(0, 2, 1) @ S @ R)
     sides = j.points.bodies[j.mine]
     for m, s, k in zip(sides[:, 0], sides[:, 1], K, strict=True):
-        for a, b, sign in ((m, m, 1), (s, s, 1), (m, s, -1), (s, m, -1)):
-            A[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] += sign * k
+        add_relative(A, int(m), int(s), k)
     A = problem.comm.allreduce(A, MPI.SUM)
     total = float(np.sum(j.points.weight)) or 1.0
     for body in held:

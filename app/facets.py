@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.diagnosis import held_bodies
 from app.problem import Problem, Trial
-from app.rigid_motions import DIRECTIONS, rigid_modes
+from app.rigid_motions import DIRECTIONS, add_relative, rigid_modes
 from forms.contact import OPEN
 from meshes.interfaces import ContactPoints
 
@@ -136,7 +136,6 @@ def _resistances(problem: Problem, trial: Trial, R: Floats) -> tuple[Floats, Flo
         # Normals that are off at random agree in the mean, the more of them the better.
         stiff += count * np.outer(g, g) / (weight.item() or 1.0)
         m, s = group[1:]
-        for matrix, k in ((A, stiff), (N, rough)):
-            for a, b, sign in ((m, m, 1), (s, s, 1), (m, s, -1), (s, m, -1)):
-                matrix[6 * a : 6 * a + 6, 6 * b : 6 * b + 6] += sign * k
+        add_relative(A, m, s, stiff)
+        add_relative(N, m, s, rough)
     return A, N

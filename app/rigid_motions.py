@@ -36,6 +36,12 @@ def rigid_modes(x: Floats) -> Floats:
     return result
 
 
+def add_relative(matrix: Floats, a: int, b: int, resistance: Floats) -> None:
+    """Add what resists motions of body a relative to body b (6, 6) to that of all (6 n, 6 n)."""
+    for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
+        matrix[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] += sign * resistance
+
+
 def describe(
     free: Floats, names: Sequence[str], centres: Floats, origin: Floats, size: float
 ) -> list[str]:
