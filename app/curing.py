@@ -31,6 +31,8 @@ Ints = NDArray[np.int64]
 UNREACTED = 1e-6
 # Degrees further than this from [0, 1] are not there by rounding.
 ROUNDING = 1e-12
+# Times are equal up to this part of them.
+SAME = 1e-10
 # Below this degree errors count by their part of the degree, down to the second.
 _SMALL, _SMALLEST = 1e-2, 1e-9
 # Newton's method is in the logarithm of what reacts over what does not.
@@ -146,8 +148,10 @@ class _Clock:
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """The same for every node."""
-        # Before and after its course the reaction rests.
-        runs = self.events[0] <= seconds <= self.events[-1]
+        # Before and after its course the reaction rests. Where it begins or ends at once, what ends
+        # there sees the rate before; the clock is rounded.
+        near = SAME * seconds
+        runs = self.events[0] + near < seconds <= self.events[-1] + near
         r = multiplier(self._course, seconds) if runs else 0.0
         rate = forms.prescribed_rate(r, self._total, self._initial)
         return Degrees(np.minimum(start + h * rate, 1.0), np.zeros_like(start))

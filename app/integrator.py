@@ -51,7 +51,8 @@ class Method:
     @property
     def c(self) -> Floats:
         """Times of the stages as parts of the step (s,)."""
-        return self.a.sum(axis=1)
+        # The last stage ends the step: rounding of its sum would put it behind the end.
+        return np.append(self.a[:-1].sum(axis=1), 1.0)
 
     @property
     def estimate_order(self) -> int:
@@ -129,7 +130,7 @@ def step(
 
 def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> State | None:
     """Rate of change of a state, from an implicit step that is short beside everything [s]."""
-    found = solve(y, shortest, seconds, y)
+    found = solve(y, shortest, seconds + shortest, y)
     if found is None:
         return None
     return _slope(y, found, shortest)

@@ -12,6 +12,7 @@ import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Protocol
 
 from app.coupling import Coupled, Staggered
@@ -158,16 +159,31 @@ class March:
 
     def _fixed(self, k: int, stage: Stage) -> None:
         """Equal steps, whatever their error."""
-        dt = stage.duration / stage.increments
         if not self._steps:
-            self.heating.start(dt)
-        for n in range(self._steps, stage.increments):
+            self.heating.start(stage.duration / stage.increments)
+        for dt, part, at_end in self._equal(stage)[self._steps :]:
             started = clock.perf_counter()
             found = self.heating.attempt(dt, fixed=True)
             if found is None:
-                raise ConvergenceError(self._text(stage, n / stage.increments, dt))
+                done = (self.heating.seconds - self._begin) / stage.duration
+                raise ConvergenceError(self._text(stage, done, dt))
             accepted = self.heating.accept(*found, dt)
-            self._tell(k, stage, (n + 1) / stage.increments, accepted, started, True)
+            self._tell(k, stage, part, accepted, started, at_end)
+
+    def _equal(self, stage: Stage) -> list[tuple[float, float, bool]]:
+        """Steps as long as increments, divided at events: their lengths [s], where they end as
+        parts of the stage, and whether an increment ends there.
+        """
+        whole = stage.duration / stage.increments
+        tiny = SHORTEST * stage.duration
+        found = []
+        for n in range(stage.increments):
+            inside = [e - self._begin - n * whole for e in self.heating.events]
+            ends = [0.0, *(e for e in inside if tiny < e < whole - tiny), whole]
+            found += [
+                (b - a, (n + b / whole) / stage.increments, b == whole) for a, b in pairwise(ends)
+            ]
+        return found
 
     def _adaptive(self, k: int, stage: Stage) -> None:
         """Steps chosen by their error."""

@@ -360,7 +360,8 @@ class Stage:
         increments: Load steps; in a stage that takes time, equal parts after each of which the
             mechanics are solved and fields are written.
         adaptive: Whether load steps may be cut, and time steps be chosen by their error; if not,
-            a stage that takes time is done in ``increments`` equal time steps.
+            a stage that takes time is done in ``increments`` equal time steps, divided where the
+            course of a condition or of cure has a kink.
         max_cut_backs: How often in a row a step may be halved.
         duration: Time it takes [s]; 0: none, temperatures stay as they are.
         steady: Whether heat flows until nothing changes, however long that takes.

@@ -421,6 +421,22 @@ def test_clock_stops_at_full_cure() -> None:
     assert y[0] == pytest.approx(1e-3 + 0.999 * 0.9)
 
 
+@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+@pytest.mark.parametrize("begin", [0.0, 120.0])
+@pytest.mark.parametrize("dt", [60.0, 0.1])
+def test_clock_that_jumps_is_met_in_equal_steps(method: Method, begin: float, dt: float) -> None:
+    """A rate that begins and ends at once, at the ends of steps whose times are rounded."""
+    p = point(Prescribed(((begin, 1.0), (begin + 5 * dt, 1.0))))
+    y, slope, seconds = p.start, [np.zeros(1), np.zeros(1)], begin - 2 * dt
+    for k in range(-2, 7):
+        done = step(method, y, slope, dt, seconds, p.solve)
+        assert done is not None
+        y, slope, seconds = done.state, done.slope, seconds + dt
+        passed = np.clip((k + 1) / 5, 0, 1)
+        assert y[1][0] == pytest.approx(1e-3 + 0.999 * passed, abs=1e-12)
+        assert y[0][0] == pytest.approx(310.15 + RISE * 0.999 * passed, abs=1e-9)
+
+
 # Strains
 
 

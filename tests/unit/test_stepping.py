@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.errors import ConvergenceError
-from tests import support
+from tests import coupled, support
 
 PLUG = """
 geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
@@ -48,3 +48,37 @@ loads:
 """
     with pytest.raises(ConvergenceError, match="nothing holds body 'lid'"):
         support.solve(stack)
+
+
+CLOCK = """
+geometry: {kind: blocks, blocks: [{name: cube, size: [2 mm, 2 mm, 2 mm]}]}
+mesh: {order: 1, size: 2 mm}
+regions:
+  cube:
+    kind: conductor
+    thermal:
+      conductivity: 0.2 W/(m K)
+      density: 1200 kg/m^3
+      specific_heat: 1450 J/(kg K)
+      initial_temperature: 37 degC
+      cure:
+        kinetics: {kind: prescribed, rate: [[70 s, 2], [250 s, 1], [370 s, 1]]}
+        heat: 1.55e8 J/m^3
+        initial: 0
+stages:
+  - {name: set, duration: 420 s, increments: 7, adaptive: false}
+"""
+
+
+@pytest.mark.parametrize("method", ["sdirk4", "backward_euler"])
+def test_equal_steps_do_not_cross_kinks(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    """A clock that jumps between the ends of 60 s steps: it releases all its heat, and no more."""
+    run = coupled.solve(monkeypatch, f"time.method={method}", text=CLOCK)
+    assert [s.seconds for s in run.steps] == [60, 70, 120, 180, 240, 250, 300, 360, 370, 420]
+    released = sum(s.heats["cure cube"] for s in run.steps)
+    whole = 8.0 * 155.0  # N mm
+    # The rate is linear between the kinks: a rule of order 4 is exact, that of order 1 is not.
+    if method == "sdirk4":
+        assert released == pytest.approx(whole, rel=1e-12)
+    (degree,) = (a for t in run.model.thermal for a in t.heating.degrees().values())
+    assert degree == pytest.approx(released / whole, rel=1e-12)
