@@ -76,6 +76,11 @@ def _names(parts: Parts) -> Iterable[Problem]:
             yield Problem(
                 ("regions",), f"no material for {', '.join(missing)}; every region needs one"
             )
+        for name, region in parts.regions.items():
+            unsaid = name in regions and name not in geometry.tissues
+            if region is not None and region.tissue is None and unsaid:
+                text = "'tissue' is missing; expected bone, cement, implant or other"
+                yield Problem(("regions", name), text)
     for name in parts.interfaces:
         if name not in geometry.interface_sides:
             yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)

@@ -169,6 +169,10 @@ class Case(Model):
         """Whether there is heat in it at all."""
         return any(region.thermal is not None for region in self.regions.values())
 
+    def of_tissue(self, tissue: str) -> tuple[str, ...]:
+        """Names of the regions of a tissue."""
+        return tuple(name for name, region in self.regions.items() if region.tissue == tissue)
+
 
 def load(path: Path, overrides: Sequence[str] = ()) -> Case:
     """Read, check and resolve a case.
@@ -178,7 +182,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Case:
         overrides: ``a.b.c=value`` each, applied in order before anything is checked.
 
     Returns:
-        The case, with every interface of the geometry listed.
+        The case, with every interface of the geometry listed and the tissue of every region.
 
     Raises:
         InputError: Anything wrong with the file; every defect at once, one line each.
@@ -270,12 +274,19 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
     file.raise_all(checks.cross_check(parts))
     bonded = {name: Bonded() for name in case.geometry.interface_sides}
     interfaces = {name: case.interfaces.get(name, law) for name, law in bonded.items()}
+    tissues = case.geometry.tissues
+    regions = {
+        name: region if region.tissue else region.model_copy(update={"tissue": tissues[name]})
+        for name, region in case.regions.items()
+    }
     mesh = case.mesh
     if mesh.curved is None:
         curved = mesh.order == 2 and case.geometry.has_curved_surfaces
         mesh = mesh.model_copy(update={"curved": curved})
     time = (case.time or TimeOptions()) if case.conducts else None
-    return case.model_copy(update={"interfaces": interfaces, "mesh": mesh, "time": time})
+    return case.model_copy(
+        update={"regions": regions, "interfaces": interfaces, "mesh": mesh, "time": time}
+    )
 
 
 def is_study(data: dict[str, Any]) -> bool:

@@ -124,6 +124,11 @@ class Femur(_Femur):
         return ("stem", "cement", *BONE)
 
     @property
+    def tissues(self) -> dict[str, str]:
+        """What each region is."""
+        return {"stem": "implant", "cement": "cement", **dict.fromkeys(BONE, "bone")}
+
+    @property
     def boundary_names(self) -> tuple[str, ...]:
         """The distal cut, the bone with its muscle patches, the trunnion and the resection."""
         return ("distal_cut", "bone_surface", "stem_trunnion", *MUSCLES, "resection")
@@ -169,6 +174,11 @@ class IntactFemur(_Femur):
     def region_names(self) -> tuple[str, ...]:
         """The two kinds of bone."""
         return BONE
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """What each region is."""
+        return dict.fromkeys(BONE, "bone")
 
     @property
     def boundary_names(self) -> tuple[str, ...]:

@@ -242,7 +242,6 @@ class HeatFields:
         self._heating, self._record, self._interfaces = heating, record, interfaces
         self._conduction = heating.conduction
         self.bodies, self.space = self._conduction.bodies, self._conduction.space
-        self._bone = [r for r in self.bodies.of_region if "bone" in r]
         # On nodes of this rank, ghosts too.
         self._work = fem.Function(self.space)
 
@@ -257,7 +256,7 @@ class HeatFields:
         x = self._heating.vectors()
         temperatures = [t.x.array - CELSIUS for t in self._conduction.temperatures(x)]
         found = {"temperature": self._at(nodes, temperatures)}
-        if self._bone:
+        if self._record.bone:
             found |= {name: self._at(nodes, dose) for name, dose in self._doses().items()}
         degrees = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
         for region, values in self._heating.degrees().items():
@@ -291,7 +290,7 @@ class HeatFields:
         found: dict[str, list[Floats]] = {
             name: [zero.copy() for _ in self.bodies.names] for name in names
         }
-        for region in self._bone:
+        for region in self._record.bone:
             own, e = self._record.exposure(region)
             for name, dose in zip(names, (e.over[0], e.cem43, e.damage), strict=True):
                 # Regions of one body agree on the nodes that they share.

@@ -83,6 +83,11 @@ class Blocks(Shape):
         return (*sides, "bottom", "top", *each)
 
     @property
+    def tissues(self) -> dict[str, str]:
+        """Every block is of material that is neither of the body nor put into it."""
+        return dict.fromkeys(self.region_names, "other")
+
+    @property
     def interface_sides(self) -> dict[str, Sides]:
         """``<lower>_<upper>`` for each pair of neighbours."""
         names = self.region_names
@@ -147,6 +152,11 @@ class Cylinders(Shape):
     def region_names(self) -> tuple[str, ...]:
         """From inside to outside."""
         return ("stem", "cement", "bone")
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """What each region is."""
+        return {"stem": "implant", "cement": "cement", "bone": "bone"}
 
     @property
     def boundary_names(self) -> tuple[str, ...]:

@@ -11,10 +11,11 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, model_validator
 
-from app.fields import ITEMS, Kinds, Model, fail, show
+from app.fields import ITEMS, Kinds, Model, Word, fail, show
 from app.thermal_options import Thermal
 from app.units import Axis, Modulus, Number
 
+Tissue = Annotated[Literal["bone", "cement", "implant", "other"], Word()]
 History = Annotated[tuple[Number, ...], ITEMS] | None
 # Poisson's ratio beyond which a material counts as nearly incompressible, and the margin there.
 LOCKING_RATIO = 0.45
@@ -54,6 +55,8 @@ class Isotropic(Model):
     """Strains without stress; they add up."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
+    tissue: Tissue | None = None
+    """What the region is: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _admissible(self) -> Isotropic:
@@ -89,6 +92,8 @@ class TransverselyIsotropic(Model):
     """Strains without stress; they add up."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
+    tissue: Tissue | None = None
+    """What the region is: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _admissible(self) -> TransverselyIsotropic:
@@ -141,6 +146,8 @@ class Rigid(Model):
     """Must be true."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
+    tissue: Tissue | None = None
+    """What the region is: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _strainless(self) -> Rigid:
@@ -155,6 +162,8 @@ class Conductor(Model):
     kind: Literal["conductor"] = "conductor"
     thermal: Thermal
     """Conduction of heat."""
+    tissue: Tissue | None = None
+    """What the region is: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _strainless(self) -> Conductor:

@@ -110,6 +110,7 @@ class Thermal:
             conduction.forms,
             conduction.bodies.of_region,
             case.geometry.interface_sides,
+            case.of_tissue("bone"),
             [Probe(name, p.at, p.region or "") for name, p in case.output.probes.items()],
         )
         self.record.start(conduction.temperatures(heating.vectors()))
@@ -425,7 +426,8 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if m.bonds:
                 numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
-            numbers["stem"] = quantities.stem_motion(m.problem)
+            implant, bone = (self._case.of_tissue(t) for t in ("implant", "bone"))
+            numbers["stem"] = quantities.stem_motion(m.problem, implant, bone)
         for t in self.thermal:
             numbers["thermal"] = t.record.summary()
             for cure in t.cure:

@@ -7,6 +7,7 @@ refinement.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -385,17 +386,20 @@ def _hoop(σ: Floats, x: Floats) -> Floats:
     return np.einsum("pi,pij,pj->p", t, σ, t)
 
 
-def stem_motion(problem: Problem) -> dict[str, float]:
-    """Rigid motion of the stem against the bone (best fits over their volumes).
+def stem_motion(problem: Problem, implant: Sequence[str], bone: Sequence[str]) -> dict[str, float]:
+    """Rigid motion of the implant against the bone (best fits over their volumes).
 
     Subsidence [mm] is distal (-z), retroversion [deg] turns the medial side (x) towards posterior
     (-y), varus [deg] tilts the top of the stem towards medial.
+
+    Args:
+        problem: The problem, solved.
+        implant: Regions of the implant.
+        bone: Regions of bone; without these or those there is no such motion.
     """
-    regions = problem.tagged.regions
-    bone = [r for r in regions if "bone" in r]
-    if "stem" not in regions or not bone:
+    if not implant or not bone:
         return {}
-    stem_t, stem_ω, centre = _rigid_fit(problem, ["stem"])
+    stem_t, stem_ω, centre = _rigid_fit(problem, implant)
     bone_t, bone_ω, bone_centre = _rigid_fit(problem, bone)
     t = stem_t - bone_t - np.cross(bone_ω, centre - bone_centre)
     ω = np.rad2deg(stem_ω - bone_ω)
@@ -406,7 +410,7 @@ def stem_motion(problem: Problem) -> dict[str, float]:
     }
 
 
-def _rigid_fit(problem: Problem, regions: list[str]) -> tuple[Floats, Floats, Floats]:
+def _rigid_fit(problem: Problem, regions: Sequence[str]) -> tuple[Floats, Floats, Floats]:
     """Least-squares rigid motion of regions, weighted by volume: translation, rotation, centre."""
     comm, displacements = problem.comm, problem.displacements()
     xs: list[Floats] = []

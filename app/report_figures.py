@@ -362,7 +362,7 @@ def headlines(cases: Sequence[Case]) -> list[str]:
     for case in cases:
         # What burns is the bone; cement may be as hot as it starts.
         regions = case.summary.get("thermal", {}).get("regions", {})
-        order = sorted(regions, key=lambda name: "bone" not in name)
+        order = sorted(regions, key=lambda name: name not in case.bones)
         found |= {f"{name}.temperature_max": None for name in order}
     for case in cases:
         found |= dict.fromkeys(case.numbers)

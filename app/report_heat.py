@@ -49,9 +49,8 @@ def bone_peak(case: Case) -> Number | None:
     """
     if (found := case.number("cement_bone.temperature_max_second")) is not None:
         return found
-    bones = [r for r in case.data.get("regions", {}) if "bone" in r]
     late = [r for r in case.history if _float(r, "seconds [s]") >= SETTLED]
-    values = [_float(row, f"{bone} temperature_max [degC]") for row in late for bone in bones]
+    values = [_float(row, f"{bone} temperature_max [degC]") for row in late for bone in case.bones]
     known = [v for v in values if not math.isnan(v)]
     return Number(max(known)) if known else None
 

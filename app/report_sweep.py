@@ -95,6 +95,12 @@ class Case:
         except InputError:
             return {}
 
+    @property
+    def bones(self) -> list[str]:
+        """Regions of bone."""
+        regions = self.data.get("regions", {})
+        return [name for name, region in regions.items() if region.get("tissue") == "bone"]
+
     @cached_property
     def summary(self) -> dict[str, Any]:
         """The content of summary.json; empty if the case is not done or it cannot be read."""

@@ -47,6 +47,11 @@ class Shape(Model):
         """Its Gruen zones; none unless it says so."""
         return ()
 
+    @property
+    def tissues(self) -> dict[str, str]:
+        """What each region is, unless the case says otherwise; none that it does not know."""
+        return {}
+
 
 class MeshOptions(Model):
     """How fine the mesh is and what the displacement is approximated by."""

@@ -115,8 +115,8 @@ def _jobs(
                 if wanted.mesh:
                     from app.stress_meshes import change  # needs gmsh
 
-                    override = change(case, wanted.mesh, folder / "meshes")
-                    job = batch.Job(name, path, (override, *overrides))
+                    changed = change(case, wanted.mesh, folder / "meshes")
+                    job = batch.Job(name, path, (*changed, *overrides))
                 jobs[wanted] = job
             except InputError as error:
                 code = error.exit_code

@@ -95,7 +95,7 @@ CHANGES: dict[str, Callable[[MeshData], MeshData]] = {
 }
 
 
-def change(case: config.Case, name: str, folder: Path) -> str:
+def change(case: config.Case, name: str, folder: Path) -> tuple[str, ...]:
     """Write the changed mesh of a case.
 
     Args:
@@ -104,11 +104,12 @@ def change(case: config.Case, name: str, folder: Path) -> str:
         folder: Where the ``.msh`` file goes.
 
     Returns:
-        The override that makes it the geometry of the case.
+        The overrides that make it the geometry of the case.
     """
     data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{data.notes['quality']['cells']}_{name}.msh"
     meshes.write_msh(CHANGES[name](data), path)
     sides: dict[str, Any] = {n: [list(a), list(b)] for n, (a, b) in data.interfaces.items()}
-    return f"geometry={{kind: file, path: {path.resolve()}, interfaces: {sides}}}"
+    geometry = f"geometry={{kind: file, path: {path.resolve()}, interfaces: {sides}}}"
+    return geometry, *(f"regions.{n}.tissue={r.tissue}" for n, r in case.regions.items())

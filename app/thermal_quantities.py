@@ -116,6 +116,7 @@ class ThermalRecord:
     """Temperatures of a run, as far as they are reported.
 
     Attributes:
+        bone: Regions of bone.
         seconds: Times of the states taken in, the initial one first [s].
         rows: What `row` gave at each of them.
         hottest: Temperatures of the bodies (nodes of this rank, ghosts too) [K] when the bone side
@@ -130,6 +131,7 @@ class ThermalRecord:
         forms: HeatForms,
         of_region: Mapping[str, int],
         interfaces: Interfaces,
+        bone: Sequence[str],
         probes: Sequence[Probe],
     ) -> None:
         """Find nodes, sides and probes; collective. `start` comes next.
@@ -140,6 +142,7 @@ class ThermalRecord:
             of_region: Thermal body of each region.
             interfaces: Regions on the first and second side of each interface, in the order of the
                 case.
+            bone: Regions of bone.
             probes: Named points.
 
         Raises:
@@ -150,7 +153,8 @@ class ThermalRecord:
         self._interfaces = interfaces
         self._sides = {name: sides_of(self._nodes, sides) for name, sides in interfaces.items()}
         self._pairs = {name: pairs_of(self._nodes, sides) for name, sides in interfaces.items()}
-        self._bone_sides = _bone_sides(interfaces, self._sides)
+        self.bone = bone
+        self._bone_sides = _bone_sides(interfaces, self._sides, bone)
         self._probes = Probes(tagged, forms.space, of_region, probes)
         self._extremes = {name: _Extremes() for name in interfaces}
         self._regions: dict[str, _Region] = {}
@@ -362,7 +366,7 @@ class ThermalRecord:
         cells = {name: RegionCells(self._forms, name) for name in self._nodes}
         surface = self._bone_surface(cells)
         regions = {name: self._region(r, cells[name]) for name, r in self._regions.items()}
-        for name in [name for name in regions if "bone" in name]:
+        for name in self.bone:
             regions[name] |= self._dead(self._regions[name], cells[name], surface)
         return {
             "regions": regions,
@@ -436,11 +440,13 @@ class ThermalRecord:
         return result
 
 
-def _bone_sides(interfaces: Interfaces, sides: Mapping[str, tuple[Side, Side]]) -> list[Side]:
+def _bone_sides(
+    interfaces: Interfaces, sides: Mapping[str, tuple[Side, Side]], bones: Sequence[str]
+) -> list[Side]:
     """The bone side of each interface between bone and something else."""
     found = []
     for name, regions in interfaces.items():
-        bone = [any("bone" in r for r in side) for side in regions]
+        bone = [not set(bones).isdisjoint(side) for side in regions]
         found += [sides[name][k] for k in (0, 1) if bone[k] and not bone[1 - k]]
     return found
 

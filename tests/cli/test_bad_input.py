@@ -1169,7 +1169,7 @@ def test_names_of_a_mesh_file(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(
         "geometry:\n  kind: file\n  path: a.msh\n  interfaces:\n    joint: [rock, [soli]]\n"
-        "mesh: {size: 1 mm}\nregions: {rock: {rigid: true}}\nsupports:\n"
+        "mesh: {size: 1 mm}\nregions: {rock: {rigid: true, tissue: other}}\nsupports:\n"
         "  base: {kind: fixed, boundary: botom}\n"
     )
     (message,) = complaints(path)

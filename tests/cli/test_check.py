@@ -235,7 +235,7 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
         "mesh: {order: 1, size: 5 mm}\n"
         "supports: {base: {kind: fixed, boundary: bottom}}\nregions:\n"
         + "".join(
-            f"  {n}: {{youngs_modulus: 1 GPa, poisson_ratio: 0}}\n"
+            f"  {n}: {{youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}}\n"
             for n in ("bone", "cement", "metal")
         )
     )

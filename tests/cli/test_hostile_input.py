@@ -23,7 +23,7 @@ Physical Surface("bottom") = Surface In BoundingBox {-1, -1, -0.1, 2, 2, 0.1};
 CASE = """\
 geometry: {kind: file, path: script.geo}
 mesh: {size: 0.5 mm}
-regions: {cube: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}}
+regions: {cube: {youngs_modulus: 1 GPa, poisson_ratio: 0.3, tissue: other}}
 supports: {base: {kind: fixed, boundary: bottom}}
 """
 

@@ -348,7 +348,8 @@ def test_results_of_an_older_mesh_file_are_not_finished(tmp_path: Path) -> None:
   path: {mesh}
   interfaces: {{lower_upper: [lower, upper]}}
 """
-    case = support.case(geometry + SLIDING[SLIDING.index("mesh:") :])
+    tissues = [f"regions.{name}.tissue=other" for name in ("lower", "upper")]
+    case = support.case(geometry + SLIDING[SLIDING.index("mesh:") :], *tissues)
     (tmp_path / "case.yaml").write_text(config.dump(case))
     assert not kept.finished(tmp_path, case)
     (tmp_path / "DONE").write_text("")

@@ -28,8 +28,8 @@ CASE = """\
 geometry: {kind: file, path: mutant.msh, interfaces: {a_b: [a, b]}}
 mesh: {size: 1 mm}
 regions:
-  a: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-  b: {youngs_modulus: 1 GPa, poisson_ratio: 0}
+  a: {youngs_modulus: 1 GPa, poisson_ratio: 0.3, tissue: other}
+  b: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}
 supports: {base: {kind: fixed, boundary: bottom}}
 """
 NUMBERS = (

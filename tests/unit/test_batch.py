@@ -31,7 +31,7 @@ geometry:
   kind: blocks
   blocks: [{name: one, size: [4 mm, 4 mm, 4 mm]}]
 mesh: {order: 1, size: 4 mm}
-regions: {one: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}}
+regions: {one: {youngs_modulus: 1 GPa, poisson_ratio: 0.3, tissue: other}}
 supports: {base: {kind: fixed, boundary: bottom}}
 """
 

@@ -156,7 +156,7 @@ def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
     case = load(
         tmp_path,
         "geometry: {kind: file, path: meshes/a.msh}\nmesh: {order: 1, size: 1 mm}\n"
-        "regions: {rock: {youngs_modulus: 1 GPa, poisson_ratio: 0.2}}\n"
+        "regions: {rock: {youngs_modulus: 1 GPa, poisson_ratio: 0.2, tissue: other}}\n"
         "supports: {base: {kind: fixed, boundary: floor}}\n",
     )
     other = tmp_path / "elsewhere"

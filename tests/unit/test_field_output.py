@@ -61,7 +61,9 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     state[0].array[:] = np.where(x[:, 2] < 1.999, bone, bone - colder)
     for j, τ in zip(conduction.jumps, state[1:], strict=True):
         τ.array[:] = 10 + x[j.dof, 0]
-    record = ThermalRecord(tagged, conduction.forms, conduction.bodies.of_region, SIDES, ())
+    record = ThermalRecord(
+        tagged, conduction.forms, conduction.bodies.of_region, SIDES, ("bone",), ()
+    )
     temperatures = conduction.temperatures(state)
     record.start(temperatures)
     record.update(60.0, temperatures)

@@ -52,8 +52,8 @@ CASE = """\
 geometry: {kind: file, path: a.geo, interfaces: {joint: [low, high]}}
 mesh: {order: 1, size: 1 mm, far_size: 1 mm}
 regions:
-  low: {youngs_modulus: 100 MPa, poisson_ratio: 0}
-  high: {youngs_modulus: 100 MPa, poisson_ratio: 0}
+  low: {youngs_modulus: 100 MPa, poisson_ratio: 0, tissue: other}
+  high: {youngs_modulus: 100 MPa, poisson_ratio: 0, tissue: other}
 interfaces: {joint: {kind: contact, friction_coefficient: 0.3}}
 supports: {base: {kind: fixed, boundary: base}}
 loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}

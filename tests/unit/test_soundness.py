@@ -349,7 +349,8 @@ def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> 
         f"geometry: {{kind: file, path: {tmp_path}/a.msh, "
         "interfaces: {bone_metal: [bone, metal]}}\n",
     )
-    assert any("0.0173 mm from corner to corner: is its unit mm?" in n for n in judged(file))
+    notes = judged(file, "regions.bone.tissue=bone", "regions.metal.tissue=implant")
+    assert any("0.0173 mm from corner to corner: is its unit mm?" in n for n in notes)
 
 
 def test_strains_that_are_not_small_are_told() -> None:

@@ -71,7 +71,7 @@ class Play:
         self.space = forms.space
         self.states = (bone, cement)
         self.functions = [fem.Function(self.space) for _ in self.states]
-        self.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, probes)
+        self.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, ("bone",), probes)
         self.record.start(self.at(0.0))
 
     def at(self, time: float) -> list[fem.Function]:
@@ -254,7 +254,7 @@ def test_probes_in_curved_cells() -> None:
         Probe(f"p{k}", (8.999 * np.cos(a), 8.999 * np.sin(a), 3.1), "cement")
         for k, a in enumerate(angles)
     ]
-    record = ThermalRecord(tagged, forms, bodies.of_region, tagged.interfaces, probes)
+    record = ThermalRecord(tagged, forms, bodies.of_region, tagged.interfaces, ("bone",), probes)
     T = fem.Function(forms.space)
     x = forms.space.tabulate_dof_coordinates()
     T.x.array[:] = ZERO + np.hypot(x[:, 0], x[:, 1])

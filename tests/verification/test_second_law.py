@@ -140,8 +140,8 @@ geometry:
   interfaces: {{peg_socket: [socket, peg]}}
 mesh: {{order: 1, size: 1.5 mm}}
 regions:
-  socket: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
-  peg: {{youngs_modulus: 300 MPa, poisson_ratio: 0.3}}
+  socket: {{youngs_modulus: 1000 MPa, poisson_ratio: 0.3, tissue: other}}
+  peg: {{youngs_modulus: 300 MPa, poisson_ratio: 0.3, tissue: other}}
 interfaces:
   peg_socket: {{{law}, friction_coefficient: 0.4, gap: -2e-3 mm, gap_history: {gap}}}
 supports:

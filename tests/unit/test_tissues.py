@@ -1,0 +1,113 @@
+"""What regions are: bone, cement, implant or other, whatever they are called."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import meshes
+from app import config, quantities
+from app.errors import InputError
+from app.heat_forms import HeatForms
+from app.report_heat import bone_peak
+from app.report_sweep import Case
+from app.thermal_quantities import ThermalRecord
+from app.timing import Timing
+from tests import support
+from tests.unit.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
+
+CONFIGS = support.CONFIGS
+# A nail on a cortex, neither of which is called what it is.
+STACK = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: cortex, size: [4 mm, 4 mm, 2 mm]}
+    - {name: bone_cement, size: [4 mm, 4 mm, 2 mm]}
+    - {name: nail, size: [4 mm, 4 mm, 6 mm]}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
+regions:
+  cortex: {youngs_modulus: 100 MPa, poisson_ratio: 0, tissue: bone}
+  bone_cement: {youngs_modulus: 100 MPa, poisson_ratio: 0, tissue: cement}
+  nail: {youngs_modulus: 100 MPa, poisson_ratio: 0, tissue: implant}
+supports: {base: {kind: fixed, boundary: bottom}}
+loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("stance", {"stem": "implant", "cement": "cement"}),
+        ("intact", {}),
+        ("cylinders", {"stem": "implant", "cement": "cement", "bone": "bone"}),
+    ],
+)
+def test_shipped_geometries_know_theirs(name: str, expected: dict[str, str]) -> None:
+    case = config.load(CONFIGS / f"{name}.yaml")
+    bones = {n: "bone" for n in ("cortical_bone", "cancellous_bone") if n in case.regions}
+    assert {n: r.tissue for n, r in case.regions.items()} == expected | bones
+    changed = config.load(CONFIGS / f"{name}.yaml", [f"regions.{n}.tissue=other" for n in bones])
+    assert all(changed.regions[n].tissue == "other" for n in bones)
+
+
+def test_blocks_are_neither_bone_nor_implant_unless_they_say_so() -> None:
+    case = support.case(STACK.replace(", tissue: bone", ""))
+    assert [r.tissue for r in case.regions.values()] == ["other", "cement", "implant"]
+    assert case.of_tissue("implant") == ("nail",) and case.of_tissue("bone") == ()
+
+
+def test_a_file_has_to_say_it(tmp_path: Path) -> None:
+    stack = support.case(STACK)
+    meshes.write_msh(meshes.build(stack.geometry, stack.mesh), tmp_path / "a.msh")
+    path = tmp_path / "case.yaml"
+    sides = "interfaces: {one: [cortex, bone_cement], two: [bone_cement, nail]}"
+    text = f"geometry: {{kind: file, path: a.msh, {sides}}}\n" + STACK[STACK.index("mesh:") :]
+    path.write_text(text.replace(", tissue: bone}", "}").replace("implant", "implnt"))
+    with pytest.raises(InputError) as caught:
+        config.load(path)
+    assert caught.value.messages == [
+        f"{path}:4:3: regions.cortex: 'tissue' is missing; expected bone, cement, implant or other",
+        f"{path}:6:53: regions.nail.tissue: 'implnt' is not one of bone, cement, implant, other; "
+        "did you mean 'implant'?",
+    ]
+
+
+def test_the_implant_moves_against_the_bone() -> None:
+    """Under 1 MPa all strain by 1 %: centres 1 and 7 mm high approach by 0.06 mm."""
+    solved = support.solve(STACK)
+    implant, bone = (solved.case.of_tissue(t) for t in ("implant", "bone"))
+    motion = quantities.stem_motion(solved.problem, implant, bone)
+    assert motion["subsidence"] == pytest.approx(0.06, rel=1e-9)
+    assert quantities.stem_motion(solved.problem, implant, ()) == {}
+
+
+def test_heat_kills_bone_alone() -> None:
+    """Bone above at 80 degC for two minutes is dead; cement below it, called bone, cannot be."""
+    tagged = two_blocks(MPI.COMM_SELF)
+    forms = HeatForms(tagged, BODIES, Timing())
+    play = Play(tagged, constant(60.0), constant(80.0))
+    play.record = ThermalRecord(tagged, forms, BODIES.of_region, SIDES, ("cement",), ())
+    play.record.start(play.at(0.0))
+    regions = play.through(60.0, 120.0)["regions"]
+    assert regions["cement"]["necrosis_47C_1min_volume"] == pytest.approx(4 * 4 * 2)
+    assert not any(key.startswith("necrosis") for key in regions["bone"])
+    # The hottest place is watched on the bone's side, which is 80 degC.
+    space = forms.space.tabulate_dof_coordinates()
+    assert np.allclose(play.record.hottest[1][space[:, 2] >= 2], 353.15)
+
+
+def test_reports_look_for_bone_by_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "case.yaml").write_text(STACK)
+    (tmp_path / "history.csv").write_text(
+        "seconds [s],cortex temperature_max [degC],bone_cement temperature_max [degC]\n3,45,90\n"
+    )
+    case = Case("a", "", {}, tmp_path, "converged")
+    assert case.bones == ["cortex"]
+    peak = bone_peak(case)
+    assert peak is not None and dataclasses.astuple(peak)[0] == 45.0
