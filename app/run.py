@@ -7,6 +7,7 @@ import os
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -317,13 +318,15 @@ def _errors(
     for companion in companions:
         begin = clock.perf_counter()
         try:
-            numbers = model.relative(companion.case)
+            numbers, factor = model.relative(companion.case)
         except (ConvergenceError, GeometryError) as failure:
             agree(model.tagged.mesh.comm, failure)
             log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
             failed.append(str(companion))
             continue
-        solved.append((companion, numbers))
+        # What the meshers made tells the error, not what they were asked for.
+        coarsening = companion.coarsening * factor / model.size_factor
+        solved.append((replace(companion, coarsening=coarsening), numbers))
         seconds = clock.perf_counter() - begin
         log.info("     error: companion on %s in %.1f s", companion, seconds)
     return {

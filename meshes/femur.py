@@ -58,7 +58,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return best_of(
         "femur",
         (
-            partial(_attempt, geometry, mesh, film * femur_mantle.FILM, size, algorithm)
+            (size, partial(_attempt, geometry, mesh, film * femur_mantle.FILM, size, algorithm))
             for film, size, algorithm in ATTEMPTS
         ),
     )

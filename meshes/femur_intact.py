@@ -42,12 +42,12 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Returns:
         Two regions, and the boundaries distal_cut, bone_surface, head and five muscle patches, the
-        last two parts of bone_surface. Notes: head centre, attempts.
+        last two parts of bone_surface. Notes: head centre, attempts, factor of the sizes.
 
     Raises:
         GeometryError: No attempt gave a mesh.
     """
-    data = best_of("femur", (partial(_attempt, geometry, mesh, *how) for how in ATTEMPTS))
+    data = best_of("femur", ((how[0], partial(_attempt, geometry, mesh, *how)) for how in ATTEMPTS))
     head = [geometry.head_offset, 0.0, geometry.head_height]
     return MeshData(**{**vars(data), "notes": {"head_centre": head, **data.notes}})
 

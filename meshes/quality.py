@@ -35,22 +35,24 @@ _SAMPLES = np.vstack(
 )
 
 
-def best_of(name: str, attempts: Iterable[Callable[[], MeshData]]) -> MeshData:
+def best_of(name: str, attempts: Iterable[tuple[float, Callable[[], MeshData]]]) -> MeshData:
     """The first mesh that is twice as good as need be, or else the best of all.
 
     Args:
         name: Of what, for the message.
-        attempts: Ways to make it, the best first; each may raise `GeometryError`.
+        attempts: Ways to make it, the best first: the factor by which one changes the sizes, and
+            what makes it, which may raise `GeometryError`.
 
     Returns:
-        The mesh; its notes tell of the attempts that failed.
+        The mesh; its notes tell of the attempts that failed, and by which factor its sizes are not
+        those that were asked for.
 
     Raises:
         GeometryError: No attempt gave a mesh.
     """
     failures: list[str] = []
-    best: tuple[float, MeshData] | None = None
-    for attempt in attempts:
+    best: tuple[float, float, MeshData] | None = None
+    for factor, attempt in attempts:
         try:
             data = attempt()
         except GeometryError as error:
@@ -58,14 +60,15 @@ def best_of(name: str, attempts: Iterable[Callable[[], MeshData]]) -> MeshData:
             continue
         worst = float(sicn(data.points, data.cells).min())
         if best is None or worst > best[0]:
-            best = (worst, data)
+            best = (worst, factor, data)
         if worst >= 2 * BAD:
             break
         failures.append(f"least SICN {worst:.4f}")
     if best is None:
         raise GeometryError(f"{name}: no attempt gave a mesh: " + "; ".join(failures))
-    data = best[1]
-    return MeshData(**{**vars(data), "notes": {**data.notes, "failed_attempts": failures}})
+    _, factor, data = best
+    notes = {**data.notes, "failed_attempts": failures, "size_factor": factor}
+    return MeshData(**{**vars(data), "notes": notes})
 
 
 def sicn(points: Floats, cells: Ints) -> Floats:
