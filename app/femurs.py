@@ -91,6 +91,11 @@ class _Femur(Shape):
         return (self.head_offset, 0.0, self.head_height)
 
     @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """Bone is one body."""
+        return (BONE,)
+
+    @property
     def zones(self) -> tuple[Zones, ...]:
         """Those around the stem, or where it will be."""
         from meshes.gruen import Zones  # here: a check of the configuration needs no meshes

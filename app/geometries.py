@@ -273,6 +273,11 @@ class MeshFile(Shape):
         return dict(self.interfaces)
 
     @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """Regions on one side of an interface are one body."""
+        return tuple(side for sides in self.interfaces.values() for side in sides)
+
+    @property
     def interface_area(self) -> float:
         """Unknown without the mesh: 0."""
         return 0.0

@@ -48,6 +48,11 @@ class Shape(Model):
         return ()
 
     @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """Regions that are one body wherever they meet; none unless it says so."""
+        return ()
+
+    @property
     def tissues(self) -> dict[str, str]:
         """What each region is, unless the case says otherwise; none that it does not know."""
         return {}

@@ -7,10 +7,13 @@ used, so that checking a configuration needs neither.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from app.errors import GeometryError
 
@@ -24,6 +27,7 @@ from .data import (
     face_neighbours,
     facet_areas,
     interface_facets,
+    region_facets,
     region_volumes,
 )
 from .parts import coincident
@@ -47,7 +51,8 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 
     Raises:
         GeometryError: The geometry cannot be built, a boundary, interface or region is empty or
-            in pieces, or the worst elements (named) are not good enough.
+            in pieces, bodies meet where no interface is, or the worst elements (named) are not
+            good enough.
     """
     if cache is None:
         return _make(geometry, mesh)
@@ -65,6 +70,7 @@ def _make(geometry: Any, mesh: Any) -> MeshData:
     data = canonical(_generate(geometry, mesh))
     _quality.gate(data)
     _check_parts(data, () if geometry.kind == "file" else set(data.regions) - DIVISIBLE)
+    _check_interfaces(data, geometry.joined)
     notes = {
         **data.notes,
         "quality": _quality.describe(data),
@@ -151,4 +157,41 @@ def _check_parts(data: MeshData, whole: Collection[str]) -> None:
         raise GeometryError(
             "regions in several pieces: "
             + ", ".join(f"{name} ({n})" for name, n in pieces.items() if n > 1)
+        )
+
+
+def _check_interfaces(data: MeshData, joined: Collection[Collection[str]]) -> None:
+    """Wherever two bodies meet there is an interface: without one they would be tied.
+
+    Args:
+        data: The mesh.
+        joined: Regions that are one body.
+
+    Raises:
+        GeometryError: With every pair that meets elsewhere, and where.
+    """
+    faces, here, there = region_facets(data)
+    messages = []
+    for (a, tag), (b, other) in itertools.combinations(data.regions.items(), 2):
+        declared = any(
+            (a in first and b in second) or (b in first and a in second)
+            for first, second in data.interfaces.values()
+        )
+        if declared or any(a in body and b in body for body in joined):
+            continue
+        between = np.isin(here, (tag, other)) & np.isin(there, (tag, other))
+        if not between.any():
+            continue
+        area = facet_areas(data.points, faces[between]).sum()
+        centres = data.points[faces[between][:, :3]].mean(axis=1)
+        nearest = np.linalg.norm(centres - centres.mean(axis=0), axis=1).argmin()
+        x, y, z = centres[nearest]
+        messages.append(
+            f"{a} meets {b} where no interface is declared, on {area:.3g} mm2 about "
+            f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
+        )
+    if messages:
+        raise GeometryError(
+            "; ".join(messages) + ": expected an interface between them (bonded, if they are tied),"
+            " or a geometry in which they do not meet"
         )

@@ -21,7 +21,7 @@ from .data import MeshData
 
 log = logging.getLogger("mantle")
 
-MESHER_VERSION = 2  # raise it whenever the same input gives another mesh
+MESHER_VERSION = 3  # raise it whenever the same input gives another mesh
 
 
 def plain(value: Any) -> Any:

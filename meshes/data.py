@@ -223,6 +223,24 @@ def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
     return cell_faces(data.cells)[rows], cell[rows], neighbours[rows]
 
 
+def region_facets(data: MeshData) -> tuple[Ints, npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """The facets between cells of different regions, each once.
+
+    Returns:
+        Their nodes, and the region tags before and behind them.
+    """
+    neighbours = face_neighbours(data.cells).ravel()
+    cell = np.repeat(np.arange(len(data.cells)), 4)
+    rows = np.flatnonzero(
+        (neighbours > cell) & (data.cell_tags[cell] != data.cell_tags[neighbours])
+    )
+    return (
+        cell_faces(data.cells)[rows],
+        data.cell_tags[cell[rows]],
+        data.cell_tags[neighbours[rows]],
+    )
+
+
 def canonical(data: MeshData) -> MeshData:
     """The same mesh without unused nodes and in an order that depends on the geometry alone.
 

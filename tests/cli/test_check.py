@@ -231,7 +231,8 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     # What was written can be read as a geometry of its own.
     given = tmp_path / "again.yaml"
     given.write_text(
-        f"geometry: {{kind: file, path: {out[0]}, interfaces: {{joint: [bone, cement]}}}}\n"
+        f"geometry: {{kind: file, path: {out[0]}, "
+        "interfaces: {joint: [bone, cement], other: [cement, metal]}}\n"
         "mesh: {order: 1, size: 5 mm}\n"
         "supports: {base: {kind: fixed, boundary: bottom}}\nregions:\n"
         + "".join(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -274,11 +275,11 @@ def old_format(tmp_path: Path, data: MeshData) -> Path:
 def test_old_files_are_read_and_mirrored_cells_turned(tmp_path: Path) -> None:
     data = mesh(STACK, 3.0)
     path = old_format(tmp_path, data)
-    back = meshes.build(MeshFile(path=path), options(1.0))
+    back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
     assert region_volumes(back) == pytest.approx(region_volumes(data))
     mirrored = replace(data, points=data.points * [-1, 1, 1])
     meshes.write_msh(mirrored, path)
-    back = meshes.build(MeshFile(path=path), options(1.0))
+    back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
     assert region_volumes(back) == pytest.approx(region_volumes(data))
 
 
@@ -302,6 +303,45 @@ def test_files_without_names_or_regions_say_what_was_found(tmp_path: Path) -> No
         meshes.build(MeshFile.model_construct(path=path, interfaces={}), options(1.0))
 
 
+def test_bodies_of_a_file_that_meet_without_an_interface_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.msh"
+    meshes.write_msh(mesh(STACK, 3.0), path)
+    some = {"low_mid": STACK.interface_sides["low_mid"]}
+    with pytest.raises(GeometryError) as caught:
+        meshes.build(MeshFile(path=path, interfaces=some), options(1.0))
+    found = re.search(r"on ([\d.]+) mm2 about \((.+), (.+), (.+)\) mm", str(caught.value))
+    assert found and "high meets mid where no interface is declared" in str(caught.value)
+    assert "low" not in str(caught.value)
+    area, *place = map(float, found.groups())
+    assert area == pytest.approx(80.0 / math.cos(STACK.tilt), rel=5e-3)
+    # On the plane between them, less than a cell from its middle.
+    x, y, z = place
+    assert z == pytest.approx(9.0 - (x - 5.0) * math.tan(STACK.tilt), abs=0.1)
+    assert math.hypot(x - 5.0, y - 4.0) < 3.0
+    with pytest.raises(GeometryError, match=r"high meets mid .*; low meets mid "):
+        meshes.build(MeshFile(path=path), options(1.0))
+
+
+def test_regions_on_one_side_of_an_interface_are_one_body(tmp_path: Path) -> None:
+    path = tmp_path / "a.msh"
+    meshes.write_msh(mesh(STACK, 3.0), path)
+    sides = {"joint": (("low",), ("mid", "high"))}
+    back = meshes.build(MeshFile(path=path, interfaces=sides), options(1.0))
+    assert set(back.regions) == {"low", "mid", "high"}
+
+
+def test_a_hole_in_the_mantle_is_no_tie(rod: MeshData, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of any geometry: a stem that meets bone through its cement, here near the top."""
+    centres = rod.points[rod.cells[:, :4]].mean(axis=1)
+    cement = rod.cell_tags == rod.regions["cement"]
+    hole = cement & (centres[:, 2] > 15) & (centres[:, 0] > 0)
+    tags = np.where(hole, rod.regions["bone"], rod.cell_tags).astype(np.int32)
+    monkeypatch.setattr(meshes, "_generate", lambda *_: replace(rod, cell_tags=tags))
+    with pytest.raises(GeometryError, match=r"^stem meets bone where .* about \(\d") as caught:
+        mesh(ROD, 2.0)
+    assert "cement" not in str(caught.value)
+
+
 def test_interior_surfaces_of_a_file_are_no_boundaries(tmp_path: Path) -> None:
     data = mesh(STACK, 3.0)
     facets, _, _ = interface_facets(data, "low_mid")
@@ -314,7 +354,7 @@ def test_interior_surfaces_of_a_file_are_no_boundaries(tmp_path: Path) -> None:
     )
     path = tmp_path / "a.msh"
     meshes.write_msh(more, path)
-    back = meshes.build(MeshFile(path=path), options(1.0))
+    back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
     assert "between" not in back.boundaries
     assert back.notes["interior_surfaces"] == ["between"]
 
