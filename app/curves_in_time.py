@@ -54,5 +54,16 @@ def bend(before: State, start: State, end: State) -> Floats:
         return np.zeros_like(c)
     h = t2 - t1
     curvature = ((c - b) / h - (b - a) / (t1 - t0)) / (t2 - t0)
-    limit = np.abs(c - b) / 4
-    return np.asarray(np.clip(curvature * h**2 / 4, -limit, limit))
+    return _between(curvature * h**2 / 4, b, c)
+
+
+def bend_after_kink(start: State, end: State, rate: Floats) -> Floats:
+    """The same where the state before says nothing, with the rate of change at the end [K/s]."""
+    (t1, b), (t2, c) = start, end
+    return _between((rate * (t2 - t1) - (c - b)) / 4, b, c)
+
+
+def _between(bend: Floats, start: Floats, end: Floats) -> Floats:
+    """No more than leaves the parabola between the ends."""
+    limit = np.abs(end - start) / 4
+    return np.asarray(np.clip(bend, -limit, limit))

@@ -33,6 +33,8 @@ Floats = NDArray[np.float64]
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
 FIRST = 1e-3
+# Times are equal up to this part of them.
+SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -315,6 +317,15 @@ class Heating:
         courses = [t for c in scene.heat for t, _ in getattr(c, "course", ())]
         curing = [t for cure in self.conduction.cures for t in cure.curing.events]
         return tuple(sorted({*courses, *curing}))
+
+    def begins_at_event(self, accepted: Accepted) -> bool:
+        """Whether a step begins where the one before had to end."""
+        begin = accepted.seconds - accepted.dt
+        return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
+
+    def slopes(self) -> list[Floats]:
+        """Rates of change of temperature at own nodes of each body [K/s]."""
+        return self._nodal(self._slope)
 
     def degrees(self) -> dict[str, Floats]:
         """Degrees of cure of own nodes of each region that sets."""

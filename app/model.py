@@ -129,7 +129,8 @@ class Thermal:
             for j, τ in zip(conduction.jumps, x[1:], strict=True)
         ]
         highest = conduction.bounds(x).high
-        self.record.update(accepted.seconds, temperatures, exchanges, highest)
+        rates = heating.slopes() if heating.begins_at_event(accepted) else ()
+        self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         for cure in self.cure:
             cure.update(accepted.seconds, heating.degrees(), heating.rates())
         stored = conduction.stored(x)

@@ -171,8 +171,10 @@ class March:
             self._tell(k, stage, part, accepted, started, at_end)
 
     def _equal(self, stage: Stage) -> list[tuple[float, float, bool]]:
-        """Steps as long as increments, divided at events: their lengths [s], where they end as
-        parts of the stage, and whether an increment ends there.
+        """Steps as long as increments, divided at events.
+
+        Returns:
+            Length [s] of each, where it ends as a part of the stage, whether an increment ends there.
         """
         whole = stage.duration / stage.increments
         tiny = SHORTEST * stage.duration

@@ -3,7 +3,8 @@
 A record is told the temperatures after every accepted step. Peaks are those of the nodes; between
 steps the peak in time is that of a parabola, where the steps before and after leave room for it.
 Heat doses follow the parabola through the step and the one before it in straight pieces, bent no
-further than leaves it between the ends of the step.
+further than leaves it between the ends of the step; after a kink in what heats, the parabola that
+ends with the right slope.
 
 Temperatures are K inside and degC in what is reported; the other units are those of ``UNITS``.
 """
@@ -22,7 +23,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app import curves_in_time
-from app.curves_in_time import bend, peak_between, raise_to
+from app.curves_in_time import bend, bend_after_kink, peak_between, raise_to
 from app.heat_forms import HeatForms
 from app.level_sets import RegionCells
 from app.necrosis import CELSIUS, LEVELS, Exposure
@@ -182,6 +183,7 @@ class ThermalRecord:
         temperatures: Sequence[fem.Function],
         exchanges: Sequence[Exchange] = (),
         highest: float = np.inf,
+        rates: Sequence[Floats] = (),
     ) -> None:
         """Take in an accepted step; collective.
 
@@ -192,6 +194,8 @@ class ThermalRecord:
             temperatures: Of the bodies then [K].
             exchanges: What passes the interfaces of finite conductance then, if there are any.
             highest: Where temperatures have to stay below [K], between steps too.
+            rates: If what heats has a kink where the step began, so that the states before say
+                nothing of it: rates of change at its end, of own nodes of the bodies [K/s].
         """
         step = seconds - self.seconds[-1]
         for r in self._regions.values():
@@ -199,7 +203,7 @@ class ThermalRecord:
             r.now = r.nodes.values(temperatures)
             r.lowest = min(r.lowest, float(r.now.min(initial=np.inf)))
         if step > 0:
-            self._expose(seconds)
+            self._expose(seconds, rates)
         for r in self._regions.values():
             raise_to(r.peak, r.peak_time, r.now, np.full(len(r.now), seconds))
             states = [*r.before, (seconds, r.now)]
@@ -211,12 +215,16 @@ class ThermalRecord:
                 self._extremes_of(name, e.flux[e.interface == i], e.entropy[e.interface == i])
         self._take(seconds, temperatures)
 
-    def _expose(self, seconds: float) -> None:
+    def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
         """Count the doses of a step, in as many straight pieces as its curvature asks for."""
-        bends = {
-            name: bend(r.before[max(len(r.before) - 2, 0)], r.before[-1], (seconds, r.now))
-            for name, r in self._regions.items()
-        }
+        bends = {}
+        for name, r in self._regions.items():
+            start, end = r.before[-1], (seconds, r.now)
+            bends[name] = (
+                bend_after_kink(start, end, rates[r.nodes.body][r.nodes.dof])
+                if rates
+                else bend(r.before[max(len(r.before) - 2, 0)], start, end)
+            )
         warm = {
             name: np.maximum(r.begin, r.now) > CELSIUS + 39.0 for name, r in self._regions.items()
         }

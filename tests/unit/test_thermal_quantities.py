@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from app.thermal_nodes import Probe
 from app.thermal_quantities import Exchange, ThermalRecord
 from app.timing import Timing
 from meshes.distribute import TaggedMesh
-from tests import support
+from tests import coupled, support
 
 ZERO = 273.15
 CYLINDERS = """
@@ -197,6 +198,46 @@ def test_a_kink_is_not_rounded_off(stack: TaggedMesh) -> None:
     minutes = (quad(lambda t: 2 ** (t - 6), 6, 20)[0] + 40 * 2**14) / 60
     assert bone["cem43_max"] == pytest.approx(minutes, rel=1e-3)
     assert bone["seconds_over_50"] == pytest.approx(47.0)
+
+
+HELD = """
+geometry: {kind: blocks, blocks: [{name: bone, size: [2 mm, 2 mm, 2 mm]},
+                                  {name: hot, size: [2 mm, 2 mm, 2 mm]}]}
+mesh: {order: 1, size: 1 mm}
+regions:
+  bone: {kind: conductor, thermal: {conductivity: 0.5 W/(m K), density: 1800 kg/m^3,
+    specific_heat: 1300 J/(kg K), initial_temperature: 37 degC}}
+  hot: {kind: conductor, thermal: {conductivity: 0.5 W/(m K), density: 1800 kg/m^3,
+    specific_heat: 1300 J/(kg K), initial_temperature: 37 degC}}
+heat:
+  bath: {kind: temperature, regions: [bone, hot], course: [[0 s, 37 degC], [20 s, 47 degC],
+    [30 s, 52 degC], [60 s, 52 degC], [75 s, 49 degC], [100 s, 37 degC]]}
+stages:
+  - {name: bath, duration: 110 s}
+"""
+BATH = ([0, 20, 30, 60, 75, 100, 110], [37, 47, 52, 52, 49, 37, 37])
+
+
+@pytest.mark.parametrize("equal", [False, True])
+def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
+    monkeypatch: pytest.MonkeyPatch, equal: bool
+) -> None:
+    """Held at temperatures that are linear in time between kinks."""
+    steps = "stages.0={name: bath, duration: 110 s, increments: 11, adaptive: false}"
+    run = coupled.solve(monkeypatch, *([steps] if equal else []), text=HELD)
+    _, found = run.model.thermal[0].record.exposure("bone")
+
+    def dose(rate: Callable[[float], float]) -> float:
+        parts = pairwise(BATH[0])
+        return sum(quad(lambda t: rate(np.interp(t, *BATH)), *p, epsrel=1e-9)[0] for p in parts)
+
+    def minutes(T: float) -> float:
+        return (0.25 if T < 43 else 0.5) ** (43 - T) / 60 if T >= 39 else 0.0
+
+    assert found.cem43 == pytest.approx(dose(minutes), rel=1e-6)
+    damage = dose(lambda T: float(np.exp(np.log(3.1e98) - 6.28e5 / (8.314462618 * (ZERO + T)))))
+    assert found.damage == pytest.approx(damage, rel=1e-6)
+    assert found.over[0] == pytest.approx(75 + 25 / 6 - 20)
 
 
 def test_a_sharp_turn_is_not_rounded_up(stack: TaggedMesh) -> None:
