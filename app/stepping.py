@@ -174,7 +174,7 @@ class March:
         """Steps as long as increments, divided at events.
 
         Returns:
-            Length [s] of each, where it ends as a part of the stage, whether an increment ends there.
+            Length [s] of each, where it ends as a part of the stage, and whether an increment does.
         """
         whole = stage.duration / stage.increments
         tiny = SHORTEST * stage.duration

@@ -219,11 +219,11 @@ class ThermalRecord:
         """Count the doses of a step, in as many straight pieces as its curvature asks for."""
         bends = {}
         for name, r in self._regions.items():
-            start, end = r.before[-1], (seconds, r.now)
+            last, now = r.before[-1], (seconds, r.now)
             bends[name] = (
-                bend_after_kink(start, end, rates[r.nodes.body][r.nodes.dof])
+                bend_after_kink(last, now, rates[r.nodes.body][r.nodes.dof])
                 if rates
-                else bend(r.before[max(len(r.before) - 2, 0)], start, end)
+                else bend(r.before[max(len(r.before) - 2, 0)], last, now)
             )
         warm = {
             name: np.maximum(r.begin, r.now) > CELSIUS + 39.0 for name, r in self._regions.items()
