@@ -244,6 +244,17 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "joint 100" in capsys.readouterr().out
 
 
+def test_a_press_fit_acts_by_penalty_too() -> None:
+    gap = "interfaces.stem_cement={kind: penalty, friction_coefficient: 0, penalty: 1 GPa/mm, gap: "
+    still = [
+        "interfaces.cement_bone={kind: bonded}",
+        "supports.push={kind: roller, boundary: stem_top, axis: z}",
+    ]
+    for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
+        case = config.load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"])
+        assert any("nothing acts" in note for note in preview.warnings(case)) == told
+
+
 def test_mesh_says_where_it_cannot_write(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
