@@ -103,7 +103,8 @@ def _check(node: ast.expr) -> None:
                 )
             _, least, most = FUNCTIONS[name]
             if not least <= len(arguments) <= most:
-                raise ValueError(f"{name} takes {least} argument(s), got {len(arguments)}")
+                wanted = f"{least} to {most} arguments" if most > least else f"{least} argument(s)"
+                raise ValueError(f"{name} takes {wanted}, got {len(arguments)}")
             for argument in arguments:
                 _check(argument)
         case _:
