@@ -9,6 +9,7 @@ A field is declared by one of the aliases below, for example ``thickness: Positi
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import re
@@ -114,11 +115,14 @@ def _kept() -> dict[str, list[str]]:
 
 
 def _keep(key: str, conversion: tuple[Fraction, Fraction]) -> None:
-    """Add a conversion to the cache, if there is one."""
-    _kept()[key] = [str(number) for number in conversion]
+    """Add a conversion to those that are in the cache by now, if there is one."""
     with suppress(OSError, MantleError):
         if folder := folders.cache("units"):
-            folders.write_json(folder / KEPT, _kept())
+            with (folder / "lock").open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                _kept.cache_clear()
+                _kept()[key] = [str(number) for number in conversion]
+                folders.write_json(folder / KEPT, _kept())
 
 
 def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:

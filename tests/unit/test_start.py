@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -90,6 +91,21 @@ def test_a_conversion_is_asked_of_pint_once(
     forget()
     assert units.conversion("kN/inch^2", "MPa") == found
     forget()
+
+
+def test_conversions_of_other_runs_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another run adds one after this one has read the file and before it adds its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    units.conversion.cache_clear()
+    units._kept.cache_clear()
+    units.conversion("kN/inch^2", "MPa")
+    path = tmp_path / "mantle/units/conversions.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"furlong in mm": ["1", "0"]}))
+    units.conversion("lbf/inch^2", "MPa")
+    keys = {"kN/inch^2 in MPa", "furlong in mm", "lbf/inch^2 in MPa"}
+    assert set(json.loads(path.read_text())) == keys
+    units.conversion.cache_clear()
+    units._kept.cache_clear()
 
 
 def test_labels_are_those_of_a_graph() -> None:
