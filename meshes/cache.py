@@ -8,9 +8,8 @@ import json
 import logging
 import os
 import re
-import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -116,13 +115,10 @@ def store(data: MeshData, path: Path) -> None:
         "interfaces": dict(data.interfaces),
         "notes": dict(data.notes),
     }
+    # Not by `tempfile`, whose files nobody else may read: a cache may be shared.
+    temporary = path.with_name(f"{path.stem}-{os.uname().nodename}-{os.getpid()}.part")
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    except OSError as error:
-        log.warning("the mesh cannot be kept in %s: %s", path.parent, error.strerror)
-        return
-    try:
-        with os.fdopen(handle, "wb") as file:
+        with temporary.open("wb") as file:
             np.savez(
                 file,
                 points=data.points,
@@ -134,8 +130,9 @@ def store(data: MeshData, path: Path) -> None:
             )
         os.replace(temporary, path)
     except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
         log.warning("the mesh cannot be kept in %s: %s", path.parent, error.strerror or error)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import subprocess
 import sys
@@ -370,6 +371,17 @@ def test_sections_of_a_block_have_exact_areas(axis: int) -> None:
         area += 0.5 * np.linalg.norm(np.cross(fan[:, :-1], fan[:, 1:]), axis=2).sum()
         assert np.allclose(corners[..., axis], at)
     assert area == pytest.approx(size.prod() / size[axis])
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o002, 0o077])
+def test_who_may_read_a_cached_mesh_is_the_user_s_choice(tmp_path: Path, mask: int) -> None:
+    before = os.umask(mask)
+    try:
+        meshes.build(Blocks(blocks=(Block(name="a", size=["4 mm"] * 3),)), options(4.0), tmp_path)
+    finally:
+        os.umask(before)
+    (path,) = tmp_path.glob("*.npz")
+    assert path.stat().st_mode & 0o777 == 0o666 & ~mask
 
 
 def test_picture_is_a_png(tmp_path: Path, rod: MeshData) -> None:
