@@ -77,13 +77,39 @@ class _Femur(Shape):
                     f"is not below the half-width and half-depth, {half:g} mm",
                     at=(f"{end}_corner_radius",),
                 )
-        if not self.stem_tip_z < self.stem_section_z < self.stem_tip_z + self.stem_length:
+        shoulder = self.stem_tip_z + self.stem_length
+        if not self.stem_tip_z < self.stem_section_z < shoulder:
             fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
+        self._check_section(shoulder, "the shoulder", 0.0)
+        plug = self.stem_tip_z - self.plug_length
+        self._check_section(plug, "the end of the plug", self.cement_thickness)
         if not math.pi / 2 < self.neck_angle < math.pi:
             fail("is not between 90 and 180 deg", at=("neck_angle",))
         if not 0.0 <= self.resection_angle < math.pi / 2:
             fail("is not between 0 and 90 deg", at=("resection_angle",))
         return self
+
+    def _check_section(self, z: float, where: str, offset: float) -> None:
+        """Refuse a section that the two given ones, continued to a level, leave no shape.
+
+        Args:
+            z: The level (mm).
+            where: The same in words.
+            offset: What is added around it (mm).
+        """
+        part = (z - self.stem_tip_z) / (self.stem_section_z - self.stem_tip_z)
+        sizes = {}
+        for name in ("half_width", "half_depth", "corner_radius"):
+            tip, top = getattr(self, f"stem_tip_{name}"), getattr(self, f"stem_{name}")
+            slope = (top - tip) / (self.stem_section_z - self.stem_tip_z)
+            grown = offset * (1.0 if name == "corner_radius" else math.hypot(1.0, slope))
+            sizes[name] = tip + part * (top - tip) + grown
+        radius = sizes["corner_radius"]
+        for name, size in sizes.items():
+            if size <= 0.0 or (name != "corner_radius" and size <= radius):
+                text = f"at {where}, z = {z:g} mm, it has become {size:.3g} mm"
+                least = "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
+                fail(f"{text}; expected sections that stay {least} there", at=(f"stem_{name}",))
 
     @property
     def head_centre(self) -> Point3:

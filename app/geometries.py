@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from app.femurs import Femur, IntactFemur
-from app.fields import ITEMS, MAPPING, Kinds, Model, Name, Word, fail, one_of
+from app.fields import ITEMS, MAPPING, Kinds, Model, Name, Word, fail, one_of, show
 from app.gmsh_file import content, counts, is_script, physical_names
 from app.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from app.units import Angle, PositiveLength, SizeVector
@@ -216,13 +216,15 @@ class MeshFile(Shape):
     def _find(cls, value: object, info: ValidationInfo) -> Path:
         if not isinstance(value, str | Path):
             fail("is not a path; expected text")
-        path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-        if not path.is_file():
-            fail(f"no such file: {path}")
         try:
+            path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
+            if not path.is_file():
+                fail(f"no such file: {path}")
             regions = physical_names(path, 3)
-        except ValueError as error:
-            fail(f"{path}: {error}")
+        except OSError as error:
+            fail(f"{show(str(value))} cannot be read: {error.strerror}")
+        except (RuntimeError, ValueError) as error:  # a user or a name that cannot be
+            fail(f"{show(str(value))}: {error}")
         if not regions:
             fail(f"{path} names no region: it has no physical volume with a name")
         return path.resolve()

@@ -5,13 +5,16 @@ Each entry edits a good file and names every complaint that has to come, in orde
 
 from __future__ import annotations
 
+import errno
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from app import cli, config, ranks
 from app.cli import main
@@ -1159,6 +1162,70 @@ def test_mesh_file(content: str, expected: str, tmp_path: Path) -> None:
     (message,) = (m for m in complaints(path) if "geometry" in m)
     assert message.startswith(f"{path}:3:3: geometry.path: ")
     assert expected in message
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("~nosuchuser/a.msh", "'~nosuchuser/a.msh': Could not determine home directory"),
+        ("a" * 300 + ".msh", "cannot be read: File name too long"),
+        ('"a\\0.msh"', "no such file"),
+    ],
+)
+def test_mesh_file_that_cannot_be(
+    name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(
+        f"geometry:\n  kind: file\n  path: {name}\nmesh: {{size: 1 mm}}\nregions: {{}}\n"
+    )
+    assert main(["check", str(path)]) == 2
+    err = capsys.readouterr().err
+    assert f"{path}:3:3: geometry.path: " in err and words in err
+
+
+def test_mesh_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, mesh = tmp_path / "case.yaml", tmp_path / "a.msh"
+    path.write_text("geometry:\n  kind: file\n  path: a.msh\nmesh: {size: 1 mm}\nregions: {}\n")
+    mesh.touch()
+    opens = Path.open
+
+    def refuses(self: Path, *how: Any, **more: Any) -> Any:
+        if self == mesh:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opens(self, *how, **more)
+
+    monkeypatch.setattr(Path, "open", refuses)
+    (message,) = (m for m in complaints(path) if "geometry" in m)
+    assert message.startswith(f"{path}:3:3: geometry.path: ")
+    assert message.endswith("cannot be read: Permission denied")
+
+
+@pytest.mark.parametrize(
+    ("edits", "words"),
+    [
+        ({}, ""),
+        # 0.5 - 49 * 2.4 / 98 and 1 - 89 * 2 / 58 mm are left at the shoulder.
+        ({"stem_half_depth": 1.2, "stem_corner_radius": 0.5, "stem_tip_corner_radius": 2.9,
+          "stem_section_z": -20.0}, "stem_corner_radius: at the shoulder, z = 29 mm, it has become -0.7 mm"),
+        ({"stem_half_depth": 1.0, "stem_corner_radius": 0.5, "stem_section_z": -60.0},
+         "stem_half_depth: at the shoulder, z = 29 mm, it has become -2.07 mm"),
+        ({"stem_section_z": -115.0, "cement_thickness": 1.0, "plug_length": 20.0},
+         "stem_half_width: at the end of the plug, z = -138 mm, it has become"),
+    ],
+)  # fmt: skip
+def test_sections_of_the_stem_at_all_levels_that_are_used(
+    edits: dict[str, float], words: str
+) -> None:
+    """Straight lines through the sections at -118 mm and at ``stem_section_z``."""
+    given = {key: f"{value} mm" for key, value in edits.items()}
+    if not words:
+        config.Femur.model_validate(given)
+        return
+    with pytest.raises(ValidationError) as caught:
+        config.Femur.model_validate(given)
+    (entry,) = caught.value.errors(include_url=False)
+    assert f"{entry['ctx']['at'][0]}: {entry['msg']}".startswith(words)
 
 
 def test_names_of_a_mesh_file(tmp_path: Path) -> None:
