@@ -9,7 +9,8 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
@@ -32,6 +33,9 @@ LARGEST = 4 << 20
 LONGEST = 10_000
 # What a mapping or list may be marked as: nothing but itself.
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
+# A message that begins with a key, and a step of that.
+KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
+STEP = re.compile(r"[\w-]+")
 # Sorting key of what has no place in the file.
 LAST = (1 << 30, 0)
 
@@ -74,6 +78,26 @@ class CaseFile:
         lines = [*self.complaints, *(self._locate(p) for p in problems)]
         if lines:
             raise InputError(list(dict.fromkeys(printable(text) for _, text in sorted(lines))))
+
+    @contextmanager
+    def placing(self) -> Iterator[None]:
+        """Put the place in the file before errors that begin with one of its keys.
+
+        Raises:
+            InputError: One was raised within.
+        """
+        try:
+            yield
+        except InputError as error:
+            raise InputError([self._placed(m) for m in error.messages]) from error
+
+    def _placed(self, message: str) -> str:
+        """A message with its place, if it begins with a key."""
+        found = KEYED.fullmatch(message)
+        path = tuple(int(i) if i.isdigit() else i for i in STEP.findall(found[1])) if found else ()
+        if found is None or path[0] not in self.data:
+            return message
+        return self._locate(Problem(path, found[2]))[1]
 
     def _locate(self, problem: Problem) -> tuple[tuple[int, int], str]:
         """Sorting key and line of a problem: the place of its key, or of the nearest above."""

@@ -46,7 +46,6 @@ def cross_check(parts: Parts) -> list[Problem]:
         *_support_stages(parts),
         *_rigid(parts),
         *_held(parts),
-        *_contradictory(parts),
         *thermal_checks.cross_check(parts),
         *thermal_checks.probe_regions(parts),
         *quantities(parts.geometry, parts.study),
@@ -179,38 +178,6 @@ def _held(parts: Parts) -> Iterable[Problem]:
             along = "" if len(free) == 3 else f" along {' and '.join(free)}"
             allowed = "expected a support: fixed, roller, displacement or foundation"
             yield Problem(("supports",), f"nothing holds the model{along}{when}; {allowed}")
-
-
-def _contradictory(parts: Parts) -> Iterable[Problem]:
-    """Supports of one boundary that give it two displacements along an axis at a time."""
-    if parts.stages is None or parts.supports is None:
-        return
-    names = [stage.name for stage in parts.stages]
-
-    def given(support: Any, axis: str) -> list[Any]:
-        """At the end of each stage; None where it does not hold."""
-        value = getattr(support, axis, None) or 0.0
-        history = getattr(support, "history", None) or (1.0,) * len(names)
-        held = getattr(support, "stages", None)
-        ends = [value * h if isinstance(value, float) else (value, h) for h in history]
-        return [e if held is None or n in held else None for n, e in zip(names, ends, strict=False)]
-
-    known: dict[tuple[str, str], list[tuple[str, list[Any]]]] = {}
-    for name, support in parts.supports.items():
-        if support is None or support.kind == "foundation":
-            continue
-        for axis in support.held_axes:
-            mine = given(support, axis)
-            before = known.setdefault((support.boundary, axis), [])
-            for other, theirs in before:
-                both = [(a, b) for a, b in zip(mine, theirs, strict=False) if None not in (a, b)]
-                if any(a != b for a, b in both):
-                    text = (
-                        f"gives boundary '{support.boundary}' another displacement along {axis} "
-                        f"than supports.{other} does; expected one of them"
-                    )
-                    yield Problem(("supports", name), text)
-            before.append((name, mine))
 
 
 def quantities(geometry: Any, study: Any) -> Iterable[Problem]:

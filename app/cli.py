@@ -314,7 +314,7 @@ def _run(
     size = ranks.world_size()
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
-    case = _case(options)
+    file, case = _case(options)
     output = options.output or Path("out") / options.case.stem
     from app import folders, limits
 
@@ -345,27 +345,28 @@ def _run(
         from app.run import run
 
         compiled.share()
-    return run(
-        case,
-        options.case,
-        output,
-        petsc_options,
-        options.overrides,
-        keep,
-        options.restart or "",
-        options.force,
-        walltime,
-    )
+    with file.placing():
+        return run(
+            case,
+            options.case,
+            output,
+            petsc_options,
+            options.overrides,
+            keep,
+            options.restart or "",
+            options.force,
+            walltime,
+        )
 
 
-def _case(options: argparse.Namespace) -> Any:
-    """The case, which has to fit this machine."""
+def _case(options: argparse.Namespace) -> tuple[Any, Any]:
+    """The file, and the case in it, which has to fit this machine."""
     from app import case_file, config, sizing
 
     file = case_file.read(options.case, options.overrides)
     case = config.resolve(file, options.case.parent)
     sizing.check(file, case)
-    return case
+    return file, case
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -382,7 +383,8 @@ def _check(options: argparse.Namespace) -> int:
         print(preview.exact_size(case, data))
         with _stack():
             from app import soundness
-        notes += soundness.judge(case, soundness.look(case, data))
+        with file.placing():
+            notes += soundness.judge(case, soundness.look(case, data))
     else:
         print(preview.estimated_size(case))
     for message in notes:
@@ -392,7 +394,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _mesh(options: argparse.Namespace) -> int:
     """Write the mesh and a picture of it."""
-    case = _case(options)
+    _, case = _case(options)
     path = _mesh_path(options.output, options.case.stem)
     data = _build(case)
     import meshes

@@ -40,7 +40,7 @@ from app.terms import Contact, Scene, Support, amplitude
 from app.timing import Timing
 from forms.contact import SLIP
 from meshes.distribute import TaggedMesh
-from meshes.interfaces import ContactPoints, Entries, InterfaceFacets, contact_points
+from meshes.interfaces import ContactPoints, Entries, Holds, InterfaceFacets, contact_points
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -115,7 +115,7 @@ class Jumps:
         )
         self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
         _refuse_released(scene.supports, self.points)
-        _refuse_moving_rigid(scene, bodies, entries)
+        _refuse_moving_rigid(scene, bodies, holds, self.points, entries)
         self.mine, place = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.weight = self.points.weight[self.mine]
         self.normals = self.points.normals[self.mine]
@@ -418,7 +418,9 @@ def _refuse_released(supports: Sequence[Support], points: ContactPoints) -> None
             )
 
 
-def _refuse_moving_rigid(scene: Scene, bodies: Bodies, entries: Entries) -> None:
+def _refuse_moving_rigid(
+    scene: Scene, bodies: Bodies, holds: Holds, points: ContactPoints, entries: Entries
+) -> None:
     """Refuse jumps that would move a rigid region: its nodes have no displacement of their own.
 
     Raises:
@@ -427,8 +429,13 @@ def _refuse_moving_rigid(scene: Scene, bodies: Bodies, entries: Entries) -> None
     rigid = {r.region for r in scene.rigid}
     for body in np.unique(entries.body):
         if rigid.issuperset(bodies.names[body].split(" + ")):
+            point, component = np.divmod(entries.column[entries.body == body][0], 3)
+            there = (holds.vertex == points.vertex[point]) & (holds.body != body)
+            support = scene.supports[holds.support[there, component].max()]
+            x, y, z = points.x[point]
             raise InputError(
-                f"supports: one holds what touches the rigid region '{bodies.names[body]}' where "
-                "none holds the region; allowed: the same components of both, e.g. a roller on the "
-                "side of the region too"
+                f"supports.{support.name}: holds along {'xyz'[component]} what touches the rigid "
+                f"region '{bodies.names[body]}' where none holds the region, at ({x:.4g}, {y:.4g}, "
+                f"{z:.4g}) mm; allowed: the same components of both, e.g. a roller on the side of "
+                "the region too"
             )

@@ -125,8 +125,8 @@ def _contradictions(case: config.Case, found: Parts) -> tuple[list[str], list[st
                 if not differ.any():
                     continue
                 text = (
-                    f"supports.{one} and supports.{two} give {int(differ.sum())} common nodes "
-                    f"different displacements along {axis}, such as the one at "
+                    f"supports.{two}: gives {int(differ.sum())} nodes another displacement along "
+                    f"{axis} than supports.{one} does, such as the one at "
                     f"{place(x[int(np.argmax(differ))])}"
                 )
                 if differ.sum() == min(len(holding[n]["nodes"]) for n in (one, two)):
