@@ -218,13 +218,14 @@ class MeshFile(Shape):
             fail("is not a path; expected text")
         try:
             path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
-            if not path.is_file():
-                fail(f"no such file: {path}")
-            regions = physical_names(path, 3)
+            found = path.is_file()
+            regions = physical_names(path, 3) if found else ()
         except OSError as error:
             fail(f"{show(str(value))} cannot be read: {error.strerror}")
-        except (RuntimeError, ValueError) as error:  # a user or a name that cannot be
+        except (RuntimeError, ValueError) as error:  # a user that there is not; a bad file
             fail(f"{show(str(value))}: {error}")
+        if not found:
+            fail(f"no such file: {path}")
         if not regions:
             fail(f"{path} names no region: it has no physical volume with a name")
         return path.resolve()

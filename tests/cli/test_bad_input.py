@@ -1207,7 +1207,8 @@ def test_mesh_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.Monk
         ({}, ""),
         # 0.5 - 49 * 2.4 / 98 and 1 - 89 * 2 / 58 mm are left at the shoulder.
         ({"stem_half_depth": 1.2, "stem_corner_radius": 0.5, "stem_tip_corner_radius": 2.9,
-          "stem_section_z": -20.0}, "stem_corner_radius: at the shoulder, z = 29 mm, it has become -0.7 mm"),
+          "stem_section_z": -20.0},
+         "stem_corner_radius: at the shoulder, z = 29 mm, it has become -0.7 mm"),
         ({"stem_half_depth": 1.0, "stem_corner_radius": 0.5, "stem_section_z": -60.0},
          "stem_half_depth: at the shoulder, z = 29 mm, it has become -2.07 mm"),
         ({"stem_section_z": -115.0, "cement_thickness": 1.0, "plug_length": 20.0},

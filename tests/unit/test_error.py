@@ -9,6 +9,7 @@ import pytest
 
 from app import config, error
 from app.errors import GeometryError
+from app.model import Model
 from app.run import _errors
 from meshes import blocks
 from meshes.data import MeshData
@@ -227,3 +228,10 @@ def test_the_factor_of_a_retry_is_noted() -> None:
 
     data = best_of("stack", [(1.0, fails), (0.8, lambda: blocks.build(stack.geometry, stack.mesh))])
     assert data.notes["size_factor"] == 0.8 and data.notes["failed_attempts"] == ["flat"]
+
+
+def test_the_factor_of_a_retry_stands_in_the_summary() -> None:
+    model: Any = SimpleNamespace(
+        tagged=SimpleNamespace(notes={"size_factor": 0.8, "film_mm": 1}), mechanics=()
+    )
+    assert Model.places(model, None) == {"size_factor": 0.8}

@@ -48,6 +48,8 @@ Physical Surface("base") = Surface In BoundingBox{-1, -1, -0.1, 11, 11, 0.1};
 MeshSize { PointsOf { Volume{:}; } } = size;
 """
 
+HOLE = {"hole": (("pin",), ("plate",))}
+
 CASE = """\
 geometry: {kind: file, path: a.geo, interfaces: {joint: [low, high]}}
 mesh: {order: 1, size: 1 mm, far_size: 1 mm}
@@ -98,14 +100,17 @@ def test_layers_are_meshed_with_the_sizes_of_the_case(tmp_path: Path) -> None:
 def test_sizes_are_told_in_the_unit_of_the_script(tmp_path: Path) -> None:
     """The same script in cm with ten times the size is the same mesh, ten times as large."""
     path = script(tmp_path, PIN)
-    small = meshes.build(config.MeshFile(path=path), options(size="1 mm"))
-    large = meshes.build(config.MeshFile(path=path, unit="cm"), options(size="1 cm"))
+    millimetres, centimetres = (
+        config.MeshFile(path=path, unit=unit, interfaces=HOLE) for unit in ("mm", "cm")
+    )
+    small = meshes.build(millimetres, options(size="1 mm"))
+    large = meshes.build(centimetres, options(size="1 cm"))
     assert np.array_equal(small.cells, large.cells)
     assert np.allclose(10 * small.points, large.points)
 
 
 def test_curved_cells_follow_the_script(tmp_path: Path) -> None:
-    geometry = config.MeshFile(path=script(tmp_path, PIN))
+    geometry = config.MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
     straight, curved = (
         meshes.build(geometry, options(size="1.5 mm", curved=curved)) for curved in (False, True)
     )
