@@ -294,6 +294,21 @@ def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
     return rise * error * np.maximum(1, _SMALL / np.maximum(degree, _SMALLEST))
 
 
+def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
+    """Part of the free strain of a way that is there at a part s of it (n,).
+
+    Args:
+        gel: Degree of cure at gelation.
+        start: Degrees of cure where it begins (n,).
+        end: Where it ends.
+        s: How much of it is gone, the degree being linear in it.
+    """
+    grown = np.divide(gel - start, end - start, out=np.zeros_like(start), where=end > start)
+    gelled = np.clip(grown, 0.0, 1.0)
+    left = np.maximum(s - gelled, 0.0)
+    return np.divide(left, 1 - gelled, out=np.ones_like(left), where=gelled < 1)
+
+
 class FreeStrain:
     """What curing and warming strain without stress, at the nodes of one region."""
 

@@ -6,6 +6,7 @@ of heat and mechanics together where heat depends on contact (`app.coupling`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Protocol
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from app import integrator
 from app.conduction import Conduction
-from app.curing import FreeStrain, as_temperature
+from app.curing import FreeStrain, as_temperature, since_gelation
 from app.integrator import METHODS, Method, State
 from app.motion import Summary
 from app.problem import Problem
@@ -385,16 +386,25 @@ class Heating:
         ]
         return float(self.conduction.comm.allreduce(max(sizes), MPI.MAX))
 
+    def followed(self, a: Warmth, b: Warmth) -> float:
+        """Largest step of the mechanics between two states, as a part of the way; collective."""
+        return 1.0 / max(math.ceil(self.distance(a, b) / self.options.mechanical_step - SAME), 1)
+
     def warm(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
-        """Tell the mechanics of a state between two others: a at s = 0, b at s = 1."""
+        """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.
+
+        Free strain grows from gelation on, temperature and cure all the way.
+        """
         strains = [f.x.array.copy() for f in self._strains]
         for functions, before, after in (
             (self._temperatures, a.temperatures, b.temperatures),
             (self._degrees, a.degrees, b.degrees),
-            (self._strains, a.strains, b.strains),
         ):
             for function, x, y in zip(functions, before, after, strict=True):
                 function.x.array[:] = (1 - s) * x + s * y
+        for k, cure in enumerate(self.conduction.scene.cures):
+            share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
+            self._strains[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
         of_region = self.conduction.bodies.of_region
         expanding = [x.region for x in self.conduction.scene.expansions]
         problem.set_temperature({r: self._temperatures[of_region[r]] for r in expanding})

@@ -45,7 +45,7 @@ from meshes.parts import Parts
 log = logging.getLogger("mantle")
 
 # Heat below so many times what rounding leaves of it in a step is none.
-NOTHING = 1e3
+NOTHING = 1e7
 
 
 class Mechanical:

@@ -256,7 +256,8 @@ class Following:
         Args:
             motion: The mechanics.
             heating: The heat.
-            limit: Change of temperature after which they are solved again [K].
+            limit: Change of temperature, or of cure as the temperature it releases, after which
+                they are solved again [K].
         """
         self._motion, self._heating, self._limit = motion, heating, limit
         self._time = 0.0
@@ -280,7 +281,8 @@ class Following:
             problem.set_time(begin + s * (time - begin))
             heating.warm(problem, before, now, s)
 
-        self._motion.advance(self._stage, 1.0, place, begin, time)
+        longest = heating.followed(before, now)
+        self._motion.advance(self._stage, longest, place, begin, time)
         self._before, self._time = now, time
 
     def state(self) -> State:
@@ -354,7 +356,8 @@ class Joint:
         def place(s: float) -> None:
             self._heating.warm(self._motion.problem, before, now, s)
 
-        self._motion.advance(self._stage, 1.0, place, time, time)
+        longest = self._heating.followed(before, now)
+        self._motion.advance(self._stage, longest, place, time, time)
 
     def state(self) -> State:
         """When the stage began, and when the mechanics were last history."""

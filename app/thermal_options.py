@@ -390,4 +390,5 @@ class TimeOptions(Model):
     first_step: PositiveTime | None = None
     """First step of a stage; chosen by default."""
     mechanical_step: PositiveDifference = 5.0
-    """Change of temperature after which the mechanics are solved again."""
+    """Change of temperature, and of cure as the temperature it releases, after which the mechanics
+    are solved again."""
