@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from app import study_options
 from app.config import Case, Varied
 from app.folders import write_json, write_text
@@ -37,29 +39,32 @@ def order(case: Case, varied: Sequence[Varied]) -> list[int]:
     """
     keys = [k for k in dict.fromkeys(k for v in varied for k in v.changes) if k != "title"]
     cases = [c.model_dump(mode="json") for c in (*(v.case for v in varied), case)]
-    places = [_ranks([_at(c, key) for c in cases]) for key in keys]
-
-    def distance(i: int, k: int) -> float:
-        steps = [(key, min(abs(p[i] - p[k]), OTHER)) for key, p in zip(keys, places, strict=True)]
-        return sum(LOAD * d if key.startswith("loads.") else d for key, d in steps)
-
-    chain, left = [len(varied)], list(range(len(varied)))
-    while left:
-        nearest = min(left, key=lambda i: min(distance(i, k) for k in chain))
-        chain.append(nearest)
-        left.remove(nearest)
-    return chain[1:]
+    places = np.array([_ranks([_at(c, key) for c in cases]) for key in keys])
+    weights = [LOAD if key.startswith("loads.") else 1.0 for key in keys]
+    chain: list[int] = []
+    last = len(varied)
+    nearest = np.full(len(varied), np.inf)
+    for _ in varied:
+        # Only the last can have come nearer to those that are left.
+        steps = (
+            w * np.minimum(np.abs(p[:-1] - p[last]), OTHER)
+            for w, p in zip(weights, places, strict=True)
+        )
+        nearest = np.minimum(nearest, sum(steps, np.zeros(len(varied))))
+        nearest[chain] = np.inf
+        last = int(nearest.argmin())
+        chain.append(last)
+    return chain
 
 
 def _ranks(values: Sequence[Any]) -> list[float]:
     """Place of each value among the numbers there are, or far from all others."""
     numbers = [_numbers(v) for v in values]
-    known = sorted({n for n in numbers if n})
-    others = list(dict.fromkeys(str(v) for v, n in zip(values, numbers, strict=True) if not n))
-    return [
-        float(known.index(n)) if n else OTHER * (1 + others.index(str(v)))
-        for v, n in zip(values, numbers, strict=True)
-    ]
+    texts = [str(v) for v in values]
+    known = {n: i for i, n in enumerate(sorted({n for n in numbers if n}))}
+    unlike = dict.fromkeys(t for t, n in zip(texts, numbers, strict=True) if not n)
+    others = {t: OTHER * (1 + i) for i, t in enumerate(unlike)}
+    return [float(known[n]) if n else others[t] for t, n in zip(texts, numbers, strict=True)]
 
 
 def _numbers(value: Any) -> tuple[float, ...]:

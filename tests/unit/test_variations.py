@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import random
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +191,55 @@ def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
     # A friction coefficient is left for the next one when all of its loads are done.
     others = [n.partition("_force")[0] for n in chain if n.startswith("friction")]
     assert others == sorted(others, key=others.index)
+
+
+def grid_of(frictions: int, loads: int, folder: Path) -> tuple[config.Case, list[config.Varied]]:
+    """Every combination of so many coefficients of friction and forces, shuffled."""
+    points = list(itertools.product(range(frictions), range(loads)))
+    random.Random(1).shuffle(points)
+    lines = [
+        f"  v{i}_{k}: {{{MU}: {0.1 + 0.001 * i:g}, loads.down.force: '[0, 0, {-100 - k}] N'}}\n"
+        for i, k in points
+    ]
+    path = written(folder, STEM + "variations:\n" + "".join(lines))
+    return config.load(path), config.variations(path)
+
+
+def test_the_chain_takes_the_nearest_to_any_before(tmp_path: Path) -> None:
+    """Of a grid: a step of friction is 1, one of the load 0.1; of equals the first is taken."""
+    base, found = grid_of(4, 3, tmp_path)
+    places = [tuple(map(int, v.name[1:].split("_"))) for v in found]
+    # The case itself has more friction than any and a larger load.
+    known, left, expected = [(4, 3)], list(range(len(found))), []
+    while left:
+        far = [
+            min(abs(places[i][0] - a) + 0.1 * abs(places[i][1] - b) for a, b in known) for i in left
+        ]
+        nearest = min(far)
+        expected.append(left.pop(next(n for n, f in enumerate(far) if f < nearest + 1e-9)))
+        known.append(places[expected[-1]])
+    assert variations.order(base, found) == expected
+
+
+def test_the_order_of_many_takes_no_more_than_their_square(tmp_path: Path) -> None:
+    """Four times as many: what is called may become sixteen times as much, not sixty-four."""
+
+    def calls(frictions: int) -> int:
+        base, found = grid_of(frictions, 1, tmp_path)
+        count = 0
+
+        def note(frame: object, event: str, argument: object) -> None:
+            nonlocal count
+            count += event in ("call", "c_call")
+
+        sys.setprofile(note)
+        try:
+            variations.order(base, found)
+        finally:
+            sys.setprofile(None)
+        return count
+
+    assert calls(40) < 17 * calls(10)
 
 
 # What they give
