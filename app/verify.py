@@ -1,6 +1,7 @@
 """``mantle verify``: problems with known answers, solved and compared.
 
-Writes ``verify.json`` and ``verify.png`` beside the runs. Finished runs are not done again.
+Writes ``verify.json`` and ``verify.png`` beside the runs, of a selection ``verify-NAME.json`` and
+``verify-NAME.png``. Finished runs are not done again.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from app import batch
 from app.errors import InputError
-from app.folders import write_json
+from app.folders import remove, write_json
 from app.results import Run
 from app.verify_measures import Sample
 from app.verify_picture import picture
@@ -125,8 +126,11 @@ def run(pattern: str, folder: Path, fine: bool, cores: int) -> bool:
     log.info("%s", table(outcomes))
     folder.mkdir(parents=True, exist_ok=True)
     entries = [outcome.as_json() for outcome in outcomes]
-    write_json(folder / "verify.json", entries)
-    picture(entries, folder / "verify.png")
+    name = "-".join(filter(None, ("verify", pattern)))
+    drawing = folder / f"{name}.png"
+    remove([drawing])  # should the new one fail, the old one is not beside new numbers
+    write_json(folder / f"{name}.json", entries)
+    picture(entries, drawing)
     log.info("%s\nresults in %s", verdict(outcomes), folder)
     return all(outcome.passed for outcome in outcomes)
 

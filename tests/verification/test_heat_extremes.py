@@ -17,7 +17,7 @@ def test_stiff_cases_pass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> N
     """Bounds of temperature and cure, and heat, in every case; steps told for each."""
     caplog.set_level(logging.INFO, "mantle")
     passed = verify.run("stiff", tmp_path, fine=False, cores=2)
-    entries = json.loads((tmp_path / "verify.json").read_text())
+    entries = json.loads((tmp_path / "verify-stiff.json").read_text())
     assert passed, [(e["name"], e["error"], e["message"]) for e in entries if not e["passed"]]
     assert len(entries) > 15
     for e in entries:

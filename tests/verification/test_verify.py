@@ -17,10 +17,11 @@ from app.verify_problem import CASES, Point, Problem
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "passed"}
 
 
-def written(folder: Path) -> list[dict[str, Any]]:
-    entries: list[dict[str, Any]] = json.loads((folder / "verify.json").read_text())
+def written(folder: Path, pattern: str) -> list[dict[str, Any]]:
+    name = f"verify-{pattern}" if pattern else "verify"
+    entries: list[dict[str, Any]] = json.loads((folder / f"{name}.json").read_text())
     assert all(KEYS <= entry.keys() for entry in entries)
-    assert (folder / "verify.png").stat().st_size > 5_000
+    assert (folder / f"{name}.png").stat().st_size > 5_000
     return entries
 
 
@@ -28,7 +29,7 @@ def test_a_ladder_of_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> N
     """Error, order, run time, table, picture; nothing is run twice."""
     caplog.set_level(logging.INFO, "mantle")
     assert verify.run("lame_plane_strain_3", tmp_path, fine=False, cores=2)
-    (entry,) = written(tmp_path)
+    (entry,) = written(tmp_path, "lame_plane_strain_3")
     assert entry["name"] == "lame_plane_strain_3"
     assert entry["passed"] is True
     assert 0 < entry["error"] < entry["tolerance"] == 0.005
@@ -48,12 +49,12 @@ def test_a_ladder_of_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> N
 def test_problems_without_a_ladder(tmp_path: Path) -> None:
     """Runs that are compared one by one, and a problem without any."""
     assert verify.run("uniaxial", tmp_path, fine=False, cores=2)
-    entries = written(tmp_path)
+    entries = written(tmp_path, "uniaxial")
     assert [e["name"] for e in entries] == ["uniaxial_along_fibre", "uniaxial_across_fibre"]
     assert all(e["order"] is None and e["expected_order"] is None for e in entries)
     assert all(len(e["runs"]) == 2 for e in entries)
     assert verify.run("klarbring", tmp_path, fine=False, cores=1)
-    (entry,) = written(tmp_path)
+    (entry,) = written(tmp_path, "klarbring")
     assert entry["runs"] == [] and entry["reference"] == pytest.approx(1.25)
 
 
@@ -73,7 +74,7 @@ def test_what_fails_is_told(
     monkeypatch.setattr(verify, "problems", lambda fine: [broken, *everything])
     monkeypatch.setattr(closed_forms, "push_up", lambda slope, friction: 0.5)
     assert not verify.run("incline", tmp_path, fine=False, cores=2)
-    loose, wrong = written(tmp_path)
+    loose, wrong = written(tmp_path, "incline")
     assert not loose["passed"] and loose["error"] is None
     assert "incline_loose" in loose["message"] and loose["message"] in caplog.text.replace(
         "\n  ", "\n"
@@ -99,6 +100,30 @@ def test_a_wrong_order_fails() -> None:
     assert not outcome(0.04, 0.02, 0.01).passed
     assert not outcome(1.6, 0.4, 0.11).passed
     assert not outcome(0.1, 0.1, float("nan")).passed
+
+
+def test_a_selection_leaves_the_results_of_the_whole_suite(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And where no picture can be drawn, that of other numbers does not stay."""
+    one, two = (
+        Problem(name, "a number", 0.1, direct=lambda: Sample(1.0, 1.0, 0.01)) for name in "ab"
+    )
+    monkeypatch.setattr(verify, "problems", lambda fine: [one, two])
+    assert verify.run("", tmp_path, fine=False, cores=1)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    assert verify.run("a", tmp_path, fine=False, cores=1)
+    assert [e["name"] for e in written(tmp_path, "a")] == ["a"]
+    assert [e["name"] for e in written(tmp_path, "")] == ["a", "b"]
+    assert {name: (tmp_path / name).read_bytes() for name in before} == before
+
+    def broken(entries: object, path: Path) -> None:
+        raise RuntimeError("no fonts")
+
+    monkeypatch.setattr(verify, "picture", broken)
+    with pytest.raises(RuntimeError):
+        verify.run("", tmp_path, fine=False, cores=1)
+    assert {p.name for p in tmp_path.iterdir()} == {"verify.json", "verify-a.json", "verify-a.png"}
 
 
 def test_pattern_without_match_is_an_input_error(tmp_path: Path) -> None:
@@ -134,6 +159,6 @@ def test_all_pass(tmp_path: Path) -> None:
     """The default suite, some minutes on two cores."""
     assert verify.run("", tmp_path, fine=False, cores=2), [
         (e["name"], e["error"], e["order"], e["message"])
-        for e in written(tmp_path)
+        for e in written(tmp_path, "")
         if not e["passed"]
     ]
