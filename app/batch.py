@@ -3,7 +3,7 @@
 A run lives in a directory named by its content, so that a finished one is never done twice, and a
 failed or a changed one is::
 
-    folder/cases/<id>.yaml      the resolved case
+    folder/cases/<id>.yaml      the resolved case; <id> is case- and a digest of all it depends on
     folder/runs/<id>/           its run directory, complete once it holds DONE
     folder/runs/<id>.log        what it said
     folder/runs/<id>.status     its exit code, and when it began and ended
@@ -12,8 +12,8 @@ failed or a changed one is::
     folder/runs/<id>.slurm      what Slurm said of its job
     folder/snakemake.log        what Snakemake said
 
-Runs that may share a stiffness (`Job.share`) are variations of one process, whose id the last three
-bear, and have their run directories inside its own.
+Runs that may share a stiffness (`Job.share`) are variations of one process, or of as many as keep
+the cores busy. The last of these files bear its id, and the run directories stand inside its own.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import hashlib
 import importlib.util
 import json
 import logging
+import math
 import os
-import re
 import shlex
 import signal
 import subprocess
@@ -35,29 +35,25 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from app import __version__, case_file, cluster, config
+from app import case_file, cluster, config, identity
 from app.errors import ConvergenceError, EnvironmentProblem, InputError, StoppedError
 from app.folders import FAILED, write_json, write_text
+from app.identity import ROOT
 from app.variation_options import split
 
 log = logging.getLogger("mantle")
 
 MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "app", "run")
 SNAKEFILE = Path(__file__).with_name("Snakefile")
-ROOT = Path(__file__).resolve().parents[1]
-# Modules that no run imports: changing them leaves finished runs valid.
-OUTSIDE = re.compile(
-    r"app/(batch|bench\w*|cli|cluster|doctor|report\w*|results|stress\w*|study\w*|sweep\w*|"
-    r"uncertainty|unrolled|verify\w*|work_precision)\.py"
-)
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
-# How the ids of processes begin that several runs share.
-SHARED = "shared-"
+# How the ids of runs begin, and of processes that several of them share.
+CASE, SHARED = "case-", "shared-"
+DIGITS = 10  # of a digest
 LOG_LINES = 12
 POLL = 0.1  # s
 OFTEN = 10.0  # s between what is told of all that has ended so far
@@ -95,7 +91,7 @@ class Result:
         job: The job.
         folder: Its run directory.
         exit_code: 0 if it is done, else that of ``mantle run``.
-        seconds: Wall time: of the process, or of the run if it shares one.
+        seconds: Wall time: of the process, or of the run if it shared one.
         summary: ``summary.json``; empty unless the run is done.
         message: Why it failed: the last lines of its log; empty if it is done.
         process: Who ran it; several jobs may share one.
@@ -163,7 +159,7 @@ def run(
         cluster.check()
     cases = _resolve(jobs)
     with _folder(folder) as lock:
-        runs = _runs(jobs, cases, folder)
+        runs = _runs(jobs, cases, folder, cores if slurm is None else None)
         every = {r.id: r for r in runs}.values()
         pending = [r for r in every if _summary(r) is None]
         log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
@@ -177,12 +173,13 @@ def run(
         return [_result(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
 
 
-def look(jobs: Sequence[Job], folder: Path) -> list[Result]:
+def look(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
     """What has become of jobs so far; runs nothing.
 
     Args:
         jobs: As of `run`.
         folder: The same; it need not exist.
+        cores: The same.
 
     Returns:
         A result for each job; those that have not ended count as stopped.
@@ -190,7 +187,7 @@ def look(jobs: Sequence[Job], folder: Path) -> list[Result]:
     Raises:
         InputError: Any job is wrong.
     """
-    return _look(jobs, folder, _runs(jobs, _resolve(jobs), folder))
+    return _look(jobs, folder, _runs(jobs, _resolve(jobs), folder, cores))
 
 
 def _look(jobs: Sequence[Job], folder: Path, runs: Sequence[_Run]) -> list[Result]:
@@ -222,42 +219,64 @@ def _resolve(jobs: Sequence[Job]) -> list[config.Case]:
     return cases
 
 
-def _runs(jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path) -> list[_Run]:
-    """The run of each job: one and the same for all jobs of the same content."""
-    known = {mark.parent.name[-10:]: mark.parent for mark in finished(folder)}
+def _runs(
+    jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path, cores: int | None
+) -> list[_Run]:
+    """The run of each job: one and the same for all jobs of the same content.
+
+    Args:
+        jobs: The jobs.
+        cases: The configuration of each.
+        folder: The folder of the batch.
+        cores: Those of this machine; None on a cluster.
+    """
+    done = {mark.parent.name[-DIGITS:]: mark.parent for mark in finished(folder)}
+    saved = (folder / "runs").glob(f"{SHARED}*/*/checkpoint-*.h5")
+    begun = {path.parent.name[-DIGITS:]: path.parent.parent.name for path in saved}
     digests = [
         _digest(case, (config.dump(case),), job.ranks)
         for job, case in zip(jobs, cases, strict=True)
     ]
-    partners = [
-        _digest(case, (_shared(case),), job.ranks) if job.share else ""
-        for job, case in zip(jobs, cases, strict=True)
-    ]
-    sharing = {
-        partner: len({d for d, p in zip(digests, partners, strict=True) if p == partner}) > 1
-        for partner in partners
-        if partner
-    }
+    processes = _processes(jobs, cases, digests, cores)
     found: dict[str, _Run] = {}
-    for job, case, digest, partner in zip(jobs, cases, digests, partners, strict=True):
+    for job, case, digest in zip(jobs, cases, digests, strict=True):
         if digest in found:
             alone = found[digest].alone or job.alone
             found[digest] = replace(found[digest], alone=alone)
             continue
-        shares = sharing.get(partner, False)
-        # The name of a run is not its content: a renamed one is still the same. In a process that
-        # it shares it is also that of a variation.
-        id = (
-            f"{re.sub(r'[^A-Za-z0-9_-]' if shares else r'[^A-Za-z0-9_.-]', '_', job.name)}-{digest}"
-        )
-        id = f"_{id}" if shares and not id[0].isalpha() else id
-        process = f"{SHARED}{partner}" if shares else id
-        path = folder / "runs" / process / (id if shares else "")
-        if (old := known.get(digest)) is not None:
-            id, path = old.name, old
-            process = process if shares else id
+        id = f"{CASE}{digest}"
+        process = processes.get(digest, id)
+        if process != id:
+            process = begun.get(digest, process)  # where the state of the run is
+        path = done.get(digest, folder / "runs" / process / (id if process != id else ""))
         found[digest] = _Run(id, job.name, case, job.ranks, job.alone, process, path)
     return [found[digest] for digest in digests]
+
+
+def _processes(
+    jobs: Sequence[Job],
+    cases: Sequence[config.Case],
+    digests: Sequence[str],
+    cores: int | None,
+) -> dict[str, str]:
+    """The process of each run that shares one, by its digest.
+
+    None has more runs than what all cores do at once allows: where the runs of a group are more,
+    several processes have the same matrices.
+    """
+    ranks = {digest: job.ranks for job, digest in zip(jobs, digests, strict=True)}
+    longest = math.ceil(sum(ranks.values()) / cores) if cores else len(ranks)
+    groups: dict[str, list[str]] = {}
+    for job, case, digest in zip(jobs, cases, digests, strict=True):
+        if job.share:
+            group = groups.setdefault(_digest(case, (_shared(case),), job.ranks), [])
+            group += [digest] if digest not in group else []
+    found = {}
+    for partner, group in groups.items():
+        number = math.ceil(len(group) / longest)
+        for i, digest in enumerate(group if len(group) > 1 else ()):
+            found[digest] = f"{SHARED}{partner}-{i * number // len(group) + 1}"
+    return found
 
 
 def finished(folder: Path) -> list[Path]:
@@ -273,23 +292,11 @@ def _shared(case: config.Case) -> str:
 
 
 def _digest(case: config.Case, text: Sequence[str], ranks: int) -> str:
-    """Ten hexadecimal digits of everything the result depends on."""
-    parts = [*text, str(ranks), program()]
+    """Hexadecimal digits of everything the result depends on."""
+    parts = [*text, str(ranks), identity.text()]
     if isinstance(case.geometry, config.MeshFile):
         parts.append(case.geometry.content)
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:10]
-
-
-@lru_cache(maxsize=1)
-def program() -> str:
-    """The version and a hash of the sources, which change more often."""
-    digest = hashlib.sha256()
-    for package in ("app", "forms", "meshes"):
-        for path in sorted((ROOT / package).rglob("*.py")):
-            name = path.relative_to(ROOT).as_posix()
-            if not OUTSIDE.fullmatch(name):
-                digest.update(f"{name}\0".encode() + path.read_bytes())
-    return f"{__version__} {digest.hexdigest()}"
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 
 @contextmanager
@@ -429,13 +436,15 @@ def _execute(
                 if progress.count > told and time.monotonic() > due:
                     told, due = progress.count, time.monotonic() + OFTEN
                     so_far()
-        except KeyboardInterrupt:
+        except BaseException as error:
             if slurm is None:
                 log.info("stopping; running cases save their state first (once more: stop at once)")
                 _end(child)
             else:
                 log.info("stopping; the jobs are cancelled")
                 _cancel(child, folder)
+            if not isinstance(error, KeyboardInterrupt):
+                raise  # what is told so far cannot be written
             so_far()
             raise StoppedError(
                 f"stopped after {progress.count} of {total} runs; "
@@ -617,8 +626,11 @@ def _result(job: Job, folder: Path, run: _Run) -> Result:
     code, seconds = status or (LOST, 0.0)
     result = partial(Result, job, run.path, process=run.process)
     if (summary := _summary(run)) is not None:
-        own = summary.get("timing", {}).get("total", 0.0)
-        return result(0, seconds if run.process == run.id else own, summary, "")
+        # It may have been done in another process than the one it would be given now, or in one
+        # that was killed before it could tell how long it took.
+        own = _status(folder, run.path.name) if run.path.parent == folder / "runs" else None
+        total = summary.get("timing", {}).get("total", 0.0)
+        return result(0, own[1] if own else total, summary, "")
     with suppress(OSError):
         # In a process that goes on without it, what it said stands in its folder.
         why = (run.path / FAILED).read_text(encoding="utf-8").strip()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -141,6 +141,26 @@ def located(message: str, changes: Iterable[str], path: Path) -> Problem | None:
         if message.startswith(start := f"--set {key}: "):
             return Problem((*path, key), message.removeprefix(start))
     return None
+
+
+def clashes(overrides: Iterable[str], varied: Mapping[Path, str]) -> list[Problem]:
+    """Options that hold for every case, of keys that vary from case to case: one would be in vain.
+
+    Args:
+        overrides: ``--set`` options.
+        varied: Keys that vary, by where they stand in the file.
+    """
+    return [
+        Problem(place, f"varies, but --set {given} holds for every case; leave one of them out")
+        for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
+        for place, key in varied.items()
+        if all(a == b for a, b in zip(words(given), words(key), strict=False))
+    ]
+
+
+def words(key: str) -> list[str]:
+    """The words of an override key: ``a.b[0].c`` are a, b, 0, c."""
+    return re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
 
 
 def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
@@ -384,7 +404,7 @@ def _override(case: CaseFile, override: str) -> None:
     """
     key, equals, text = override.partition("=")
     key = key.strip()
-    items = re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
+    items = words(key)
     if not equals or not all(items):
         raise _BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
     if len(items) > DEEPEST:

@@ -7,7 +7,7 @@ on rank 0, and leaves with its ``exit_code``. Anything else is an internal error
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -69,6 +69,19 @@ class AloneError(MantleError):
         """Keep the message and the exit code."""
         super().__init__(str(error))
         self.exit_code = error.exit_code
+
+
+def gravest(codes: Iterable[int], message: str) -> MantleError:
+    """An error that leaves with the highest of some exit codes; one that is none of ours is 70.
+
+    Args:
+        codes: How runs have ended that failed.
+        message: What to say.
+    """
+    ours = (InputError, GeometryError, ConvergenceError, StoppedError, EnvironmentProblem)
+    kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in ours}
+    worst = max((kinds.get(code, MantleError) for code in codes), key=lambda kind: kind.exit_code)
+    return worst(message)
 
 
 def together(comm: Any) -> bool:

@@ -1,4 +1,4 @@
-"""What ``mantle run --keep`` leaves alone: complete run directories of the same configuration."""
+"""What ``mantle run --keep`` leaves alone: what this program and stack made of the same case."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from app import config
+from app import config, identity
 
 
 def finished(folder: Path, case: config.Case) -> bool:
-    """Tell whether a run directory is complete and that of a case.
+    """Tell whether a run directory is complete, that of a case, and of this very program.
 
     Args:
         folder: The run directory.
@@ -21,8 +21,10 @@ def finished(folder: Path, case: config.Case) -> bool:
     try:
         done = (folder / "DONE").stat().st_mtime
         same = (folder / "case.yaml").read_text(encoding="utf-8") == config.dump(case)
-    except OSError:
+        record = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
         return False
+    same &= record.get("identity") == identity.parts()
     geometry = case.geometry
     newer = isinstance(geometry, config.MeshFile) and geometry.path.stat().st_mtime > done
     return same and not newer

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-from app import __version__, heat_picture
+from app import __version__, heat_picture, identity
 from app.conduction import Conduction
 from app.errors import StoppedError, everywhere
 from app.field_output import Fields, Layer
@@ -226,6 +226,7 @@ def provenance(
     """Where a result comes from."""
     return {
         "mantle": __version__,
+        "identity": identity.parts(),
         "command": sys.argv,
         "case": str(case_path),
         "case_sha256": hashlib.sha256(case_path.read_bytes()).hexdigest(),

@@ -15,7 +15,7 @@ from app import batch, case_file, config, study_file, study_options, study_repor
 from app import work_precision as wp
 from app.batch import Job, Result
 from app.case_file import CaseFile, Problem
-from app.errors import ConvergenceError, InputError
+from app.errors import InputError, gravest
 from app.study_file import Source
 from app.study_options import OF_RUN, STEM_UNITS, Study
 from app.study_report import Measured, Report, Run
@@ -30,13 +30,13 @@ def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
 
     Args:
         case: The case file, with a study section, or a study of another case.
-        overrides: ``--set`` options; they hold for every point.
+        overrides: ``--set`` options; they hold for every point, so not for what varies.
         folder: Where everything goes; what is done there already is not run again.
         cores: Cores to use. Runs go one at a time, so that their times can be compared.
 
     Raises:
         InputError: The case or any point is wrong: everything at once, before anything runs.
-        ConvergenceError: Every run failed.
+        MantleError: Every run failed, of which it has the gravest exit code.
         StoppedError: Interrupted; the same command goes on from there.
     """
     source = study_file.read(case, overrides)
@@ -52,7 +52,8 @@ def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
     log.info("%s", study_report.table(report))
     log.info("written in %s: %s", folder, ", ".join(written))
     if all(r.exit_code for r in results):
-        raise ConvergenceError(f"every run of the study failed:\n{results[0].message}")
+        text = f"every run of the study failed:\n{results[0].message}"
+        raise gravest([r.exit_code for r in results], text)
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def _job(point: Planned, source: Source) -> Job:
         name=name.replace(" ", ""),
         case=source.case,
         overrides=tuple(_overrides(point, source.overrides)),
-        ranks=point.changes.get("ranks", 1),
+        ranks=point.changes.get("ranks", source.ranks),
         alone=True,
     )
 

@@ -25,12 +25,14 @@ class Source:
         file: The file that it stands in.
         case: The case file.
         overrides: Options that hold for every point.
+        ranks: Number of MPI ranks, where a point does not say it.
     """
 
     study: Study
     file: CaseFile
     case: Path
     overrides: tuple[str, ...]
+    ranks: int = 1
 
 
 def read(path: Path, overrides: Sequence[str]) -> Source:
@@ -38,18 +40,31 @@ def read(path: Path, overrides: Sequence[str]) -> Source:
 
     Args:
         path: A case with a study section, or a study of another case.
-        overrides: ``--set`` options, of the case or of the study.
+        overrides: ``--set`` options, of the study or of the case: these hold for every point, so
+            not for what varies.
 
     Raises:
         InputError: Anything wrong with it or its case, at once.
     """
     if config.is_study(case_file.read(path).data):
         return _of_another(path, overrides)
-    file = case_file.read(path, overrides)
+    ranks, others = study_options.split_ranks(overrides)
+    file = case_file.read(path, others)
     study = config.resolve(file, path.parent).study
     if study is None:
         raise InputError(f"{path}: has no study section: what varies, what is measured")
-    return Source(study, file, path, tuple(overrides))
+    file.raise_all(_clashes(study, overrides))
+    return Source(study, file, path, tuple(others), ranks or 1)
+
+
+def _clashes(study: Study, overrides: Iterable[str]) -> list[Problem]:
+    """Options of what the lines or the reference say."""
+    lines = {("study", "lines", name): line for name, line in study.lines.items()}
+    lines[("study", "reference", "run")] = study.reference.run or {}
+    varied: dict[case_file.Path, str] = {
+        (*path, key): key for path, line in lines.items() for key in line
+    }
+    return case_file.clashes(overrides, varied)
 
 
 def _of_another(path: Path, overrides: Sequence[str]) -> Source:
@@ -64,7 +79,8 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
         problems += config.problems(error, StudyFile)
         study = None
     base, changes = file.data["base"], file.data.get("set", {})
-    case, common = path.parent / str(base), (*_options(changes, others), *others)
+    ranks, common = study_options.split_ranks([*_options(changes, others), *others])
+    case = path.parent / str(base)
     if isinstance(base, str):
         try:
             content = case_file.read(case, common)
@@ -73,9 +89,10 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
         except InputError as error:
             for message in error.messages:
                 _blame(file, case, message, problems)
+    problems += _clashes(study, others) if study else []
     file.raise_all(problems)
     assert study is not None  # or there was a problem
-    return Source(study, file, case, common)
+    return Source(study, file, case, tuple(common), ranks or 1)
 
 
 def _options(changes: Any, others: Iterable[str]) -> list[str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from app.errors import InputError
 from app.fields import ITEMS, MAPPING, Model, Name, Text, did_you_mean, fail, show
 from app.units import Dimension, Plain, PositiveNumber, TemperatureDifference
 
@@ -267,6 +269,25 @@ class StudyFile(Model):
 def _free(quantity: str) -> bool:
     """Whether a quantity is no approximation of anything: counts, times, and penetrations."""
     return quantity in OF_RUN or ".penetration_" in quantity
+
+
+def split_ranks(overrides: Sequence[str]) -> tuple[int | None, list[str]]:
+    """The number of ranks among options, and the others, which are those of a case.
+
+    Raises:
+        InputError: It is no such number.
+    """
+    ranks, others = None, []
+    for option in overrides:
+        key, _, value = option.partition("=")
+        if key.strip() != "ranks":
+            others.append(option)
+        elif re.fullmatch("[1-9][0-9]*", value.strip()):
+            ranks = int(value)
+        else:
+            text = "is not a number of ranks; allowed: 1, 2, ..."
+            raise InputError(f"--set ranks: {value.strip()} {text}")
+    return ranks, others
 
 
 def options(changes: Mapping[str, Any]) -> list[str]:

@@ -13,7 +13,7 @@ from typing import Any
 from app import __version__
 from app.batch import Result, duration
 from app.errors import StoppedError
-from app.folders import write_json, write_text
+from app.folders import remove, write_json, write_text
 from app.study_file import Source
 from app.work_precision import USEFUL, Effectivity, Point, Reference
 
@@ -209,6 +209,8 @@ def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]
         **_record(report),
     }
     try:
+        # What is not drawn again would stay beside other numbers.
+        remove(folder / name for name in ("study.png", "study_parameters.png"))
         write_json(folder / "study.json", record)
         write_text(folder / "study.csv", _csv(report))
         drawn = {

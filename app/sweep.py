@@ -20,9 +20,18 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from app import batch, case_file, preview, study_options, sweep_file, uncertainty, variations
+from app import (
+    batch,
+    case_file,
+    identity,
+    preview,
+    study_options,
+    sweep_file,
+    uncertainty,
+    variations,
+)
 from app.batch import Job, Result
-from app.errors import ConvergenceError, InputError
+from app.errors import InputError, gravest
 from app.folders import write_json, write_text
 from app.study import quantity
 from app.sweep_file import Planned
@@ -48,14 +57,14 @@ def run(
 
     Args:
         path: The sweep file.
-        overrides: ``--set`` options: they hold for every case.
+        overrides: ``--set`` options: they hold for every case, so not for what varies.
         folder: Where everything goes; what is done there already is not run again.
         cores: Cores to use.
         slurm: Run each case as a Slurm job, with these further options of sbatch.
 
     Raises:
         InputError: The file or any case of it is wrong: everything at once, before anything runs.
-        ConvergenceError: Some cases failed; the others are done.
+        MantleError: Some cases failed, of which it has the gravest exit code; the others are done.
         StoppedError: Interrupted; the same command goes on from there.
     """
     sweep, planned = sweep_file.read(path, overrides)
@@ -64,7 +73,7 @@ def run(
     log.info("%s: %d cases", sweep.title or path.stem, len(planned))
 
     def write(results: Sequence[Result]) -> list[dict[str, Any]]:
-        return _write(sweep, path, planned, results, folder, cores, begin)
+        return _write(sweep, path, overrides, planned, results, folder, cores, begin)
 
     rows = write(batch.run(jobs, folder, cores, slurm, write))
     log.info("%s", _table(rows))
@@ -74,7 +83,8 @@ def run(
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         reasons = [f"{r['name']}: {_reason(r['message'])} (in {r['folder']})" for r in failed]
-        raise ConvergenceError("\n".join([f"{len(failed)} of {len(rows)} cases failed:", *reasons]))
+        text = "\n".join([f"{len(failed)} of {len(rows)} cases failed:", *reasons])
+        raise gravest([r["exit_code"] for r in failed], text)
 
 
 def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
@@ -85,7 +95,7 @@ def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
     """
     sweep, planned = sweep_file.read(path, overrides)
     jobs = [_job(p) for p in planned]
-    results = batch.look(jobs, folder)
+    results = batch.look(jobs, folder, cores)
     wide = max(len(p.point.name) for p in planned)
     lines = [
         f"{sweep.title or path.stem}: {len(planned)} cases",
@@ -94,17 +104,17 @@ def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
     ]
     total, seen = 0.0, set[object]()
     for p, result in zip(planned, results, strict=True):
-        seconds = preview.seconds(p.case, result.process not in seen)
+        seconds = preview.seconds(p.case, result.process not in seen)  # of one core
+        about = batch.duration(seconds / min(p.ranks, cores))
         note = f"shares the matrices of {result.process}" if result.process in seen else ""
         if result.folder in seen:
-            note, seconds = "the same as one above", 0.0
+            note, seconds, about = "the same as one above", 0.0, "-"
         elif not result.exit_code:
-            note, seconds = "done", 0.0
+            note, seconds, about = f"done in {batch.duration(result.seconds)}", 0.0, "-"
         seen |= {result.process, result.folder}
-        total += seconds * p.ranks
+        total += seconds
         size = f"{round(preview.unknowns(p.case), -2):,.0f}".replace(",", " ")
-        cost = f"{p.point.name:<{wide}} {p.ranks:>5} {size:>10} {batch.duration(seconds):>9}"
-        lines.append(f"{cost}  {note}".rstrip())
+        lines.append(f"{p.point.name:<{wide}} {p.ranks:>5} {size:>10} {about:>9}  {note}".rstrip())
     wall = batch.duration(IDLE * total / cores)
     return "\n".join([*lines, "", f"about {wall} for what is not done, on {cores} cores"])
 
@@ -124,6 +134,7 @@ def _job(p: Planned) -> Job:
 def _write(
     sweep: Sweep,
     path: Path,
+    overrides: Sequence[str],
     planned: Sequence[Planned],
     results: Sequence[Result],
     folder: Path,
@@ -139,7 +150,8 @@ def _write(
             {
                 "title": sweep.title or path.stem,
                 "file": str(path),
-                "program": batch.program(),
+                "overrides": list(overrides),
+                "program": identity.program(),
                 "cores": cores,
                 "seconds": round(time.monotonic() - begin, 1),
                 "uncertainty": uncertainty.of_parts(rows, samples(sweep)),
@@ -147,7 +159,9 @@ def _write(
             },
         )
         write_text(folder / "sweep.csv", _csv(rows, keys))
-        write_text(folder / "sweep.yaml", case_file.written(case_file.read(path).data))
+        # The file may have changed since.
+        data = sweep.model_dump(mode="json", exclude_unset=True)
+        write_text(folder / "sweep.yaml", case_file.written(data))
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
     return rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ class Planned:
     """A case of a sweep.
 
     Attributes:
-        point: Its place in the sweep.
+        point: Its place in the sweep, ``--set`` options among its overrides.
         base: The case file.
         overrides: What makes the case out of it, as after ``--set``.
         ranks: Number of MPI ranks.
@@ -40,7 +40,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
 
     Args:
         path: The sweep file.
-        overrides: ``--set`` options: they hold for every case, whatever the file says.
+        overrides: ``--set`` options: they hold for every case, in place of what is under ``set``.
 
     Raises:
         InputError: All that is wrong with the file or any case, each at its place.
@@ -55,14 +55,12 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         file.raise_all(config.problems(error, Sweep))
         raise  # only if an error could not be told in words
     planned: list[Planned] = []
-    problems: list[Problem] = []
-    given = {o.partition("=")[0].strip(): o.partition("=")[2].strip() for o in overrides}
-    if not re.fullmatch("[1-9][0-9]*", given.get("ranks", "1")):
-        raise InputError(
-            f"--set ranks: {given['ranks']} is not a number of ranks; allowed: 1, 2, ..."
-        )
-    others = [o for o in overrides if o.partition("=")[0].strip() != "ranks"]
-    for point in expand(sweep):
+    points = expand(sweep)
+    varied = {_place(p.places[key]): key for p in points for key in p.varied}
+    problems = case_file.clashes(overrides, varied)
+    ranks, others = study_options.split_ranks(overrides)
+    given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
+    for point in points:
         base = path.parent / point.base
         own = {k: v for k, v in point.changes.items() if k != "ranks" and k not in given}
         changes = (*study_options.options(own), "variations={}", *others)
@@ -71,10 +69,22 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
         except InputError as error:
             problems += [_located(point, base, m, own, file) for m in error.messages]
             continue
-        ranks = int(given.get("ranks", point.changes.get("ranks", 1)))
-        planned.append(Planned(point, base, changes, ranks, case))
+        number = ranks or point.changes.get("ranks", 1)
+        used = replace(point, changes=point.changes | given)
+        planned.append(Planned(used, base, changes, number, case))
     file.raise_all(problems)
     return sweep, planned
+
+
+def _place(path: case_file.Path) -> case_file.Path:
+    """Where the key of a value stands that is one of a list."""
+    return path[:-1] if isinstance(path[-1], int) else path
+
+
+def _value(option: str) -> Any:
+    """The value of an option; None if it has none that can be read."""
+    text = option.partition("=")[2]
+    return case_file.changed(CaseFile(""), [f"value={text}"]).data.get("value")
 
 
 def _located(

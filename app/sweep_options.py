@@ -113,10 +113,14 @@ class LatinHypercube(Model):
         from scipy.stats import qmc
 
         sampler = qmc.LatinHypercube(len(self.inputs), seed=self.seed)
-        designs = [
-            sampler.random(self.samples) for _ in range(DESIGNS if len(self.inputs) > 1 else 1)
-        ]
-        shares = min(designs, key=lambda d: np.abs(np.tril(np.corrcoef(d, rowvar=False), -1)).max())
+        designs = [sampler.random(self.samples) for _ in range(DESIGNS)]
+
+        def correlation(design: Any) -> float:
+            # That of a single input is a number, not a matrix.
+            found = np.atleast_2d(np.corrcoef(design, rowvar=False))
+            return float(np.abs(np.tril(found, -1)).max())
+
+        shares = min(designs, key=correlation)
         return [
             {key: r.at(float(s)) for (key, r), s in zip(self.inputs.items(), row, strict=True)}
             for row in shares

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app import config, kept
+from app import config, identity, kept
 from meshes import femur_bone
 from tests import support
 
@@ -351,12 +351,25 @@ def test_results_of_an_older_mesh_file_are_not_finished(tmp_path: Path) -> None:
     tissues = [f"regions.{name}.tissue=other" for name in ("lower", "upper")]
     case = support.case(geometry + SLIDING[SLIDING.index("mesh:") :], *tissues)
     (tmp_path / "case.yaml").write_text(config.dump(case))
+    record = json.dumps({"identity": identity.parts()})
+    (tmp_path / "provenance.json").write_text(record)
     assert not kept.finished(tmp_path, case)
     (tmp_path / "DONE").write_text("")
     assert kept.finished(tmp_path, case)
     later = (tmp_path / "DONE").stat().st_mtime + 1
     os.utime(mesh, (later, later))
     assert not kept.finished(tmp_path, case)
+
+
+def test_results_of_another_stack_are_not_finished(tmp_path: Path) -> None:
+    case = support.case(SLIDING)
+    (tmp_path / "case.yaml").write_text(config.dump(case))
+    (tmp_path / "DONE").write_text("")
+    for name in identity.parts():
+        for value, finished in (("0.1", False), (identity.parts()[name], True)):
+            record = {"identity": identity.parts() | {name: value}}
+            (tmp_path / "provenance.json").write_text(json.dumps(record))
+            assert kept.finished(tmp_path, case) == finished, name
 
 
 def test_petsc_options_reach_the_solver(tmp_path: Path) -> None:

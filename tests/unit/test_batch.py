@@ -6,6 +6,7 @@ summary with the mesh size, an exit code for the sizes that a file lists, a line
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import logging
@@ -21,7 +22,7 @@ from pathlib import Path
 import pytest
 
 import meshes
-from app import batch, cluster, config
+from app import batch, cluster, config, identity
 from app.batch import Job, Result
 from app.errors import EnvironmentProblem, InputError, StoppedError
 from tests import support
@@ -158,7 +159,7 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
     assert [r.summary["size"] for r in results] == [1, 2, 2, 3, 3]
     assert results[0].folder == first[0].folder
     assert results[3].folder == results[4].folder
-    assert results[3].folder.name.startswith("size-3.0-")
+    assert re.fullmatch("case-[0-9a-f]{10}", results[3].folder.name)
     assert len({r.folder for r in results}) == 4
     # Comments in the case file are not content.
     bench.case.write_text(CASE + "# a comment\n")
@@ -180,6 +181,29 @@ def test_a_changed_mesh_file_runs_again(bench: Bench) -> None:
     mesh.write_text(mesh.read_text() + "\n")
     (second,) = bench.run(bench.job(1.0))
     assert second.folder != first.folder and len(bench.calls()) == 1
+
+
+def test_a_name_may_be_longer_than_that_of_a_file(bench: Bench) -> None:
+    job = Job("x" * 300, bench.case)
+    (result,) = bench.run(job)
+    assert result.exit_code == 0 and result.job.name == "x" * 300
+
+
+@pytest.mark.parametrize("part", ["mantle", "dolfinx", "petsc", "gmsh", "blas"])
+def test_what_another_stack_has_done_is_not_done(
+    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = tmp_path / "case.yaml"
+    case.write_text(CASE)
+    known = dict.fromkeys(identity.parts(), "1")
+    monkeypatch.setattr(identity, "parts", lambda: known)
+    (planned,) = batch.look([Job("one", case)], tmp_path / "out", 1)
+    planned.folder.mkdir(parents=True)
+    (planned.folder / "summary.json").write_text("{}")
+    (planned.folder / "DONE").write_text("")
+    assert batch.look([Job("one", case)], tmp_path / "out", 1)[0].exit_code == 0
+    known[part] = "2"
+    assert batch.look([Job("one", case)], tmp_path / "out", 1)[0].exit_code == 5
 
 
 def test_bad_jobs_are_told_together_before_anything_runs(bench: Bench) -> None:
@@ -217,6 +241,36 @@ def test_alone_means_alone_and_one_thread_each(bench: Bench) -> None:
     assert all(line.endswith(" 1") for line in bench.calls())
 
 
+def left_running(bench: Bench) -> list[str]:
+    """Other processes that have to do with the batch."""
+    here, found = str(bench.folder).encode(), []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            if here in path.read_bytes() and path.parent.name != str(os.getpid()):
+                found.append(path.parent.name)
+    return found
+
+
+def test_nothing_runs_on_where_the_table_cannot_be_written(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One case has failed, the other is running."""
+    monkeypatch.setattr(batch, "OFTEN", 0.0)
+    bench.take(60)
+    bench.break_(2.0)
+
+    def tell(results: object) -> None:
+        deadline = time.monotonic() + 20
+        while len((bench.folder / "calls").read_text().splitlines()) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        raise InputError("the disk is full")
+
+    with pytest.raises(InputError, match="the disk is full"):
+        batch.run([bench.job(1.0), bench.job(2.0)], bench.out, 2, so_far=tell)
+    assert not left_running(bench)
+
+
 def test_interruption_leaves_nothing_running_and_is_resumed(
     bench: Bench, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -241,12 +295,7 @@ def test_interruption_leaves_nothing_running_and_is_resumed(
         bench.run(*jobs)
     thread.join()
     assert error.value.exit_code == 5 and time.monotonic() - begin < 30
-    here = str(bench.folder).encode()
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            assert here not in path.read_bytes() or path.parent.name == str(os.getpid())
-        except (FileNotFoundError, ProcessLookupError):
-            continue
+    assert not left_running(bench)
     assert bench.sizes() == [3.0]
     bench.take(0)
     assert [r.exit_code for r in bench.run(*jobs)] == [0, 0, 0]

@@ -19,7 +19,7 @@ import pytest
 
 from app import batch, config, study, study_file, study_options, study_parameters
 from app.cli import main
-from app.errors import ConvergenceError, InputError
+from app.errors import InputError, MantleError, StoppedError
 from tests import support
 
 CASE = """\
@@ -136,6 +136,40 @@ def test_given_values_estimates_and_a_target(case: Path, caplog: pytest.LogCaptu
     assert record["reference_runs"] == []
 
 
+@pytest.mark.parametrize(
+    ("option", "place"),
+    [
+        ("mesh.size=3 mm", "lines.P1.mesh.size"),
+        ("mesh={order: 1, size: 3 mm}", "reference.run.mesh.order"),
+        ("mesh.far_size=9 mm", "lines.P2.mesh.far_size"),
+    ],
+)
+def test_what_varies_cannot_be_set_for_every_point(case: Path, option: str, place: str) -> None:
+    """As in a sweep."""
+    with pytest.raises(InputError) as error:
+        study.run(case, [option], case.parent / "out", 1)
+    key = option.partition("=")[0]
+    told = [m for m in error.value.messages if f" study.{place}: varies, but --set {key} " in m]
+    assert len(told) == 1 and re.match(rf"{case}:\d+:\d+: ", told[0]), error.value.messages
+    assert not (case.parent / "out").exists()
+
+
+def test_ranks_are_set_for_every_point(case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a sweep."""
+    wanted: list[batch.Job] = []
+
+    def run(jobs: list[batch.Job], folder: Path, cores: int) -> None:
+        wanted.extend(jobs)
+        raise StoppedError("enough")
+
+    monkeypatch.setattr(batch, "run", run)
+    with pytest.raises(StoppedError):
+        study.run(case, ["ranks=2"], case.parent / "out", 2)
+    assert {job.ranks for job in wanted} == {2}
+    with pytest.raises(InputError, match="--set ranks: 0 is not a number of ranks"):
+        study.run(case, ["ranks=0"], case.parent / "out", 2)
+
+
 def test_failed_points_are_shown_as_failed(case: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
     (case.parent / "broken").touch()
@@ -148,10 +182,11 @@ def test_failed_points_are_shown_as_failed(case: Path, caplog: pytest.LogCapture
     assert record["runs"][0]["message"] == "no convergence"
     assert re.search(r"P1 +mesh.size 4 mm +failed \(exit code 1\)", caplog.text)
     only = ["study.lines={P1: {mesh.size: [4 mm]}}", "study.reference.run.mesh.order=1"]
-    with pytest.raises(ConvergenceError, match="every run of the study failed"):
+    with pytest.raises(MantleError, match="every run of the study failed") as error:
         text = CASE + STUDY.replace("[1 mm, 0.5 mm, 0.25 mm]", "[4 mm, 4 mm]")
         case.write_text(text)
         study.run(case, only[:1], out, 2)
+    assert error.value.exit_code == 70  # the stand-in leaves with 1, which mantle run never does
     record, _ = read(out)
     assert record["quantities"]["lower_upper.slip_p99"]["reference"] is None
     assert "no advice on lower_upper.slip_p99: it has no reference" in caplog.text
@@ -310,7 +345,9 @@ def test_a_study_apart_from_its_case(apart: Path, caplog: pytest.LogCaptureFixtu
 
 
 def test_a_study_apart_of_nothing_that_is_compared(apart: Path) -> None:
-    """Only the picture that shows something is drawn."""
+    """Only the picture that shows something is drawn, and none is left of another study."""
+    (apart.parent / "out").mkdir()
+    (apart.parent / "out" / "study.png").write_bytes(b"another")
     overrides = ["mesh.far_size=6 mm", "study.quantities=[timing.total]"]
     study.run(apart, overrides, apart.parent / "out", 2)
     names = {p.name for p in (apart.parent / "out").iterdir()}

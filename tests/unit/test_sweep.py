@@ -20,6 +20,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app import batch, config, sweep, sweep_file, sweep_options, uncertainty
+from app import (
+    batch,
+    case_file,
+    config,
+    preview,
+    report_sweep,
+    sweep,
+    sweep_file,
+    sweep_options,
+    uncertainty,
+)
 from app.cli import main
-from app.errors import ConvergenceError, InputError, StoppedError
+from app.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
 from tests import support
 
 CASE = """\
@@ -77,7 +88,9 @@ for name, case in many:
     friction = case.interfaces["lower_upper"].friction_coefficient
     time.sleep(float((here / "seconds").read_text()))
     if str(friction) in (here / "broken").read_text().split():
-        code = 4
+        code = int((here / "code").read_text())
+        if code != 4:
+            break
         (folder / FAILED).write_text("the block slides away\\n")
         continue
     slip = {"slip_p99": round(0.01 / friction, 6), "slip_p99_error": 0.001}
@@ -86,7 +99,7 @@ for name, case in many:
     (folder / "summary.json").write_text(json.dumps(summary))
     (folder / "DONE").write_text("")
     with (here / "calls").open("a") as file:
-        file.write(f"{folder.name}\\n")
+        file.write(f"{case.regions['lower'].youngs_modulus / 1e3:g} GPa, {friction}\\n")
 sys.exit(code)
 """
 
@@ -101,17 +114,18 @@ class Bench:
         (folder / "case.yaml").write_text(CASE)
         (folder / "mantle.py").write_text(STAND_IN)
         (folder / "broken").write_text("")
+        (folder / "code").write_text("4")
         (folder / "seconds").write_text("0")
 
     def run(self, *overrides: str) -> None:
         sweep.run(self.sweep, overrides, self.out, 2)
 
     def calls(self) -> list[str]:
-        """Names of the runs finished since the last time, without their digests."""
+        """Modulus and friction of the runs finished since the last time."""
         path = self.folder / "calls"
         lines = path.read_text().splitlines() if path.exists() else []
         path.unlink(missing_ok=True)
-        return sorted(line[:-11] for line in lines)
+        return sorted(lines)
 
     def rows(self) -> list[dict[str, str]]:
         with (self.out / "sweep.csv").open(newline="") as file:
@@ -196,6 +210,12 @@ def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed:
         assert len(shares) == samples
 
 
+def test_samples_of_a_single_input() -> None:
+    design = {"samples": 10, "inputs": {"a": {"low": 0, "high": 10}}}
+    drawn = sweep_options.LatinHypercube.model_validate(design).draw()
+    assert sorted(int(d["a"]) for d in drawn) == list(range(10))
+
+
 def test_every_error_is_told_at_once_where_it_stands(bench: Bench) -> None:
     bench.sweep.write_text(
         """\
@@ -257,10 +277,11 @@ def test_cases_that_share_a_stiffness_share_a_process(bench: Bench) -> None:
         assert {v.case.regions["upper"].poisson_ratio for v in varied} == {0.25}
     # Each is the case that its own overrides make.
     planned = {p.point.name: p.case for p in sweep_file.read(bench.sweep)[1]}
-    found = {v.name[:-11]: v.case for g in groups for v in config.variations(g)}
-    assert {re.sub(r"[^A-Za-z0-9_-]", "_", n): config.plain(c) for n, c in planned.items()} == {
-        name: config.plain(case) for name, case in found.items()
-    }
+    found = {v.name: v.case for g in groups for v in config.variations(g)}
+    for row in bench.cases():
+        case = found.pop(Path(row["folder"]).name)
+        assert config.plain(case) == config.plain(planned[row["name"]])
+    assert not found
 
 
 def test_tables_have_a_row_for_each_case(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
@@ -337,7 +358,8 @@ def test_only_what_failed_or_changed_runs_again(bench: Bench) -> None:
     bench.sweep.write_text(SWEEP.replace("[0.2, 0.4]", "[0.2, 0.4, 0.8]").replace("2 GPa", "3 GPa"))
     bench.run()
     # Two new ones of the soft block; of the hard one all.
-    assert [sum(c.startswith(name) for c in bench.calls()) for name in ("soft",)] == [2]
+    calls = bench.calls()
+    assert [sum(c.startswith(modulus) for c in calls) for modulus in ("1 GPa", "3 GPa")] == [2, 6]
     assert len(bench.cases()) == 12
 
 
@@ -345,13 +367,57 @@ def test_overrides_hold_for_every_case(bench: Bench) -> None:
     bench.run("mesh.size=2 mm")
     _, planned = sweep_file.read(bench.sweep, ["mesh.size=2 mm"])
     assert {p.case.mesh.size for p in planned} == {2.0}
-    _, planned = sweep_file.read(bench.sweep, [f"{FRICTION}=0.7"])
-    laws = [p.case.interfaces["lower_upper"] for p in planned]
-    assert {law.friction_coefficient for law in laws} == {0.7}
+    # Above all in place of what is under set.
+    bench.run("regions.upper.poisson_ratio=0.4", "ranks=2")
+    record = json.loads((bench.out / "sweep.json").read_text())
+    assert record["overrides"] == ["regions.upper.poisson_ratio=0.4", "ranks=2"]
+    for case in record["cases"]:
+        assert case["overrides"]["regions.upper.poisson_ratio"] == 0.4
+        assert case["overrides"]["ranks"] == case["ranks"] == 2
+        resolved = config.load(next((bench.out / "cases").glob(f"{case['folder'].split('/')[1]}*")))
+        assert resolved.regions["upper"].poisson_ratio == 0.4
     _, planned = sweep_file.read(bench.sweep, ["ranks=3"])
     assert {p.ranks for p in planned} == {3}
     with pytest.raises(InputError, match="--set ranks: none is not a number of ranks"):
         sweep_file.read(bench.sweep, ["ranks=none"])
+
+
+VARIES = """\
+base: case.yaml
+set: {stages: [{name: load}]}
+parts:
+  a:
+    grid:
+      interfaces.lower_upper: [{kind: bonded}, {kind: contact, friction_coefficient: 1}]
+      stages[0].increments: [1, 2]
+  b: {lists: {mesh.size: [2 mm, 4 mm], ranks: [1, 2]}}
+  c: {table: {one: {mesh.order: 1}, two: {mesh.order: 2}}}
+  d: {latin_hypercube: {samples: 3, inputs: {regions.lower.poisson_ratio: {low: 0.2, high: 0.3}}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("option", "place"),
+    [
+        ("interfaces.lower_upper={kind: bonded}", "6:7: parts.a.grid.interfaces.lower_upper"),
+        (f"{FRICTION}=0.3", "6:7: parts.a.grid.interfaces.lower_upper"),
+        ("interfaces={}", "6:7: parts.a.grid.interfaces.lower_upper"),
+        ("stages.0.increments=2", "7:7: parts.a.grid.stages[0].increments"),
+        ("stages=[{name: one}]", "7:7: parts.a.grid.stages[0].increments"),
+        ("mesh.size=3 mm", "8:15: parts.b.lists.mesh.size"),
+        ("ranks=2", "8:40: parts.b.lists.ranks"),
+        ("mesh.order=2", "9:21: parts.c.table.one.mesh.order"),
+        ("regions.lower.poisson_ratio=0.3", "10:46: parts.d.latin_hypercube.inputs.regions.lower"),
+    ],
+)
+def test_what_varies_cannot_be_set_for_every_case(bench: Bench, option: str, place: str) -> None:
+    """Or the table would show values that were never used."""
+    bench.sweep.write_text(VARIES)
+    with pytest.raises(InputError) as error:
+        sweep_file.read(bench.sweep, [option])
+    told = [m for m in error.value.messages if f"varies, but --set {option.split('=')[0]}" in m]
+    assert told[0].startswith(f"{bench.sweep}:{place}"), error.value.messages
+    sweep_file.read(bench.sweep, ["mesh.far_size=6 mm", "stages[0].name=other"])
 
 
 @pytest.mark.parametrize(
@@ -378,7 +444,7 @@ def test_options_of_slurm_reach_it(
 
 
 def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["sweep", str(bench.sweep), "-o", str(bench.out)]
+    arguments = ["sweep", str(bench.sweep), "-o", str(bench.out), "--cores", "2"]
     assert main([*arguments, "--dry-run"]) == 0
     said = capsys.readouterr().out
     assert not bench.out.exists()
@@ -386,12 +452,134 @@ def test_a_dry_run_runs_nothing(bench: Bench, capsys: pytest.CaptureFixture[str]
     assert main(arguments) == 0
     capsys.readouterr()
     assert main([*arguments, "--dry-run"]) == 0
-    assert capsys.readouterr().out.count("  done") == 8
+    assert capsys.readouterr().out.count("  done in 1.5 s") == 8
+
+
+@pytest.mark.parametrize(("ranks", "each"), [(1, 30), (2, 15), (8, 15)])
+def test_a_dry_run_tells_what_cores_take_together(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, ranks: int, each: int
+) -> None:
+    """Eight cases of half a minute of one core, on two: two minutes and some idling at the end."""
+    monkeypatch.setattr(preview, "seconds", lambda case, alone: 30.0)
+    said = sweep.plan(bench.sweep, [f"ranks={ranks}"], bench.out, 2)
+    assert said.splitlines()[-1].startswith("about 2 min for what is not done, on 2 cores")
+    shown = [re.search(r"(\S+) s(  |$)", line) for line in said.splitlines()[3:-2]]
+    assert [float(found[1]) for found in shown if found] == [each] * 8
+
+
+def test_how_long_a_run_took_is_known_however_it_was_done(bench: Bench) -> None:
+    """In company, and wanted alone; alone, and wanted in company; and where no status was left."""
+    bench.run()
+    bench.calls()
+    alone = SWEEP.replace("[0.2, 0.4]", "[0.2]").replace("[1 MPa, 3 MPa]", "[1 MPa]")
+    bench.sweep.write_text(alone)
+    bench.run()
+    assert not bench.calls() and [r["wall [s]"] for r in bench.rows()] == ["1.5", "1.5"]
+    bench.sweep.write_text(alone.replace("0.25", "0.26"))
+    bench.run()
+    statuses = {p.stem: p.read_text().split() for p in (bench.out / "runs").glob("case-*.status")}
+    took = {id: float(end) - float(begin) for id, (_, begin, end) in statuses.items()}
+    assert len(took) == len(bench.calls()) == 2
+    bench.sweep.write_text(SWEEP.replace("0.25", "0.26"))
+    bench.run()
+    assert len(bench.calls()) == 6
+    old = [c for c in bench.cases() if c["folder"].count("/") == 1]
+    assert len(old) == 2
+    assert all(c["seconds"] == round(took[Path(c["folder"]).name], 2) for c in old)
+    for path in (bench.out / "runs").glob("*.status"):
+        path.unlink()
+    bench.run()
+    assert {c["seconds"] for c in bench.cases()} == {1.5}
+
+
+def test_many_axes_with_long_values(bench: Bench) -> None:
+    """The names of cases are as long as they like; those of folders are not made of them."""
+    modulus = "regions.lower.youngs_modulus"
+    bench.sweep.write_text(
+        f"""\
+base: case.yaml
+table: {{{"x" * 90}: {{}}}}
+grid:
+  {modulus}: [1.000000000000001 GPa, 2.000000000000002 GPa]
+  {FRICTION}: [0.200000000000000001, 0.4]
+  loads.press.pressure: [1.000000000000001 MPa, 3 MPa]
+  solver.augmentation_factor: [0.1, 0.200000000000000001]
+"""
+    )
+    bench.run()
+    rows = bench.rows()
+    assert len({r["case"] for r in rows}) == 16 and all(len(r["case"]) > 150 for r in rows)
+    assert {r["status"] for r in rows} == {"converged"}
+    assert len({r["folder"] for r in rows}) == 16
+    for row in rows:
+        assert re.fullmatch(r"runs/shared-[0-9a-f]{10}-1/case-[0-9a-f]{10}", row["folder"])
+    assert [c.name for c in report_sweep.read(bench.out).cases] == [r["case"] for r in rows]
+    bench.calls()
+    bench.run()
+    assert not bench.calls()
+
+
+def test_the_sweep_file_is_read_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be saved, half written too, while the sweep runs."""
+    monkeypatch.setattr(batch, "OFTEN", 0.0)
+    (bench.folder / "seconds").write_text("0.3")
+    write = sweep.write_json
+
+    def save(path: Path, data: Any) -> None:
+        write(path, data)
+        bench.sweep.write_text("base: [")
+
+    monkeypatch.setattr(sweep, "write_json", save)
+    bench.run()
+    assert {c["status"] for c in bench.cases()} == {"converged"}
+    bench.sweep.write_text(SWEEP)
+    assert case_file.read(bench.out / "sweep.yaml").data == case_file.read(bench.sweep).data
+
+
+@pytest.mark.parametrize(
+    ("cores", "ranks", "sizes"),
+    [(1, 1, [20]), (8, 2, [5] * 4), (64, 1, [1] * 20)],
+)
+def test_a_group_keeps_all_cores_busy(
+    bench: Bench, cores: int, ranks: int, sizes: list[int]
+) -> None:
+    """Samples of friction share their matrices; what has begun stays where its state is."""
+    jobs = [
+        batch.Job(f"{i}", bench.folder / "case.yaml", (f"{FRICTION}={i}",), ranks, share=True)
+        for i in range(20)
+    ]
+    results = batch.look(jobs, bench.out, cores)
+    counts = Counter(r.process for r in results)
+    assert list(counts.values()) == sizes
+    last = results[-1].folder
+    last.mkdir(parents=True)
+    (last / "checkpoint-3.h5").write_text("")
+    again = batch.look(jobs, bench.out, 3 * ranks)
+    assert again[-1].folder == last
+    assert sorted(Counter(r.process for r in again[:-1]).values()) == [5, 7, 7]
+
+
+@pytest.mark.parametrize(("code", "expected"), [(3, 3), (137, 70)])
+def test_a_sweep_leaves_as_its_cases_did(bench: Bench, code: int, expected: int) -> None:
+    (bench.folder / "broken").write_text("0.2 0.4")
+    (bench.folder / "code").write_text(str(code))
+    with pytest.raises(MantleError, match="8 of 8 cases failed") as error:
+        bench.run()
+    assert error.value.exit_code == expected
+
+
+def test_the_gravest_exit_code_wins() -> None:
+    assert gravest([4, 3, 4], "").exit_code == 4
+    assert gravest([5, 2], "").exit_code == 5
+    assert gravest([4, 69], "").exit_code == 69
+    assert gravest([69, 1], "told").exit_code == 70
+    assert str(gravest([4], "told")) == "told"
 
 
 CONTROLLER = """\
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 from app import batch, sweep
 batch.MANTLE_RUN = tuple(sys.argv[3:])
@@ -476,7 +664,7 @@ def test_shared_and_separate_runs_give_the_same(tmp_path: Path) -> None:
     )
     path = tmp_path / "sweep.yaml"
     path.write_text(f"base: case.yaml\ngrid: {{{FRICTION}: [0.2, 0.6]}}\n")
-    sweep.run(path, (), tmp_path / "shared", 2)
+    sweep.run(path, (), tmp_path / "shared", 1)
     together = json.loads((tmp_path / "shared" / "sweep.json").read_text())["cases"]
     assert {c["folder"].split("/")[1] for c in together} == {together[0]["folder"].split("/")[1]}
     for friction, case in zip((0.2, 0.6), together, strict=True):

@@ -1,0 +1,59 @@
+"""What a run depends on beside its input, against what the packages say themselves."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+from petsc4py import PETSc
+
+import dolfinx
+import gmsh
+import pytest
+
+from app import __version__, identity
+from tests import support
+
+
+def test_versions_are_those_of_the_libraries() -> None:
+    found = identity.parts()
+    assert list(found) == ["mantle", "dolfinx", "petsc", "gmsh", "blas"]
+    assert found["mantle"].startswith(f"{__version__} ")
+    assert found["dolfinx"] == dolfinx.__version__
+    assert found["petsc"] == ".".join(map(str, PETSc.Sys.getVersion()))
+    assert found["gmsh"].startswith(gmsh.__version__)
+    assert json.loads(identity.text()) == found
+
+
+def told(**environ: str) -> dict[str, str]:
+    """The parts in a process of its own, which does not load MPI for Python."""
+    code = (
+        "import json, sys; from app import identity; print(json.dumps(identity.parts()));"
+        "assert not {'mpi4py.MPI', 'petsc4py.PETSc', 'dolfinx'} & sys.modules.keys()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=support.environment() | environ,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    return dict(json.loads(done.stdout))
+
+
+def test_the_kernel_of_the_blas_belongs_to_it() -> None:
+    """Every processor of this kind has that of Nehalem; nothing else changes by it."""
+    usual = told()
+    if "OpenBLAS" not in usual["blas"] or sys.platform != "linux":
+        pytest.skip("another BLAS")
+    old = told(OPENBLAS_CORETYPE="Nehalem")
+    assert "Nehalem" in old["blas"].split()
+    assert old | {"blas": ""} == usual | {"blas": ""}
+
+
+def test_the_sources_that_numbers_depend_on_belong_to_it() -> None:
+    """What only asks for runs, or tells of them, does not."""
+    assert not identity.OUTSIDE.fullmatch("app/solver.py")
+    assert not identity.OUTSIDE.fullmatch("app/identity.py")
+    assert identity.OUTSIDE.fullmatch("app/verify_problems.py")
