@@ -40,6 +40,9 @@ _CONVERGED = 1e-8
 # Parts of what may react that are taken from the last step without looking at the ends, and the
 # logarithm of what is less than any.
 _HARDLY, _HALF, _LOWEST = 1e-12, 0.5, -50.0
+# Temperatures between which iterates of a solver mean something [K], and the least share of what may
+# react whose powers are numbers.
+_COLDEST, _HOTTEST, _LEAST = 1.0, 1e9, 1e-300
 _ITERATIONS = 100
 
 
@@ -201,8 +204,8 @@ class _Autocatalytic:
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Only nodes that still react are looked at."""
-        # Iterates of a solver may be cold beyond sense: nothing reacts there.
-        T = np.maximum(temperature, 1.0)
+        # Iterates of a solver may be cold beyond sense, or no number: nothing reacts there.
+        T = np.minimum(np.fmax(temperature, _COLDEST), _HOTTEST)
         limit, limit_by_T = np.ones_like(T), np.zeros_like(T)
         for law in self._limits:
             limit, limit_by_T = law(T=T)
@@ -222,9 +225,9 @@ class _Autocatalytic:
         if len(new):
             first = rates(rows[new], np.zeros(len(new)))[0]
             last = rates(rows[new], room[new] - UNREACTED)[0]
-            with np.errstate(divide="ignore"):
-                # Rates in between are at least the lower of the two at the ends.
-                low[new] = np.log(h * np.minimum(first, last) / room[new]) - 1.0
+            # Rates in between are at least the lower of the two at the ends.
+            least = h * np.minimum(first, last) / room[new]
+            low[new] = np.log(np.maximum(least, _LEAST)) - 1.0
             share[new] = np.where(share[new] > 0, share[new], h * first / room[new])
             ends = h * last >= room[new] - UNREACTED
             done = rows[new[ends & (first > 0)]]
@@ -236,7 +239,10 @@ class _Autocatalytic:
         reacted, f, f_a, f_T = self._react(rows, room, share, low, high, h, rates)
         degree[rows] = start[rows] + reacted
         with np.errstate(divide="ignore", invalid="ignore"):
-            by_T[rows] = reacted * f_T / f / (1 - reacted * f_a / f)
+            # The step itself, or what is left of it where the reaction has ended before.
+            taken = np.fmin(h, reacted / f)
+            slope = taken * f_T / (1 - taken * f_a)
+        by_T[rows] = np.where(np.isfinite(slope), slope, 0.0)
         self._mean[:], self._warmth[:], self._growth[:] = (degree - start) / h, T, by_T / h
         return Degrees(degree, by_T)
 

@@ -168,6 +168,43 @@ def test_senseless_temperatures_do_no_harm() -> None:
     assert found.degree[:3] == pytest.approx(0.3) and 0.3 < found.degree[3] <= 1
 
 
+@ALL
+def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalytic) -> None:
+    """Where rates underflow, nothing sets and no warming changes that; the next step is as ever."""
+    hot, cold, warm = (np.full(3, T) for T in (1e4, 1.0, 350.0))
+    start = [np.array([5e-324, 1e-200, 0.3])]
+    curing, fresh = setting(kinetics, 3), setting(kinetics, 3)
+    with np.errstate(invalid="raise"):
+        for before in (hot, warm):
+            curing.update(start, [before], 1e-2, 0.0)
+            for none in (cold, np.full(3, np.nan), np.full(3, -np.inf)):
+                found = curing.update(start, [none], 1e-2, 0.0)[0]
+                assert found.degree == pytest.approx(start[0], abs=1e-20)
+                assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
+                assert np.isfinite(curing.memory[0]).all()
+        curing.update(start, [np.full(3, np.inf)], 1e-2, 0.0)
+        assert np.isfinite(curing.memory[0]).all()
+        found = curing.update(start, [warm], 60.0, 0.0)[0]
+    expected = fresh.update(start, [warm], 60.0, 0.0)[0]
+    assert found.degree == pytest.approx(expected.degree, abs=1e-7)
+    assert found.by_temperature == pytest.approx(expected.by_temperature, abs=1e-7)
+
+
+def test_what_hardly_begins_is_hardly_changed_by_warmth() -> None:
+    """With m = 1, a = a* / (1 - h k) for a* -> 0, below what differs from nothing."""
+    kinetics = KINETICS["third order"]
+    curing, T = setting(kinetics, 1), np.array([300.0])
+    h = 0.3 / float(rate(kinetics, np.array([1e-9]), T)[0] / 1e-9)
+    start = [np.array([1e-200])]
+    with np.errstate(invalid="raise"):
+        curing.update([np.array([1e-3])], [T], h, 0.0)
+        for _ in range(2):
+            found = curing.update(start, [T], h, 0.0)[0]
+            assert found.degree == pytest.approx(0.0, abs=1e-20)
+            assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
+            assert np.isfinite(curing.memory[0]).all()
+
+
 def test_steps_that_make_no_sense_are_refused() -> None:
     curing = setting(nodes=2)
     with pytest.raises(ValueError, match="finite"):
