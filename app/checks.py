@@ -13,6 +13,7 @@ from typing import Any
 from app import thermal_checks
 from app.case_file import Path, Problem
 from app.conditions import Bonded
+from app.errors import Reason
 from app.fields import did_you_mean
 from app.materials import Conductor, Rigid
 from app.study_options import OF_RUN
@@ -156,6 +157,7 @@ def _rigid(parts: Parts) -> Iterable[Problem]:
         if all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
             text = f"contact between rigid regions ({regions}); one side has to be elastic"
+            text += f" [{Reason.RIGID_CONTACT}]"
             yield Problem(("interfaces", name), text)
 
 
@@ -177,7 +179,8 @@ def _held(parts: Parts) -> Iterable[Problem]:
         if free := [axis for axis in "xyz" if axis not in held]:
             along = "" if len(free) == 3 else f" along {' and '.join(free)}"
             allowed = "expected a support: fixed, roller, displacement or foundation"
-            yield Problem(("supports",), f"nothing holds the model{along}{when}; {allowed}")
+            text = f"nothing holds the model{along}{when}; {allowed} [{Reason.LOOSE_BODY}]"
+            yield Problem(("supports",), text)
 
 
 def quantities(geometry: Any, study: Any) -> Iterable[Problem]:

@@ -40,8 +40,8 @@ _CONVERGED = 1e-8
 # Parts of what may react that are taken from the last step without looking at the ends, and the
 # logarithm of what is less than any.
 _HARDLY, _HALF, _LOWEST = 1e-12, 0.5, -50.0
-# Temperatures between which iterates of a solver mean something [K], and the least share of what may
-# react whose powers are numbers.
+# Temperatures between which iterates of a solver mean something [K], and the least share of what
+# may react whose powers are numbers.
 _COLDEST, _HOTTEST, _LEAST = 1.0, 1e9, 1e-300
 _ITERATIONS = 100
 

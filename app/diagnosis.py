@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from app import uniqueness
 from app.active_set import ActiveSet
+from app.errors import Reason
 from app.jumps import Jumps
 from app.problem import Problem, Trial
 from app.rigid_motions import add_relative, describe, rigid_modes
@@ -66,8 +67,9 @@ class Explanation:
             reach: Part of it at which the solve failed.
             steps: Halved steps that were tried before, as parts of the stage.
         """
+        code = f" [{Reason.LOOSE_BODY}]" if self.free else ""
         lines = [
-            f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}",
+            f"no convergence in stage '{stage}' at {100 * reach:.3g} % of it: {self.short}{code}",
             *(f"  {line}" for line in self.free if line != self.short),
         ]
         lines += [f"  {line}" for line in self.notes]
@@ -221,7 +223,8 @@ def sliding(problem: Problem) -> list[str]:
             who = "' and '".join(names[b] for b in sorted(loose))
             found.append(
                 f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
-                f"on interface '{contact.name}' slips in the last converged state"
+                f"on interface '{contact.name}' slips in the last converged state "
+                f"[{Reason.LOOSE_BODY}]"
             )
     return found
 

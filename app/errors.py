@@ -8,12 +8,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from enum import StrEnum
 from typing import Any, TypeVar
 
 T = TypeVar("T")
 
 # How long to wait for ranks that met no error to come too [s].
 PATIENCE = 5.0
+
+
+class Reason(StrEnum):
+    """Why there is no answer, for programs: it stands in brackets in the message."""
+
+    LOOSE_BODY = "loose-body"
+    """Nothing holds a body, or friction hardly does."""
+    NOT_UNIQUE = "not-unique"
+    """Friction exceeds what makes the answer one."""
+    RIGID_CONTACT = "rigid-contact"
+    """Neither side of an interface is elastic."""
+    MISSING_PART = "missing-part"
+    """The mesh lacks a region, a boundary or an interface."""
+
+    @classmethod
+    def within(cls, text: str) -> set[Reason]:
+        """Those that a message gives."""
+        return {reason for reason in cls if f"[{reason}]" in text}
 
 
 class MantleError(Exception):

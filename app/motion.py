@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
 from app.diagnosis import explain, runaway
-from app.errors import ConvergenceError
+from app.errors import ConvergenceError, Reason
 from app.facets import held_by_facets
 from app.prediction import Extrapolation, Predictor, same
 from app.problem import Problem, Trial
@@ -224,7 +224,7 @@ class Motion:
         ):
             part = 100 * (time - int(time)) or 100
             raise ConvergenceError(
-                f"stage '{stage.name}' at {part:.3g} % of it: {away}\n"
+                f"stage '{stage.name}' at {part:.3g} % of it: {away} [{Reason.LOOSE_BODY}]\n"
                 "  what to change: hold the body (a support, friction, an elastic foundation)"
             )
         problem.spread(u, q)

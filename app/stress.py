@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import logging
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from app import batch, config
-from app.errors import ConvergenceError, GeometryError, InputError
+from app.errors import ConvergenceError, GeometryError, InputError, Reason
 from app.folders import write_json
 from app.results import Run
 from app.stress_case import CONFIGS, Trial, Wanted
@@ -135,7 +134,7 @@ def judge(t: Trial, results: Sequence[batch.Result]) -> Outcome:
     failed = next((r for r in results if r.exit_code), None)
     if failed is not None:
         explained = failed is results[0] and failed.exit_code in REFUSALS
-        if explained and t.refused and re.search(t.refused, failed.message):
+        if explained and t.refused in Reason.within(failed.message):
             return Outcome(t, REFUSED, failed.message, None, seconds)
         why = f"{failed.job.name}: exit code {failed.exit_code}: {failed.message}"
         return Outcome(t, FAILED, why, None, seconds)

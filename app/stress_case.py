@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from app.errors import Reason
 from app.results import Run
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
@@ -18,8 +19,6 @@ BAR, RINGS, WALL = (
 INCLINE, COOK = "verification/incline.yaml", "verification/cook.yaml"
 # What an answer may be off where a closed form is compared with a mesh.
 MESH = 0.02
-# A message that names the body that nothing holds.
-FREE = r"nothing holds body '{}'( but the facets of the mesh)?: it is free to"
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,7 @@ class Trial:
         runs: The run in question first, then those that it is compared with.
         judge: How far off the answer is; None if there is no answer, and mantle has to say so.
         tolerance: Largest deviation.
-        refused: What its message has to contain where mantle may, or has to, refuse: a regular
-            expression; empty where it may not.
+        refused: Why mantle may, or has to, refuse it; None where it may not.
     """
 
     row: str
@@ -76,7 +74,7 @@ class Trial:
     runs: tuple[Wanted, ...]
     judge: Judge | None
     tolerance: float = 0.0
-    refused: str = ""
+    refused: Reason | None = None
     name: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -93,7 +91,7 @@ def trial(
     runs: Wanted | Sequence[Wanted],
     judge: Judge | None,
     tolerance: float = 0.0,
-    refused: str = "",
+    refused: Reason | None = None,
 ) -> Trial:
     """A case, of one run or of several."""
     runs = (runs,) if isinstance(runs, Wanted) else tuple(runs)

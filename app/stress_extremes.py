@@ -9,10 +9,10 @@ import numpy as np
 
 from app import closed_forms as exact
 from app import stress_judges as judges
+from app.errors import Reason
 from app.stress_case import (
     BAR,
     COOK,
-    FREE,
     INCLINE,
     MESH,
     RINGS,
@@ -226,7 +226,7 @@ def _friction() -> Iterator[Trial]:
             judges.lawful,
             1e-7,
             # Beyond the critical one, 1.4 here, there need not be one answer that steps lead to.
-            "solutions may not be unique" if μ > 1.4 else FREE.format(r"\w+") if μ == 0 else "",
+            Reason.NOT_UNIQUE if μ > 1.4 else Reason.LOOSE_BODY if μ == 0 else None,
         )
     for μ in frictions[1:]:
         force, friction = 1200 * μ, 10 * PRESS * μ
@@ -265,7 +265,7 @@ def _friction() -> Iterator[Trial]:
             ),
             None,
             0.0,
-            FREE.format("bar"),
+            Reason.LOOSE_BODY,
         )
     for μ in (0.01, 0.3, 1.0):
         yield trial(
@@ -312,5 +312,5 @@ def _thin(full: bool) -> Iterator[Trial]:
                     # Cells of more than half the radius do not follow it as closely; those of
                     # twenty times its thickness leave no mantle, and the mesh says so.
                     MESH * max(1.0, (size / 2) ** 2),
-                    "the mesh has no region cement" if size >= 20 * t else "",
+                    Reason.MISSING_PART if size >= 20 * t else None,
                 )

@@ -5,13 +5,13 @@ Each takes the runs of a case, the one in question first, and says how far off i
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app import closed_forms as exact
+from app.errors import Reason
 from app.results import Run
 from app.stress_case import Judged
 from app.verify_measures import corner
@@ -136,7 +136,7 @@ def lawful(runs: Sequence[Run]) -> Judged:
         worst[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
     what = max(worst, key=lambda key: worst[key])
     beyond = _beyond(run)
-    if beyond and not re.search("may not be unique", run.log):
+    if beyond and Reason.NOT_UNIQUE not in Reason.within(run.log):
         return Judged(np.inf, f"friction beyond the critical one of {beyond} and no warning")
     warned = f"; warns that {beyond} may have several solutions" if beyond else ""
     return Judged(max(worst[what], 0.0), what + warned)
@@ -147,7 +147,9 @@ def _friction(run: Run, name: str) -> float:
     from app import config
 
     law = config.load(run.folder / "case.yaml").interfaces[name]
-    return float(getattr(law, "friction_coefficient", 0.0))
+    if isinstance(law, config.Bonded):
+        raise ValueError(f"interface '{name}' is bonded")
+    return law.friction_coefficient
 
 
 def _beyond(run: Run) -> str:

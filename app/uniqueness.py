@@ -50,6 +50,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from app.errors import Reason
 from app.jumps import Jumps
 from app.problem import Problem
 
@@ -147,6 +148,6 @@ def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
                 sentences.append(
                     f"interface '{contact.name}': friction coefficient {contact.friction:g} "
                     f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
-                    f"{place}): solutions may not be unique there"
+                    f"{place}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
                 )
     return found, sentences

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import GeometryError
+from app.errors import GeometryError, Reason
 
 from . import cache as _cache
 from . import quality as _quality
@@ -150,7 +150,8 @@ def _check_parts(data: MeshData, whole: Collection[str]) -> None:
     if missing:
         doubled = len(coincident(data.points))
         hint = f"; {doubled} pairs of nodes coincide but are not one: merge them" if doubled else ""
-        raise GeometryError("the mesh has no " + ", no ".join(missing) + hint)
+        text = "the mesh has no " + ", no ".join(missing) + hint
+        raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
     _, component = components(face_neighbours(data.cells), data.cell_tags)
     pieces = {n: len(set(component[data.cell_tags == data.regions[n]].tolist())) for n in whole}
     if any(n > 1 for n in pieces.values()):
