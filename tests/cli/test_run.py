@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -580,13 +581,11 @@ def check_variations(s: dict[str, Any]) -> None:
 HIP = (-399.5, -159.9, -1747.8)
 
 
-def check_stance(s: dict[str, Any], subsidence: float) -> None:
+def check_stance(s: dict[str, Any]) -> None:
     """Both interfaces hand on the hip force as it is: the cement bears no other load."""
     assert s["interfaces"]["stem_cement"]["force"] == pytest.approx(HIP, rel=1e-6)
     opposite = tuple(-f for f in HIP)
     assert s["interfaces"]["cement_bone"]["force"] == pytest.approx(opposite, rel=1e-6)
-    # Regression, on this coarse mesh.
-    assert s["stem"]["subsidence"] == pytest.approx(subsidence, rel=0.02)
     assert s["mantle"]["thickness"]["nominal"] == 4.0
     assert s["gruen"].keys() == {str(zone) for zone in range(1, 15)}
     for zone, q in s["gruen"].items():
@@ -689,8 +688,8 @@ CHECKS = {
     "intact.yaml": check_intact,
     "cylinders.yaml": check_cylinders,
     "variations.yaml": check_variations,
-    "stance.yaml": lambda s: check_stance(s, 0.1713),
-    "stance_cocr.yaml": lambda s: check_stance(s, 0.1327),
+    "stance.yaml": check_stance,
+    "stance_cocr.yaml": check_stance,
 }
 
 
@@ -698,16 +697,41 @@ def test_every_shipped_configuration_is_run() -> None:
     assert {p.name for p in support.CONFIGS.glob("*.yaml")} == COARSE.keys() == CHECKS.keys()
 
 
+Coarsened = Callable[[str], tuple[Path, str]]
+
+
+@pytest.fixture(scope="module")
+def coarsened(tmp_path_factory: pytest.TempPathFactory) -> Coarsened:
+    """The folder of a shipped configuration, run once, and what it said."""
+    done: dict[str, tuple[Path, str]] = {}
+
+    def of(name: str) -> tuple[Path, str]:
+        if name not in done:
+            out = tmp_path_factory.mktemp("shipped") / "out"
+            overrides = [word for o in COARSE[name] for word in ("--set", o)]
+            result = run(support.CONFIGS / name, "-o", out, *overrides)
+            assert result.returncode == 0, result.stderr
+            done[name] = out, result.stderr
+        return done[name]
+
+    return of
+
+
+def test_a_stiffer_stem_sinks_less_on_the_same_mesh(coarsened: Coarsened) -> None:
+    """All else is equal; how far either sinks is known no better than a coarse mesh tells."""
+    titanium, cobalt = (read(coarsened(n)[0]) for n in ("stance.yaml", "stance_cocr.yaml"))
+    assert titanium["solver"]["dofs"] == cobalt["solver"]["dofs"]
+    assert 0 < cobalt["stem"]["subsidence"] < titanium["stem"]["subsidence"]
+
+
 @pytest.mark.parametrize("name", COARSE)
-def test_shipped_configuration(name: str, tmp_path: Path) -> None:
-    overrides = [word for o in COARSE[name] for word in ("--set", o)]
-    result = run(support.CONFIGS / name, "-o", tmp_path / "out", *overrides)
-    assert result.returncode == 0, result.stderr
+def test_shipped_configuration(name: str, coarsened: Coarsened) -> None:
+    out, stderr = coarsened(name)
     # Coarsened, some are one linear cell thick: rightly told.
-    notes = [line for line in result.stderr.splitlines() if "note: " in line]
+    notes = [line for line in stderr.splitlines() if "note: " in line]
     assert all("one cell thick" in note for note in notes), notes
-    assert (tmp_path / "out" / "DONE").exists()
-    folders = {p.parent for p in (tmp_path / "out").glob("**/summary.json")}
+    assert (out / "DONE").exists()
+    folders = {p.parent for p in out.glob("**/summary.json")}
     assert len(folders) == (14 if name == "variations.yaml" else 1)
     for folder in folders:
         assert (folder / "DONE").exists()

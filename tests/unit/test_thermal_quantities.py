@@ -147,7 +147,7 @@ def test_a_peak_between_steps_is_found(stack: TaggedMesh) -> None:
         bone = Play(stack, parabola, constant(20.0)).through(*times)["regions"]["bone"]
         assert bone["temperature_max"] == pytest.approx(60.0)
         assert bone["temperature_max_time"] == pytest.approx(3.2)
-        assert bone["temperature_max_at"] == pytest.approx([0, 0, 0])
+        assert bone["temperature_max_at"][2] == pytest.approx(0)  # all of the base is as hot
 
 
 def test_very_unequal_steps_do_not_make_up_a_peak(stack: TaggedMesh) -> None:
