@@ -101,6 +101,40 @@ def test_the_working_folder_and_the_exit_code_stay(tmp_path: Path) -> None:
     assert (result.returncode, result.stdout.strip()) == (4, str(tmp_path))
 
 
+# Finds all that it is asked for, notes what it runs under which kernel, and fails under Haswell.
+PYTHON = """#!/bin/sh
+[ "$1" != - ] || exit 0
+echo "${OPENBLAS_CORETYPE:-}|${GLIBC_TUNABLES:-}|$*" >>"$CALLS"
+[ "${OPENBLAS_CORETYPE:-}" != Haswell ]
+"""
+
+
+@pytest.mark.skipif("avx2" not in Path("/proc/cpuinfo").read_text(), reason="no processor for it")
+def test_all_tests_come_as_on_other_processors_and_in_another_order(tmp_path: Path) -> None:
+    """With the same arguments; one that fails fails the whole. The order is told by a seed."""
+    python, calls = tmp_path / "python3", tmp_path / "calls"
+    python.write_text(PYTHON)
+    python.chmod(0o755)
+    more = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "CALLS": str(calls)}
+    more |= {"MANTLE_BACKEND": "native", "MANTLE_INSIDE": "", "XDG_CACHE_HOME": str(tmp_path)}
+    result = run("test", "--all", OPENBLAS_CORETYPE="", GLIBC_TUNABLES="", **more)
+    said = result.stdout.splitlines()[-1]
+    assert result.returncode == 1 and "Haswell FAILED" in said and "Nehalem ok" in said
+    lines = [line.split("|") for line in calls.read_text().splitlines()]
+    tests = [line for line in lines if "tests/verification" in line[2]]
+    kernels = [kernel for kernel, _, _ in tests if kernel]
+    assert kernels[:4] == ["Nehalem", "Sandybridge", "Haswell", "Zen"]
+    assert kernels[4:] in ([], ["SkylakeX"])
+    (without,) = [what for _, tunables, what in tests if "-AVX512F,-AVX2,-FMA" in tunables]
+    (shuffled,) = [what for _, _, what in tests if "--random-order" in what]
+    assert {what for kernel, _, what in tests if kernel} == {without}
+    assert shuffled.startswith(f"{without} --random-order --random-order-seed=")
+    calls.unlink()
+    for some in (["-k", "name"], ["-m", "slow"]):
+        run("test", "--all", *some, **more)
+    assert "tests/verification" not in calls.read_text()
+
+
 @pytest.mark.parametrize("home", ["/proc", "/dev/null/home", ""])
 def test_a_home_that_cannot_be_written_does_no_harm(home: str) -> None:
     result = run("shell", "-c", 'test -w "$XDG_CACHE_HOME"', HOME=home, XDG_CACHE_HOME="")
