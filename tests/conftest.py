@@ -8,6 +8,11 @@ import sys
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import settings
+
+# How long an example takes is the machine's business.
+settings.register_profile("mantle", deadline=None)
+settings.load_profile("mantle")
 
 
 @pytest.fixture(autouse=True)

@@ -58,8 +58,23 @@ with (here / "calls").open("a") as file:
 for word in (here / "broken").read_text().split():
     if word == size:
         sys.exit("the mesh is bad\\nmesh.size is cursed")
+running = here / "running"
+running.mkdir(exist_ok=True)
+(running / size).touch()
+def note():
+    most = here / "most"
+    count = len(list(running.iterdir()))
+    most.write_text(str(max(count, int(most.read_text() if most.exists() else 0))))
+    return count
 try:
     time.sleep(float((here / "seconds").read_text()))
+    # Some are to run at the same time: they wait for each other, but not for ever.
+    wanted, end = int((here / "meet").read_text()), time.monotonic() + 60
+    while note() < wanted and not (here / "met").exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    if wanted > 1:
+        (here / "met").touch()
+    (running / size).unlink()
 except KeyboardInterrupt:
     sys.exit(5)
 output.mkdir(parents=True, exist_ok=True)
@@ -77,12 +92,17 @@ class Bench:
         (folder / "mantle.py").write_text(STAND_IN)
         self.break_()
         self.take(0)
+        self.meet(1)
 
     def break_(self, *sizes: float) -> None:
         (self.folder / "broken").write_text(" ".join(map(str, sizes)))
 
     def take(self, seconds: float) -> None:
         (self.folder / "seconds").write_text(str(seconds))
+
+    def meet(self, count: int) -> None:
+        """So many have to run at the same time."""
+        (self.folder / "meet").write_text(str(count))
 
     def calls(self) -> list[str]:
         """The calls since the last time."""
@@ -229,15 +249,14 @@ def test_bad_jobs_are_told_together_before_anything_runs(bench: Bench) -> None:
 
 def test_alone_means_alone_and_one_thread_each(bench: Bench) -> None:
     """Two jobs at a time on two cores, unless they are to be timed."""
-    bench.take(0.7)
-    begin = time.monotonic()
+    bench.take(0.2)
     bench.run(*(bench.job(s, alone=True) for s in (1.0, 2.0)))
-    apart = time.monotonic() - begin
-    assert apart > 1.4
-    begin = time.monotonic()
-    bench.run(*(bench.job(s) for s in (3.0, 4.0)))
-    assert time.monotonic() - begin < apart - 0.4
+    assert (bench.folder / "most").read_text() == "1"
     # Snakemake would give each as many threads as cores.
+    assert all(line.endswith(" 1") for line in bench.calls())
+    bench.meet(2)
+    bench.run(*(bench.job(s) for s in (3.0, 4.0)))
+    assert (bench.folder / "most").read_text() == "2"
     assert all(line.endswith(" 1") for line in bench.calls())
 
 
@@ -260,7 +279,7 @@ def test_nothing_runs_on_where_the_table_cannot_be_written(
     bench.break_(2.0)
 
     def tell(results: object) -> None:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 120
         while len((bench.folder / "calls").read_text().splitlines()) < 2:
             assert time.monotonic() < deadline
             time.sleep(0.05)
@@ -282,19 +301,17 @@ def test_interruption_leaves_nothing_running_and_is_resumed(
     jobs = [bench.job(s) for s in (1.0, 2.0, 3.0)]
 
     def interrupt() -> None:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 120
         while not (bench.folder / "calls").exists() and time.monotonic() < deadline:
             time.sleep(0.05)
-        time.sleep(0.2)
         os.kill(os.getpid(), signal.SIGTERM)
 
     thread = threading.Thread(target=interrupt)
     thread.start()
-    begin = time.monotonic()
     with pytest.raises(StoppedError, match="stopped after") as error:
         bench.run(*jobs)
     thread.join()
-    assert error.value.exit_code == 5 and time.monotonic() - begin < 30
+    assert error.value.exit_code == 5
     assert not left_running(bench)
     assert bench.sizes() == [3.0]
     bench.take(0)
@@ -316,7 +333,7 @@ def test_a_killed_batch_does_not_block_the_next(bench: Bench) -> None:
         env=support.environment(),
         stdout=subprocess.DEVNULL,
     )
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 120
     while not (bench.folder / "calls").exists() and time.monotonic() < deadline:
         time.sleep(0.05)
     with pytest.raises(InputError, match="another batch"):
@@ -337,7 +354,7 @@ def test_a_killed_batch_does_not_block_the_next(bench: Bench) -> None:
     first.wait()
     bench.calls()
     bench.take(0)
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 120
     while True:  # until the last of them has let go of the lock
         try:
             (result,) = bench.run(bench.job(1.0))

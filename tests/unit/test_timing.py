@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -40,13 +38,6 @@ def test_a_phase_inside_another_counts_alone(monkeypatch: pytest.MonkeyPatch) ->
     assert t.seconds == {name: 2 * cpu for name, cpu in t.cpu.items()}
     t.clear()
     assert t.cpu == t.seconds == {}
-
-
-def test_sleep_is_no_work() -> None:
-    t = timing.Timing()
-    with t.phase("asleep"):
-        time.sleep(0.05)
-    assert t.seconds["asleep"] >= 0.05 > t.cpu["asleep"]
 
 
 def test_peak_memory_is_that_of_the_arrays_there_were() -> None:
