@@ -104,7 +104,7 @@ def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
         env=support.environment(),
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1800,
     )
 
 
