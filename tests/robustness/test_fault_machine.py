@@ -275,7 +275,7 @@ def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
 def test_a_compilation_is_waited_for_as_long_as_it_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, seen = time.monotonic(), []
+    seen = []
 
     def asleep(seconds: float) -> None:
         # Another form is free meanwhile.
@@ -292,7 +292,7 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(
     monkeypatch.setattr(compiled.time, "sleep", asleep)
     # What it had begun is removed once it is dead, and not before.
     assert compiled._let_go(lambda: compiled._wait(get, "form", [], tmp_path, 10)) is False
-    assert seen == [True, True, True] and time.monotonic() - begun < 60
+    assert seen == [True, True, True]
     assert not compiled._compiling
     (tmp_path / "form.c").touch()
     (tmp_path / "form.c.cached").touch()
