@@ -63,7 +63,8 @@ class Contact(Model):
     gap: LengthField = 0.0
     """Initial gap: positive open, negative an interference (press fit)."""
     gap_history: History = None
-    """Multiplier of the gap at the end of each stage, from 0; all ones by default."""
+    """Multiplier of the gap at the end of each stage, from 0. By default a clearance is there from
+    the start, and an interference grows through the first stage."""
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
     conductance: Conductance = None
@@ -88,7 +89,8 @@ class Penalty(Model):
     gap: LengthField = 0.0
     """Initial gap: positive open, negative an interference (press fit)."""
     gap_history: History = None
-    """Multiplier of the gap at the end of each stage, from 0; all ones by default."""
+    """Multiplier of the gap at the end of each stage, from 0. By default a clearance is there from
+    the start, and an interference grows through the first stage."""
     conductance: Conductance = None
     """Power per area and temperature jump; perfect (no jump) by default."""
     friction_heating: FrictionHeating | None = None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from app import config
 from app.rigid_motions import describe, rigid_modes
 from app.scene_heat import field
-from app.terms import amplitude
+from app.terms import gap_at
 from meshes.parts import Parts, Piece
 
 Floats = NDArray[np.float64]
@@ -259,8 +259,7 @@ def loosely_held(case: config.Case, found: Parts, groups: list[list[int]]) -> li
                 for text in bodies.words(free)
             ]
         begins = {
-            n: amplitude(history_of(case, laws[n].gap_history), k + 1e-3) * gap.min()
-            for n, gap in gaps.items()
+            n: gap_at(gap, laws[n].gap_history or (), k + 1e-3).min() for n, gap in gaps.items()
         }
         open_ = {n for n, gap in begins.items() if gap > 0}
         K, M = bodies.resistance(None, open_)

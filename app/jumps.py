@@ -36,7 +36,7 @@ from app.reduction import Reduction
 from app.run_options import USUAL_AUGMENTATION
 from app.sparse import from_triplets, matrix_sum, owners
 from app.state import Rows, State, keyed
-from app.terms import Contact, Scene, Support, amplitude
+from app.terms import Contact, Scene, Support, amplitude, gap_at
 from app.timing import Timing
 from forms.contact import SLIP
 from meshes.distribute import TaggedMesh
@@ -153,9 +153,9 @@ class Jumps:
             here = self.points.interface == i
             full[here] = c.gap(self.points.x[here])
         self._full_gap = full[self.mine]
-        zero, none = np.zeros((len(self.mine), 3)), np.zeros(len(self.mine))
-        self.history = History(zero, zero, zero, zero, zero, none, none, none, none)
         self.set_time(0.0)
+        zero, none = np.zeros((len(self.mine), 3)), np.zeros(len(self.mine))
+        self.history = History(zero, zero, zero, self.gap, zero, none, none, none, none)
 
     # Construction
 
@@ -244,8 +244,11 @@ class Jumps:
 
     def set_time(self, time: float) -> None:
         """Set gaps and given jumps to a time."""
-        gap = np.array([amplitude(c.history, time) for c in self._contacts])
-        self.gap = gap_vectors(self.normals, self.faces, self._full_gap * gap[self.interface])
+        gap = np.zeros(len(self.mine))
+        for i, c in enumerate(self._contacts):
+            here = self.interface == i
+            gap[here] = gap_at(self._full_gap[here], c.history, time)
+        self.gap = gap_vectors(self.normals, self.faces, gap)
         self.given = np.zeros(self.held.shape)
         for support, jump in zip(self._supports, self._given, strict=True):
             self.given += amplitude(support.history, time) * jump

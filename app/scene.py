@@ -173,7 +173,7 @@ def _contact(
             stiffness=stiffness,
             modulus=_stiffness(slave, moduli),
             gap=field(f"interfaces.{name}.gap", law.gap),
-            history=_history(law.gap_history, stages),
+            history=law.gap_history or (),
         ),
     )
 

@@ -28,6 +28,20 @@ def amplitude(history: Sequence[float], time: float) -> float:
     return float(np.interp(time, np.arange(len(history) + 1), [0.0, *history]))
 
 
+def gap_at(gap: Floats, history: Sequence[float], time: float) -> Floats:
+    """Gap of points at a time (n,) [mm].
+
+    Args:
+        gap: At full amplitude (n,) [mm].
+        history: Its amplitudes at the ends of the stages. Empty: a clearance is there from the
+            start, as the geometry has it, an interference grows through the first stage.
+        time: Stage k runs from k to k + 1.
+    """
+    if history:
+        return amplitude(history, time) * gap
+    return np.maximum(gap, 0.0) + amplitude((1.0,), time) * np.minimum(gap, 0.0)
+
+
 @dataclass(frozen=True)
 class Eigenstrain:
     """A stress-free strain of a region: components xx, yy, zz, yz, xz, xy at full amplitude."""
@@ -149,7 +163,7 @@ class Contact:
         stiffness: Augmentation or penalty [MPa/mm]; 0 asks for the default augmentation.
         modulus: Modulus of the softer side [MPa].
         gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
-        history: Amplitudes of the gap at the ends of the stages.
+        history: Amplitudes of the gap at the ends of the stages, or empty (see `gap_at`).
     """
 
     name: str

@@ -171,7 +171,9 @@ def solve(
         for constant, history in amplitudes:
             constant.value = _amplitude(history, time)
         for i in interfaces:
-            i.gap.x.array[:] = i.full_gap * _amplitude(i.history, time)
+            grown = i.full_gap * _amplitude(i.history, time)
+            clear = (i.full_gap > 0) & (i.history is None)
+            i.gap.x.array[:] = np.where(clear, i.full_gap, grown)
         # The application's rule: no force in components that supports hold on both sides.
         iterations = newton.solve(
             [

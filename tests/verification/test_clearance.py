@@ -1,0 +1,94 @@
+"""A clearance is part of the geometry: it is there from the start, whatever the increments.
+
+An interference is not: bodies that overlap are pushed into each other through the first stage.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app import closed_forms as exact
+from app import config
+from app.terms import gap_at
+from app.verify_measures import CEMENT
+from forms.contact import STICK
+from meshes.distribute import TaggedMesh
+from tests import support
+
+CASES = support.CONFIGS / "verification"
+
+
+def case(name: str, *overrides: str) -> config.Case:
+    return config.load(CASES / f"{name}.yaml", ("mesh.order=1", *overrides))
+
+
+def test_gap_over_the_stages() -> None:
+    gap = np.array([0.1, -0.1, 0.0])
+    times = (0.0, 0.25, 1.0, 1.5)
+    grown = np.array([gap_at(gap, (), t) for t in times])
+    assert grown[:, 0] == pytest.approx([0.1, 0.1, 0.1, 0.1])
+    assert grown[:, 1] == pytest.approx([0.0, -0.025, -0.1, -0.1])
+    assert not grown[:, 2].any()
+    told = np.array([gap_at(gap, (1.0, 3.0), t) for t in times])
+    assert told == pytest.approx(np.outer([0.0, 0.25, 1.0, 2.0], gap))
+
+
+def test_a_hertz_contact_grows_with_its_load() -> None:
+    """Half-width a = sqrt(4 P R / (π E*)) at every increment (Johnson, section 4.2)."""
+    size, increments = 0.1, 4
+    this = case("hertz_line", f"mesh.size={size} mm", "stages=[{name: press, increments: 4}]")
+    steps = support.solve(this).samples
+    for k, s in enumerate(steps, 1):
+        hertz = exact.hertz_line(100.0 * k / increments, 10.0, exact.contact_modulus(CEMENT))
+        width = np.abs(s.x[s.pressure > 0, 0]).max()
+        assert abs(width - hertz.a) <= size, k
+        assert s.pressure.max() == pytest.approx(hertz.p0, rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def half_planes() -> TaggedMesh:
+    """The mesh of cattaneo.yaml, twice as coarse."""
+    return support.mesh(case("cattaneo", "mesh.size=0.2 mm"))
+
+
+def pressed_aside(tagged: TaggedMesh, *overrides: str) -> support.Solved:
+    return support.solve(case("cattaneo", "mesh.size=0.2 mm", *overrides), tagged=tagged)
+
+
+def test_one_stage_is_the_same_as_the_clearance_first(half_planes: TaggedMesh) -> None:
+    """Loads in one stage, or after a stage that brings nothing but the clearance."""
+    one = pressed_aside(
+        half_planes,
+        "stages=[{name: load, increments: 3}]",
+        "supports.press.history=[1]",
+        "supports.shear.history=[1]",
+    )
+    two = pressed_aside(
+        half_planes,
+        "interfaces.contact.gap_history=[1, 1]",
+        "stages=[{name: approach}, {name: load, increments: 3}]",
+        "supports.press.history=[0, 1]",
+        "supports.shear.history=[0, 1]",
+    )
+    for a, b in zip(one.samples, two.samples[1:], strict=True):
+        assert support.difference(a.force, b.force) < 1e-7
+        assert support.difference(a.jump, b.jump) < 1e-7
+    # The pressures do work neither on a clearance nor on what closes it, beyond the load steps.
+    assert one.last.contact_work == pytest.approx(two.last.contact_work, abs=1e-9)
+
+
+def test_a_constant_oblique_force_does_not_slip(half_planes: TaggedMesh) -> None:
+    """Q/P = const < μ: points that come into touch stick from then on, though the same Q after P
+    lets a rim slip (Mindlin and Deresiewicz 1953; Johnson, section 7.3)."""
+    oblique = pressed_aside(
+        half_planes,
+        "stages=[{name: load, increments: 4}]",
+        "supports.press.history=[1]",
+        "supports.shear.history=[1]",
+    )
+    for before, after in zip(oblique.samples, oblique.samples[1:], strict=False):
+        touched = before.pressure > 0
+        assert (after.status[touched] == STICK).all()
+    later = pressed_aside(half_planes)
+    assert not (later.last.status[later.samples[0].pressure > 0] == STICK).all()
