@@ -333,6 +333,7 @@ class Linear:
         self._inverses: list[Inverse] = []
         self._own: list[Own] = []
         self._swept: list[PETSc.PC] = []
+        self._factored: list[PETSc.PC] = []
         self._deflated: tuple[Deflated, ...] = ()
         self._sizes = [v.getSize() for v in blocks.values()]
         self._version = system.version
@@ -448,6 +449,7 @@ class Linear:
                 context.take(motions)
         if not state["swept"]:
             self.factor_interfaces()
+            self._factored = []
         for own, found in zip(self._own, state["own"], strict=True):
             own.resume(found)
         self._version = self._system.version - (not state["fresh"])
@@ -459,11 +461,20 @@ class Linear:
         for pc in swept:
             pc.setType(str(INTERFACE["pc_type"]))
             pc.setFactorSolverType(str(INTERFACE["pc_factor_mat_solver_type"]))
+        self._factored += swept
         return bool(swept)
 
+    def sweep_interfaces(self) -> None:
+        """Sweep again what `factor_interfaces` has factored, unless the linear solver needs it."""
+        factored, self._factored = self._factored, []
+        for pc in factored:
+            pc.setType(str(SWEEP["pc_type"]))
+        self._swept += factored
+
     def _fall_back(self) -> str:
-        """Factor what has not been factored so far, the interfaces first; what, in words."""
+        """Factor for good what has not been factored so far, the interfaces first; in words."""
         if self.factor_interfaces():
+            self._factored = []
             return "interfaces are"
         return "the stiffness is" if any([i.fall_back() for i in self._inverses]) else ""
 

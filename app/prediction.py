@@ -120,8 +120,8 @@ def take_better(solver: Solver, x: PETSc.Vec) -> bool:
         solver: Of a problem at the time of the step.
         x: The state; its supported components are set.
     """
-    if imbalance(solver, x) >= imbalance(solver, solver.x.copy()):
-        return False
+    if not imbalance(solver, x) < imbalance(solver, solver.x.copy()):
+        return False  # nor is a state that is no number
     x.copy(solver.x)
     return True
 

@@ -7,6 +7,7 @@ Newton is semismooth, with the generalized Jacobian of the system; its linear so
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,8 @@ from app.timing import Timing
 
 log = logging.getLogger("mantle")
 
+REASONS = PETSc.SNES.ConvergedReason
+
 CONDITION_RTOL = 1e-4
 CONDITION_ITERATIONS = 20
 
@@ -30,6 +33,10 @@ NEWTON: Options = {
     "snes_type": "newtonls",
     "snes_linesearch_type": "bt",
     "snes_linesearch_order": 1,
+    # Steps that lead on are halved three times at most (measured); ten halvings lead nowhere.
+    "snes_linesearch_minlambda": 1e-3,
+    # A short step is no reason to stop: what has converged is decided here alone.
+    "snes_stol": 0.0,
     "snes_max_linear_solve_fail": 3,
     "snes_ksp_ew": True,
     "snes_ksp_ew_version": 2,
@@ -134,12 +141,14 @@ class Solver:
         self._search = self._usual = str(self.options["snes_linesearch_type"])
         self._other = "basic" if self._usual == "bt" else "bt"
         self._augmentation = 1.0
+        self._met = False
         self._enough = 0.0 if "ksp_atol" in options else ENOUGH
         self._configure()
 
     def begin(self) -> None:
         """Forget all states: the system begins at rest, with the matrices it had."""
         self.x.zeroEntries()
+        self._linear.sweep_interfaces()
         self._scales, self._augmentation = [], 1.0
 
     def vector(self) -> PETSc.Vec:
@@ -221,14 +230,11 @@ class Solver:
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
     ) -> PETSc.SNES.ConvergedReason:
         """Each part below its tolerance, or below what rounding leaves of it."""
-        reasons = PETSc.SNES.ConvergedReason
-        if not np.isfinite(norms[2]):
-            self._residuals.append(float(norms[2]))
-            return reasons.DIVERGED_FUNCTION_NANORINF
         parts = self._measure(snes.getSolution(), snes.getFunction()[0])
         self._residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
-        if all(map(self.meets, parts)):
-            return reasons.CONVERGED_FNORM_ABS
+        self._met = all(map(self.meets, parts))
+        if self._met:
+            return REASONS.CONVERGED_FNORM_ABS
         if self._enough:
             snes.getKSP().setTolerances(atol=self._enough * min(map(self._limit, parts)))
         last, window = self._residuals, STUCK.get(self._search, STUCK_WHOLE)
@@ -236,7 +242,7 @@ class Solver:
         # Whole steps from the same states lead to the same states again.
         period = self._system.active.period() if self._search == "basic" and not stuck else 0
         stuck |= period > 0 and abs(last[-1] / last[-1 - period] - 1) < CYCLING
-        return reasons.DIVERGED_LINE_SEARCH if stuck else reasons.ITERATING
+        return REASONS.DIVERGED_LINE_SEARCH if stuck else REASONS.ITERATING
 
     def meets(self, part: Measure) -> bool:
         """Whether a residual is within the tolerance."""
@@ -279,8 +285,8 @@ class Solver:
             tried.append((words, self._residuals[-1]))
         augmentation = self._augmentation
         self._use_search(self._usual)
-        reason = self.snes.getConvergedReason()
-        if reason > 0:
+        if self._met:
+            self._linear.sweep_interfaces()
             parts = self._measure(self.x, self.snes.getFunction()[0])
             self._scales = [p.scale for p in parts]
         else:
@@ -288,12 +294,12 @@ class Solver:
             self._augmentation = 1.0
         self._linear.learn()
         return Outcome(
-            converged=reason > 0,
+            converged=self._met,
             iterations=newton,
             linear_iterations=krylov,
             residuals=tuple(self._residuals),
             flips=tuple(self._flips),
-            linear_failed=reason == PETSc.SNES.ConvergedReason.DIVERGED_LINEAR_SOLVE,
+            linear_failed=self.snes.getConvergedReason() == REASONS.DIVERGED_LINEAR_SOLVE,
             augmentation=augmentation,
             tried=tuple(tried),
             period=self._system.active.period(),
@@ -309,11 +315,11 @@ class Solver:
         less friction fewer points wait for each other. An augmentation that was asked for may be
         off by any power of ten: at last it is what it would be without being asked for.
         """
-        if not self._done() and self._linear.factor_interfaces():
+        if not self._met and self._linear.factor_interfaces():
             start.copy(self.x)
             yield "interfaces factored"
         for factor, on in AUGMENTATIONS:
-            if self._done():
+            if self._met:
                 return
             if on and self._lost():
                 continue
@@ -325,9 +331,9 @@ class Solver:
         if not self._lost() and self._has_kinks:
             self._use_search(self._other)
             yield "whole steps" if self._other == "basic" else "shorter steps"
-        if not self._done():
+        if not self._met:
             yield from self._with_less_friction(start)
-        if self._done() or (usual := self._system.usual_augmentation()) == 1.0:
+        if self._met or (usual := self._system.usual_augmentation()) == 1.0:
             return
         start.copy(self.x)
         for share in USUAL:
@@ -354,17 +360,13 @@ class Solver:
         finally:
             self._system.lessen_friction(1.0)
 
-    def _done(self) -> bool:
-        """Whether Newton has converged."""
-        return bool(self.snes.getConvergedReason() > 0)
-
     def _lost(self) -> bool:
         """Whether nothing is left to improve: converged, or without a state to go on from."""
-        return self._done() or not np.isfinite(self.x.norm())
+        return self._met or not np.isfinite(self.x.norm())
 
     def _trouble(self) -> str:
         """Where Newton is, in words."""
-        if self._done():
+        if self._met:
             return "Newton has converged"
         changing = f", {self._flips[-1]} contact points change" if self._flips[-1] else ""
         if period := self._system.active.period():
@@ -379,12 +381,17 @@ class Solver:
     def _newton(self) -> tuple[int, int]:
         """Iterate from the current state; Newton and Krylov iterations."""
         self._system.active.forget()
+        self._met = False
         with self._timing.phase("solve"):
             try:
                 self.snes.solve(None, self.x)
             except PETSc.Error as error:
                 # What a callback raised comes back wrapped.
                 raise error.__cause__ or error from None
+        if self.snes.getConvergedReason() == REASONS.DIVERGED_FNORM_NAN:
+            # Of such a residual PETSc tells neither monitor nor test.
+            self._residuals.append(math.nan)
+            self._flips.append(0)
         return self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
 
     def _use_search(self, kind: str) -> None:

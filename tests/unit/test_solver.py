@@ -1,0 +1,97 @@
+"""Newton's iteration: what counts as solved, what a start may be, what a failure leaves behind."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+from app.errors import ConvergenceError
+from app.prediction import take_better
+from meshes.distribute import TaggedMesh
+from tests import support
+
+# A block pressed on a wall and aside: points stick and slip.
+BLOCK = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: wall, size: [4 mm, 4 mm, 2 mm]}
+    - {name: bar, size: [4 mm, 4 mm, 4 mm]}
+mesh: {order: 1, size: 1 mm, far_size: 1 mm}
+regions:
+  wall: {youngs_modulus: 2000 MPa, poisson_ratio: 0.3}
+  bar: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}
+interfaces:
+  wall_bar: {kind: contact, friction_coefficient: 0.3}
+supports:
+  wall: {kind: fixed, boundary: bottom}
+  end: {kind: displacement, boundary: top, x: 0.005 mm, y: 0 mm, z: -0.01 mm}
+stages: [{name: press, adaptive: false}]
+"""
+
+
+@pytest.fixture(scope="module")
+def tagged() -> TaggedMesh:
+    return support.mesh(support.case(BLOCK))
+
+
+@pytest.mark.parametrize("more", [(), ("solver.petsc.snes_stol=1e-8",)])
+def test_a_step_of_length_zero_solves_nothing(more: tuple[str, ...], tagged: TaggedMesh) -> None:
+    """Whatever PETSc is told to think of it."""
+    with pytest.raises(ConvergenceError):
+        support.solve(BLOCK, "solver.petsc.ksp_atol=1e9", *more, tagged=tagged)
+
+
+def test_a_step_that_leads_nowhere_ends_the_line_search(tagged: TaggedMesh) -> None:
+    """Ten halvings of a step uphill, and PETSc says that the line search has failed."""
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    problem.set_time(1.0)
+    solver.residual(solver.x)
+
+    def uphill(x: PETSc.Vec, y: PETSc.Vec) -> bool:
+        y.scale(-1.0)
+        return True
+
+    solver.snes.setLineSearchPreCheck(uphill)
+    solver.snes.solve(None, solver.x)
+    assert solver.snes.getConvergedReason() == PETSc.SNES.ConvergedReason.DIVERGED_LINE_SEARCH
+    assert solver.snes.getIterationNumber() == 0
+    assert solver.snes.getFunctionEvaluations() <= 12
+
+
+def test_interfaces_are_swept_again_once_a_step_has_converged(tagged: TaggedMesh) -> None:
+    """Factors are for a Newton iteration that fails, not for all that come after it."""
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    problem.set_time(1.0)
+    krylov = solver.solve().linear_iterations
+
+    def failing() -> bool:
+        solver.begin()
+        solver.snes.setTolerances(max_it=0)
+        return not solver.solve().converged and not solver.state()["linear"]["swept"]
+
+    assert failing()
+    solver.snes.setTolerances(max_it=50)
+    assert solver.solve().converged and solver.state()["linear"]["swept"]
+    # What begins anew after a failure sweeps from the start.
+    assert failing()
+    solver.snes.setTolerances(max_it=50)
+    solver.begin()
+    assert solver.solve().linear_iterations == krylov
+
+
+def test_a_start_that_is_no_number_is_no_better(tagged: TaggedMesh) -> None:
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    problem.set_time(1.0)
+    x = solver.vector()
+    x.set(np.nan)
+    assert not take_better(solver, x)
+    assert solver.x.norm() == 0.0
+
+
+def test_a_residual_that_is_no_number_is_a_failure_with_a_reason(tagged: TaggedMesh) -> None:
+    """An overflow, told as any other failure."""
+    with pytest.raises(ConvergenceError, match="no convergence in stage 'press'"):
+        support.solve(BLOCK, "supports.end.z=-1e300 mm", tagged=tagged)
