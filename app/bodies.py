@@ -270,7 +270,8 @@ def held_vertices(
     vertices: Ints,
 ) -> Holds:
     """Which of the given vertices supports hold, body by body; collective."""
-    found: list[tuple[Ints, Ints, Ints]] = []
+    none = np.zeros(0, dtype=np.int64)
+    found: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
     tags = cell_tags(tagged)
     for s, support in enumerate(supports):
         f = boundary_facets(tagged, support.boundary)
