@@ -308,7 +308,7 @@ def _held_motions(
     """
     if not len(rows):
         return np.eye(6), 0, [np.zeros(6) for _ in scene.supports]
-    _, singular, vt = np.linalg.svd(rows, full_matrices=True)
+    _, singular, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     rank = int((singular > _HELD * singular[0]).sum())
     basis = vt.T
     inverse = np.linalg.pinv(rows, rcond=_HELD)

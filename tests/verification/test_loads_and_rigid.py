@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from app.errors import InputError
+from app.reduction import _held_motions
+from app.rigid_motions import rigid_modes
 from tests import support
 
 CYLINDERS = """
@@ -243,3 +248,22 @@ def test_support_of_the_elastic_side_alone_at_a_rigid_region_is_refused() -> Non
             "supports.x0.boundary=block_x_min",
             "supports.pin={kind: roller, boundary: top, axis: x}",
         )
+
+
+def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
+    """The six motions that 3 000 held components leave, without a matrix of 3 000 by 3 000."""
+    random = np.random.default_rng(2)
+    nodes = random.normal(size=(1000, 3))
+    rows = rigid_modes(nodes).reshape(-1, 6)
+    motion = random.normal(size=6)
+    scene = SimpleNamespace(supports=[SimpleNamespace(history=(1.0,), name="held")])
+    tracemalloc.start()
+    basis, rank, (amounts,) = _held_motions(scene, "region", rows, [rows @ motion])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert rank == 6
+    np.testing.assert_allclose(basis @ amounts, motion, rtol=1e-9)
+    assert peak < 20 * rows.nbytes
+    # A roller on one node leaves five motions, and the basis says which.
+    basis, rank, _ = _held_motions(scene, "region", rows[:1], [np.zeros(1)])
+    assert rank == 1 and np.abs(rows[:1] @ basis[:, 1:]).max() < 1e-12
