@@ -84,7 +84,8 @@ def companions(case: config.Case) -> tuple[Companion, ...]:
         return ()
     most = max(stage.increments for stage in case.stages)
     frictional = any(
-        getattr(law, "friction_coefficient", 0) > 0 for law in case.interfaces.values()
+        isinstance(law, config.Contact | config.Penalty) and law.friction_coefficient > 0
+        for law in case.interfaces.values()
     )
     timed = any(stage.duration for stage in case.stages)
     if frictional:

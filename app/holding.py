@@ -42,7 +42,7 @@ def groups_of(case: config.Case, found: Parts) -> list[list[int]]:
 
     for touch in found.touches:
         _, law = law_between(case, found, touch.pieces)
-        if not hasattr(law, "friction_coefficient"):
+        if law is None or isinstance(law, config.Bonded):
             join(*touch.pieces)
     for a, b in found.joined:
         join(a, b)
@@ -225,7 +225,7 @@ def gaps_of(case: config.Case, found: Parts) -> dict[str, Floats]:
     return {
         name: field(f"interfaces.{name}.gap", law.gap)(found.x[found.interfaces[name]])
         for name, law in laws.items()
-        if hasattr(law, "friction_coefficient")
+        if not isinstance(law, config.Bonded)
     }
 
 

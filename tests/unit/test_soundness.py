@@ -6,6 +6,7 @@ import logging
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from mpi4py import MPI
@@ -18,7 +19,7 @@ from app import config, folders, preview, soundness
 from app.active_set import ActiveSet
 from app.cli import main
 from app.errors import ConvergenceError, GeometryError, InputError
-from app.holding import groups_of
+from app.holding import gaps_of, groups_of
 from app.rigid_motions import describe, rigid_modes
 from meshes.data import MeshData, components, face_neighbours
 from meshes.parts import coincident
@@ -446,3 +447,12 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
     assert words == logged and len(words) > 5
     assert re.search(r"augmentation 0\.1 r \(up to [\d.e+]+ MPa/mm\): \d\.\de[-+]\d\d;", tried)
     assert "what to change: " in text
+
+
+def test_only_bonded_interfaces_join_bodies() -> None:
+    """A law of a kind yet to come, without a friction coefficient, is no bond."""
+    case = support.case(TWO)
+    found = soundness.look(case, build(case))
+    case = case.model_copy(update={"interfaces": {"bone_metal": SimpleNamespace(gap=0.1)}})
+    assert len(groups_of(case, found)) == 2
+    assert np.allclose(gaps_of(case, found)["bone_metal"], 0.1)
