@@ -233,10 +233,16 @@ def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
     aa, ab, bb = ((p * q).sum(axis=2) for p, q in ((a, a), (a, b), (b, b)))
     da, db = (d * a).sum(axis=2), (d * b).sum(axis=2)
     v, w = (bb * da - ab * db), (aa * db - ab * da)
-    weights = np.stack([aa * bb - ab**2 - v - w, v, w], axis=2)
-    weights = np.maximum(weights, 0.0)
-    weights /= weights.sum(axis=2, keepdims=True)
-    off = np.linalg.norm(np.einsum("nkc,nkci->nki", weights, t) - x[:, None], axis=2)
+    foot = np.stack([aa * bb - ab**2 - v - w, v, w], axis=2)
+    inside = (foot >= 0).all(axis=2)
+    foot /= foot.sum(axis=2, keepdims=True)
+    # Outside the nearest point is on an edge.
+    edges = np.roll(t, -1, axis=2) - t
+    s = ((x[:, None, None] - t) * edges).sum(axis=3) / (edges**2).sum(axis=3)
+    s = np.clip(s, 0.0, 1.0)[..., None]
+    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
+    weights = np.where(inside[:, :, None, None], foot[:, :, None], on_edges)
+    off = np.linalg.norm(np.einsum("nkec,nkci->nkei", weights, t) - x[:, None, None], axis=3)
     rows = np.arange(len(x))
-    best = off.argmin(axis=1)
-    return candidates[rows, best], weights[rows, best]
+    best, edge = np.unravel_index(off.reshape(len(x), -1).argmin(axis=1), off.shape[1:])
+    return candidates[rows, best], weights[rows, best, edge]

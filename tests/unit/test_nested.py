@@ -195,3 +195,19 @@ def test_between_the_last_two() -> None:
     known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
     assert nested.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
     assert nested.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
+
+
+def test_the_nearest_point_of_a_triangle() -> None:
+    """No point of a fine grid on any of the triangles is nearer, beside a corner or an edge too."""
+    random = np.random.default_rng(1)
+    corners, x = random.normal(size=(5, 3, 3)), 2 * random.normal(size=(200, 3))
+    triangle, weights = nested._nearest(corners, x)
+    assert weights.min() >= 0 and np.allclose(weights.sum(axis=1), 1)
+    off = np.linalg.norm(np.einsum("nc,nci->ni", weights, corners[triangle]) - x, axis=1)
+    n = 60
+    i, j = (k.ravel() for k in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+    i, j = i[i + j <= n], j[i + j <= n]
+    grid = np.einsum("gc,tci->tgi", np.stack([i, j, n - i - j], axis=1) / n, corners).reshape(-1, 3)
+    least = np.linalg.norm(x[:, None] - grid, axis=2).min(axis=1)
+    assert (off <= least + 1e-12).all()
+    assert (off >= least - 0.1).all()
