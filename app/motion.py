@@ -6,6 +6,7 @@ is halved; an easy step lets a shortened one grow back to the increments the sta
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -173,7 +174,10 @@ class Motion:
         self._line.begin(begin)
         while way.done < 1.0:
             started = clock.perf_counter()
-            reach = 1.0 if way.done + 1.001 * way.step > 1.0 else way.done + way.step
+            # Where the increment under way ends, which a shortened step does not go beyond.
+            goal = (math.floor(way.done / whole + 1e-9) + 1) * whole
+            goal = 1.0 if goal > 1.0 - 1e-9 else goal
+            reach = goal if way.done + 1.001 * way.step > goal else way.done + way.step
             start, predictors = solver.x.copy(), self.predictors
             halved: list[float] = []
             while True:
@@ -199,19 +203,29 @@ class Motion:
                     at = begin + reach * (end - begin)
                     raise ConvergenceError(why.text(stage.name, at - int(begin), halved))
                 way.cuts += 1
-                way.step /= 2
+                way.step = (reach - way.done) / 2
                 halved.append(way.step)
                 reach = way.done + way.step
                 words = f"step halved to {way.step:.4g} of stage '{stage.name}'"
                 self.on_trouble(f"{why.short}; {words}")
-            self.commit(stage, begin + reach * (end - begin), outcome, started)
+            at = begin + reach * (end - begin)
+            self.commit(stage, at, outcome, started, reach == goal)
             way.done = reach
             if outcome.iterations <= EASY_ITERATIONS and way.step < whole:
                 way.step, way.cuts = min(GROWTH * way.step, whole), max(way.cuts - 1, 0)
             mark()
 
-    def commit(self, stage: Stage, time: float, outcome: Outcome, started: float) -> None:
+    def commit(
+        self, stage: Stage, time: float, outcome: Outcome, started: float, whole: bool
+    ) -> None:
         """Make the state of the solver history, and tell of it; collective.
+
+        Args:
+            stage: Under way.
+            time: At the end of the step.
+            outcome: What the solver said.
+            started: When the step began.
+            whole: Whether it ends an increment.
 
         Raises:
             ConvergenceError: A body runs away.
@@ -241,7 +255,7 @@ class Motion:
                 outcome,
                 outcome.augmentation,
                 clock.perf_counter() - started,
-                True,
+                whole,
             ),
             trial,
         )

@@ -347,7 +347,7 @@ class Joint:
                 named[name].copy(vector)
         self._committed = self._heating.seconds
         if not self._heating.sets:
-            self._motion.commit(self._stage, time, self._heating.outcome, started)
+            self._motion.commit(self._stage, time, self._heating.outcome, started, whole)
             return
         # Within the step stiffness and free strain were those before it.
         before, now = self._before, self._heating.warmth()

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from app.errors import ConvergenceError
+from app.solver import Outcome, Solver
 from tests import coupled, support
 
 PLUG = """
@@ -28,6 +31,29 @@ def test_a_body_held_by_the_facets_alone_is_no_answer() -> None:
     """A straight frictionless stem slides out; the facets of its mesh must not pass for a hold."""
     with pytest.raises(ConvergenceError, match=r"interface 'stem_cement'|body 'stem'"):
         support.solve(PLUG)
+
+
+def test_a_step_that_is_cut_back_ends_where_its_increment_would(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Fields are written at the ends of the increments asked for, however they are reached."""
+    solve = Solver.solve
+    calls = 0
+
+    def failing_twice(solver: Solver) -> Outcome:
+        nonlocal calls
+        calls += 1
+        outcome = solve(solver)
+        return dataclasses.replace(outcome, converged=outcome.converged and calls > 2)
+
+    monkeypatch.setattr(Solver, "solve", failing_twice)
+    steps = support.solve(
+        PLUG,
+        "interfaces.stem_cement.friction_coefficient=0.4",
+        "stages=[{name: push, increments: 3}]",
+    ).steps
+    assert [s.time for s in steps if s.whole] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert len(steps) > 3
 
 
 def test_a_lifted_body_is_named() -> None:
