@@ -321,20 +321,18 @@ class Stresses:
     def region(self, region: str) -> dict[str, Any]:
         """Published stresses of a region; collective."""
         σ = self.evaluate(region).reshape(-1, 3, 3)
-        share = self.shares(region)
-        volumes, x = _volumes_and_centres(self._problem, self.cells[region])
-        volume = np.asarray(np.outer(volumes, share).ravel(), dtype=np.float64)
+        x, volumes = self.places(region)
         mean = np.trace(σ, axis1=1, axis2=2) / 3
         deviator = σ - mean[:, None, None] * np.eye(3)
         eigen = np.linalg.eigvalsh(σ)
         local = np.column_stack(
             [
                 np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)),
-                _hoop(σ, np.repeat(x, len(share), axis=0)),
+                _hoop(σ, x),
                 eigen[:, 2],
                 eigen[:, 0],
                 mean,
-                volume,
+                volumes.ravel(),
             ]
         )
         pieces = self._problem.comm.gather(local)

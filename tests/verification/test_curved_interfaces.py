@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from app import closed_forms
+from app.quantities import Stresses
+from app.timing import Timing
 from tests import support
 
 SHRINK_FIT = """
@@ -47,6 +49,9 @@ def test_a_shrink_fit_is_even_on_a_coarse_mesh(size: float, off: float, scatter:
     assert np.average(s.pressure, weights=s.weight) == pytest.approx(exact, rel=off)
     assert np.abs(s.pressure / exact - 1).max() < scatter
     assert result.interfaces["stem_cement"]["area"] == pytest.approx(7 * np.pi / 2, rel=1e-5)
+    # What weighs the stresses are the volumes of curved cells.
+    volume = Stresses(result.problem, Timing()).region("stem")["volume"]
+    assert volume == pytest.approx(49 * np.pi / 4, rel=1e-4)
     assert result.balances.max() < 1e-8
 
 
