@@ -278,6 +278,10 @@ class Coupled:
         """Solve with this share of all friction coefficients, if there is friction."""
         return self._motion.lessen_friction(share)
 
+    def tie(self, on: bool) -> bool:
+        """Solve with interfaces tied that were open everywhere so far, if there are any."""
+        return self._motion.tie(on)
+
     def pack(self, x: list[PETSc.Vec]) -> State:
         """Both states."""
         return {

@@ -96,6 +96,10 @@ class HeatSystem:
         """No friction."""
         return False
 
+    def tie(self, on: bool) -> bool:
+        """No mechanical interface."""
+        return False
+
     def pack(self, x: list[PETSc.Vec]) -> State:
         """Temperatures, and temperature jumps."""
         return self._conduction.pack([v.array_r for v in x])

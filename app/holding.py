@@ -266,8 +266,8 @@ def loosely_held(case: config.Case, found: Parts, groups: list[list[int]]) -> li
         free, _ = bodies.free(left, K, M, FREE)
         names = " and ".join(f"'{n}'" for n in gaps if n in open_)
         notes += [
-            f"{text}{_when(case, k)} until {names} closes, open everywhere at first: loads that "
-            "close it find no equilibrium on the way; better hold the body by a support or a weak "
+            f"{text}{_when(case, k)} until {names} closes, open everywhere at first: only loads "
+            "that push it shut find an equilibrium; better hold the body by a support or a weak "
             "foundation, or begin in contact"
             for text in bodies.words(free)
         ]

@@ -38,7 +38,7 @@ from app.sparse import from_triplets, matrix_sum, owners
 from app.state import Rows, State, keyed
 from app.terms import Contact, Scene, Support, amplitude, gap_at
 from app.timing import Timing
-from forms.contact import SLIP
+from forms.contact import SLIP, STICK
 from meshes.distribute import TaggedMesh
 from meshes.interfaces import ContactPoints, Entries, Holds, InterfaceFacets, contact_points
 
@@ -144,6 +144,7 @@ class Jumps:
         self._contacts, self._factor = contacts, augmentation_factor
         self.augmented = np.array([c.augmented for c in contacts])[self.interface]
         self._law = self._law_of(contacts)
+        self._tied = np.zeros(len(self.mine), dtype=bool)
         self.default_stiffness = self._default_stiffness()
         self._softness = 1.0
         self._stiffen()
@@ -177,6 +178,22 @@ class Jumps:
     def lessen_friction(self, share: float) -> None:
         """Use a share of the friction coefficients, until told otherwise."""
         self._law.set_friction(share * self._friction)
+
+    def tie(self, on: bool) -> bool:
+        """Tie interfaces that were open everywhere so far, or none; collective if it does.
+
+        Tied sides touch, whatever that takes, and do not slip: a body that nothing else holds is
+        brought to the one it is pushed against. Returns whether there are any.
+        """
+        self._tied = np.zeros(len(self.mine), dtype=bool)
+        if not on:
+            return False
+        for i in range(len(self._contacts)):
+            here = self.interface == i
+            touched = (self._clearance <= 0) | self.history.force.any(axis=1)
+            if not self.comm.allreduce(bool(touched[here].any()), MPI.LOR):
+                self._tied |= here
+        return bool(self.comm.allreduce(bool(self._tied.any()), MPI.LOR))
 
     def _default_stiffness(self) -> Floats:
         """Stiffness of each own point: given, else a factor of what its jump meets per area.
@@ -244,7 +261,7 @@ class Jumps:
 
     def set_time(self, time: float) -> None:
         """Set gaps and given jumps to a time."""
-        gap = np.zeros(len(self.mine))
+        gap = self._clearance = np.zeros(len(self.mine))
         for i, c in enumerate(self._contacts):
             here = self.interface == i
             gap[here] = gap_at(self._full_gap[here], c.history, time)
@@ -299,9 +316,17 @@ class Jumps:
         """The law at own points for a trial state."""
         free = ~self.held
         F = self._multiplier(self.forces(e))
-        return self._law.evaluate(
+        law = self._law.evaluate(
             F * free, q * free, self.gap, self.history.jump * free, self.stiffness
         )
+        if self._tied.any():
+            old, n = self.history.jump, self.normals
+            slid = old - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, old)
+            trial = F + self.stiffness[:, None] * (q + self.gap - slid)
+            law.force[self._tied] = (trial * free)[self._tied]
+            law.jacobian[self._tied] = np.eye(3)
+            law.status[self._tied] = STICK
+        return law
 
     def _multiplier(self, F: Floats) -> Floats:
         """The part of the trial force that is no stretch: of a penalty only the friction before."""

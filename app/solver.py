@@ -308,13 +308,21 @@ class Solver:
     def _remedies(self, start: PETSc.Vec) -> Iterator[str]:
         """Change what may help, one thing after the other, while Newton has not converged.
 
-        It goes on from where it is: a large augmentation makes contact points change their states
-        back and forth, and a smaller one finds its way from there. At a kink of the contact law a
-        line search may cut steps to nothing where whole steps lead on, and the other way round. A
-        sweep over interfaces may leave directions that lead nowhere, where factors do not. With
-        less friction fewer points wait for each other. An augmentation that was asked for may be
-        off by any power of ten: at last it is what it would be without being asked for.
+        A body that a clearance leaves free is brought to where it is pushed. It goes on from where
+        it is: a large augmentation makes contact points change their states back and forth, and a
+        smaller one finds its way from there. At a kink of the contact law a line search may cut
+        steps to nothing where whole steps lead on, and the other way round. A sweep over interfaces
+        may leave directions that lead nowhere, where factors do not. With less friction fewer
+        points wait for each other. An augmentation that was asked for may be off by any power of
+        ten: at last it is what it would be without being asked for.
         """
+        if not self._met and self._system.tie(True):
+            start.copy(self.x)
+            try:
+                yield "what is open everywhere closed and tied"
+            finally:
+                self._system.tie(False)
+            yield "let go again"
         if not self._met and self._linear.factor_interfaces():
             start.copy(self.x)
             yield "interfaces factored"

@@ -98,6 +98,9 @@ class System(Protocol):
     def lessen_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""
 
+    def tie(self, on: bool) -> bool:
+        """Solve with interfaces tied that were open everywhere so far, if there are any."""
+
     def pack(self, x: list[PETSc.Vec]) -> State:
         """A state of the unknowns, as it is kept."""
 
@@ -189,6 +192,10 @@ class Bonded:
 
     def lessen_friction(self, share: float) -> bool:
         """No friction."""
+        return False
+
+    def tie(self, on: bool) -> bool:
+        """No interface."""
         return False
 
     def pack(self, x: list[PETSc.Vec]) -> State:
@@ -328,6 +335,10 @@ class Contact:
         """Solve with this share of all friction coefficients, if there is friction."""
         self._jumps.lessen_friction(share)
         return any(c.frictional for c in self._problem.scene.contacts)
+
+    def tie(self, on: bool) -> bool:
+        """Solve with interfaces tied that were open everywhere so far, if there are any."""
+        return self._jumps.tie(on)
 
     def pack(self, x: list[PETSc.Vec]) -> State:
         """Displacement and jumps."""

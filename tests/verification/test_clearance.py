@@ -10,6 +10,7 @@ import pytest
 
 from app import closed_forms as exact
 from app import config
+from app.errors import ConvergenceError
 from app.terms import gap_at
 from app.verify_measures import CEMENT
 from forms.contact import STICK
@@ -92,3 +93,44 @@ def test_a_constant_oblique_force_does_not_slip(half_planes: TaggedMesh) -> None
         assert (after.status[touched] == STICK).all()
     later = pressed_aside(half_planes)
     assert not (later.last.status[later.samples[0].pressure > 0] == STICK).all()
+
+
+# A block above a base, apart, that nothing holds but the contact to come.
+APART = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: base, size: [10 mm, 10 mm, 5 mm]}
+    - {name: lid, size: [10 mm, 10 mm, 5 mm]}
+mesh: {order: 1, size: 4 mm}
+regions:
+  base: {youngs_modulus: 10 GPa, poisson_ratio: 0}
+  lid: {youngs_modulus: 2 GPa, poisson_ratio: 0}
+interfaces:
+  base_lid: {kind: contact, friction_coefficient: 0.3, gap: 0.1 mm}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+loads:
+  push: {kind: pressure, boundary: top, pressure: 5 MPa}
+stages: [{name: push, increments: 2}]
+"""
+
+
+@pytest.mark.parametrize("kind", ["contact", "penalty"])
+def test_a_block_that_is_pushed_shut(kind: str) -> None:
+    """It closes the gap g at the first load, then both blocks shorten by p h/E."""
+    law = "{kind: penalty, penalty: 1.0e4 MPa/mm, friction_coefficient: 0.3, gap: 0.1 mm}"
+    change = (f"interfaces.base_lid={law}",) if kind == "penalty" else ()
+    solved = support.solve(APART, *change)
+    x, u = solved.displacement("lid")
+    top = x[:, 2] == 10
+    for k, s in enumerate(solved.samples, 1):
+        assert s.pressure == pytest.approx(2.5 * k)
+    sunk = 5 / 1e4 if kind == "penalty" else 0.0
+    down = 0.1 + sunk + 5 * 5 / 10e3 + 5 * 5 / 2e3
+    assert u[top] == pytest.approx(np.tile([0.0, 0.0, -down], (top.sum(), 1)), abs=1e-9)
+
+
+def test_a_block_that_is_pulled_away_is_free() -> None:
+    with pytest.raises(ConvergenceError, match="nothing holds body 'lid'"):
+        support.solve(APART, "loads.push.pressure=-5 MPa")
