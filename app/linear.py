@@ -449,7 +449,6 @@ class Linear:
                 context.take(motions)
         if not state["swept"]:
             self.factor_interfaces()
-            self._factored = []
         for own, found in zip(self._own, state["own"], strict=True):
             own.resume(found)
         self._version = self._system.version - (not state["fresh"])
@@ -465,16 +464,15 @@ class Linear:
         return bool(swept)
 
     def sweep_interfaces(self) -> None:
-        """Sweep again what `factor_interfaces` has factored, unless the linear solver needs it."""
+        """Sweep again what `factor_interfaces` has factored."""
         factored, self._factored = self._factored, []
         for pc in factored:
             pc.setType(str(SWEEP["pc_type"]))
         self._swept += factored
 
     def _fall_back(self) -> str:
-        """Factor for good what has not been factored so far, the interfaces first; in words."""
+        """Factor what has not been factored so far, the interfaces first; what, in words."""
         if self.factor_interfaces():
-            self._factored = []
             return "interfaces are"
         return "the stiffness is" if any([i.fall_back() for i in self._inverses]) else ""
 
