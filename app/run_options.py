@@ -127,7 +127,7 @@ class OutputOptions(Model):
     every: PositiveInteger = 1
     """Steps between two field outputs; the last step is always written."""
     condition: Truth = False
-    """Whether the condition of the last Jacobian is estimated: some twenty more linear solves."""
+    """Whether the condition of the last Jacobian is estimated, which takes factors of it."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
     checkpoint: CheckpointOptions = CheckpointOptions()

@@ -95,3 +95,16 @@ def test_a_residual_that_is_no_number_is_a_failure_with_a_reason(tagged: TaggedM
     """An overflow, told as any other failure."""
     with pytest.raises(ConvergenceError, match="no convergence in stage 'press'"):
         support.solve(BLOCK, "supports.end.z=-1e300 mm", tagged=tagged)
+
+
+def test_the_condition_is_that_of_the_matrix(tagged: TaggedMesh) -> None:
+    """Largest over smallest singular value, and the Krylov solver stays as it was."""
+    problem, solver = support.assemble(support.case(BLOCK), tagged)
+    problem.set_time(1.0)
+    solver.solve()
+    before = solver.snes.getKSP().getTolerances()
+    (A, *_) = solver.snes.getJacobian()
+    dense = A.convert("aij", PETSc.Mat()).convert("dense", PETSc.Mat())
+    wanted = np.linalg.cond(dense.getDenseArray())
+    assert solver.condition() == pytest.approx(wanted, rel=0.05)
+    assert solver.snes.getKSP().getTolerances() == before
