@@ -234,7 +234,7 @@ def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
     da, db = (d * a).sum(axis=2), (d * b).sum(axis=2)
     v, w = (bb * da - ab * db), (aa * db - ab * da)
     foot = np.stack([aa * bb - ab**2 - v - w, v, w], axis=2)
-    inside = (foot >= 0).all(axis=2)
+    inside = np.asarray((foot >= 0).all(axis=2))
     foot /= foot.sum(axis=2, keepdims=True)
     # Outside the nearest point is on an edge.
     edges = np.roll(t, -1, axis=2) - t
