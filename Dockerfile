@@ -25,6 +25,7 @@ RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 python3 -m app
 
 USER mantle
 WORKDIR /work
-# One thread per rank: more make MPI runs slower. The caches serve whatever user `--user` names.
-ENV OMP_NUM_THREADS=1 XDG_CACHE_HOME=/var/cache/mantle MPLCONFIGDIR=/var/cache/mantle/matplotlib
+# One thread per rank: more make MPI runs slower. The caches serve whatever user `--user` names. No
+# module in /work comes instead of the program's.
+ENV OMP_NUM_THREADS=1 PYTHONSAFEPATH=1 XDG_CACHE_HOME=/var/cache/mantle MPLCONFIGDIR=/var/cache/mantle/matplotlib
 ENTRYPOINT ["mantle"]

@@ -408,7 +408,6 @@ def _execute(
     else:
         command += cluster.options(folder, slurm, any(r.alone for r in pending))
         environ = cluster.environment(environ)
-    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     libc = ctypes.CDLL(None)
     said, cache = folder / "snakemake.log", folder.resolve() / ".snakemake"
     progress = _Progress(pending, total, folder)
@@ -417,7 +416,7 @@ def _execute(
             list(map(str, command)),
             cwd=folder,
             # Snakemake cannot do without a cache of its own, wherever home is.
-            env=environ | {"PYTHONPATH": path, "XDG_CACHE_HOME": str(cache)},
+            env=environ | {"XDG_CACHE_HOME": str(cache)},
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,

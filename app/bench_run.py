@@ -179,12 +179,10 @@ class Runs:
         """
         path = self._folder / f"{name}.log"
         path.parent.mkdir(parents=True, exist_ok=True)
-        search = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
         begin = perf_counter()
         with path.open("w") as output:
             child = subprocess.Popen(
                 command,
-                env=os.environ | {"PYTHONPATH": search},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -199,6 +199,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Paths can hold what is no text.
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    ranks.find_program()
     ranks.keep_quiet()
     ranks.end_with_parent()
     try:

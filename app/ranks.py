@@ -38,6 +38,7 @@ _RULE = b"-" * 74
 _PR_SET_PDEATHSIG = 1
 _CRASHED = 59  # how PETSc leaves after a signal such as SIGSEGV, of which it has told
 _SAME_SIGNAL = 1.0  # s
+_ROOT = str(Path(__file__).resolve().parents[1])
 
 
 def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
@@ -111,6 +112,19 @@ def keep_quiet(environ: MutableMapping[str, str] = os.environ) -> None:
     size = environ.get("OMPI_COMM_WORLD_SIZE")
     if size is not None and environ.get("OMPI_COMM_WORLD_LOCAL_SIZE") == size:
         environ.setdefault("OMPI_MCA_btl", "self,sm")
+
+
+def find_program(environ: MutableMapping[str, str] = os.environ) -> None:
+    """Have all that this process starts import mantle, and nothing from the current folder.
+
+    Python looks there first: an ``app.py`` or a ``numpy.py`` of the user's would come instead.
+
+    Args:
+        environ: The environment variables; folders in PYTHONPATH stay, behind the program's.
+    """
+    folders = [f for f in environ.get("PYTHONPATH", "").split(os.pathsep) if f and f != _ROOT]
+    environ["PYTHONPATH"] = os.pathsep.join([_ROOT, *folders])
+    environ["PYTHONSAFEPATH"] = "1"
 
 
 def end_with_parent(environ: Mapping[str, str] = os.environ) -> None:

@@ -6,7 +6,9 @@ tested with an mmdebstrap that makes an empty tree.
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -299,6 +301,53 @@ def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
 
 
 # ---------------------------------------------------------------------------------- who and where
+
+
+@pytest.fixture
+def misleading(tmp_path: Path) -> Path:
+    """A folder with modules named as mantle's, as libraries and as what Python starts with."""
+    for name in ("app.py", "meshes/__init__.py", "numpy.py", "snakemake.py", "logging.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("raise SystemExit('this is not what was asked for')\n")
+    shutil.copy(ROOT / "configs" / "blocks.yaml", tmp_path)
+    (tmp_path / "sweep.yaml").write_text(
+        "base: blocks.yaml\nset: {ranks: 2, output.fields: false}\ngrid: {mesh.order: [1]}\n"
+    )
+    return tmp_path
+
+
+@pytest.mark.parallel
+def test_modules_in_the_current_folder_change_nothing(misleading: Path) -> None:
+    """Launcher, sweep, Snakemake, mpirun and ranks each start a Python."""
+    result = subprocess.run(
+        ["sh", MANTLE, "sweep", "sweep.yaml", "-o", "out"],
+        cwd=misleading,
+        env={k: v for k, v in os.environ.items() if k not in ("PYTHONSAFEPATH", "PYTHONPATH")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    (done,) = misleading.glob("out/runs/*/DONE")
+    assert json.loads((done.parent / "provenance.json").read_text())["ranks"] == 2
+
+
+@pytest.mark.parallel
+def test_what_an_installed_command_starts_finds_mantle_and_not_the_folder(misleading: Path) -> None:
+    """As the script that pip makes: it has the program's folder in front, and no environment."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from app.cli import main; sys.exit(main())"
+    )
+    result = subprocess.run(
+        [sys.executable, "-P", "-c", code, "run", "blocks.yaml", "-n", "2", "-o", "out"],
+        cwd=misleading,
+        env={k: v for k, v in os.environ.items() if k not in ("PYTHONSAFEPATH", "PYTHONPATH")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert (misleading / "out" / "DONE").exists()
 
 
 def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -> None:
