@@ -281,6 +281,11 @@ def _dispatch(arguments: list[str]) -> int:
     cut = rest.index("--") if "--" in rest else len(rest)
     petsc_options = rest[cut + 1 :]
     options = parser().parse_args(rest[:cut])
+    if count is not None and options.command != "run":
+        hint = "; --cores N uses N cores" if "cores" in options else ""
+        raise InputError(
+            f"mantle {options.command}: -n {count}: only mantle run starts ranks{hint}"
+        )
     if petsc_options and options.command != "run":
         raise InputError(f"mantle {options.command}: there is nothing to solve that -- could tune")
     match options.command:

@@ -42,7 +42,7 @@ _ROOT = str(Path(__file__).resolve().parents[1])
 
 
 def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
-    """Take ``-n N`` out of the arguments.
+    """Take ``-n N``, ``-nN`` or ``-n=N`` out of the arguments.
 
     Args:
         arguments: Command line; what follows a bare ``--`` are PETSc's options and stays.
@@ -60,10 +60,12 @@ def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
         argument = queue.pop(0)
         if argument == "--":
             return ranks, [*rest, argument, *queue]
-        if argument != "-n":
+        if not argument.startswith("-n"):
             rest.append(argument)
             continue
-        value = queue.pop(0) if queue else ""
+        value = argument[2:].removeprefix("=")
+        if argument == "-n" and queue:
+            value = queue.pop(0)
         if not re.fullmatch(r"[0-9]{1,6}", value) or int(value) == 0:
             raise InputError(f"-n: '{value}' is not a number of ranks; allowed: 1, 2, 3, ...")
         ranks = int(value)

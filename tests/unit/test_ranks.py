@@ -6,7 +6,8 @@ import io
 
 import pytest
 
-from app import ranks
+from app import cli, ranks
+from app.cli import main
 from app.errors import InputError
 
 RULE = "-" * 74 + "\n"
@@ -32,6 +33,10 @@ CRASH = (
         (["run", "case.yaml"], (None, ["run", "case.yaml"])),
         (["run", "-n", "2", "case.yaml"], (2, ["run", "case.yaml"])),
         (["run", "case.yaml", "-n", "16"], (16, ["run", "case.yaml"])),
+        (["run", "case.yaml", "-n16"], (16, ["run", "case.yaml"])),
+        (["run", "-n=16", "case.yaml"], (16, ["run", "case.yaml"])),
+        (["run", "case.yaml", "-n", "2", "-n3"], (3, ["run", "case.yaml"])),
+        (["run", "a-n4", "--no", "--", "-n4"], (None, ["run", "a-n4", "--no", "--", "-n4"])),
         (["run", "a", "--", "-n", "7"], (None, ["run", "a", "--", "-n", "7"])),
         (["run", "-n", "3", "a", "--", "-n", "x"], (3, ["run", "a", "--", "-n", "x"])),
     ],
@@ -40,10 +45,30 @@ def test_ranks_are_taken_out(arguments: list[str], expected: tuple[int | None, l
     assert ranks.split(arguments) == expected
 
 
-@pytest.mark.parametrize("value", [["0"], ["-1"], ["two"], ["1.5"], ["²"], [""], []])
-def test_a_wrong_number_of_ranks_is_an_input_error(value: list[str]) -> None:
-    with pytest.raises(InputError, match="is not a number of ranks; allowed: 1, 2, 3"):
-        ranks.split(["run", "case.yaml", "-n", *value])
+@pytest.mark.parametrize("value", ["0", "-1", "two", "1.5", "²", "", None])
+@pytest.mark.parametrize("joined", ["-n", "-n="])
+def test_a_wrong_number_of_ranks_is_an_input_error(value: str | None, joined: str) -> None:
+    for words in (["-n"] if value is None else ["-n", value], [joined + (value or "")]):
+        with pytest.raises(InputError, match="is not a number of ranks; allowed: 1, 2, 3"):
+            ranks.split(["run", "case.yaml", *words])
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        *(["check", "a.yaml"], ["mesh", "a.yaml"], ["study", "a.yaml"], ["sweep", "a.yaml"]),
+        *(["report", "a"], ["verify"], ["stress"], ["bench"], ["schema"], ["doctor"]),
+    ],
+)
+def test_only_a_run_takes_ranks(
+    command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, f"_{command[0]}", lambda *_: pytest.fail("it began"))
+    for words in (["-n", "2"], ["-n2"], ["-n=2"]):
+        assert main([*command, *words]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"mantle {command[0]}: -n 2: only mantle run starts ranks")
+        assert ("--cores" in said) == (command[0] in ("study", "sweep", "verify", "stress"))
 
 
 @pytest.mark.parametrize(
