@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from app import __version__, ranks
+from app import __version__, gmsh_file, ranks
 from app.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
 
 INTERNAL_ERROR = 70
@@ -86,6 +86,11 @@ def parser() -> argparse.ArgumentParser:
             metavar="KEY=VALUE",
             help=f"override {key}, e.g. mesh.size=2mm or regions.stem.rigid=true (repeatable)",
         )
+        command.add_argument(
+            "--allow-scripts",
+            action="store_true",
+            help="mesh .geo scripts that do not come with mantle: they can run any program",
+        )
 
     def add_case(command: argparse.ArgumentParser) -> None:
         add_file(command, "case", "the case", "a key")
@@ -94,7 +99,7 @@ def parser() -> argparse.ArgumentParser:
         "run",
         "solve a case",
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
-        "[--restart auto|FILE] [--walltime H:MM:SS] [-- PETSC OPTIONS]",
+        "[--restart auto|FILE] [--walltime H:MM:SS] [--allow-scripts] [-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
     )
     add_case(run)
@@ -286,6 +291,8 @@ def _dispatch(arguments: list[str]) -> int:
         raise InputError(
             f"mantle {options.command}: -n {count}: only mantle run starts ranks{hint}"
         )
+    if getattr(options, "allow_scripts", False):
+        os.environ[gmsh_file.ALLOWED] = "1"
     if petsc_options and options.command != "run":
         raise InputError(f"mantle {options.command}: there is nothing to solve that -- could tune")
     match options.command:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,8 +13,9 @@ import pytest
 from app import case_file, config, preview, sizing, study_file, sweep_file
 from app.cli import main
 from app.errors import GeometryError, InputError
+from app.gmsh_file import ALLOWED
 from app.units import LONGEST_VALUE
-from tests.support import CONFIGS
+from tests.support import CONFIGS, environment
 
 BLOCKS = CONFIGS / "blocks.yaml"
 SCRIPT = """\
@@ -26,6 +31,13 @@ mesh: {size: 0.5 mm}
 regions: {cube: {youngs_modulus: 1 GPa, poisson_ratio: 0.3, tissue: other}}
 supports: {base: {kind: fixed, boundary: bottom}}
 """
+
+
+# All that mesh a case, or say what that would be.
+COMMANDS = (
+    *("run case.yaml", "check case.yaml", "check case.yaml --mesh", "mesh case.yaml"),
+    *("study study.yaml", "sweep sweep.yaml"),
+)
 
 
 def complaint(path: Path, *overrides: str) -> str:
@@ -163,45 +175,62 @@ def scripted(folder: Path, script: str) -> Path:
     return path
 
 
-PROGRAMS = {
-    'SystemCall "touch PWNED";': "says 'SystemCall'",
-    'c = "touch PWNED"; System c;': "says 'System'",
-    'NonBlockingSystemCall "touch PWNED";': "says 'NonBlockingSystemCall'",
-    'Parse "SystemCall Str(...)";': "says 'Parse'",
-    'Printf("x") > "PWNED";': "says 'Printf(",
-    'Printf("x")\n  >> "PWNED";': "says 'Printf(",
-    'Save "PWNED.msh";': "says 'Save'",
-    'CreateDir "PWNED";': "says 'CreateDir'",
-    'OnelabRun("x", "touch PWNED");': "says 'OnelabRun'",
-    "Field[1] = ExternalProcess;": "says 'ExternalProcess'",
-    'Include "other.geo";': "says 'Include'",
-    'Merge StrCat("a.step", ".geo");': "says 'Merge'",
-    'Merge "other.geo";': "merges other.geo",
-    'x = "\n// "; SystemCall "touch PWNED";': "half a quotation",
-    'x = "\\" // "; SystemCall "touch PWNED";': "has \\ or half",
-    "Sleep 1e9;": "says 'Sleep'",
-    "\x07": "has control characters",
-}
+@pytest.mark.parametrize("command", COMMANDS)
+def test_scripts_are_run_only_where_that_is_allowed(
+    command: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """No list of words tells what is harmless: in single quotes gmsh runs another script too."""
+    monkeypatch.chdir(tmp_path)
+    scripted(tmp_path, f"{SCRIPT}Merge 'other.geo';\n")
+    Path("other.geo").write_text('SystemCall "touch PWNED";\n')
+    study = CONFIGS / "studies" / "errors_hertz_line.yaml"
+    Path("study.yaml").write_text(re.sub("base: .*", "base: case.yaml", study.read_text()))
+    Path("sweep.yaml").write_text("base: case.yaml\ngrid: {mesh.size: [0.5 mm]}\n")
+    assert main(command.split()) == 2
+    said = capsys.readouterr().err
+    assert "case.yaml:1:24: geometry.path: script.geo: a gmsh script can run any program" in said
+    assert "--allow-scripts" in said
+    assert not Path("PWNED").exists()
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_scripts_do_nothing_but_geometry(program: str, tmp_path: Path) -> None:
-    message = complaint(scripted(tmp_path, f"{SCRIPT}{program}\n"))
-    assert message.startswith(f"{tmp_path}/case.yaml:1:")
-    assert PROGRAMS[program] in message
+def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
+    """By a case of a sweep: what is allowed on the command line holds for all that it starts."""
+    scripted(tmp_path, SCRIPT)
+    (tmp_path / "sweep.yaml").write_text(
+        "base: case.yaml\nset: {output.fields: false}\ngrid: {mesh.size: [0.5 mm]}\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "app", "sweep", "sweep.yaml", "-o", "out", "--allow-scripts"],
+        cwd=tmp_path,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert list(tmp_path.glob("out/runs/*/DONE"))
 
 
-def test_scripts_may_say_so_in_comments_and_quotations(tmp_path: Path) -> None:
-    talk = "// don't SystemCall\n/* Save, Print */\nx = 'Sleep';\n"
-    talk += 'Printf("%g", size); Mesh.SaveAll = 0;\n'
-    assert config.load(scripted(tmp_path, SCRIPT + talk)).geometry.region_names == ("cube",)
+def test_scripts_of_mantle_itself_are_run(tmp_path: Path) -> None:
+    """By their place: a link to another is none of them."""
+    case = CONFIGS / "verification" / "cook.yaml"
+    assert config.load(case).geometry.region_names
+    scripted(tmp_path, SCRIPT)
+    copy = tmp_path / "configs" / "verification"
+    copy.mkdir(parents=True)
+    for name in ("cook.yaml", "cook.geo"):
+        shutil.copy(case.with_name(name), copy)
+    assert "--allow-scripts" in complaint(copy / "cook.yaml")
 
 
-@pytest.mark.parametrize("name", ["script.geo", "a.step"])
-def test_options_beside_a_script_are_not_run(name: str, tmp_path: Path) -> None:
-    path = scripted(tmp_path, SCRIPT + 'If (0)\n Merge "a.step";\nEndIf\n')
-    (tmp_path / f"{name}.opt").write_text('SystemCall "touch PWNED";')
-    assert f"gmsh would run {name}.opt" in complaint(path)
+def test_options_beside_a_mesh_are_not_run(tmp_path: Path) -> None:
+    path = scripted(tmp_path, SCRIPT)
+    (tmp_path / "mesh.msh").write_text("$MeshFormat\n")
+    (tmp_path / "mesh.msh.opt").write_text('SystemCall "touch PWNED";')
+    assert "gmsh would run mesh.msh.opt" in complaint(path, "geometry.path=mesh.msh")
 
 
 def test_a_mesh_file_is_known_by_its_name(tmp_path: Path) -> None:
@@ -210,9 +239,12 @@ def test_a_mesh_file_is_known_by_its_name(tmp_path: Path) -> None:
     assert "neither a .msh file nor a .geo script" in complaint(path, "geometry.path=mesh.py")
 
 
-def test_a_script_is_not_meshed_by_the_nanometre(tmp_path: Path) -> None:
+def test_a_script_is_not_meshed_by_the_nanometre(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import meshes
 
+    monkeypatch.setenv(ALLOWED, "1")
     case = config.load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])
     with pytest.raises(GeometryError, match=r"1e-06 mm is 1.7e.06 times in the diagonal"):
         meshes.build(case.geometry, case.mesh, None)

@@ -12,7 +12,7 @@ import pytest
 import meshes
 from app import config
 from app.errors import InputError
-from app.gmsh_file import physical_names
+from app.gmsh_file import ALLOWED, physical_names
 from meshes import cache
 from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
 from tests import support
@@ -60,6 +60,12 @@ interfaces: {joint: {kind: contact, friction_coefficient: 0.3}}
 supports: {base: {kind: fixed, boundary: base}}
 loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
 """
+
+
+@pytest.fixture(autouse=True)
+def allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As --allow-scripts does."""
+    monkeypatch.setenv(ALLOWED, "1")
 
 
 def script(tmp_path: Path, text: str) -> Path:
