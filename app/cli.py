@@ -19,7 +19,7 @@ import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from app import __version__, gmsh_file, ranks
 from app.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
@@ -73,7 +73,11 @@ def parser() -> argparse.ArgumentParser:
 
     def add(name: str, summary: str, **more: Any) -> argparse.ArgumentParser:
         return commands.add_parser(
-            name, help=summary, description=summary.capitalize() + ".", allow_abbrev=False, **more
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            allow_abbrev=False,
+            **more,
         )
 
     def add_file(command: argparse.ArgumentParser, name: str, what: str, key: str) -> None:
@@ -184,7 +188,11 @@ def parser() -> argparse.ArgumentParser:
     bench.add_argument("--full", action="store_true", help="a million unknowns too")
     for command in (study, sweep, verify, stress):
         command.add_argument(
-            "--cores", type=int, default=os.cpu_count() or 1, metavar="N", help="cores to use"
+            "--cores",
+            type=int,
+            default=len(os.sched_getaffinity(0)),
+            metavar="N",
+            help="cores to use (default: all that this process may)",
         )
     add("schema", "print the JSON schema of case files, for editors")
     add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
@@ -203,7 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # Paths can hold what is no text.
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ["OMP_NUM_THREADS"] = os.environ.get("OMP_NUM_THREADS") or "1"
     ranks.find_program()
     ranks.keep_quiet()
     ranks.end_with_parent()
@@ -217,8 +225,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _abort(STOPPED)
         return STOPPED
     except BrokenPipeError:
-        # The reader of standard output (head, less) has left: there is nobody to say anything to.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _silence(sys.stdout)
         return 0
     except Exception as error:
         if (problem := _explain(error)) is not None:
@@ -540,6 +547,11 @@ def _doctor() -> int:
     return 0
 
 
+def _silence(stream: TextIO) -> None:
+    """The reader of a stream (head, less) has left: there is nobody to say anything to."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
 def _configure_log(level: str) -> None:
     """Send progress to standard output and warnings to standard error, from rank 0 only."""
     import logging
@@ -547,7 +559,17 @@ def _configure_log(level: str) -> None:
     logger = logging.getLogger("mantle")
     logger.propagate = False
     logger.setLevel(level.upper() if rank() == 0 else logging.CRITICAL)
-    progress, trouble = logging.StreamHandler(sys.stdout), logging.StreamHandler(sys.stderr)
+
+    class Handler(logging.StreamHandler[TextIO]):
+        """Goes on without its reader: what a run is for stands in its folder."""
+
+        def handleError(self, record: logging.LogRecord) -> None:
+            if isinstance(sys.exc_info()[1], BrokenPipeError):
+                _silence(self.stream)
+            else:
+                super().handleError(record)
+
+    progress, trouble = Handler(sys.stdout), Handler(sys.stderr)
     progress.addFilter(lambda record: record.levelno < logging.WARNING)
     trouble.setLevel(logging.WARNING)
     logger.handlers = [progress, trouble]

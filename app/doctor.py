@@ -54,7 +54,7 @@ def report() -> str:
         ("mpirun", shutil.which("mpirun") or _MISSING),
         ("C compiler", _compiler()),
         ("BLAS", ", ".join(loaded_blas()) or "none loaded"),
-        ("OMP_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "not set")),
+        ("OMP_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1")),
         ("cores", f"{len(os.sched_getaffinity(0))} usable of {os.cpu_count()}"),
         ("memory", _try(lambda: f"{_memory('MemAvailable')} free of {_memory('MemTotal')}")),
         ("/dev/shm", _try(lambda: _size(shutil.disk_usage("/dev/shm").total))),
@@ -88,10 +88,7 @@ def problems() -> list[str]:
         found.append("mpirun is missing: -n does not work; install openmpi-bin")
     if _compiler() == _MISSING:
         found.append("there is no C compiler: forms cannot be compiled; install g++")
-    threads = os.environ.get("OMP_NUM_THREADS")
-    if not threads:
-        found.append("OMP_NUM_THREADS is not set: every rank starts a thread per core; set it to 1")
-    elif threads != "1":
+    if os.environ.get("OMP_NUM_THREADS", "1") != "1":
         found.append("OMP_NUM_THREADS is not 1: ranks times threads must not exceed the cores")
     if "complex" in _try(_petsc):
         found.append("PETSc is built for complex numbers: install the real build")

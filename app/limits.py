@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import time as clock
 from collections.abc import Callable
 from types import FrameType
 
+from app import ranks
 from app.errors import InputError
 
 # Part of the time that is left for saving, and the most of it that is [s].
@@ -38,16 +40,30 @@ def seconds(text: str) -> float:
 def signals() -> Callable[[], str]:
     """Note signals that ask the run to stop; they are looked at between Newton iterations.
 
+    A Ctrl-C after that, a second later or more, ends a rank that is alone at once.
+
     Returns:
         A function that names the signal received so far, or gives an empty text.
     """
     received: list[str] = []
+    alone, first = ranks.world_size() is None, 0.0
 
     def note(number: int, frame: FrameType | None) -> None:
+        nonlocal first
+        now = clock.monotonic()
         received.append(signal.Signals(number).name)
+        if len(received) == 1:
+            first = now
+            if alone:
+                ranks.tell("stopping; the state is saved first (once more: stop at once)")
+        elif alone and number == signal.SIGINT and now > first + ranks.SAME_SIGNAL:
+            ranks.tell("stopped before the state was saved")
+            os._exit(130)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, note)
+    # A reader that has left is an error where something is said, and no crash, as PETSc has it.
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     return lambda: received[0] if received else ""
 
 

@@ -37,7 +37,7 @@ ONE_NODE = {
 _RULE = b"-" * 74
 _PR_SET_PDEATHSIG = 1
 _CRASHED = 59  # how PETSc leaves after a signal such as SIGSEGV, of which it has told
-_SAME_SIGNAL = 1.0  # s
+SAME_SIGNAL = 1.0  # s
 _ROOT = str(Path(__file__).resolve().parents[1])
 
 
@@ -167,7 +167,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     def stop(number: int, _frame: object) -> None:
         nonlocal first
         # One Ctrl-C may arrive twice: from the terminal and passed on by whatever started this.
-        if received and time.monotonic() < first + _SAME_SIGNAL:
+        if received and time.monotonic() < first + SAME_SIGNAL:
             return
         received.append(number)
         first = min(first, time.monotonic())
@@ -175,7 +175,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
             return
         if len(received) == 1:
             child.send_signal(signal.SIGUSR1)
-            _tell("stopping; the state is saved first (once more: stop at once)")
+            tell("stopping; the state is saved first (once more: stop at once)")
         else:
             child.send_signal(signal.SIGTERM if len(received) < 4 else signal.SIGKILL)
 
@@ -206,7 +206,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         scratch.remove(folder, held)
     if received and (code < 0 or code == 1 or code > 128):
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
-        _tell("stopped" if len(received) == 1 else "stopped before the state was saved")
+        tell("stopped" if len(received) == 1 else "stopped before the state was saved")
         return StoppedError.exit_code if len(received) == 1 else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has told.
     return 70 if code < 0 or code > 128 or code == _CRASHED else code
@@ -283,5 +283,6 @@ def _write(target: IO[bytes], text: bytes) -> None:
         target.flush()
 
 
-def _tell(message: str) -> None:
+def tell(message: str) -> None:
+    """Say something on standard error, if anybody listens."""
     _write(sys.stderr.buffer, f"mantle: {message}\n".encode())

@@ -7,7 +7,8 @@ import math
 import os
 import re
 import resource
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from app import preview
@@ -25,6 +26,8 @@ SAID = ("bad_alloc", "Cannot allocate memory", "Out of memory", "status -2", "IN
 OUT_OF_MEMORY = 55  # of PETSc
 NEARLY = 0.9  # of what a process may have
 GIGABYTE = 1e9
+# The control groups of this process, and where what limits them stands.
+OWN_GROUPS, GROUPS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 
 
@@ -39,15 +42,30 @@ def available(environ: Mapping[str, str] = os.environ) -> float:
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) != resource.RLIM_INFINITY:
         limits.append(limit - UNUSED)
-    for name in ("memory.max", "memory/memory.limit_in_bytes"):
-        try:
-            limits.append(float((Path("/sys/fs/cgroup") / name).read_text()))
-        except (OSError, ValueError):
-            continue  # there is none: "max"
+    for file in _group_limits():
+        with suppress(OSError, ValueError):  # there is none, or "max"
+            limits.append(float(file.read_text()))
     number = environ.get("SLURM_NNODES", "1")
     ranks, here = (environ.get(f"OMPI_COMM_WORLD_{n}SIZE", "1") for n in ("", "LOCAL_"))
     machines = int(ranks) / int(here) if ranks.isdigit() and here.isdigit() else 1.0
     return min(limits) * max(machines, float(number) if number.isdigit() else 1.0, 1.0)
+
+
+def _group_limits() -> Iterator[Path]:
+    """Where limits of the control groups of this process may stand, and of those above them.
+
+    In a container the path may be that outside of it; its own group is the root there.
+    """
+    with suppress(OSError):
+        for line in OWN_GROUPS.read_text().splitlines():
+            _, controllers, path = line.split(":", 2)
+            folder, name = GROUPS, "memory.max"
+            if controllers:  # of version 1
+                if "memory" not in controllers.split(","):
+                    continue
+                folder, name = GROUPS / "memory", "memory.limit_in_bytes"
+            group = Path(path.strip("/"))
+            yield from (folder / part / name for part in (group, *group.parents))
 
 
 def explain(error: BaseException) -> EnvironmentProblem | None:

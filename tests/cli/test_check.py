@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import resource
 import subprocess
@@ -286,6 +287,38 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     )
     assert result.stdout == "{\n0\n"
     assert result.stderr == ""
+
+
+@pytest.mark.parametrize("streams", ["", "2>&1"])
+def test_a_run_goes_on_without_its_reader(streams: str, tmp_path: Path) -> None:
+    command = f"{sys.executable} -m app run configs/blocks.yaml -o {tmp_path} {streams}"
+    result = subprocess.run(
+        ["bash", "-c", f"{command} | head -n 0; echo ${{PIPESTATUS[0]}}"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert result.stdout == "0\n"
+    assert "Error" not in result.stderr
+    assert (tmp_path / "DONE").exists()
+
+
+def test_the_help_of_a_command_keeps_its_capitals(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["doctor", "--help"])
+    said = capsys.readouterr().out
+    assert "Tell what mantle finds on this machine: MPI, BLAS, compiler, threads." in said
+
+
+@pytest.mark.parametrize("command", ["study", "sweep", "verify", "stress"])
+def test_cores_are_those_that_this_process_may_use(
+    command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5, 6})
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    file = [f"{command}.yaml"] if command in ("study", "sweep") else []
+    assert cli.parser().parse_args([command, *file]).cores == 3
 
 
 @pytest.mark.parametrize(

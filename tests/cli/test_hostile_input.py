@@ -164,6 +164,41 @@ def test_several_machines_have_more_memory(environ: dict[str, str]) -> None:
     assert sizing.available(more) == 4 * sizing.available({})
 
 
+# What /proc/self/cgroup holds, and the limits below /sys/fs/cgroup, as systemd, Slurm and Docker
+# make them: the least that holds for the process counts, of itself or of any above.
+CGROUPS = {
+    "systemd": ("0::/user.slice/run-1.scope\n", {"user.slice/run-1.scope/memory.max": "2e9"}),
+    "of a parent": (
+        "0::/a/b/c\n",
+        {"a/memory.max": "2e9", "a/b/memory.max": "max", "a/b/c/memory.max": "3e9"},
+    ),
+    "Slurm": (
+        "9:name=systemd:/\n4:cpu,memory:/slurm/uid_1/job_7/step_0\n0::/\n",
+        {
+            "memory/slurm/uid_1/job_7/step_0/memory.limit_in_bytes": "9223372036854771712",
+            "memory/slurm/uid_1/job_7/memory.limit_in_bytes": "2e9",
+            "memory/memory.limit_in_bytes": "9223372036854771712",
+        },
+    ),
+    "container": ("4:memory:/docker/0ab1\n", {"memory/memory.limit_in_bytes": "2e9"}),
+    "others": ("0::/mine\n", {"mine/memory.max": "2e9", "theirs/memory.max": "1e9"}),
+}
+
+
+@pytest.mark.parametrize("name", CGROUPS)
+def test_memory_is_what_the_group_of_the_process_may_use(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups, limits = CGROUPS[name]
+    (tmp_path / "cgroup").write_text(groups)
+    for file, limit in limits.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(limit if limit == "max" else f"{float(limit):.0f}\n")
+    monkeypatch.setattr(sizing, "OWN_GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr(sizing, "GROUPS", tmp_path)
+    assert sizing.available({}) == 2e9
+
+
 # --------------------------------------------------------------------------------- scripts
 
 

@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time as clock
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 from mpi4py import MPI
 
@@ -211,6 +213,33 @@ def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: 
     (path,) = saved(out)
     assert f"stopped by {number.name}" in message and f"state saved in {path}" in message
     assert len(restarted.rows(out)) == 1 + int(path.stem.split("-")[1])
+
+
+@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_interruption_stops_a_single_rank_at_once(
+    first: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """But not the same one, which may arrive twice, nor a scheduler's, which come in turn."""
+    handlers: dict[int, Any] = {}
+    now, ended = [10.0], list[int]()
+    monkeypatch.setattr(signal, "signal", handlers.__setitem__)
+    monkeypatch.setattr("app.limits.clock", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("app.ranks.world_size", lambda: None)
+    monkeypatch.setattr("os._exit", ended.append)
+    stop = limits.signals()
+    handlers[first](first, None)
+    assert stop() == first.name
+    now[0] += 0.9
+    handlers[signal.SIGINT](signal.SIGINT, None)
+    now[0] += 0.2
+    handlers[signal.SIGTERM](signal.SIGTERM, None)
+    assert not ended
+    handlers[signal.SIGINT](signal.SIGINT, None)
+    assert ended == [130]
+    assert capfd.readouterr().err == (
+        "mantle: stopping; the state is saved first (once more: stop at once)\n"
+        "mantle: stopped before the state was saved\n"
+    )
 
 
 @pytest.mark.parametrize("tick", [0.02, 0.05])
