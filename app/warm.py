@@ -75,7 +75,7 @@ def warm(path: Path, order: int) -> None:
     """Set a case up on a coarse mesh with elements of an order."""
     mesh = config.load(path).mesh
     sizes = {"size": mesh.size, "far_size": mesh.far_size}
-    overrides = [f"mesh.order={order}", "output.error=false"]
+    overrides = [f"mesh.order={order}", "output.error=false", "output.probes={}"]
     overrides += [f"mesh.{name}={COARSER * size} mm" for name, size in sizes.items() if size]
     case = config.load(path, overrides)
     compiled.share()
