@@ -42,7 +42,6 @@ from typing import IO, Any
 from app import case_file, cluster, config, identity
 from app.errors import ConvergenceError, EnvironmentProblem, InputError, StoppedError
 from app.folders import FAILED, write_json, write_text
-from app.identity import ROOT
 from app.variation_options import split
 
 log = logging.getLogger("mantle")
