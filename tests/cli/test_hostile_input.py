@@ -226,7 +226,7 @@ def test_scripts_are_run_only_where_that_is_allowed(
     Path("sweep.yaml").write_text("base: case.yaml\ngrid: {mesh.size: [0.5 mm]}\n")
     assert main(command.split()) == 2
     said = capsys.readouterr().err
-    assert "case.yaml:1:24: geometry.path: script.geo: a gmsh script can run any program" in said
+    assert "case.yaml:1:24: geometry.path: 'script.geo': a gmsh script can run any program" in said
     assert "--allow-scripts" in said
     assert not Path("PWNED").exists()
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import tempfile
@@ -74,7 +73,7 @@ class Image:
         return set(self.run("sh", "-c", "ls /var/cache/mantle/fenics/*.so").split())
 
 
-def base(image: Image, name: str) -> None:
+def base(image: Image) -> None:
     """Make the image that the Dockerfile begins with."""
     tar = image.folder / "base.tar"
     done = subprocess.run(
@@ -87,7 +86,7 @@ def base(image: Image, name: str) -> None:
         pytest.skip(f"no archive to make an image of: {done.stderr.splitlines()[-1]}")
     image.buildah("from", "--name", "base", "scratch")
     image.buildah("add", "base", tar, "/")
-    image.buildah("commit", "--rm", "base", f"localhost/{name}")
+    image.buildah("commit", "--rm", "base", "localhost/base")
 
 
 @pytest.fixture(scope="module")
@@ -100,9 +99,8 @@ def image() -> Iterator[Image]:
         pytest.skip(f"an image takes {SPACE / 1e9:.0f} GB in {cache} while it is built")
     made = Image(Path(tempfile.mkdtemp(prefix="mantle-image-", dir=cache)))
     try:
-        (found,) = re.findall(r"^FROM (\S+)$", (support.ROOT / "Dockerfile").read_text(), re.M)
-        base(made, found)
-        options = ["--isolation=chroot", "--pull-never", "--network=host"]
+        base(made)
+        options = ["--isolation=chroot", "--pull-never", "--network=host", "--from=localhost/base"]
         made.buildah("bud", *options, "--tag", "mantle", support.ROOT)
         made.buildah("from", "--pull-never", "--name", "case", "localhost/mantle")
         made.work.mkdir()
