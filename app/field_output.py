@@ -13,6 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from mpi4py import MPI
+
 import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
@@ -87,26 +89,31 @@ class Fields:
         pairs, first, cells = np.unique(node, return_index=True, return_inverse=True)
         group, dof = np.divmod(pairs, stride)
         cell, local = np.divmod(first, dofs.shape[1])
-        self._nodes = [Copies(body[group], dof, cell, ENDS[local]) for body in bodies.T]
-        cells = cells.reshape(dofs.shape)
-        quadratic = dofs.shape[1] > 4
+        # What the points and cells of the file are, in the order of the ranks.
+        of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
+        for k, layer in enumerate(layers):
+            of_points = of_points * len(layer.bodies.names) + bodies[group, k]
+        keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
         comm = self._comm = tagged.mesh.comm
+        mine, number = _owners(comm, keys)
+        self._nodes = [
+            Copies(body[group[mine]], dof[mine], cell[mine], ENDS[local[mine]]) for body in bodies.T
+        ]
+        place = np.where(mine, np.cumsum(mine), mine.sum() + np.cumsum(~mine)) - 1
+        cells = place[cells.reshape(dofs.shape)]
+        quadratic = dofs.shape[1] > 4
         self._make = partial(
             GridFile,
             comm,
             path,
-            space.tabulate_dof_coordinates()[dof],
+            space.tabulate_dof_coordinates()[dof[mine]],
             cells[:, QUADRATIC_NODES] if quadratic else cells,
             QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
             {"region": tags.astype(np.int32)},
+            ghosts=number[~mine],
         )
-        # What the points and cells of the file are, in the order of the ranks.
-        of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for layer, nodes in zip(layers, self._nodes, strict=True):
-            of_points = of_points * len(layer.bodies.names) + nodes.body
-        stride = tagged.mesh.geometry.index_map().size_global ** 2
-        number = tagged.mesh.topology.original_cell_index[:owned]
-        self._keys = [comm.gather(keys) for keys in (of_points * stride + of_mesh, number)]
+        of_cells = tagged.mesh.topology.original_cell_index[:owned]
+        self._keys = [comm.gather(k) for k in (keys[mine], of_cells)]
 
     @staticmethod
     def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
@@ -155,6 +162,27 @@ class Fields:
             point |= layer.point(nodes, samples)
             cell |= layer.cell(self._cells)
         self._grid.write(time, point, cell)
+
+
+def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
+    """Whose the points of several ranks are: the first one's that has them; collective.
+
+    Args:
+        comm: The ranks.
+        keys: What the points of this rank are (n,), none twice.
+
+    Returns:
+        Which are this rank's own (n,), and the number of each among those of all ranks, counted in
+        the order of the ranks (n,).
+    """
+    parts = comm.allgather(keys)
+    _, first, copies = np.unique(np.concatenate(parts), return_index=True, return_inverse=True)
+    own = np.zeros(len(copies), dtype=bool)
+    own[first] = True
+    number = (np.cumsum(own) - 1)[first[copies]]
+    begin = sum(map(len, parts[: comm.rank]))
+    here = slice(begin, begin + len(keys))
+    return own[here], number[here]
 
 
 def none(n: int = 0) -> Ints:

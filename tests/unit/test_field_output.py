@@ -92,6 +92,8 @@ def check_heat_alone(comm: MPI.Comm, path: Path) -> None:
         return
     fields, x, cells, region = read(path)
     assert cells.shape[1] == 4 and "displacement" not in fields
+    # Two blocks of 8 x 8 x 4 cubes: every node once, on any number of ranks.
+    assert len(x) == 2 * 9 * 9 * 5
     bone = np.isin(np.arange(len(x)), cells[region == 1])
     cement = np.isin(np.arange(len(x)), cells[region == 2])
     assert not (bone & cement).any()
@@ -120,6 +122,7 @@ def check_both(comm: MPI.Comm, path: Path) -> None:
             continue
         fields, x, cells, region = read(path)
         assert cells.shape[1] == 10
+        assert len(x) == 17 * 17 * (18 if resists else 17)
         assert fields["place"] == pytest.approx(x)
         bone = np.isin(np.arange(len(x)), cells[region == 1])
         cement = np.isin(np.arange(len(x)), cells[region == 2])
