@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import model_validator
 
 from app.fields import fail
-from app.shapes import Mantle, MeshOptions, Point3, Shape, Sides, graded_cells
+from app.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from app.units import Angle, Dimension, Length, NonNegativeLength, PositiveLength
 
 if TYPE_CHECKING:
@@ -135,8 +135,8 @@ class _Femur(Shape):
 
     @property
     def coarsest_size(self) -> float:
-        """Largest edge length (mm): coarser facets of the mantle cut through those of the canal."""
-        return 5.0
+        """Largest edge length (mm): a few cells along the stem."""
+        return 10.0
 
 
 class Femur(_Femur):
@@ -183,8 +183,10 @@ class Femur(_Femur):
         return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Estimated number of tetrahedra."""
-        return graded_cells(self.interface_area, 1300.0 * (65.0 - self.distal_cut_z), mesh)
+        """Number of tetrahedra."""
+        from meshes.femur import count  # here: other geometries need none of it
+
+        return count(self, mesh)
 
 
 class IntactFemur(_Femur):
@@ -223,10 +225,11 @@ class IntactFemur(_Femur):
 
     @property
     def interface_area(self) -> float:
-        """Area of the endosteal surface (mm2), about, where its mesh is as fine as a mantle's."""
-        return 2.0 * math.pi * (8.0 * (20.0 - self.distal_cut_z) + 3.0 * self.head_radius**2)
+        """None."""
+        return 0.0
 
     def estimate_cells(self, mesh: MeshOptions) -> int:
-        """Estimated number of tetrahedra."""
-        volume = 1300.0 * (45.0 - self.distal_cut_z) + 6.0 * self.head_radius**3
-        return graded_cells(self.interface_area, volume, mesh)
+        """Number of tetrahedra."""
+        from meshes.femur_intact import count  # here: other geometries need none of it
+
+        return count(self, mesh)

@@ -436,9 +436,9 @@ class Model:
         return numbers
 
     def places(self, samples: Samples | None) -> dict[str, Any]:
-        """What only some geometries have: mantle, changed sizes, Gruen zones; collective."""
+        """What only some geometries have: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
-        found = {key: notes[key] for key in ("mantle", "size_factor") if key in notes}
+        found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         for m in self.mechanics:
             for zones in self._case.geometry.zones:
                 found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
@@ -454,17 +454,8 @@ class Model:
             for i, c in enumerate(self.scene.contacts)
         }
 
-    @property
-    def size_factor(self) -> float:
-        """Sizes of the mesh over those that were asked for: a mesher may have changed them."""
-        return float(self.tagged.notes.get("size_factor", 1.0))
-
-    def relative(self, case: config.Case) -> tuple[dict[str, Any], float]:
-        """Solve another case in the same way; collective.
-
-        Returns:
-            Its numbers, and its `size_factor`.
-        """
+    def relative(self, case: config.Case) -> dict[str, Any]:
+        """Solve another case in the same way; collective."""
         other = Model(case, self.tagged.mesh.comm, self.options, Timing(), self.stop, self._kin)
         last: list[Samples | None] = [None]
 
@@ -476,7 +467,7 @@ class Model:
             log.debug("     %s", text)
 
         other.go(keep, lambda step, accepted: None, trouble)
-        return other.numbers(last[0]), other.size_factor
+        return other.numbers(last[0])
 
 
 def _stiffness(case: config.Case) -> tuple[Any, ...]:

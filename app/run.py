@@ -7,7 +7,6 @@ import os
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -318,15 +317,13 @@ def _errors(
     for companion in companions:
         begin = clock.perf_counter()
         try:
-            numbers, factor = model.relative(companion.case)
+            numbers = model.relative(companion.case)
         except (ConvergenceError, GeometryError) as failure:
             agree(model.tagged.mesh.comm, failure)
             log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
             failed.append(str(companion))
             continue
-        # What the meshers made tells the error, not what they were asked for.
-        coarsening = companion.coarsening * factor / model.size_factor
-        solved.append((replace(companion, coarsening=coarsening), numbers))
+        solved.append((companion, numbers))
         seconds = clock.perf_counter() - begin
         log.info("     error: companion on %s in %.1f s", companion, seconds)
     return {

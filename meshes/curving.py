@@ -28,7 +28,7 @@ def untangle(points: Floats, cells: Ints) -> Floats:
     first, second = np.array(EDGES).T
     straight = points.copy()
     straight[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
-    least = np.minimum(POOR, 0.5 * sicn(points, cells[:, :4]))
+    least = np.minimum(POOR, 0.7 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
     for step in range(STEPS):
         current = straight + bend * (points - straight)

@@ -13,20 +13,23 @@ at z = -113 is 12.3 by 12.5 mm. Cortex and trochanter are assumed.
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator, make_interp_spline
+from scipy.interpolate import PchipInterpolator
 
 from .data import Floats
 
 # z, lateral, medial, antero-posterior half-width [mm], superellipse exponent
 OUTER = np.array(
     [
-        (42.0, 27.0, 27.0, 19.5, 2.3),
+        (50.0, 12.0, 15.0, 10.0, 2.2),
+        (46.0, 22.0, 23.0, 16.0, 2.2),
+        (42.0, 27.5, 26.5, 19.5, 2.3),
         (37.0, 30.5, 27.0, 21.5, 2.4),
         (30.0, 31.5, 26.5, 22.0, 2.5),
         (20.0, 28.0, 25.5, 20.5, 2.4),
@@ -62,7 +65,6 @@ CANAL = np.array(
     ]
 )
 TROCHANTER = (6.0, np.radians(-20.0), 0.40, 8.0)  # lesser: height, angle, spread in angle and z
-SEAMS = (np.radians(90.0), np.radians(300.0))  # where no muscle is attached
 # Insertions (physics note 4.4, from the head centre of the default femur) in model coordinates;
 # vastus lateralis on the lateral shaft below the greater trochanter.
 MUSCLES = {
@@ -73,6 +75,7 @@ MUSCLES = {
     "vastus_lateralis": (-15.0, 4.0, -25.0),
 }
 PATCH_RADIUS = 8.0
+CORTEX = 2.5  # mm of cortical bone that are left where the canal comes near the periosteum
 
 
 @dataclass(frozen=True)
@@ -96,26 +99,24 @@ class Tube:
         """Highest level [mm]."""
         return float(self.table[:, 0].max())
 
+    @cached_property
+    def _sections(self) -> PchipInterpolator:
+        rows = self.table[np.argsort(self.table[:, 0])]
+        return PchipInterpolator(rows[:, 0], rows[:, 1:])
+
     def radius(self, theta: Floats, z: Floats) -> Floats:
         """Distance from the z axis [mm]; beyond the table the end sections continue."""
-        rows = self.table[np.argsort(self.table[:, 0])]
-        level = np.clip(z, rows[0, 0], rows[-1, 0])
-        lateral, medial, depth, n = np.moveaxis(
-            PchipInterpolator(rows[:, 0], rows[:, 1:])(level), -1, 0
-        )
+        level = np.clip(z, self.table[:, 0].min(), self.top)
+        lateral, medial, depth, n = np.moveaxis(self._sections(level), -1, 0)
         width = np.where(np.cos(theta) > 0, medial, lateral)
         r = ((np.abs(np.cos(theta)) / width) ** n + (np.abs(np.sin(theta)) / depth) ** n) ** (
             -1 / n
         )
         height, angle, spread, length = self.bump
+        if height == 0:
+            return np.asarray(r + self.offset)
         turn = np.angle(np.exp(1j * (theta - angle)))
         return r + self.offset + height * np.exp(-((turn / spread) ** 2) - (z / length) ** 2)
-
-    def contains(self, points: Floats) -> Any:
-        """Whether points (n, 3) are inside, shape (n,)."""
-        x, y, z = points.T
-        within = np.hypot(x, y) < self.radius(np.arctan2(y, x), z)
-        return within & (z > self.bottom) & (z < self.top)
 
 
 def outer(bottom: float) -> Tube:
@@ -128,82 +129,14 @@ def canal(bottom: float, widening: float) -> Tube:
     return Tube(CANAL, (0.0, 0.0, 1.0, 1.0), widening, bottom)
 
 
-def solid(gmsh: Any, tube: Tube) -> int:
-    """Build a tube as a solid bounded by interpolating B-spline surfaces and flat caps.
+def endosteum(bottom: float, widening: float) -> Callable[[Floats, Floats], Floats]:
+    """Distance of the endosteum from the z axis [mm]: reaming leaves `CORTEX` of the bone."""
+    inside, outside = canal(bottom, widening), outer(bottom)
 
-    Smooth lofts (``addThruSections``) overshoot the sections by millimetres without an error;
-    interpolation of dense sections does not.
+    def radius(theta: Floats, z: Floats) -> Floats:
+        return np.minimum(inside.radius(theta, z), outside.radius(theta, z) - CORTEX)
 
-    Returns:
-        The volume's tag.
-    """
-    occ = gmsh.model.occ
-    levels = _levels(tube)
-    turns = [SEAMS[0], SEAMS[1], SEAMS[0] + 2 * np.pi]
-    sides = []
-    for start, end in itertools.pairwise(turns):
-        count = int(np.ceil((end - start) / np.radians(8.0))) + 1
-        sides.append(_surface(gmsh, tube, np.linspace(start, end, count), levels))
-    occ.synchronize()
-    caps = []
-    for level in (levels[0], levels[-1]):
-        rim = [
-            edge
-            for side in sides
-            for _, edge in gmsh.model.getBoundary([(2, side)], oriented=False)
-            if _flat_at(gmsh, edge, level)
-        ]
-        caps.append(occ.addPlaneSurface([occ.addWire(rim, checkClosed=True)]))
-    return int(occ.addVolume([occ.addSurfaceLoop([*sides, *caps], sewing=True)]))
-
-
-def _levels(tube: Tube) -> Floats:
-    """Section levels: denser where the bone changes quickly."""
-    knots = np.unique(np.concatenate([[tube.bottom, tube.top], tube.table[:, 0]]))
-    knots = knots[(knots >= tube.bottom) & (knots <= tube.top)]
-    parts: list[Floats] = []
-    for low, high in itertools.pairwise(knots):
-        step = 3.0 if low >= -25 else 12.0
-        parts.append(np.linspace(low, high, int(np.ceil((high - low) / step)), endpoint=False))
-    return np.concatenate([*parts, [tube.top]])
-
-
-def _surface(gmsh: Any, tube: Tube, angles: Floats, levels: Floats) -> int:
-    """A B-spline surface through r(angle, level)."""
-    theta, z = np.meshgrid(angles, levels, indexing="ij")
-    r = tube.radius(theta, z)
-    grid = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1)
-    along = make_interp_spline(angles, grid, k=3, axis=0)
-    across = make_interp_spline(levels, np.moveaxis(along.c, 1, 0), k=3, axis=0)
-    knots_u, times_u = _knots(along.t)
-    knots_v, times_v = _knots(across.t)
-    # u runs fastest in gmsh's list of control points
-    points = [gmsh.model.occ.addPoint(*p) for p in across.c.reshape(-1, 3)]
-    return int(
-        gmsh.model.occ.addBSplineSurface(
-            points,
-            len(angles),
-            degreeU=3,
-            degreeV=3,
-            knotsU=knots_u,
-            knotsV=knots_v,
-            multiplicitiesU=times_u,
-            multiplicitiesV=times_v,
-        )
-    )
-
-
-def _knots(t: Floats) -> tuple[list[float], list[int]]:
-    """Distinct knots and their multiplicities."""
-    knots, times = np.unique(t, return_counts=True)
-    return [float(k) for k in knots], [int(n) for n in times]
-
-
-def _flat_at(gmsh: Any, edge: int, level: float) -> bool:
-    """Whether an edge lies in the plane z = level."""
-    low, high = gmsh.model.getParametrizationBounds(1, edge)
-    at = np.array(gmsh.model.getValue(1, edge, np.linspace(low[0], high[0], 5))).reshape(-1, 3)
-    return bool(np.all(np.abs(at[:, 2] - level) < 1e-6))
+    return radius
 
 
 def insertions(bone: Tube) -> dict[str, Floats]:
@@ -222,67 +155,3 @@ def resection(geometry: Any) -> tuple[Floats, float]:
     normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
     edge = outer(geometry.distal_cut_z).radius(np.array(0.0), np.array(geometry.resection_height))
     return normal, float(normal @ [float(edge), 0.0, geometry.resection_height])
-
-
-def patches(gmsh: Any, bone: Tube, solids: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Faces of the outer surface inside a sphere about each insertion.
-
-    Args:
-        gmsh: The open session.
-        bone: The outer surface.
-        solids: It as a solid.
-    """
-    occ = gmsh.model.occ
-    occ.synchronize()
-    faces = gmsh.model.getBoundary(solids, oriented=False)
-    found: list[tuple[int, int]] = []
-    for centre in insertions(bone).values():
-        ball = [(3, occ.addSphere(*centre, PATCH_RADIUS))]
-        made, _ = occ.intersect(occ.copy(faces), ball)
-        found += [entity for entity in made if entity[0] == 2]
-    return found
-
-
-def grade(gmsh: Any, geometry: Any, volumes: list[int], size: float, far_size: float) -> None:
-    """Elements of ``size`` around volumes, growing to ``far_size``; half of it where loads act.
-
-    Args:
-        gmsh: The open session.
-        geometry: The femur, for the places of its loads.
-        volumes: The mantle, or what is inside the endosteal surface.
-        size: At the surface of these [mm].
-        far_size: Far from it [mm].
-    """
-    field = gmsh.model.mesh.field
-    faces = gmsh.model.getBoundary([(3, v) for v in volumes], combined=True, oriented=False)
-    distance = field.add("Distance")
-    field.setNumbers(distance, "SurfacesList", sorted({abs(t) for _, t in faces}))
-    field.setNumber(distance, "Sampling", 100)
-    threshold = field.add("Threshold")
-    for name, value in (
-        ("InField", distance),
-        ("SizeMin", size),
-        ("SizeMax", far_size),
-        ("DistMin", 0.5 * size),
-        ("DistMax", 0.5 * size + (far_size - size) / 0.4),
-    ):
-        field.setNumber(threshold, name, value)
-    fields = [threshold]
-    centres = list(insertions(outer(geometry.distal_cut_z)).values())
-    centres.append(np.array([geometry.head_offset, 0.0, geometry.head_height]))
-    for x, y, z in centres:
-        ball = field.add("Ball")
-        for name, value in (
-            ("XCenter", x),
-            ("YCenter", y),
-            ("ZCenter", z),
-            ("Radius", PATCH_RADIUS + 1),
-            ("Thickness", far_size),
-            ("VIn", max(size, 0.45 * far_size)),
-            ("VOut", far_size),
-        ):
-            field.setNumber(ball, name, float(value))
-        fields.append(ball)
-    smallest = field.add("Min")
-    field.setNumbers(smallest, "FieldsList", fields)
-    field.setAsBackgroundMesh(smallest)

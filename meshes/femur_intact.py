@@ -1,27 +1,26 @@
 """A proximal femur before the operation: cortical bone around cancellous bone, with head and neck.
 
-Shaft, trochanters, canal and muscle patches are those of the femur with a stem (``femur_bone``),
-up to the levels where those end. What the operation would take away is a sphere about the head's
-centre, and a cone along the axis of the neck that joins it to the shaft; both are shells of
-cortical bone. Assumed, for want of a published set that goes with this shaft: a neck of 0.70 of the
-head's diameter in its middle (means are 48 and 33 mm in men, not verified), round and without
-anteversion, as the implant; a cortex of 2 mm under the head, of 3.5 mm at the root of the neck,
-alike all around (it is thicker below and thinner above); no cartilage; and no fovea.
+Shaft, trochanters, canal and muscle patches are those of the femur with a stem, cell by cell: the
+lines are those of the stem that is planned (`femur_surfaces`). What the operation would take away
+is a blend from the neck cut to a round neck, and a sphere about the head's centre. Assumed, for
+want of a published set that goes with this shaft: a neck of 0.70 of the head's diameter in
+its middle (means are 48 and 33 mm in men, not verified), round and without anteversion, as the
+implant; a cortex of 2 mm under the head, of 3.5 mm at the root of the neck, alike all around (it is
+thicker below and thinner above); no cartilage; and no fovea.
 """
 
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from . import femur_bone
-from .data import Floats, Ints, MeshData, exterior_facets
-from .femur_bone import PATCH_RADIUS
-from .quality import best_of
-from .session import drop_orphans, extract, generate, session
+from . import femur_bone, swept
+from .data import Floats, MeshData, exterior_facets
+from .femur import patches
+from .femur_surfaces import CLEAR, SPREAD, Femur
+from .swept import Lines
 from .tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
@@ -29,8 +28,119 @@ REGIONS = ("cortical_bone", "cancellous_bone")
 NECK = (0.76, 0.65)
 # Cortex at the same places [mm]; the second is that of the head too.
 CORTEX = (3.5, 2.0)
-# Tried in turn when elements come out flat: factor of the sizes, and the mesher.
-ATTEMPTS = ((1.0, 10), (0.96, 10), (1.04, 1), (0.9, 10), (0.8, 10))
+CORE = 0.35  # of sections of neck and head: where the innermost surface is
+CAP = math.radians(50.0)  # half the opening of the cap that closes the head
+
+
+class Intact(Femur):
+    """Surfaces of the whole bone, as `swept.Surfaces` wants them.
+
+    Attributes:
+        neck: Station at which the sphere of the head begins.
+    """
+
+    def _continue(self, geometry: Any) -> None:
+        """Divide neck and head."""
+        sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
+        self._radius = geometry.head_radius
+        self._axis = np.array([sine, 0.0, cosine])
+        self._medial = np.array([cosine, 0.0, -sine])
+        self._centre = np.array([geometry.head_offset, 0.0, geometry.head_height])
+        self._length = geometry.head_offset / sine
+        # The neck's cone meets the sphere at this distance from its centre.
+        ring = NECK[1] * self._radius
+        self._meet = math.sqrt(self._radius**2 - ring**2)
+        first, last = math.asin(ring / self._radius), math.pi - CAP
+        before = last - self.size / self._radius  # the cap's slab is as wide as others
+        over = max(2, round(self._radius * (before - first) / self.size))
+        self._angles = np.append(np.linspace(first, before, over + 1), last)
+        self._bulge = np.append(np.linspace(0.0, 1.0, over + 1), 1.0)
+        normal = np.array([self._steepest, 0.0, 1.0]) / math.hypot(self._steepest, 1.0)
+        rise = float(self._axis @ normal)
+        dip = NECK[0] * self._radius * math.sqrt(max(0.0, 1.0 - rise**2))
+        above = float(normal @ (self._centre - [0.0, 0.0, self._top])) / rise
+        # From the head's centre back to where a ring is clear of the cut.
+        self._back = max(self._meet, above - (CLEAR + dip) / rise)
+        blend = above - self._meet
+        self.neck = self.cut + max(2, round(blend / self.size))
+        self.stations = self.neck + len(self._angles)
+
+    def outermost(self, slab: int) -> int:
+        """Bone has all layers everywhere."""
+        return 4
+
+    def lines(self, phi: Floats, s: Floats) -> Lines:
+        """Lines in the sections of shaft, neck and head."""
+        at = np.minimum(s, self.cut)
+        start, end, mantle, endosteum = self._across(phi, at)
+        above = s > self.cut
+        if above.any():
+            turn, ratio = 2 * np.pi * phi[above], (mantle / endosteum)[above]
+            part = np.clip((s[above] - self.cut) / (self.neck - self.cut), 0.0, 1.0)
+            share = 1 - (1 - part) ** 2  # the neck is reached soon, the fossa is deep
+            centre, radius, cortex = self._ring(part, s[above])
+            out = np.cos(turn)[:, None] * self._medial + np.sin(turn)[:, None] * [0.0, 1.0, 0.0]
+            ring = centre + radius[:, None] * out
+            core = centre + CORE * radius[:, None] * out
+            f = share[:, None]
+            start[above] = (1 - f) * start[above] + f * core
+            end[above] = (1 - f) * end[above] + f * ring
+            inner = 1 - cortex / ((1 - CORE) * radius)
+            endosteum[above] = (1 - share) * endosteum[above] + share * inner
+            mantle[above] = (ratio + (SPREAD - ratio) * share) * endosteum[above]
+        return Lines(start, end, mantle, endosteum)
+
+    def _ring(self, part: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
+        """Centre, radius and thickness of cortex of sections of neck (part < 1) and head."""
+        angle = np.interp(s - self.neck, np.arange(len(self._angles)), self._angles)
+        back = self._back + part * (self._meet - self._back)
+        t = np.clip(1 - back / self._length, 0.0, 1.0)
+        neck = (NECK[0] + (NECK[1] - NECK[0]) * t) * self._radius
+        head = s > self.neck
+        # The cone ends where it meets the sphere.
+        radius = np.where(
+            head, self._radius * np.sin(angle), neck + part * (NECK[1] * self._radius - neck)
+        )
+        along = np.where(head, -self._radius * np.cos(angle), -back)
+        cortex = np.where(head, CORTEX[1], CORTEX[0] + (CORTEX[1] - CORTEX[0]) * t)
+        return self._centre + along[:, None] * self._axis, radius, cortex
+
+    def bend(self, x: Floats, way: Floats, s: Floats) -> Floats:
+        """Sections of the head bulge until the last two are caps of spheres, a cortex apart."""
+        over = s - self.neck
+        number = np.arange(len(self._angles))
+        angle = np.interp(over, number, self._angles)
+        bulge = np.interp(over, number, self._bulge)
+        last = np.clip(over - (len(number) - 2), 0.0, 1.0)
+        bone = 1 - CORTEX[1] / ((1 - CORE) * self._radius * np.sin(angle))
+        shell = np.clip((way - bone) / (1 - bone), 0.0, 1.0)
+        within = np.minimum((CORE + (1 - CORE) * way) / (CORE + (1 - CORE) * bone), 1.0)
+        # Inside the cortex part of a ball; the cortex is as thick everywhere, but in the last
+        # section, which is all on the sphere.
+        inner = self._radius - CORTEX[1] * (1 - last)
+        sides = angle + last * (1 - shell) * CORTEX[1] / self._radius
+        ball = inner + (self._radius - inner) * shell
+        across = within * ball * np.sin(sides)
+        along = -ball * np.cos(sides) + bulge * (
+            np.sqrt(ball**2 - across**2) - ball * np.abs(np.cos(sides))
+        )
+        off = x - self._centre
+        off -= (off * self._axis).sum(axis=1)[:, None] * self._axis
+        off /= np.maximum(np.sqrt((off**2).sum(axis=1)), 1e-9)[:, None]
+        bent = self._centre + across[:, None] * off + along[:, None] * self._axis
+        part = np.clip(over, 0.0, 1.0)[:, None]
+        return np.asarray((1 - part) * x + part * bent)
+
+    def inside(self, x: Floats, s: Floats) -> Floats:
+        """The last section is on the sphere."""
+        last = s >= self.stations - 1
+        off = x[last] - self._centre
+        along = (off * self._axis).sum(axis=1)
+        across = off - along[:, None] * self._axis
+        rise = np.sqrt(self._radius**2 - (across**2).sum(axis=1))
+        x = x.copy()
+        x[last] = self._centre + across + rise[:, None] * self._axis
+        return x
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:
@@ -38,86 +148,42 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Args:
         geometry: The parameters of the configuration's intact femur.
-        mesh: ``size`` at the endosteal surface, ``far_size`` [mm], ``curved``.
+        mesh: ``size``, ``far`` [mm], ``curved``.
 
     Returns:
         Two regions, and the boundaries distal_cut, bone_surface, head and five muscle patches, the
-        last two parts of bone_surface. Notes: head centre, attempts, factor of the sizes.
+        last two parts of bone_surface. Notes: head centre, layers.
 
     Raises:
-        GeometryError: No attempt gave a mesh.
+        GeometryError: The stem that is planned does not fit the canal.
     """
-    data = best_of("femur", ((how[0], partial(_attempt, geometry, mesh, *how)) for how in ATTEMPTS))
-    head = [geometry.head_offset, 0.0, geometry.head_height]
-    return MeshData(**{**vars(data), "notes": {"head_centre": head, **data.notes}})
-
-
-def _attempt(geometry: Any, mesh: Any, factor: float, algorithm: int) -> MeshData:
-    """Mesh once."""
-    far_size = mesh.far_size or 4 * mesh.size
-    with session("femur") as gmsh:
-        gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
-        pieces = _model(gmsh, geometry)
-        inside = pieces["cancellous_bone"]
-        femur_bone.grade(gmsh, geometry, inside, mesh.size * factor, far_size * factor)
-        generate(gmsh, mesh.curved)
-        points, cells, entity = extract(gmsh)
+    surfaces, times = _surfaces(geometry, mesh)
+    made = swept.mesh(surfaces, surfaces.outermost, times, mesh.curved)
     regions = number(REGIONS)
-    tags = np.zeros(len(cells), dtype=np.int32)
-    for name, volumes in pieces.items():
-        tags[np.isin(entity, volumes)] = regions[name]
-    exterior = exterior_facets(cells)
-    boundaries = _boundaries(points, exterior[0], geometry)
-    return assemble(points, cells, tags, regions, {}, boundaries, exterior)
+    cortical = (made.layer == 3) | (made.slab == surfaces.stations - 2)
+    tags = np.where(cortical, regions["cortical_bone"], regions["cancellous_bone"])
+    facets, owner = exterior_facets(made.cells)
+    at = swept.on(made, facets)
+    distal = at.s(0)
+    masks = {"distal_cut": distal, "bone_surface": ~distal, "head": at.above(surfaces.neck)}
+    shaft = at.rho(4) & ~at.above(surfaces.neck)
+    masks |= patches(made.nodes.x, facets, shaft, femur_bone.MUSCLES)
+    data = assemble(
+        made.nodes.x, made.cells, tags.astype(np.int32), regions, {}, masks, (facets, owner)
+    )
+    head = [geometry.head_offset, 0.0, geometry.head_height]
+    notes = {"head_centre": head, "layers": swept.describe(made)}
+    return MeshData(**{**vars(data), "notes": notes})
 
 
-def _model(gmsh: Any, geometry: Any) -> dict[str, list[int]]:
-    """The solids, cut into conforming volumes; returns those of each region."""
-    occ = gmsh.model.occ
-    bottom, radius = geometry.distal_cut_z, geometry.head_radius
-    outer = femur_bone.outer(bottom)
-    shaft = [(3, femur_bone.solid(gmsh, outer))]
-    patches = femur_bone.patches(gmsh, outer, shaft)
-    neck = [radius * part for part in NECK]
-    bone, _ = occ.fuse(shaft, _head(gmsh, geometry, neck, radius))
-    inner = [r - cortex for r, cortex in zip(neck, CORTEX, strict=True)]
-    canal = [(3, femur_bone.solid(gmsh, femur_bone.canal(bottom, 0.0)))]
-    marrow, _ = occ.fuse(canal, _head(gmsh, geometry, inner, radius - CORTEX[1]))
-    inputs = [*bone, *marrow, *patches]
-    _, children = occ.fragment(inputs, [])
-    occ.synchronize()
-    inside = {tag for pieces in children[len(bone) : -len(patches)] for _, tag in pieces}
-    whole = {tag for pieces in children[: len(bone)] for _, tag in pieces}
-    drop_orphans(gmsh)
-    return {"cortical_bone": sorted(whole - inside), "cancellous_bone": sorted(inside)}
+def count(geometry: Any, mesh: Any) -> int:
+    """Number of cells that `build` makes, from the coarsest mesh of the family."""
+    surfaces, times = _surfaces(geometry, mesh)
+    return swept.count(surfaces, surfaces.outermost, times)
 
 
-def _head(gmsh: Any, geometry: Any, neck: list[float], radius: float) -> list[tuple[int, int]]:
-    """A sphere about the head's centre and a cone from it to the axis of the shaft."""
-    occ = gmsh.model.occ
-    centre, root = _axis(geometry)
-    cone = occ.addCone(*root, *(centre - root), neck[0], neck[1])
-    return [(3, occ.addSphere(*centre, radius)), (3, cone)]
-
-
-def _axis(geometry: Any) -> tuple[Floats, Floats]:
-    """The ends of the neck's axis: the head's centre, and where it meets that of the shaft."""
-    height = geometry.head_height + geometry.head_offset / math.tan(geometry.neck_angle)
-    centre = np.array([geometry.head_offset, 0.0, geometry.head_height])
-    return centre, np.array([0.0, 0.0, height])
-
-
-def _boundaries(points: Floats, facets: Ints, geometry: Any) -> dict[str, Any]:
-    """Masks over the exterior facets, by name."""
-    corners = points[facets[:, :3]]
-    centre = corners.mean(axis=1)
-    near = 1e-4
-    distal = np.all(np.abs(corners[..., 2] - geometry.distal_cut_z) < near, axis=1)
-    middle, _ = _axis(geometry)
-    distance = np.linalg.norm(corners - middle, axis=2)
-    masks = {"distal_cut": distal, "bone_surface": ~distal}
-    masks["head"] = np.all(np.abs(distance - geometry.head_radius) < 1e-3, axis=1)
-    for name, at in femur_bone.insertions(femur_bone.outer(geometry.distal_cut_z)).items():
-        near_it = np.linalg.norm(centre - at, axis=1) < PATCH_RADIUS
-        masks[name] = ~distal & near_it & ~masks["head"]
-    return masks
+def _surfaces(geometry: Any, mesh: Any) -> tuple[Intact, int]:
+    """The surfaces before reaming, and how often the coarsest mesh is refined."""
+    size, times = swept.steps(mesh.size)
+    whole = geometry.model_copy(update={"canal_widening": 0.0})
+    return Intact(whole, size, mesh.far * size / mesh.size), times

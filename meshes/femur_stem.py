@@ -14,6 +14,8 @@ import numpy as np
 
 from .data import Floats
 
+CORNERS = 0.35  # of a quarter's length: what its corner counts more
+
 
 @dataclass(frozen=True)
 class Body:
@@ -45,6 +47,40 @@ class Body:
         rounded = (flat * c > a - r) & (flat * s > b - r)
         return np.where(rounded, corner, flat)
 
+    def point(self, phi: Floats, zeta: Any, slope: Any) -> Floats:
+        """Points of the outline in the planes z = zeta - slope x.
+
+        Corners take more of the turn than their length: they bend most.
+
+        Args:
+            phi: Around, in turns from +x towards +y (n,); whole quarters are on the axes.
+            zeta: Height of the planes at the z axis [mm], shape (n,) or ().
+            slope: Their slopes.
+
+        Returns:
+            Shape (n, 3) [mm].
+        """
+        quarter = np.floor(4 * phi).astype(int) % 4
+        part = 4 * phi - np.floor(4 * phi)
+        part = np.where(quarter % 2 == 1, 1 - part, part)
+        a, b, r = self.section(zeta)
+        side, corner, front = b - r, 0.5 * np.pi * r, a - r
+        more = CORNERS * (side + corner + front)
+        at = part * (side + corner + front + more)
+        beside = np.clip(at / side, 0.0, 1.0)
+        angle = 0.5 * np.pi * np.clip((at - side) / (corner + more), 0.0, 1.0)
+        across = np.clip((at - side - corner - more) / front, 0.0, 1.0)
+        # x = X a + U r and y = Y b + V r of the section where the plane meets the point.
+        c, s = np.cos(angle), np.sin(angle)
+        (a0, b0, r0), (a1, b1, r1) = self.half, self.slope
+        sign = np.where((quarter == 1) | (quarter == 2), -1.0, 1.0)
+        flat = 1 - across
+        x0, x1 = (sign * (flat * (p - q) + c * q) for p, q in ((a0, r0), (a1, r1)))
+        x = (x0 + x1 * zeta) / (1 + slope * x1)
+        z = zeta - slope * x
+        y = beside * (b0 - r0 + (b1 - r1) * z) + s * (r0 + r1 * z)
+        return np.stack([x, np.where(quarter < 2, y, -y), z], axis=1)
+
     def offset(self, thickness: float) -> Body:
         """The surface at a distance: exact on the flats, within t (1/cos - 1) at the corners."""
         grown = (
@@ -65,55 +101,3 @@ def body(geometry: Any) -> Body:
         slopes.append((top - tip) / (high - low))
         values.append(tip - slopes[-1] * low)
     return Body((values[0], values[1], values[2]), (slopes[0], slopes[1], slopes[2]))
-
-
-def loft(gmsh: Any, shape: Body, low: float, high: float) -> int:
-    """The body between two levels as a solid; returns its tag."""
-    wires = [_wire(gmsh, z, *shape.section(z)) for z in (low, high)]
-    made = gmsh.model.occ.addThruSections(wires, makeSolid=True, makeRuled=True)
-    return int(next(tag for dim, tag in made if dim == 3))
-
-
-def _wire(gmsh: Any, z: float, a: float, b: float, r: float) -> int:
-    """A rectangle with rounded corners at level z."""
-    occ = gmsh.model.occ
-    starts, ends, centres = [], [], []
-    for sx, sy in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
-        centre = (sx * (a - r), sy * (b - r))
-        first, second = (sx * a, centre[1]), (centre[0], sy * b)
-        if sx * sy < 0:
-            first, second = second, first
-        starts.append(occ.addPoint(*first, z))
-        ends.append(occ.addPoint(*second, z))
-        centres.append(occ.addPoint(*centre, z))
-    edges = []
-    for k in range(4):
-        edges.append(occ.addCircleArc(starts[k], centres[k], ends[k]))
-        edges.append(occ.addLine(ends[k], starts[(k + 1) % 4]))
-    return int(occ.addWire(edges, checkClosed=True))
-
-
-def neck(gmsh: Any, geometry: Any, shape: Body) -> int:
-    """The neck, a cone from the stem's axis to the trunnion disc at the head centre."""
-    sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
-    length = geometry.head_offset / sine
-    start = geometry.head_height - length * cosine
-    inside = shape.section(start)[0] / sine  # along the axis, until the body's flank
-    growth = 0.5 * (geometry.trunnion_diameter - geometry.neck_diameter) / (length - inside)
-    first = 0.5 * geometry.neck_diameter - growth * inside
-    if abs(growth) < 1e-9:
-        return int(
-            gmsh.model.occ.addCylinder(0, 0, start, length * sine, 0, length * cosine, first)
-        )
-    return int(
-        gmsh.model.occ.addCone(
-            0,
-            0,
-            start,
-            length * sine,
-            0,
-            length * cosine,
-            first,
-            0.5 * geometry.trunnion_diameter,
-        )
-    )

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from . import femur_bone, femur_mantle, femur_stem
+from . import femur_bone, femur_stem
 from .data import Floats, Ints
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
@@ -80,10 +80,9 @@ class Zones:
         z, r = x[:, 2], np.hypot(x[:, 0], x[:, 1])
         theta = np.arctan2(x[:, 1], x[:, 0])
         cavity = femur_stem.body(g).offset(g.cement_thickness).radius(theta, z)
-        canal = femur_bone.canal(g.distal_cut_z, g.canal_widening).radius(theta, z)
-        # Where cement comes near the endosteum nothing is left between them.
-        film = femur_mantle.REMAINDER * femur_mantle.FILM
-        cavity = np.where(canal - cavity < film, canal, cavity)
+        canal = femur_bone.endosteum(g.distal_cut_z, g.canal_widening)(theta, z)
+        # The mantle ends at the endosteum.
+        cavity = np.minimum(cavity, canal)
         return (x @ normal <= level) & ((r >= cavity) | (z < self.tip - g.plug_length))
 
     @cached_property

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from app.errors import GeometryError
 
-from .data import Floats, Ints, MeshData, jacobians
+from .data import Floats, Ints, MeshData, determinants, jacobians
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes
@@ -35,42 +34,6 @@ _SAMPLES = np.vstack(
 )
 
 
-def best_of(name: str, attempts: Iterable[tuple[float, Callable[[], MeshData]]]) -> MeshData:
-    """The first mesh that is twice as good as need be, or else the best of all.
-
-    Args:
-        name: Of what, for the message.
-        attempts: Ways to make it, the best first: the factor by which one changes the sizes, and
-            what makes it, which may raise `GeometryError`.
-
-    Returns:
-        The mesh; its notes tell of the attempts that failed, and by which factor its sizes are not
-        those that were asked for.
-
-    Raises:
-        GeometryError: No attempt gave a mesh.
-    """
-    failures: list[str] = []
-    best: tuple[float, float, MeshData] | None = None
-    for factor, attempt in attempts:
-        try:
-            data = attempt()
-        except GeometryError as error:
-            failures.append(str(error).splitlines()[0])
-            continue
-        worst = float(sicn(data.points, data.cells).min())
-        if best is None or worst > best[0]:
-            best = (worst, factor, data)
-        if worst >= 2 * BAD:
-            break
-        failures.append(f"least SICN {worst:.4f}")
-    if best is None:
-        raise GeometryError(f"{name}: no attempt gave a mesh: " + "; ".join(failures))
-    _, factor, data = best
-    notes = {**data.notes, "failed_attempts": failures, "size_factor": factor}
-    return MeshData(**{**vars(data), "notes": notes})
-
-
 def sicn(points: Floats, cells: Ints) -> Floats:
     """Signed inverse condition number of every cell: 1 regular, 0 flat, negative inverted.
 
@@ -82,7 +45,7 @@ def sicn(points: Floats, cells: Ints) -> Floats:
     """
     samples = _SAMPLES if cells.shape[1] == 10 else _SAMPLES[-1:]
     a = jacobians(points, cells, samples) @ np.linalg.inv(_REGULAR)
-    det = np.linalg.det(a)
+    det = determinants(a)
     # |A^-1| = |cofactor(A)| / |det A|, finite for flat cells
     c0, c1, c2 = (np.cross(a[..., i], a[..., j]) for i, j in ((1, 2), (2, 0), (0, 1)))
     cofactor = np.sqrt(sum(np.sum(c * c, axis=-1) for c in (c0, c1, c2)))

@@ -102,20 +102,6 @@ def generate(gmsh: Any, curved: bool = False) -> None:
         gmsh.model.mesh.setOrder(2)
 
 
-def drop_orphans(gmsh: Any) -> None:
-    """Remove faces, edges and points that bound no volume: gmsh would mesh them too."""
-    used: set[tuple[int, int]] = set()
-    frontier = gmsh.model.getEntities(3)
-    # Faces inside a volume (the disc) are embedded or shared; all boundaries are kept.
-    for _ in range(3):
-        frontier = gmsh.model.getBoundary(frontier, combined=False, oriented=False)
-        frontier = list({(d, abs(t)) for d, t in frontier})
-        used |= set(frontier)
-    for dim in (2, 1, 0):
-        orphans = [e for e in gmsh.model.getEntities(dim) if e not in used]
-        gmsh.model.removeEntities(orphans)
-
-
 def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
     """Read the tetrahedra of the model; curved ones are untangled.
 

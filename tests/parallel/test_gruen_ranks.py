@@ -12,7 +12,7 @@ import pytest
 from tests import support
 
 COARSE = (
-    *("mesh.size=5 mm", "mesh.order=1", "stages.0.increments=1", "solver.tolerance=1e-12"),
+    *("mesh.size=6 mm", "mesh.order=1", "stages.0.increments=1", "solver.tolerance=1e-12"),
     *("output.error=false", "output.fields=false"),
 )
 

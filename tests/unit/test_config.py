@@ -181,15 +181,6 @@ def test_planes_of_symmetry(sector: str, planes: set[str]) -> None:
     assert {n for n in cylinders.boundary_names if n.startswith("symmetry")} == planes
 
 
-def test_estimates_are_those_of_measured_meshes() -> None:
-    """Cells of a femur with 2 mm mantle, of the mesher's measurements."""
-    femur = config.Femur.model_validate({"cement_thickness": "2 mm"})
-    measured = {(2.0, 7.0): 47e3, (1.5, 6.0): 85e3, (1.0, 5.0): 205e3, (0.8, 4.0): 405e3}
-    for (size, far), cells in measured.items():
-        mesh = config.MeshOptions.model_validate({"size": f"{size} mm", "far_size": f"{far} mm"})
-        assert 0.5 < femur.estimate_cells(mesh) / cells < 2.0
-
-
 # ------------------------------------------------------------------------------ expressions
 
 POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))

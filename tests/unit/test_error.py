@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from app import config, error
-from app.errors import GeometryError
-from app.model import Model
-from app.run import _errors
-from meshes import blocks
-from meshes.data import MeshData
-from meshes.quality import best_of
 from tests import support
 
 STACK = """
@@ -73,7 +66,8 @@ def test_companions_are_coarser_and_take_half_the_steps() -> None:
 
 
 def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
-    femur = support.case((support.CONFIGS / "stance.yaml").read_text(encoding="utf-8"))
+    text = (support.CONFIGS / "stance.yaml").read_text(encoding="utf-8")
+    femur = support.case(text, "mesh.size=6 mm")
     sizes = [c.case.mesh.size for c in error.companions(femur)]
     assert sizes[-1] == femur.geometry.coarsest_size and len(set(sizes)) <= 2
 
@@ -199,39 +193,3 @@ def test_what_was_not_reached_has_no_error() -> None:
         error.estimate(run, 2, others)
         assert "time_90_error" not in run["cure"]["lower"]
         assert "time_50_error" in run["cure"]["lower"]
-
-
-@pytest.mark.parametrize("factors", [(1.0, 0.8, 0.65), (0.5, 1.0, 0.96)])
-def test_errors_use_the_sizes_that_were_made(factors: tuple[float, float, float]) -> None:
-    """A mesher that needs other sizes than it is asked for leaves estimates exact."""
-    this = case("stages.0.increments=8")
-    p = error.ORDERS[2][0]
-    made = dict(zip((1.0, 2.0, 3.0), factors, strict=True))
-
-    def at(c: config.Case) -> tuple[dict[str, Any], float]:
-        factor = made[c.mesh.size]
-        return numbers(c.mesh.size * factor, c.stages[0].increments, p), factor
-
-    summary, _ = at(this)
-    comm = SimpleNamespace(mesh=SimpleNamespace(comm=None))
-    model: Any = SimpleNamespace(size_factor=factors[0], relative=at, tagged=comm)
-    _errors(error.companions(this), model, summary, 2)
-    q = summary["interfaces"]["lower_upper"]
-    assert q["slip_p99_error"] == pytest.approx(q["slip_p99"] - 1)
-
-
-def test_the_factor_of_a_retry_is_noted() -> None:
-    stack = support.case(STACK)
-
-    def fails() -> MeshData:
-        raise GeometryError("flat")
-
-    data = best_of("stack", [(1.0, fails), (0.8, lambda: blocks.build(stack.geometry, stack.mesh))])
-    assert data.notes["size_factor"] == 0.8 and data.notes["failed_attempts"] == ["flat"]
-
-
-def test_the_factor_of_a_retry_stands_in_the_summary() -> None:
-    model: Any = SimpleNamespace(
-        tagged=SimpleNamespace(notes={"size_factor": 0.8, "film_mm": 1}), mechanics=()
-    )
-    assert Model.places(model, None) == {"size_factor": 0.8}

@@ -1,4 +1,4 @@
-"""Parts of the femur that need no mesh: sections, offsets, clearance, the film."""
+"""Parts of the femur that need no mesh: sections, offsets, clearance."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 import meshes
 from app.errors import GeometryError
 from app.geometries import Femur, MeshOptions
-from meshes import femur_bone, femur_mantle, femur_stem, mantle
+from meshes import femur_bone, femur_stem, mantle
 
 GEOMETRY = Femur()
 TURN = np.linspace(-np.pi, np.pi, 361)
@@ -53,7 +53,6 @@ def test_the_canal_has_the_widths_of_its_source_and_lies_in_the_bone() -> None:
     theta, z = np.meshgrid(TURN, np.linspace(-200.0, canal.top, 300))
     cortex = outer.radius(theta, z) - canal.radius(theta, z)
     assert cortex.min() > 1.5
-    assert canal.contains(np.array([(0.0, 0.0, 0.0), (0.0, 30.0, 0.0)])).tolist() == [True, False]
 
 
 def test_muscles_insert_near_their_places_and_apart() -> None:
@@ -66,10 +65,6 @@ def test_muscles_insert_near_their_places_and_apart() -> None:
         for other in names[:i]:
             between = np.linalg.norm(places[one] - places[other])
             assert between > 2 * femur_bone.PATCH_RADIUS, (one, other)
-        angle = np.arctan2(places[one][1], places[one][0])
-        reach = femur_bone.PATCH_RADIUS / np.hypot(*places[one][:2])
-        for seam in femur_bone.SEAMS:
-            assert abs(np.angle(np.exp(1j * (angle - seam)))) > reach, (one, seam)
 
 
 def test_a_stem_wider_than_the_canal_is_refused_with_the_place() -> None:
@@ -88,10 +83,3 @@ def test_the_distance_from_a_triangle() -> None:
     ):
         p = np.array([point])
         assert mantle._to_triangle(p, a, b, c)[0] == pytest.approx(distance)
-
-
-def test_pinched_edges_are_found() -> None:
-    """Two tetrahedra that share an edge only."""
-    cells = np.array([(0, 1, 2, 3), (0, 1, 4, 5)])
-    assert femur_mantle._pinched_edges(cells, np.array([True, True])).tolist() == [[0, 1]]
-    assert len(femur_mantle._pinched_edges(cells, np.array([True, False]))) == 0

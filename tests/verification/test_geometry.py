@@ -11,13 +11,12 @@ import pytest
 
 import meshes
 from app.geometries import Femur, IntactFemur, MeshOptions
-from meshes import femur_bone, femur_mantle, femur_stem, mantle
+from meshes import femur_bone, femur_stem, mantle
 from meshes.data import (
     MeshData,
     boundary_areas,
     cell_volumes,
     facet_areas,
-    interface_facets,
     region_volumes,
 )
 from tests import support
@@ -40,50 +39,31 @@ THICKNESSES = [
 def test_regions_are_whole_and_touch_where_they_should(thickness: float) -> None:
     data = femur(thickness)
     regions = data.regions
-    assert data.notes["quality"]["sicn_min"] > 0.01
-    assert data.notes["pinched_edges"] == 0
+    assert data.notes["quality"]["sicn_min"] > 0.12
     assert set(data.boundaries) == set(Femur().boundary_names)
     assert all(area > 0 for area in boundary_areas(data).values())
     # The stem touches bone nowhere, not even at a node.
     stem = np.unique(data.cells[data.cell_tags == regions["stem"]])
     bone = [regions["cortical_bone"], regions["cancellous_bone"]]
     assert len(np.intersect1d(stem, data.cells[np.isin(data.cell_tags, bone)])) == 0
-    # Pieces of cancellous bone are large: no crumbs between mantle and cortex.
-    assert min(data.notes["cancellous_pieces_mm3"]) >= femur_mantle.ISLAND
 
 
 @pytest.mark.parametrize("thickness", THICKNESSES)
-def test_the_mantle_ends_at_the_offset_or_at_the_endosteum(thickness: float) -> None:
-    check_mantle(thickness, SIZE)
-
-
-def check_mantle(thickness: float, size: float) -> None:
-    """Every node of the mantle's outer face is on one of the two, whichever is nearer.
-
-    Where the two are closer to each other than the film (0.6 mm) it may be on either, or on the
-    ramp between; the volume is that of the exact clip.
-    """
+def test_the_mantle_has_the_volume_of_the_exact_clip(thickness: float) -> None:
+    """Below mid lesser trochanter, where sections are nearly level."""
     geometry = Femur(cement_thickness=f"{thickness} mm")
-    data = femur(thickness, size)
+    data = femur(thickness)
     offset = femur_stem.body(geometry).offset(thickness)
     canal = femur_bone.canal(geometry.distal_cut_z, 0.0)
-    facets, _, _ = interface_facets(data, "cement_bone")
-    x, y, z = data.points[np.unique(facets)].T
-    beside = (z > geometry.stem_tip_z) & (z < geometry.resection_height)
-    theta, r, z = np.arctan2(y, x)[beside], np.hypot(x, y)[beside], z[beside]
-    ideal = np.minimum(offset.radius(theta, z), canal.radius(theta, z))
-    film = data.notes["film_mm"]
-    assert np.abs(r - ideal).max() < film + 0.15  # and the error of the surfaces
-    assert np.mean(np.abs(r - ideal) < 0.15) > 0.75
-    low, high = geometry.stem_tip_z - geometry.plug_length, 0.0
+    low, high = geometry.stem_tip_z - geometry.plug_length, -40.0
     angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 721)[:-1], np.linspace(low, high, 800))
     clipped = np.minimum(offset.radius(angles, levels), canal.radius(angles, levels))
     exact = 0.5 * (clipped**2).mean() * 2 * np.pi * (high - low)
     inside = np.isin(data.cell_tags, [data.regions["cement"], data.regions["stem"]])
-    centre = data.points[data.cells[:, :4]].mean(axis=1)[:, 2]
-    found = cell_volumes(data.points, data.cells)[inside & (centre < high)].sum()
+    below = (data.points[data.cells[:, :4], 2] @ mantle.LATTICE.T < high).mean(axis=1)
+    found = cell_volumes(data.points, data.cells[inside]) @ below[inside]
     # Chords of length h in a circle of radius R lose h^2 / 6 R^2 of its area.
-    assert found == pytest.approx(exact, rel=0.01 + size**2 / (6 * 7.0**2))
+    assert found == pytest.approx(exact, rel=0.01 + SIZE**2 / (6 * 7.0**2))
 
 
 def test_thickness_is_reported() -> None:
@@ -94,7 +74,7 @@ def test_thickness_is_reported() -> None:
     # At its narrowest, at z = -50 or so, the canal leaves 1.5 mm (antero-posteriorly) to 2.
     assert 1.4 < thickness["min"] < thickness["p5"] < thickness["median"] < 4.0
     assert thickness["median"] - 0.1 < thickness["mean"] < 4.0 < thickness["p95"] < 4.0 + 0.15
-    assert thickness["max"] < 4.0 + femur_mantle.FILM + 0.4  # ramps of the film, rims
+    assert thickness["max"] < 4.0 + 0.8  # where a layer ends: a quarter of the mesh size
     assert 0.5 < thickness["clipped_fraction"] < 0.7
     assert notes["head_centre"] == [43.0, 0.0, 54.0]
     assert notes["mantle"]["volume"] == pytest.approx(region_volumes(femur(4.0))["cement"])
@@ -120,13 +100,12 @@ def test_more_cement_than_fits_is_no_thicker() -> None:
 
 @cache
 def intact(curved: bool = True) -> MeshData:
-    return meshes.build(IntactFemur(), MeshOptions(size=f"{SIZE} mm", curved=curved))
+    return meshes.build(IntactFemur(), MeshOptions(size="6 mm", curved=curved))
 
 
 def test_the_intact_femur_has_the_shaft_of_the_operated_one() -> None:
     """Cortex and canal far from head and stem, the distal cut, the muscles."""
-    data, operated = intact(), meshes.build(Femur(), MeshOptions(size="4 mm", curved=True))
-    assert data.notes["quality"]["sicn_min"] > 0.05
+    data, operated = intact(), meshes.build(Femur(), MeshOptions(size="6 mm", curved=True))
     assert set(data.boundaries) == set(IntactFemur().boundary_names)
     areas, others = boundary_areas(data), boundary_areas(operated)
     for name in set(areas) & set(others) - {"bone_surface"}:
@@ -143,11 +122,14 @@ def test_the_intact_femur_has_the_shaft_of_the_operated_one() -> None:
 
 
 def test_the_head_is_a_sphere_on_a_neck() -> None:
-    data, geometry = intact(), IntactFemur()
+    geometry = IntactFemur()
     centre = np.array(geometry.head_centre)
-    facets = data.facets[np.isin(data.facet_tags, data.boundaries["head"])]
-    distance = np.linalg.norm(data.points[np.unique(facets)] - centre, axis=1)
-    assert distance == pytest.approx(np.full(len(distance), geometry.head_radius), abs=0.02)
+    # Corners are on it; curved cells that bend too far are straightened.
+    for data, part in ((intact(False), 0.0), (intact(), 0.02)):
+        facets = data.facets[np.isin(data.facet_tags, data.boundaries["head"])]
+        distance = np.linalg.norm(data.points[np.unique(facets)] - centre, axis=1)
+        radius = np.full(len(distance), geometry.head_radius)
+        assert distance == pytest.approx(radius, rel=max(part, 1e-6))
     # All of the sphere but the cap in the neck, whose radius there is about 15.5 mm.
     radius, neck = geometry.head_radius, 15.5
     cap = 2 * np.pi * radius * (radius - np.sqrt(radius**2 - neck**2))
@@ -168,7 +150,7 @@ def test_patches_are_discs_on_the_bone_and_the_trunnion_is_at_the_head() -> None
         assert areas[name] == pytest.approx(np.pi * femur_bone.PATCH_RADIUS**2, rel=0.1), name
         own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
         centre = data.points[own].mean(axis=(0, 1))
-        assert np.linalg.norm(centre - place) < 2.0, name
+        assert np.linalg.norm(centre - place) < SIZE, name
         assert set(data.boundaries[name]) <= set(data.boundaries["bone_surface"])
     disc = data.facets[np.isin(data.facet_tags, data.boundaries["stem_trunnion"])]
     weights = facet_areas(data.points, disc)
@@ -187,18 +169,16 @@ def test_the_same_femur_is_the_same_mesh() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("thickness", [2.0, 3.0, 4.0, 5.0, 7.0])
-def test_the_default_size_meshes_every_thickness_of_the_paper(thickness: float) -> None:
+def test_fine_meshes_of_every_thickness_of_the_paper(thickness: float) -> None:
     data = femur(thickness, 1.5)
-    assert 60_000 < len(data.cells) < 120_000
-    assert data.notes["quality"]["sicn_min"] > 0.03
-    assert data.notes["pinched_edges"] == 0
-    check_mantle(thickness, 1.5)
+    assert len(data.cells) == 64 * len(femur(thickness, 6.0).cells)
+    assert data.notes["quality"]["sicn_min"] > 0.12
 
 
 @pytest.mark.slow
 def test_a_curved_femur_has_no_bad_cell() -> None:
     data = meshes.build(Femur(), MeshOptions(size="2.5 mm", curved=True))
-    assert data.notes["quality"]["sicn_min"] > 0.05
+    assert data.notes["quality"]["sicn_min"] > 0.08
     assert boundary_areas(data)["stem_trunnion"] == pytest.approx(36 * np.pi, rel=2e-3)
 
 

@@ -1,0 +1,330 @@
+"""The nested surfaces of a femur with a cemented stem, along lines across it.
+
+Sections are planes z = zeta(s) - slope(s) x. They are level along the stem and turn over the last
+`TURN` millimetres to the neck cut, which is the section at station ``cut``. On each section a line
+runs from a point of the stem's outline to the periosteum; along it lie the outer side of the mantle
+and the endosteum. Cement is what is inside the lesser of the two. Above the cut the stem goes on
+alone: its body where it stands out, then a blend to the round neck and a cone to the trunnion.
+
+Along any line each surface is met once: sections of bone are star-shaped about the stem's axis.
+Radii come from tables by `femur_bone.Tube`; any other function of angle and height would do that
+is as smooth as the cells are small.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize.elementwise import find_root
+
+from app.errors import GeometryError
+
+from . import femur_bone, femur_stem
+from .data import Floats, Ints
+from .swept import SPOKES, Lines
+
+TURN = 60.0  # mm below the neck cut over which sections turn to it
+CORE = 0.45  # of the canal: where the innermost surface goes below the plug
+CORE_OVER = 30.0  # mm that it takes to get there
+SPREAD = 0.6  # of the canal: where the outer side of the mantle goes below the plug
+LEAST_MANTLE = 1.0  # mm of cement for which there must be room
+BLEND = (0.38, 0.8)  # of the neck's length: where it is round, at least and at most
+CLEAR = 2.0  # mm that the round neck is above the cut
+OUT = 0.8  # slope of the sections at the shoulder of a stem that stands out of the bone
+SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without standing out
+COARSER = 0.25  # mm of mesh size per mm of distance from the plug, below it
+LONGEST = 2.5  # times the mesh size at most, below the plug
+REACH = 90.0  # mm: farther from the axis there is no bone
+EXACT = 1e-11  # of roots, absolute and relative
+
+
+def root(function: Callable[[Floats, Ints], Floats], high: Floats) -> Floats:
+    """Where functions that fall through zero do so, between 0 and `high`.
+
+    Args:
+        function: Of places and of the numbers of the functions, both (k,); returns (k,).
+        high: Upper ends (n,); where a function is positive there, this is its result.
+
+    Returns:
+        Shape (n,).
+    """
+    number = np.arange(len(high))
+    found = high.copy()
+    falls = function(high, number) < 0
+    if falls.any():
+        found[falls] = find_root(
+            lambda x, k: function(x, k.astype(np.int64)),
+            (np.zeros(int(falls.sum())), high[falls]),
+            args=(number[falls].astype(float),),
+            tolerances={"xatol": EXACT, "xrtol": EXACT},
+        ).x
+    return found
+
+
+@dataclass(frozen=True)
+class Neck:
+    """The stem above the cut: an outline on the cut, round rings, the trunnion.
+
+    Attributes:
+        ring: Centre of the first round section [mm].
+        head: Centre of the last, the head's (3,) [mm].
+        axis: Unit vector from the one to the other (3,).
+        radii: Of both [mm].
+    """
+
+    ring: Floats
+    head: Floats
+    axis: Floats
+    radii: tuple[float, float]
+
+    def circle(self, phi: Floats, along: Floats) -> Floats:
+        """Points of rings at parts `along` of the cone (n, 3) [mm]; below 0 before its start."""
+        down = np.array([self.axis[2], 0.0, -self.axis[0]])  # medial, across the axis
+        turn = 2 * np.pi * phi
+        radius = self.radii[0] + (self.radii[1] - self.radii[0]) * along
+        centre = self.ring + along[:, None] * (self.head - self.ring)
+        across = np.cos(turn)[:, None] * down + np.sin(turn)[:, None] * np.array([0.0, 1.0, 0.0])
+        return np.asarray(centre + radius[:, None] * across)
+
+
+class Femur:
+    """Surfaces of the operated femur, as `swept.Surfaces` wants them.
+
+    Attributes:
+        spokes: Number of lines around.
+        size: Mesh size [mm].
+        mantle: Stations of the plug's end and of the neck cut.
+        tip: Station of the stem's tip.
+        cut: Station of the neck cut.
+        stations: Number of stations.
+    """
+
+    def __init__(self, geometry: Any, size: float, far: float) -> None:
+        """Divide the lengths of a femur.
+
+        Args:
+            geometry: The parameters of the configuration's femur.
+            size: Mesh size [mm].
+            far: Largest size below the plug [mm].
+
+        Raises:
+            GeometryError: Stem, neck or canal do not go together.
+        """
+        self.size = size
+        self._body = femur_stem.body(geometry)
+        self._grown = self._body.offset(geometry.cement_thickness)
+        self._outer = femur_bone.outer(geometry.distal_cut_z)
+        self._canal = femur_bone.endosteum(geometry.distal_cut_z, geometry.canal_widening)
+        normal, level = femur_bone.resection(geometry)
+        self._top, self._steepest = level / normal[2], normal[0] / normal[2]
+        plug = geometry.stem_tip_z - geometry.plug_length
+        below = _graded(plug - geometry.distal_cut_z, size, min(far, LONGEST * size))
+        parts = [
+            _even(plug, geometry.stem_tip_z, size),
+            _even(geometry.stem_tip_z, self._top, size),
+        ]
+        self._zeta = np.concatenate([(plug - below)[::-1], *parts])
+        start = len(below) - 1
+        self.tip = start + len(parts[0])
+        self.cut = len(self._zeta) - 1
+        self.mantle = (start, self.cut)
+        middle = 0.5 * (geometry.stem_tip_z + self._top)
+        a, b, r = self._body.section(middle)
+        t = 0.5 * geometry.cement_thickness
+        around = 4 * (a + b - 2 * r) + 2 * math.pi * (r + t)
+        self.spokes = max(SPOKES, 4 * round(around / (4 * size)))
+        self._refuse(geometry)
+        self._continue(geometry)
+
+    def _continue(self, geometry: Any) -> None:
+        """Divide what is above the cut."""
+        self._neck, self._out = _neck(geometry, self._body, self._top, self._steepest)
+        out = 0 if self._out is None else max(1, round((self._out - self._top) / self.size))
+        base = self._top if self._out is None else self._out
+        blend = float(np.linalg.norm(self._neck.ring - np.array([0.0, 0.0, base])))
+        cone = float(np.linalg.norm(self._neck.head - self._neck.ring))
+        self._above = np.cumsum(
+            [0, out, max(1, round(blend / self.size)), max(1, round(cone / self.size))]
+        )
+        self.stations = self.cut + 1 + int(self._above[-1])
+
+    def outermost(self, slab: int) -> int:
+        """The outermost surface of a step: above the cut there is the stem alone."""
+        return 4 if slab < self.cut else 1
+
+    def plane(self, s: Floats) -> tuple[Floats, Floats]:
+        """Height at the axis [mm] and slope of the sections at stations s <= cut."""
+        zeta = np.interp(s, np.arange(len(self._zeta)), self._zeta)
+        t = np.clip((zeta - self._top + TURN) / TURN, 0.0, 1.0)
+        return zeta, self._steepest * t * t * (2 - t)
+
+    def lines(self, phi: Floats, s: Floats) -> Lines:
+        """Lines in the sections; above the cut of the stem's outline alone."""
+        start, end = np.zeros((len(s), 3)), np.ones((len(s), 3))
+        mantle, endosteum = np.full(len(s), 0.3), np.full(len(s), 0.6)
+        bone = s <= self.cut
+        start[bone], end[bone], mantle[bone], endosteum[bone] = self._across(phi[bone], s[bone])
+        start[~bone] = self._stem_above(phi[~bone], s[~bone])
+        end[~bone] = start[~bone] + 1.0
+        return Lines(start, end, mantle, endosteum)
+
+    def bend(self, x: Floats, way: Floats, s: Floats) -> Floats:
+        """Sections are plane."""
+        return x
+
+    def inside(self, x: Floats, s: Floats) -> Floats:
+        """Ends are plane."""
+        return x
+
+    def _across(self, phi: Floats, s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        zeta, slope = self.plane(s)
+        theta = 2 * np.pi * phi
+        c, d = np.cos(theta), np.sin(theta)
+        r = root(
+            lambda r, k: self._outer.radius(theta[k], zeta[k] - slope[k] * r * c[k]) - r,
+            np.full(len(s), REACH),
+        )
+        end = np.stack([r * c, r * d, zeta - slope * r * c], axis=1)
+        below = s < self.mantle[0]
+        at = np.where(below, float(self.mantle[0]), s)
+        start = self._body.point(phi, *self.plane(at))
+        depth = np.where(below, self._zeta[self.mantle[0]] - zeta, 0.0)
+        start = self._sink(start, theta, zeta, depth)
+        endosteum = self._meets(self._canal, start, end)
+        mantle = np.empty(len(s))
+        mantle[~below] = self._meets(self._grown.radius, start[~below], end[~below])
+        if below.any():
+            # The mantle's outer side goes on below the plug from where it is at its end.
+            first = self.lines(phi[below], at[below])
+            ratio = first.mantle / first.endosteum
+            ratio += (SPREAD - ratio) * np.minimum(1.0, depth[below] / (4 * self.size))
+            mantle[below] = ratio * endosteum[below]
+        return start, end, mantle, endosteum
+
+    def _sink(self, start: Floats, theta: Floats, zeta: Floats, depth: Floats) -> Floats:
+        """Points of the innermost surface below the plug: they go to a part of the canal."""
+        r = CORE * self._canal(theta, zeta)
+        core = np.stack([r * np.cos(theta), r * np.sin(theta)], axis=1)
+        part = np.clip(depth / CORE_OVER, 0.0, 1.0)[:, None]
+        x = start.copy()
+        x[:, :2] = (1 - part) * start[:, :2] + part * core
+        x[:, 2] -= depth
+        return x
+
+    @staticmethod
+    def _meets(radius: Callable[[Floats, Floats], Floats], start: Floats, end: Floats) -> Floats:
+        """Where lines meet a surface r(theta, z), of the way from start to end (n,)."""
+        way = end - start
+
+        def within(part: Floats, k: Ints) -> Floats:
+            x, y, z = (start[k] + part[:, None] * way[k]).T
+            return radius(np.arctan2(y, x), z) - np.hypot(x, y)
+
+        return root(within, np.ones(len(start)))
+
+    def _stem_above(self, phi: Floats, s: Floats) -> Floats:
+        """The stem's outline above the cut (n, 3) [mm]."""
+        at = s - self.cut
+        _, out, blend, cone = self._above
+        x = np.empty((len(s), 3))
+        body = at <= out
+        if body.any():
+            part = at[body] / max(out, 1)
+            high = self._top if self._out is None else self._out
+            steep = max(OUT, self._steepest)
+            x[body] = self._body.point(
+                phi[body],
+                self._top + part * (high - self._top),
+                self._steepest + part * (steep - self._steepest),
+            )
+        round_ = at >= blend
+        x[round_] = self._neck.circle(phi[round_], (at[round_] - blend) / (cone - blend))
+        loft = ~body & ~round_
+        if loft.any():
+            low = self._stem_above(phi[loft], np.full(int(loft.sum()), self.cut + float(out)))
+            high_ = self._neck.circle(phi[loft], np.zeros(int(loft.sum())))
+            part = ((at[loft] - out) / (blend - out))[:, None]
+            x[loft] = (1 - part) * low + part * high_
+        return x
+
+    def _refuse(self, geometry: Any) -> None:
+        """Raise GeometryError where the stem, or the room for its cement, leaves the canal."""
+        along, around = np.linspace(self.tip, self.cut, 60), np.arange(72) / 72
+        phi, s = (v.ravel() for v in np.meshgrid(around, along))
+        start, end, _, endosteum = self._across(phi, s)
+        room = endosteum * np.sqrt(((end - start) ** 2).sum(axis=1))
+        outside = np.hypot(*start.T[:2]) - self._canal(np.arctan2(*start.T[1::-1]), start[:, 2])
+        room = np.where(outside > 0, -outside, room)
+        worst = int(room.argmin())
+        if room[worst] >= LEAST_MANTLE:
+            return
+        toward = math.cos(2 * math.pi * phi[worst])
+        side = "antero-posteriorly"
+        if abs(toward) > 0.7:
+            side = "medially" if toward > 0 else "laterally"
+        raise GeometryError(
+            f"geometry: the canal leaves {room[worst]:.2f} mm beside the stem at"
+            f" z = {start[worst, 2]:.0f} mm, {side}; the mantle needs {LEAST_MANTLE:.1f} mm: widen"
+            " the canal (canal_widening), narrow the stem or move it proximally (stem_tip_z)"
+        )
+
+
+def _even(low: float, high: float, size: float) -> Floats:
+    """Stations above `low` up to `high`, in steps of about `size` [mm]."""
+    steps = max(1, round((high - low) / size))
+    return low + (high - low) * np.arange(1, steps + 1) / steps
+
+
+def _graded(length: float, size: float, longest: float) -> Floats:
+    """Distances from 0 to `length` in steps that grow from `size` [mm]."""
+    at = [0.0]
+    while at[-1] < length:
+        at.append(at[-1] + min(size + COARSER * at[-1], longest))
+    if len(at) > 2 and at[-1] - length > 0.5 * (at[-1] - at[-2]):
+        at.pop()
+    return np.array(at) * (length / at[-1])
+
+
+def _neck(
+    geometry: Any, body: femur_stem.Body, top: float, steep: float
+) -> tuple[Neck, float | None]:
+    """The neck, and the height at the axis at which a body that stands out ends [mm].
+
+    Raises:
+        GeometryError: The shoulder is far below the cut, or the neck is not above it.
+    """
+    sine, cosine = math.sin(geometry.neck_angle), -math.cos(geometry.neck_angle)
+    axis = np.array([sine, 0.0, cosine])
+    head = np.array([geometry.head_offset, 0.0, geometry.head_height])
+    length = geometry.head_offset / sine
+    slope = max(OUT, steep)
+    shoulder = geometry.stem_tip_z + geometry.stem_length
+    out = shoulder - slope * float(body.section(shoulder)[0])
+    if out < top - SHOULDER:
+        raise GeometryError(
+            f"geometry.stem_length: the stem's shoulder, at z = {shoulder:g} mm, is"
+            f" {top - out:.0f} mm below the neck cut; lengthen the stem, move it proximally"
+            " (stem_tip_z) or cut lower (resection_height)"
+        )
+    base, slope = (out, slope) if out > top + SHOULDER else (top, steep)
+    first, last = 0.5 * geometry.neck_diameter, 0.5 * geometry.trunnion_diameter
+    normal = np.array([slope, 0.0, 1.0]) / math.hypot(slope, 1.0)
+    # How far the lowest point of a ring is from its centre towards the section below.
+    dip = first * math.sqrt(max(0.0, 1.0 - float(axis @ normal) ** 2))
+    rise = float(axis @ normal)
+    # The neck's axis is in the section that it leaves at this part of its length, or below.
+    root_ = head - length * axis
+    needed = (CLEAR + dip - float(normal @ (root_ - [0.0, 0.0, base]))) / (rise * length)
+    if rise <= 0 or needed > BLEND[1]:
+        raise GeometryError(
+            f"geometry.head_height: the neck, {geometry.neck_diameter:g} mm thick towards a head"
+            f" at z = {geometry.head_height:g} mm, does not clear the neck cut; raise the head"
+            " or cut lower (resection_height)"
+        )
+    part = max(BLEND[0], needed)
+    ring = root_ + part * length * axis
+    return Neck(ring, head, axis, (first, last)), (base if base > top else None)
