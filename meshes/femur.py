@@ -70,13 +70,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return MeshData(**{**vars(data), "notes": notes})
 
 
-def count(geometry: Any, mesh: Any) -> int:
-    """Number of cells that `build` makes, from the coarsest mesh of the family."""
-    size, times = swept.steps(mesh.size)
-    surfaces = Femur(geometry, size, mesh.far * size / mesh.size)
-    return swept.count(surfaces, surfaces.outermost, times)
-
-
 def _regions(made: swept.Swept, surfaces: Femur, regions: dict[str, int]) -> Any:
     """Region of each cell, by its layer and its slab."""
     mantle, tip = surfaces.mantle[0], surfaces.tip

@@ -176,12 +176,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return MeshData(**{**vars(data), "notes": notes})
 
 
-def count(geometry: Any, mesh: Any) -> int:
-    """Number of cells that `build` makes, from the coarsest mesh of the family."""
-    surfaces, times = _surfaces(geometry, mesh)
-    return swept.count(surfaces, surfaces.outermost, times)
-
-
 def _surfaces(geometry: Any, mesh: Any) -> tuple[Intact, int]:
     """The surfaces before reaming, and how often the coarsest mesh is refined."""
     size, times = swept.steps(mesh.size)

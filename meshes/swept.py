@@ -163,11 +163,6 @@ def mesh(surfaces: Surfaces, outermost: Callable[[int], int], times: int, curved
     return _curved(made) if curved else made
 
 
-def count(surfaces: Surfaces, outermost: Callable[[int], int], times: int) -> int:
-    """Number of cells of a mesh, without refining it."""
-    return len(_coarsest(surfaces, outermost, 2).cells) * 8**times
-
-
 @dataclass(frozen=True)
 class On:
     """Which facets are wholly on a surface or on a section.
