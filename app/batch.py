@@ -39,7 +39,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
-from app import case_file, cluster, config, identity
+from app import case_file, cluster, config, identity, sizing
 from app.errors import ConvergenceError, EnvironmentProblem, InputError, StoppedError
 from app.folders import FAILED, write_json, write_text
 from app.variation_options import split
@@ -54,6 +54,7 @@ THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
 CASE, SHARED = "case-", "shared-"
 DIGITS = 10  # of a digest
 LOG_LINES = 12
+MEGABYTE = 1e6
 POLL = 0.1  # s
 OFTEN = 10.0  # s between what is told of all that has ended so far
 SAME_SIGNAL = 1.0  # s
@@ -354,6 +355,7 @@ def _write(pending: Iterable[_Run], folder: Path, cores: int | None) -> None:
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(), *command])),
                 "threads": ranks if not cores else cores if alone else min(ranks, cores),
+                "memory": math.ceil(max(sizing.needed(r.case) for r in runs) / MEGABYTE),
             }
         write_json(folder / "jobs.json", jobs)
     except OSError as error:
@@ -403,7 +405,9 @@ def _execute(
     command += ["--keep-going", "--nolock", "--rerun-incomplete", "--scheduler", "greedy"]
     environ = dict(os.environ)
     if slurm is None:
-        command += ["--cores", cores]
+        # As many at a time as there are cores for, and memory.
+        memory = int(sizing.available({}) / MEGABYTE)
+        command += ["--cores", cores, "--resources", f"memory={memory}"]
     else:
         command += cluster.options(folder, slurm, any(r.alone for r in pending))
         environ = cluster.environment(environ)

@@ -260,6 +260,21 @@ def test_alone_means_alone_and_one_thread_each(bench: Bench) -> None:
     assert all(line.endswith(" 1") for line in bench.calls())
 
 
+def test_runs_that_need_most_of_the_memory_run_one_by_one(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the cores; less than half of the memory each, they run together."""
+    monkeypatch.setattr(batch.sizing, "available", lambda environ: 8e9)
+    monkeypatch.setattr(batch.sizing, "needed", lambda case: 5e9)
+    bench.take(0.2)
+    bench.run(*(bench.job(s) for s in (1.0, 2.0)))
+    assert (bench.folder / "most").read_text() == "1"
+    monkeypatch.setattr(batch.sizing, "needed", lambda case: 3e9)
+    bench.meet(2)
+    bench.run(*(bench.job(s) for s in (3.0, 4.0)))
+    assert (bench.folder / "most").read_text() == "2"
+
+
 def left_running(bench: Bench) -> list[str]:
     """Other processes that have to do with the batch."""
     here, found = str(bench.folder).encode(), []
