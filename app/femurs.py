@@ -167,10 +167,12 @@ class _Femur(Shape):
         stem = _steps(top - self.stem_tip_z, size) + _steps(self.plug_length, size)
         # Steps below the plug grow: s = size + d / 4, up to a longest one.
         length, longest = plug - self.distal_cut_z, min(mesh.far * size / mesh.size, 2.5 * size)
-        below, at = 0, 0.0
-        while at < length and below < 1000:
-            at += min(size + 0.25 * at, longest)
+        below, at, step = 0, 0.0, size
+        while at < length and step < longest:
+            step = min(size + 0.25 * at, longest)
+            at += step
             below += 1
+        below += max(0, round((length - at) / longest))
         filled = self.cement_thickness - self.canal_widening
         spokes = self._spokes(size)
         along = _between(filled, FILLED)

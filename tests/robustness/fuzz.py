@@ -25,7 +25,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from app import case_file, config, preview, study_file, sweep_file
+from app import case_file, config, gmsh_file, preview, study_file, sweep_file
 from app.errors import InputError
 from app.units import registry
 
@@ -304,6 +304,7 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
     shutil.copytree(CONFIGS, folder / "configs")
     shipped = sorted(p.relative_to(CONFIGS) for p in CONFIGS.rglob("*.yaml"))
     registry()
+    os.environ[gmsh_file.ALLOWED] = "1"  # scripts are read here, never run
     for name in shipped:  # imports, and the conversions of units
         read(folder / "configs" / name, [])
     guard((folder.resolve(),))

@@ -329,7 +329,7 @@ def test_companions_share_their_mesh_too() -> None:
     for override in (f"{MU}=0.4", f"{MU}=0.3"):
         runs.run(changed(override))
         coarse = changed(override, "mesh.size=6 mm", "mesh.far_size=6 mm")
-        numbers, _ = runs.kin[-1].relative(coarse)
+        numbers = runs.kin[-1].relative(coarse)
         assert len(runs.kin) == 2
         alone = Runs()
         expected = alone.run(coarse)[2]["interfaces"]["stem_cement"]["slip_p99"]
