@@ -101,7 +101,7 @@ def test_check_tells_heat(capsys: pytest.CaptureFixture[str]) -> None:
         "  hold: fixed on stem_trunnion, stages [setting, cooling]",
         "  tissue: convection on bone_surface, coefficient 0.02 mW/(mm^2*K), ambient 37 degC",
         "  setting: 3600 s, 1 increment, adaptive",
-        "  release: 1 increment, adaptive",
+        "  stance: 2 increments, adaptive",
         "  method: sdirk4  [default]",
         "  first_step: 0.001 s  (1 ms)",
         "  tip: at [0, 0, -130] mm",

@@ -537,7 +537,7 @@ COARSE: dict[str, list[str]] = {
         "mesh.order=1",
         "time.tolerance=0.2 K",
         "time.mechanical_step=100 K",
-        "stages.3.increments=1",
+        "stages.2.increments=1",
     ],
 }
 
