@@ -14,6 +14,7 @@ from .session import extract, generate, grade, session
 from .tags import assemble, number
 
 REGIONS = ("stem", "cement", "bone")
+SLICE = 2.0  # mesh sizes: shorter cylinders are swept
 ANGLES = {"full": 2 * math.pi, "half": math.pi, "quarter": math.pi / 2}
 
 
@@ -48,7 +49,11 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         )
     slope = math.tan(geometry.taper)
     with session("cylinders") as gmsh:
-        _solids(gmsh, (inner, middle, outer), rise, geometry.length, ANGLES[geometry.sector])
+        if rise == 0 and geometry.length < SLICE * mesh.size:
+            layers = max(1, round(geometry.length / mesh.size))
+            _slice(gmsh, (inner, middle, outer), geometry.length, geometry.sector, layers)
+        else:
+            _solids(gmsh, (inner, middle, outer), rise, geometry.length, ANGLES[geometry.sector])
         distances = [
             f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))"
             for radius in (inner, middle)
@@ -83,6 +88,27 @@ def _solids(
         solid(radii[2], 0.0),
     )
     occ.fragment([bone], [cement, stem])
+    occ.synchronize()
+
+
+def _slice(
+    gmsh: Any, radii: tuple[float, float, float], length: float, sector: str, layers: int
+) -> None:
+    """Three nested rings, meshed in the plane and swept: between two faces a generator of
+    tetrahedra leaves flat ones.
+    """
+    occ = gmsh.model.occ
+    reach = 2 * radii[-1]
+    corner = {"full": (-reach, -reach), "half": (-reach, 0.0), "quarter": (0.0, 0.0)}[sector]
+    discs = []
+    for radius in reversed(radii):
+        disc = [(2, occ.addDisk(0, 0, 0, radius, radius))]
+        if sector != "full":
+            part = [(2, occ.addRectangle(*corner, 0, reach - corner[0], reach - corner[1]))]
+            disc, _ = occ.intersect(disc, part)
+        discs += disc
+    faces, _ = occ.fragment(discs[:1], discs[1:])
+    occ.extrude(faces, 0, 0, length, numElements=[layers])
     occ.synchronize()
 
 
