@@ -94,8 +94,9 @@ def _solids(
 def _slice(
     gmsh: Any, radii: tuple[float, float, float], length: float, sector: str, layers: int
 ) -> None:
-    """Three nested rings, meshed in the plane and swept: between two faces a generator of
-    tetrahedra leaves flat ones.
+    """Three nested rings, meshed in the plane and swept.
+
+    Between two faces one cell apart a generator of tetrahedra leaves flat ones.
     """
     occ = gmsh.model.occ
     reach = 2 * radii[-1]

@@ -342,12 +342,12 @@ def test_cases_of_cure_agree_on_their_materials() -> None:
         assert found.cures[0].heat / cement.capacity == pytest.approx(89.0805, abs=1e-4)
         assert found.cures[0].kinetics == cure.cures[0].kinetics
     assert cure.elastic == ()
-    assert residual.supports[1].active == (True, True, False, False)
+    assert residual.supports[1].active == (True, True, False)
 
 
 def test_residual_ends_in_the_stance_of_the_paper() -> None:
     residual, stance = (config.load(support.CONFIGS / f"{n}.yaml") for n in ("residual", "stance"))
     assert residual.loads.keys() == stance.loads.keys()
     for name, load in residual.loads.items():
-        assert load.history == (0, 0, 0, 1)
+        assert load.history == (0, 0, 1)
         assert load.model_copy(update={"history": None}) == stance.loads[name]
