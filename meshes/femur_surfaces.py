@@ -39,6 +39,7 @@ SHOULDER = 6.0  # mm that the shoulder may be below or above the cut without sta
 COARSER = 0.25  # mm of mesh size per mm of distance from the plug, below it
 LONGEST = 2.5  # times the mesh size at most, below the plug
 REACH = 90.0  # mm: farther from the axis there is no bone
+WAYS = np.linspace(0.0, 1.2, 25)  # of a line, where it is asked how often it meets bone
 EXACT = 1e-11  # of roots, absolute and relative
 
 
@@ -137,7 +138,7 @@ class Femur:
         t = 0.5 * geometry.cement_thickness
         around = 4 * (a + b - 2 * r) + 2 * math.pi * (r + t)
         self.spokes = max(SPOKES, 4 * round(around / (4 * size)))
-        self._refuse(geometry)
+        self._refuse()
         self._continue(geometry)
 
     def _continue(self, geometry: Any) -> None:
@@ -221,10 +222,15 @@ class Femur:
         way = end - start
 
         def within(part: Floats, k: Ints) -> Floats:
-            x, y, z = (start[k] + part[:, None] * way[k]).T
-            return radius(np.arctan2(y, x), z) - np.hypot(x, y)
+            return Femur._within(radius, start[k] + part[:, None] * way[k])
 
         return root(within, np.ones(len(start)))
+
+    @staticmethod
+    def _within(radius: Callable[[Floats, Floats], Floats], points: Floats) -> Floats:
+        """How far inside a surface r(theta, z) points are, across the z axis (n,) [mm]."""
+        x, y, z = points.T
+        return radius(np.arctan2(y, x), z) - np.hypot(x, y)
 
     def _stem_above(self, phi: Floats, s: Floats) -> Floats:
         """The stem's outline above the cut (n, 3) [mm]."""
@@ -251,11 +257,20 @@ class Femur:
             x[loft] = (1 - part) * low + part * high_
         return x
 
-    def _refuse(self, geometry: Any) -> None:
-        """Raise GeometryError where the stem, or the room for its cement, leaves the canal."""
+    def _refuse(self) -> None:
+        """Raise GeometryError where lines meet bone twice, or the stem has no room for cement."""
         along, around = np.linspace(self.tip, self.cut, 60), np.arange(72) / 72
         phi, s = (v.ravel() for v in np.meshgrid(around, along))
         start, end, _, endosteum = self._across(phi, s)
+        for name, radius in (("periosteum", self._outer.radius), ("endosteum", self._canal)):
+            inside = np.array([self._within(radius, start + part * (end - start)) for part in WAYS])
+            twice = np.flatnonzero(((inside[1:] > 0) != (inside[:-1] > 0)).sum(axis=0) > 1)
+            if len(twice):
+                x, y, z = start[twice[0]]
+                raise GeometryError(
+                    f"geometry: a line across the bone from ({x:.0f}, {y:.0f}, {z:.0f}) mm meets"
+                    f" the {name} more than once; sections must be star-shaped about the stem"
+                )
         room = endosteum * np.sqrt(((end - start) ** 2).sum(axis=1))
         outside = np.hypot(*start.T[:2]) - self._canal(np.arctan2(*start.T[1::-1]), start[:, 2])
         room = np.where(outside > 0, -outside, room)

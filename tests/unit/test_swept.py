@@ -254,6 +254,15 @@ def test_what_cannot_be_is_refused_before_meshing(values: dict[str, float], word
         Surfaces(hip(**values), 6.0, 24.0)
 
 
+def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
+    """A ledge in the canal, which a line to the turned neck cut meets three times."""
+    surfaces, _ = _plain()
+    canal = surfaces._canal
+    surfaces._canal = lambda theta, z: canal(theta, z) - 6.0 * (np.abs(z - 12.0) < 1.5)
+    with pytest.raises(GeometryError, match=r"from \(.*\) mm meets the endosteum more than once"):
+        surfaces._refuse()
+
+
 def test_layers_that_cut_through_each_other_are_told() -> None:
     made = swept.mesh(*_plain(), 0, False)
     x = made.nodes.x.copy()
