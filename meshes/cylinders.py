@@ -10,11 +10,12 @@ import numpy as np
 from app.errors import GeometryError
 
 from .data import Floats, MeshData, exterior_facets
+from .quality import POOR, sicn
 from .session import extract, generate, grade, session
 from .tags import assemble, number
 
 REGIONS = ("stem", "cement", "bone")
-SLICE = 2.0  # mesh sizes: shorter cylinders are swept
+SLICE = 2.0  # mesh sizes: shorter cylinders may be swept
 ANGLES = {"full": 2 * math.pi, "half": math.pi, "quarter": math.pi / 2}
 
 
@@ -35,7 +36,6 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """
     inner = geometry.stem_radius
     middle = inner + geometry.cement_thickness
-    outer = middle + geometry.bone_thickness
     rise = math.tan(geometry.taper) * geometry.length / 2
     if abs(rise) >= inner:
         raise GeometryError(
@@ -47,20 +47,15 @@ def build(geometry: Any, mesh: Any) -> MeshData:
             f"geometry.taper: the cement ({rise:.3g} mm wider at the end) leaves the bone"
             f" ({geometry.bone_thickness:g} mm thick); taper less or thicken the bone"
         )
+    made = _tetrahedra(geometry, mesh, swept=False)
+    if geometry.taper == 0 and geometry.length < SLICE * mesh.size:
+        # Between two faces a cell apart the generator left a flat cell in 10 of 100 slices. Where
+        # it does not, its cells give smoother pressures than swept ones.
+        points, cells, _ = made
+        if sicn(points, cells).min() < POOR:
+            made = _tetrahedra(geometry, mesh, swept=True)
+    points, cells, entity = made
     slope = math.tan(geometry.taper)
-    with session("cylinders") as gmsh:
-        if rise == 0 and geometry.length < SLICE * mesh.size:
-            layers = max(1, round(geometry.length / mesh.size))
-            _slice(gmsh, (inner, middle, outer), geometry.length, geometry.sector, layers)
-        else:
-            _solids(gmsh, (inner, middle, outer), rise, geometry.length, ANGLES[geometry.sector])
-        distances = [
-            f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))"
-            for radius in (inner, middle)
-        ]
-        grade(gmsh, distances, mesh.size, mesh.far_size or 4 * mesh.size)
-        generate(gmsh, mesh.curved)
-        points, cells, entity = extract(gmsh)
     cell_tags = _by_radius(points, cells, entity, (inner, middle), slope, geometry.length)
     exterior = exterior_facets(cells)
     boundaries = _boundaries(points, exterior[0], cell_tags[exterior[1]], geometry)
@@ -69,6 +64,28 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "cement_bone": (("cement",), ("bone",)),
     }
     return assemble(points, cells, cell_tags, number(REGIONS), interfaces, boundaries, exterior)
+
+
+def _tetrahedra(geometry: Any, mesh: Any, swept: bool) -> tuple[Floats, Any, Any]:
+    """Nodes, cells and their volumes, by the generator of tetrahedra or swept from the plane."""
+    inner = geometry.stem_radius
+    middle = inner + geometry.cement_thickness
+    outer = middle + geometry.bone_thickness
+    slope = math.tan(geometry.taper)
+    with session("cylinders") as gmsh:
+        if swept:
+            layers = max(1, round(geometry.length / mesh.size))
+            _slice(gmsh, (inner, middle, outer), geometry.length, geometry.sector, layers)
+        else:
+            rise = slope * geometry.length / 2
+            _solids(gmsh, (inner, middle, outer), rise, geometry.length, ANGLES[geometry.sector])
+        distances = [
+            f"(sqrt(x*x+y*y)-{radius}-({slope})*(z-{geometry.length / 2}))"
+            for radius in (inner, middle)
+        ]
+        grade(gmsh, distances, mesh.size, mesh.far_size or 4 * mesh.size)
+        generate(gmsh, mesh.curved)
+        return extract(gmsh)
 
 
 def _solids(
@@ -94,10 +111,7 @@ def _solids(
 def _slice(
     gmsh: Any, radii: tuple[float, float, float], length: float, sector: str, layers: int
 ) -> None:
-    """Three nested rings, meshed in the plane and swept.
-
-    Between two faces one cell apart a generator of tetrahedra leaves flat ones.
-    """
+    """Three nested rings, meshed in the plane and swept."""
     occ = gmsh.model.occ
     reach = 2 * radii[-1]
     corner = {"full": (-reach, -reach), "half": (-reach, 0.0), "quarter": (0.0, 0.0)}[sector]
