@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from . import femur_bone, swept
+from . import femur_bone, layers, swept
 from .data import Floats, Ints, MeshData, exterior_facets, facet_areas
 from .femur_bone import PATCH_RADIUS
 from .femur_surfaces import Femur
@@ -46,7 +46,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     regions = number(REGIONS)
     tags = _regions(made, surfaces, regions)
     facets, owner = exterior_facets(made.cells)
-    at = swept.on(made, facets)
+    at = layers.on(made, facets)
     own = tags[owner]
     bone = np.isin(own, [regions["cortical_bone"], regions["cancellous_bone"]])
     masks = {
@@ -66,11 +66,11 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         (facets, owner),
     )
     head = [geometry.head_offset, 0.0, geometry.head_height]
-    notes = {"head_centre": head, "layers": swept.describe(made)}
+    notes = {"head_centre": head, "layers": layers.describe(made)}
     return MeshData(**{**vars(data), "notes": notes})
 
 
-def _regions(made: swept.Swept, surfaces: Femur, regions: dict[str, int]) -> Any:
+def _regions(made: layers.Swept, surfaces: Femur, regions: dict[str, int]) -> Any:
     """Region of each cell, by its layer and its slab."""
     mantle, tip = surfaces.mantle[0], surfaces.tip
     cement = (made.layer <= 1) & (made.slab >= mantle)

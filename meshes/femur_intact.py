@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from . import femur_bone, swept
+from . import femur_bone, layers, swept
 from .data import Floats, MeshData, exterior_facets
 from .femur import patches
 from .femur_surfaces import CLEAR, SPREAD, Femur
-from .swept import Lines
+from .layers import Lines
 from .tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
@@ -33,7 +33,7 @@ CAP = math.radians(50.0)  # half the opening of the cap that closes the head
 
 
 class Intact(Femur):
-    """Surfaces of the whole bone, as `swept.Surfaces` wants them.
+    """Surfaces of the whole bone, as `layers.Surfaces` wants them.
 
     Attributes:
         neck: Station at which the sphere of the head begins.
@@ -163,7 +163,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     cortical = (made.layer == 3) | (made.slab == surfaces.stations - 2)
     tags = np.where(cortical, regions["cortical_bone"], regions["cancellous_bone"])
     facets, owner = exterior_facets(made.cells)
-    at = swept.on(made, facets)
+    at = layers.on(made, facets)
     distal = at.s(0)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": at.above(surfaces.neck)}
     shaft = at.rho(4) & ~at.above(surfaces.neck)
@@ -172,7 +172,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         made.nodes.x, made.cells, tags.astype(np.int32), regions, {}, masks, (facets, owner)
     )
     head = [geometry.head_offset, 0.0, geometry.head_height]
-    notes = {"head_centre": head, "layers": swept.describe(made)}
+    notes = {"head_centre": head, "layers": layers.describe(made)}
     return MeshData(**{**vars(data), "notes": notes})
 
 

@@ -25,7 +25,8 @@ from app.errors import GeometryError
 
 from . import femur_bone, femur_stem
 from .data import Floats, Ints
-from .swept import SPOKES, Lines
+from .layers import Lines
+from .swept import SPOKES
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.45  # of the canal: where the innermost surface goes below the plug
@@ -93,7 +94,7 @@ class Neck:
 
 
 class Femur:
-    """Surfaces of the operated femur, as `swept.Surfaces` wants them.
+    """Surfaces of the operated femur, as `layers.Surfaces` wants them.
 
     Attributes:
         spokes: Number of lines around.

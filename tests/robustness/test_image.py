@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import subprocess
 import tempfile
@@ -89,6 +90,13 @@ def base(image: Image) -> None:
     image.buildah("commit", "--rm", "base", "localhost/base")
 
 
+def limits() -> list[str]:
+    """Limits of this process for those in the image: buildah's own are more than it may ask for."""
+    known = {"nproc": resource.RLIMIT_NPROC, "nofile": resource.RLIMIT_NOFILE}
+    hard = {name: resource.getrlimit(limit)[1] for name, limit in known.items()}
+    return [f"--ulimit={name}={n}:{n}" for name, n in hard.items() if n != resource.RLIM_INFINITY]
+
+
 @pytest.fixture(scope="module")
 def image() -> Iterator[Image]:
     # Not in /tmp, which may be in memory.
@@ -101,8 +109,8 @@ def image() -> Iterator[Image]:
     try:
         base(made)
         options = ["--isolation=chroot", "--pull-never", "--network=host", "--from=localhost/base"]
-        made.buildah("bud", *options, "--tag", "mantle", support.ROOT)
-        made.buildah("from", "--pull-never", "--name", "case", "localhost/mantle")
+        made.buildah("bud", *limits(), *options, "--tag", "mantle", support.ROOT)
+        made.buildah("from", *limits(), "--pull-never", "--name", "case", "localhost/mantle")
         made.work.mkdir()
         yield made
     finally:

@@ -14,7 +14,7 @@ import pytest
 
 from app.errors import GeometryError
 from app.geometries import Femur, IntactFemur, MeshOptions
-from meshes import femur, femur_bone, femur_intact, femur_stem, mantle, quality, swept
+from meshes import femur, femur_bone, femur_intact, femur_stem, layers, mantle, quality, swept
 from meshes.data import (
     MeshData,
     cell_volumes,
@@ -268,9 +268,9 @@ def test_layers_that_cut_through_each_other_are_told() -> None:
     x = made.nodes.x.copy()
     inner = np.flatnonzero((made.nodes.rho == 0) & (made.nodes.s == 20 * made.unit))
     x[inner[0]] += [40.0, 0.0, 0.0]
-    nodes = swept.Nodes(**{**vars(made.nodes), "x": x})
+    nodes = layers.Nodes(**{**vars(made.nodes), "x": x})
     with pytest.raises(GeometryError, match="would be there twice"):
-        swept._check_volume(swept.Swept(**{**vars(made), "nodes": nodes}))
+        swept._check_volume(layers.Swept(**{**vars(made), "nodes": nodes}))
 
 
 def _plain() -> tuple[Surfaces, Any]:

@@ -1,0 +1,194 @@
+"""Nodes of nested layers, on surfaces that are formulas.
+
+A node has three integer coordinates: `phi` around, `rho` across and `s` along the line, in parts of
+the steps of the coarsest mesh. Whole values of ``rho / unit`` are surfaces: 1 the stem or whatever
+is innermost, 2 the outer side of the mantle, 3 the endosteum, 4 the periosteum; 0 stands for
+the nodes inside the innermost surface. The surfaces are formulas (`Surfaces`), and every node that
+refinement or curving adds is put on them by its own coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from .data import Floats, Ints
+
+Bools = npt.NDArray[np.bool_]
+
+FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
+DIGITS = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Straight lines across the layers, one for each pair (phi, s).
+
+    Attributes:
+        start: Points on the innermost surface (n, 3) [mm].
+        end: Points on the periosteum (n, 3) [mm].
+        mantle: Where the outer side of the mantle is, of the way from start to end (n,); it may
+            lie beyond the endosteum.
+        endosteum: Where the endosteum is, of the way (n,).
+    """
+
+    start: Floats
+    end: Floats
+    mantle: Floats
+    endosteum: Floats
+
+    @property
+    def gap(self) -> Floats:
+        """Thickness that is left between mantle and endosteum [mm], negative if none is; (n,)."""
+        way = np.sqrt(((self.end - self.start) ** 2).sum(axis=1))
+        return (self.endosteum - self.mantle) * way
+
+
+class Surfaces(Protocol):
+    """Nested surfaces as functions on the grid.
+
+    Attributes:
+        spokes: Number of lines around, a multiple of four.
+        stations: Number of sections.
+        mantle: The first and the last section with a mantle; below and above, lines along which
+            mantle and endosteum are one are those of these.
+        size: Mesh size [mm].
+    """
+
+    spokes: int
+    stations: int
+    mantle: tuple[int, int]
+    size: float
+
+    def lines(self, phi: Floats, s: Floats) -> Lines:
+        """The lines at angles `phi`, in turns, and stations `s`, both of shape (n,)."""
+
+    def bend(self, x: Floats, way: Floats, s: Floats) -> Floats:
+        """Move points at parts `way` of lines off them, where sections are not plane; (n, 3)."""
+
+    def inside(self, x: Floats, s: Floats) -> Floats:
+        """Move points inside the innermost surface, at its ends; (n, 3)."""
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes by their coordinates.
+
+    Attributes:
+        phi: Around, in units; of shape (n,) as all.
+        rho: Across, in units; 0 for what is inside the innermost surface.
+        s: Along, in units.
+        merged: Whether mantle and endosteum are one there.
+        error: Used thickness of the layer between them less the exact one [mm].
+        floor: Least thickness of that layer [mm].
+        x: Places (n, 3) [mm].
+    """
+
+    phi: Ints
+    rho: Ints
+    s: Ints
+    merged: Bools
+    error: Floats
+    floor: Floats
+    x: Floats
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.phi)
+
+
+@dataclass(frozen=True)
+class Swept:
+    """A swept mesh.
+
+    Attributes:
+        surfaces: What its nodes are on.
+        nodes: Its nodes; those of curved cells include middle nodes.
+        cells: Tetrahedra (m, 4 or 10).
+        layer: For each cell the layer it is in: 0 inside, then 1 to 3 outwards.
+        slab: For each cell the number of the step along the line that it is in.
+        unit: Units in a step of the coarsest mesh.
+    """
+
+    surfaces: Surfaces
+    nodes: Nodes
+    cells: Ints
+    layer: Ints
+    slab: Ints
+    unit: int
+
+
+def place(surfaces: Surfaces, nodes: Nodes, unit: int) -> Nodes:
+    """Put all nodes but those inside on the surfaces, and between them by their coordinates."""
+    on = np.flatnonzero(nodes.rho > 0)
+    turn = surfaces.spokes * unit
+    keys, line = np.unique(nodes.s[on] * turn + nodes.phi[on], return_inverse=True)
+    lines = surfaces.lines((keys % turn) / turn, (keys // turn) / unit)
+    line = line.ravel()
+    start, end = lines.start[line], lines.end[line]
+    bone, gap = lines.endosteum[line], lines.gap[line]
+    merged = nodes.merged[on]
+    used = np.where(merged, 0.0, np.maximum(gap + nodes.error[on], nodes.floor[on]))
+    way = np.sqrt(((end - start) ** 2).sum(axis=1))
+    mantle = bone - used / way
+    rho = nodes.rho[on] / unit
+    part = np.where(
+        rho <= 2,
+        (rho - 1) * mantle,
+        np.where(rho <= 3, mantle + (rho - 2) * (bone - mantle), bone + (rho - 3) * (1 - bone)),
+    )
+    part = np.where(merged, bone, part)
+    s = nodes.s[on] / unit
+    x = nodes.x.copy()
+    x[on] = surfaces.bend(start + part[:, None] * (end - start), part, s)
+    error = nodes.error.copy()
+    error[on] = np.where(merged, -gap, used - gap)
+    return replace(nodes, x=np.round(x, DIGITS), error=error)
+
+
+@dataclass(frozen=True)
+class On:
+    """Which facets are wholly on a surface or on a section.
+
+    Attributes:
+        corners: Coordinates rho and s of the corners of facets (2, k, 3), in steps.
+    """
+
+    corners: Floats
+
+    def rho(self, surface: int) -> Bools:
+        """Those on a surface (k,)."""
+        return np.asarray((self.corners[0] == surface).all(axis=1))
+
+    def s(self, station: int) -> Bools:
+        """Those on a section (k,)."""
+        return np.asarray((self.corners[1] == station).all(axis=1))
+
+    def above(self, station: int) -> Bools:
+        """Those at a section or above (k,)."""
+        return np.asarray((self.corners[1] >= station).all(axis=1))
+
+
+def on(made: Swept, facets: Ints) -> On:
+    """Where facets (k, 3 or 6) of a swept mesh are."""
+    corners = facets[:, :3]
+    return On(np.stack([made.nodes.rho[corners], made.nodes.s[corners]]) / made.unit)
+
+
+def describe(made: Swept) -> dict[str, float]:
+    """Notes on a swept mesh: its grid, and how far its layers are from the exact ones [mm]."""
+    nodes = made.nodes
+    mantle = (nodes.rho == 2 * made.unit) | nodes.merged
+    wrong = np.abs(nodes.error[mantle])
+    within = nodes.s[mantle] >= made.surfaces.mantle[0] * made.unit
+    moved = np.where(nodes.merged[mantle], np.maximum(-nodes.error[mantle], 0.0), wrong)[within]
+    return {
+        "spokes": made.surfaces.spokes * made.unit // 2,
+        "stations": (made.surfaces.stations - 1) * made.unit // 2 + 1,
+        "least_thickness_mm": FLOOR * made.surfaces.size,
+        "moved_nodes": float((moved > 10.0**-DIGITS).mean()),
+        "moved_max_mm": float(moved.max(initial=0.0)),
+    }
