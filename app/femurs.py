@@ -145,10 +145,21 @@ class _Femur(Shape):
 
     def _spokes(self, size: float) -> int:
         """Number of lines around the stem."""
-        half = 0.5 * (self.stem_half_width + self.stem_tip_half_width)
-        depth = 0.5 * (self.stem_half_depth + self.stem_tip_half_depth)
-        around = 4.0 * (half + depth) - 4.0 + math.pi * self.cement_thickness
+        # Half-way through the mantle, half-way from the tip to the neck cut.
+        middle = 0.5 * (self._cut - self.stem_tip_z)
+        part = middle / (self.stem_section_z - self.stem_tip_z)
+        half, depth, corner = (
+            (1.0 - part) * getattr(self, f"stem_tip_{name}") + part * getattr(self, f"stem_{name}")
+            for name in ("half_width", "half_depth", "corner_radius")
+        )
+        around = 4.0 * (half + depth - 2.0 * corner)
+        around += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
         return max(8, 4 * round(around / (4.0 * size)))
+
+    @property
+    def _cut(self) -> float:
+        """Height at which the neck cut meets the shaft's axis, about (mm)."""
+        return self.resection_height + 24.747 * math.tan(self.resection_angle)
 
     def _core_cells(self, size: float) -> int:
         """Tetrahedra in a step of the innermost layer, one cell long."""
@@ -162,9 +173,8 @@ class _Femur(Shape):
         there are but two, as far around as in meshes that were counted.
         """
         size = _coarsest(mesh.size)
-        top = self.resection_height + 24.0 * math.tan(self.resection_angle)
         plug = self.stem_tip_z - self.plug_length
-        stem = _steps(top - self.stem_tip_z, size) + _steps(self.plug_length, size)
+        stem = _steps(self._cut - self.stem_tip_z, size) + _steps(self.plug_length, size)
         # Steps below the plug grow: s = size + d / 4, up to a longest one.
         length, longest = plug - self.distal_cut_z, min(mesh.far * size / mesh.size, 2.5 * size)
         below, at, step = 0, 0.0, size
