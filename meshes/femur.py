@@ -7,7 +7,6 @@ surface elsewhere. Both surfaces, and those of stem and bone, are functions on o
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -42,7 +41,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """
     size, times = swept.steps(mesh.size)
     surfaces = Femur(geometry, size, mesh.far * size / mesh.size)
-    made = swept.mesh(surfaces, surfaces.outermost, times, mesh.curved)
+    made = swept.mesh(surfaces, times, mesh.curved)
     regions = number(REGIONS)
     tags = _regions(made, surfaces, regions)
     facets, owner = exterior_facets(made.cells)
@@ -55,7 +54,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         "stem_trunnion": at.s(surfaces.stations - 1),
         "resection": bone & at.s(surfaces.cut),
     }
-    masks |= patches(made.nodes.x, facets, masks["bone_surface"], femur_bone.MUSCLES)
+    masks |= patches(made.nodes.x, facets, masks["bone_surface"])
     data = assemble(
         made.nodes.x,
         made.cells,
@@ -82,7 +81,7 @@ def _regions(made: layers.Swept, surfaces: Femur, regions: dict[str, int]) -> An
     return tags
 
 
-def patches(points: Floats, facets: Ints, surface: Any, names: Iterable[str]) -> dict[str, Any]:
+def patches(points: Floats, facets: Ints, surface: Any) -> dict[str, Any]:
     """Masks over exterior facets of the bone: where each muscle is attached.
 
     The facets whose middles are nearest to the insertion, as many as have together the area of a
@@ -94,8 +93,8 @@ def patches(points: Floats, facets: Ints, surface: Any, names: Iterable[str]) ->
     centre = points[facets[own][:, :3]].mean(axis=1)
     areas = facet_areas(points, facets[own])
     masks = {}
-    for name in names:
-        order = np.argsort(np.round(((centre - places[name]) ** 2).sum(axis=1), 6), kind="stable")
+    for name, place in places.items():
+        order = np.argsort(np.round(((centre - place) ** 2).sum(axis=1), 6), kind="stable")
         total = np.cumsum(areas[order]) - 0.5 * areas[order]
         chosen = order[: max(1, int((total <= np.pi * PATCH_RADIUS**2).sum()))]
         masks[name] = np.zeros(len(facets), dtype=bool)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from . import femur_bone, layers, swept
+from . import layers, swept
 from .data import Floats, MeshData, exterior_facets
 from .femur import patches
 from .femur_surfaces import CLEAR, SPREAD, Femur
@@ -158,7 +158,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
         GeometryError: The stem that is planned does not fit the canal.
     """
     surfaces, times = _surfaces(geometry, mesh)
-    made = swept.mesh(surfaces, surfaces.outermost, times, mesh.curved)
+    made = swept.mesh(surfaces, times, mesh.curved)
     regions = number(REGIONS)
     cortical = (made.layer == 3) | (made.slab == surfaces.stations - 2)
     tags = np.where(cortical, regions["cortical_bone"], regions["cancellous_bone"])
@@ -167,7 +167,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     distal = at.s(0)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": at.above(surfaces.neck)}
     shaft = at.rho(4) & ~at.above(surfaces.neck)
-    masks |= patches(made.nodes.x, facets, shaft, femur_bone.MUSCLES)
+    masks |= patches(made.nodes.x, facets, shaft)
     data = assemble(
         made.nodes.x, made.cells, tags.astype(np.int32), regions, {}, masks, (facets, owner)
     )

@@ -63,6 +63,9 @@ class Surfaces(Protocol):
     mantle: tuple[int, int]
     size: float
 
+    def outermost(self, slab: int) -> int:
+        """The outermost surface of a step along the line, 1 or 4: a neck has no layers."""
+
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """The lines at angles `phi`, in turns, and stations `s`, both of shape (n,)."""
 
@@ -121,13 +124,17 @@ class Swept:
     unit: int
 
 
+def lines_of(surfaces: Surfaces, phi: Ints, s: Ints, unit: int) -> tuple[Lines, Ints]:
+    """Each line that nodes at phi and s (n,) are on, once; and the number of that of each (n,)."""
+    turn = surfaces.spokes * unit
+    keys, line = np.unique(s * turn + phi, return_inverse=True)
+    return surfaces.lines((keys % turn) / turn, (keys // turn) / unit), line.ravel()
+
+
 def place(surfaces: Surfaces, nodes: Nodes, unit: int) -> Nodes:
     """Put all nodes but those inside on the surfaces, and between them by their coordinates."""
     on = np.flatnonzero(nodes.rho > 0)
-    turn = surfaces.spokes * unit
-    keys, line = np.unique(nodes.s[on] * turn + nodes.phi[on], return_inverse=True)
-    lines = surfaces.lines((keys % turn) / turn, (keys // turn) / unit)
-    line = line.ravel()
+    lines, line = lines_of(surfaces, nodes.phi[on], nodes.s[on], unit)
     start, end = lines.start[line], lines.end[line]
     bone, gap = lines.endosteum[line], lines.gap[line]
     merged = nodes.merged[on]

@@ -8,7 +8,7 @@ import numpy as np
 
 from .curving import untangle
 from .data import EDGES, Floats, Ints
-from .layers import Nodes, Swept, place
+from .layers import Nodes, Swept, lines_of, place
 from .quality import sicn
 
 SURER = 1e-6  # a diagonal is taken instead of the usual one if it is better by this much
@@ -105,10 +105,9 @@ def _steep(made: Swept, a: Ints, b: Ints) -> Floats:
 
 def _thickness(made: Swept) -> Floats:
     """Used thickness of the layer between mantle and endosteum at each node [mm]."""
-    nodes, turn = made.nodes, made.surfaces.spokes * made.unit
-    keys, line = np.unique(nodes.s * turn + nodes.phi, return_inverse=True)
-    gap = made.surfaces.lines((keys % turn) / turn, (keys // turn) / made.unit).gap[line.ravel()]
-    return np.where(nodes.rho == 0, 0.0, np.maximum(gap + nodes.error, 0.0))
+    nodes = made.nodes
+    lines, line = lines_of(made.surfaces, nodes.phi, nodes.s, made.unit)
+    return np.where(nodes.rho == 0, 0.0, np.maximum(lines.gap[line] + nodes.error, 0.0))
 
 
 def _edges(cells: Ints) -> tuple[Ints, Ints]:

@@ -12,7 +12,6 @@ of the wedges in which a layer ends, so that refinement does not make them flat.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -35,19 +34,18 @@ def steps(size: float) -> tuple[float, int]:
     return size * 2**times, times
 
 
-def mesh(surfaces: Surfaces, outermost: Callable[[int], int], times: int, curved: bool) -> Swept:
+def mesh(surfaces: Surfaces, times: int, curved: bool) -> Swept:
     """Sweep the cross-section, refine it, and curve its cells if asked.
 
     Args:
         surfaces: The surfaces, with the size of the coarsest mesh.
-        outermost: The outermost surface of each slab, 1 or 4: a neck has no layers.
         times: How often every cell is divided into eight.
         curved: Whether cells get nodes in the middle of their edges, on the surfaces.
 
     Raises:
         GeometryError: Cells overlap: the surfaces are not nested.
     """
-    made = _coarsest(surfaces, outermost, 2 ** (times + 1))
+    made = _coarsest(surfaces, 2 ** (times + 1))
     for _ in range(times):
         made = refine.refined(made)
     _check_volume(made)
@@ -101,7 +99,7 @@ def _section(spokes: int) -> tuple[Ints, Ints, Ints, Ints]:
 _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
 
 
-def _coarsest(surfaces: Surfaces, outermost: Callable[[int], int], unit: int) -> Swept:
+def _coarsest(surfaces: Surfaces, unit: int) -> Swept:
     """Sweep the cross-section along all stations."""
     columns, triangles, layers, rank = _section(surfaces.spokes)
     c, levels = len(columns), surfaces.stations
@@ -111,7 +109,7 @@ def _coarsest(surfaces: Surfaces, outermost: Callable[[int], int], unit: int) ->
     outer = columns[triangles][:, :, 1].max(axis=1)
     cells, layer, slab = [], [], []
     for k in range(levels - 1):
-        use = outer <= outermost(k)
+        use = outer <= surfaces.outermost(k)
         prism = np.hstack([order[use] + k * c, order[use] + (k + 1) * c])
         cells.append(prism[:, _PRISM].reshape(-1, 4))
         layer.append(np.repeat(layers[use], 3))

@@ -256,7 +256,7 @@ def test_what_cannot_be_is_refused_before_meshing(values: dict[str, float], word
 
 def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
     """A ledge in the canal, which a line to the turned neck cut meets three times."""
-    surfaces, _ = _plain()
+    surfaces = _plain()
     canal = surfaces._canal
     surfaces._canal = lambda theta, z: canal(theta, z) - 6.0 * (np.abs(z - 12.0) < 1.5)
     with pytest.raises(GeometryError, match=r"from \(.*\) mm meets the endosteum more than once"):
@@ -264,7 +264,7 @@ def test_a_section_that_is_not_star_shaped_is_refused_with_the_place() -> None:
 
 
 def test_layers_that_cut_through_each_other_are_told() -> None:
-    made = swept.mesh(*_plain(), 0, False)
+    made = swept.mesh(_plain(), 0, False)
     x = made.nodes.x.copy()
     inner = np.flatnonzero((made.nodes.rho == 0) & (made.nodes.s == 20 * made.unit))
     x[inner[0]] += [40.0, 0.0, 0.0]
@@ -273,9 +273,8 @@ def test_layers_that_cut_through_each_other_are_told() -> None:
         swept._check_volume(layers.Swept(**{**vars(made), "nodes": nodes}))
 
 
-def _plain() -> tuple[Surfaces, Any]:
-    surfaces = Surfaces(hip(), 6.0, 24.0)
-    return surfaces, surfaces.outermost
+def _plain() -> Surfaces:
+    return Surfaces(hip(), 6.0, 24.0)
 
 
 @pytest.mark.parametrize("size", [8.0, 6.0, 3.0])
