@@ -23,7 +23,8 @@ from . import femur_bone, femur_stem
 from .data import Floats, Ints
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
-EDGE = 1e-6  # mm: the face at the tip belongs to what is below it
+# Layered meshes put points on the planes between zones, where rounding must not decide [mm].
+EDGE = 1e-6
 
 
 class Zones:
@@ -55,15 +56,15 @@ class Zones:
         Returns:
             Shape (n, 2).
         """
-        third = np.floor(3 * (x[:, 2] - self.tip) / (self.top - self.tip))
+        third = np.floor(3 * (x[:, 2] - self.tip + EDGE) / (self.top - self.tip))
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
-        medial, anterior = (x[:, :1] >= 0), (x[:, 1:2] >= 0)
+        medial, anterior = (x[:, :1] >= -EDGE), (x[:, 1:2] >= -EDGE)
         frontal = np.where(medial, 5 + third, 3 - third)
         lateral = np.where(anterior, 10 - third, 12 + third)
         zones = np.concatenate([frontal, lateral], axis=1)
         zones[x[:, 2] < self.tip + EDGE] = (4, 11)
-        zones[x[:, 2] < self.tip - BELOW] = 0
+        zones[x[:, 2] < self.tip - BELOW + EDGE] = 0
         return zones
 
     def is_left(self, x: Floats) -> Any:
@@ -83,7 +84,8 @@ class Zones:
         canal = femur_bone.endosteum(g.distal_cut_z, g.canal_widening)(theta, z)
         # The mantle ends at the endosteum.
         cavity = np.minimum(cavity, canal)
-        return (x @ normal <= level) & ((r >= cavity) | (z < self.tip - g.plug_length))
+        below_plug = z < self.tip - g.plug_length + EDGE
+        return (x @ normal <= level + EDGE) & ((r >= cavity - EDGE) | below_plug)
 
     @cached_property
     def _cut(self) -> tuple[Floats, float]:

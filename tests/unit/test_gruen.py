@@ -47,6 +47,20 @@ def test_thirds_are_of_the_length_in_the_bone() -> None:
     assert Zones(GEOMETRY.model_copy(update={"stem_length": 130.0})).top == 12.0
 
 
+def test_rounding_moves_no_point_between_zones() -> None:
+    """Layered meshes put points on the planes between zones; another BLAS rounds otherwise."""
+    third = (ZONES.top - ZONES.tip) / 3
+    levels = ZONES.tip + np.array([-BELOW, 0.0, third, 2 * third])
+    normal, level = femur_bone.resection(GEOMETRY)
+    x = np.array([(side, 0.0, z) for side in (-12.0, 12.0) for z in levels])
+    x = np.concatenate([x, x[:, [1, 0, 2]], x + np.array([0.0, 0.0, 1.0]), level * normal[None]])
+    plug = np.array([(1.0, 1.0, ZONES.tip - GEOMETRY.plug_length)])
+    for rounding in np.random.default_rng(0).uniform(-1e-12, 1e-12, (20, 3)):
+        assert np.array_equal(ZONES.at(x), ZONES.at(x + rounding))
+        for points in (x, plug):
+            assert np.array_equal(ZONES.is_left(points), ZONES.is_left(points + rounding))
+
+
 def test_what_the_operation_takes_is_in_no_zone() -> None:
     """Stem, cement and neck; the bone beside them stays."""
     cavity = femur_stem.body(GEOMETRY).offset(GEOMETRY.cement_thickness)
