@@ -153,6 +153,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="PATH",
         help="a folder, or a file name ending in .msh (default: out/<name of CASE>.msh)",
     )
+    mesh.add_argument(
+        "--pictures",
+        type=Path,
+        metavar="DIR",
+        help="also draw a stem's mantle: DIR/sections.png and DIR/interfaces.png",
+    )
     study = add("study", "error against run time of a case, by its study section")
     add_case(study)
     study.add_argument(
@@ -415,6 +421,8 @@ def _check(options: argparse.Namespace) -> int:
 def _mesh(options: argparse.Namespace) -> int:
     """Write the mesh and a picture of it."""
     _, case = _case(options)
+    if options.pictures and not case.geometry.mantles:
+        raise InputError("--pictures: only of stems with a mantle of cement; this case has none")
     path = _mesh_path(options.output, options.case.stem)
     data = _build(case)
     import meshes
@@ -428,8 +436,28 @@ def _mesh(options: argparse.Namespace) -> int:
         print(path.with_suffix(".png"))
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
+    if options.pictures:
+        _mantle_pictures(data, options.pictures)
     print(preview.exact_size(case, data))
     return 0
+
+
+def _mantle_pictures(data: Any, folder: Path) -> None:
+    """Draw the sections and the interfaces of a mantle.
+
+    Raises:
+        InputError: They cannot be written.
+    """
+    from meshes import mantle_picture
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for draw in (mantle_picture.sections, mantle_picture.interfaces):
+            path = folder / f"{draw.__name__}.png"
+            draw(data, path)
+            print(path)
+    except OSError as error:
+        raise InputError(f"--pictures {folder}: cannot be written: {error.strerror}") from error
 
 
 def _mesh_path(output: Path | None, stem: str) -> Path:

@@ -36,33 +36,33 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
     """
     facets, _, _ = interface_facets(data, "stem_cement")
     facets = facets[data.points[facets[:, :3], 2].max(axis=1) > tip + 1e-6]
-    stem = _triangles(data.points, facets)
+    stem = triangles(data.points, facets)
     area = facet_areas(stem.reshape(-1, 3), np.arange(3 * len(stem)).reshape(-1, 3))
-    bone = _triangles(data.points, interface_facets(data, "cement_bone")[0])
-    distance = _distance(stem.mean(axis=1), bone)
-    order = np.argsort(distance)
+    bone = triangles(data.points, interface_facets(data, "cement_bone")[0])
+    away = distance(stem.mean(axis=1), bone)
+    order = np.argsort(away)
     share = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
-    p5, median, p95 = np.interp([0.05, 0.5, 0.95], share, distance[order])
+    p5, median, p95 = np.interp([0.05, 0.5, 0.95], share, away[order])
     cells = data.cells[data.cell_tags == data.regions["cement"]]
     volumes = cell_volumes(data.points, cells)
     below = (data.points[cells[:, :4], 2] @ LATTICE.T < tip).mean(axis=1)
     return {
         "thickness": {
             "nominal": nominal,
-            "min": float(distance.min()),
+            "min": float(away.min()),
             "p5": float(p5),
             "median": float(median),
-            "mean": float(np.average(distance, weights=area)),
+            "mean": float(np.average(away, weights=area)),
             "p95": float(p95),
-            "max": float(distance.max()),
-            "clipped_fraction": float(area[distance < CLIPPED * nominal].sum() / area.sum()),
+            "max": float(away.max()),
+            "clipped_fraction": float(area[away < CLIPPED * nominal].sum() / area.sum()),
         },
         "volume": float(volumes.sum()),
         "plug_volume": float(volumes @ below),
     }
 
 
-def _triangles(points: Floats, facets: Ints) -> Floats:
+def triangles(points: Floats, facets: Ints) -> Floats:
     """Flat triangles (n, 3, 3) that facets consist of, curved ones nearly [mm]."""
     if facets.shape[1] == 3:
         return points[facets]
@@ -77,7 +77,7 @@ def _triangles(points: Floats, facets: Ints) -> Floats:
     return fine[:, [[row[node] for node in corner] for corner in corners]].reshape(-1, 3, 3)
 
 
-def _distance(points: Floats, surface: Floats) -> Floats:
+def distance(points: Floats, surface: Floats) -> Floats:
     """Distance of points (n, 3) from the triangles (m, 3, 3) nearest to them [mm]."""
     a, b, c = surface.transpose(1, 0, 2)
     # Candidates by the distance to vertices, edge middles and centres.

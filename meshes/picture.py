@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,7 @@ def picture(data: MeshData, path: Path) -> None:
     )
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 3, width_ratios=np.maximum(widths, 0.15 * max(widths)))
-    colours = _colours(list(data.regions))
+    colours = colours_of(data.regions)
     for ax, (axis, at) in zip(axes, planes, strict=True):
         _draw(ax, data, axis, at, colours)
     handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
@@ -102,7 +103,8 @@ def middle_plane(low: float, high: float) -> float:
     return 0.5 * (low + high)
 
 
-def _colours(names: list[str]) -> dict[str, str]:
+def colours_of(names: Iterable[str]) -> dict[str, str]:
+    """A colour for each region."""
     free = (c for _ in names for c in OTHERS)
     return {name: COLOURS.get(name) or next(free) for name in names}
 

@@ -18,8 +18,8 @@ KEPT = 0.8
 
 # The octahedron that is left when the four corners of a cell are cut off, divided around each of
 # its diagonals; nodes 4 to 9 are the middles of `EDGES`. All are as positive as the cell.
-_CORNERS = ((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3))
-_AROUND = {
+CORNERS = ((0, 4, 6, 7), (4, 1, 5, 9), (6, 5, 2, 8), (7, 9, 8, 3))
+AROUND = {
     (4, 8): (6, 7, 9, 5),
     (5, 7): (9, 8, 6, 4),
     (6, 9): (4, 5, 8, 7),
@@ -32,7 +32,7 @@ def refined(made: Swept) -> Swept:
     nodes = _joined(made.nodes, _middles(made, ends))
     local = np.hstack([made.cells, of + len(made.nodes)])
     choices = []
-    for (p, q), ring in _AROUND.items():
+    for (p, q), ring in AROUND.items():
         ways = [(p, q, ring[k], ring[(k + 1) % 4]) for k in range(4)]
         choices.append(local[:, ways])
     best = choices[0]
@@ -42,7 +42,7 @@ def refined(made: Swept) -> Swept:
         better = other > worth + SURER
         best = np.where(better[:, None, None], cells, best)
         worth = np.where(better, other, worth)
-    corners = local[:, np.array(_CORNERS)]
+    corners = local[:, np.array(CORNERS)]
     cells = np.concatenate([corners, best], axis=1).reshape(-1, 4)
     return replace(
         made,

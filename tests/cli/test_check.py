@@ -245,6 +245,23 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "joint 100" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_mesh_draws_the_mantle(
+    order: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("gmsh")
+    folder = tmp_path / "new"
+    what = ["-o", str(tmp_path), "--pictures", str(folder)]
+    sizes = ["--set", "mesh.size=10 mm", "--set", f"mesh.order={order}"]
+    assert main(["mesh", str(CONFIGS / "stance.yaml"), *what, *sizes]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[2:4] == [str(folder / "sections.png"), str(folder / "interfaces.png")]
+    for line in out[2:4]:
+        assert Path(line).read_bytes().startswith(b"\x89PNG")
+    assert main(["mesh", str(CONFIGS / "blocks.yaml"), *what]) == 2
+    assert "--pictures: only of stems with a mantle" in capsys.readouterr().err
+
+
 def test_a_press_fit_acts_by_penalty_too() -> None:
     gap = "interfaces.stem_cement={kind: penalty, friction_coefficient: 0, penalty: 1 GPa/mm, gap: "
     still = [
