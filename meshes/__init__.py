@@ -30,7 +30,6 @@ from .data import (
     boundary_areas,
     canonical,
     components,
-    face_neighbours,
     facet_areas,
     interface_facets,
     region_facets,
@@ -68,36 +67,38 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
         if data is None:
             data = _make(geometry, mesh)
             _cache.store(data, path)
-    return data if "mantle" in data.notes else _describe_mantle(data, geometry)
+    if geometry.mantles and "mantle" not in data.notes:
+        data = replace(data, notes={**data.notes, **_describe_mantle(data, geometry)})
+    return data
 
 
 def _make(geometry: Any, mesh: Any) -> MeshData:
     """Mesh a geometry, check the mesh and describe it."""
     data = canonical(_generate(geometry, mesh))
-    _quality.gate(data)
+    quality = _quality.gate(data)
     _check_parts(data, () if geometry.kind == "file" else set(data.regions) - DIVISIBLE)
     _check_interfaces(data, geometry.joined)
     notes = {
         **data.notes,
-        "quality": _quality.describe(data),
+        "quality": _quality.describe(data, quality),
         "volumes_mm3": region_volumes(data),
         "boundary_areas_mm2": boundary_areas(data),
         "interface_areas_mm2": {
             name: float(facet_areas(data.points, interface_facets(data, name)[0]).sum())
             for name in data.interfaces
         },
+        **_describe_mantle(data, geometry),
     }
-    return _describe_mantle(replace(data, notes=notes), geometry)
+    return replace(data, notes=notes, behind=None)  # others may change the cells
 
 
-def _describe_mantle(data: MeshData, geometry: Any) -> MeshData:
-    """Note how thick the cement is, if the geometry has a mantle."""
+def _describe_mantle(data: MeshData, geometry: Any) -> dict[str, Any]:
+    """A note how thick the cement is, if the geometry has a mantle."""
     for m in geometry.mantles:
         from . import mantle  # needs scipy, which blocks do not
 
-        note = mantle.describe(data, m.thickness, m.tip)
-        data = replace(data, notes={**data.notes, "mantle": note})
-    return data
+        return {"mantle": mantle.describe(data, m.thickness, m.tip)}
+    return {}
 
 
 def write_msh(data: MeshData, path: Path) -> None:
@@ -158,7 +159,7 @@ def _check_parts(data: MeshData, whole: Collection[str]) -> None:
         hint = f"; {doubled} pairs of nodes coincide but are not one: merge them" if doubled else ""
         text = "the mesh has no " + ", no ".join(missing) + hint
         raise GeometryError(f"{text} [{Reason.MISSING_PART}]")
-    _, component = components(face_neighbours(data.cells), data.cell_tags)
+    _, component = components(data.neighbours, data.cell_tags)
     pieces = {n: len(set(component[data.cell_tags == data.regions[n]].tolist())) for n in whole}
     if any(n > 1 for n in pieces.values()):
         raise GeometryError(

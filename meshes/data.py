@@ -6,8 +6,9 @@ edges ``EDGES``; a facet has its vertices 0..2, then the middles of 01, 12, 20.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
+
+AT_ONCE = 1 << 13  # cells, of which all intermediate numbers fit a cache
 
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3))
 FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])  # outward for positive volume
@@ -39,6 +42,7 @@ class MeshData:
             them.
         interfaces: Interface name to the region names on either side.
         notes: What the mesher has to say (quality, achieved thickness); JSON-able.
+        behind: The cell behind each face of each cell, -1 outside, where it is known (m, 4).
     """
 
     points: Floats
@@ -50,17 +54,75 @@ class MeshData:
     boundaries: Mapping[str, tuple[int, ...]]
     interfaces: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]
     notes: Mapping[str, Any] = field(default_factory=dict)
+    behind: Ints | None = None
 
     @property
     def curved(self) -> bool:
         """Whether cells are quadratic (ten nodes)."""
         return self.cells.shape[1] == 10
 
+    @cached_property
+    def neighbours(self) -> Ints:
+        """The cell behind each face of each cell, -1 outside; shape (m, 4)."""
+        return face_neighbours(self.cells) if self.behind is None else self.behind
+
+    @cached_property
+    def between(self) -> tuple[Ints, Ints, Ints]:
+        """Where regions meet: cells, the faces of theirs, the cells behind; each of shape (k,).
+
+        Each facet is there twice, as seen from either side.
+        """
+        behind = self.neighbours
+        other = self.cell_tags[behind] != self.cell_tags[:, None]
+        cell, face = np.nonzero(other & (behind >= 0))
+        return cell, face, behind[cell, face]
+
+
+def order(*keys: Ints) -> Ints:
+    """Rows in the order of their keys, the last of which counts most, as `np.lexsort`.
+
+    To sort a key together with its row as one number is several times faster.
+
+    Args:
+        keys: Numbers that are not negative, all of shape (n,).
+
+    Returns:
+        Shape (n,); rows with equal keys remain as they are.
+    """
+    rows = np.arange(len(keys[0]))
+    bits = len(rows).bit_length()
+    for count, key in enumerate(keys):
+        ordered = key[rows] if count else key
+        if int(key.max(initial=0)) < 2 ** (63 - bits):
+            by = ordered << bits
+            by |= np.arange(len(rows))
+            by.sort()
+            by &= 2**bits - 1
+        else:
+            by = np.argsort(ordered, kind="stable")
+        rows = rows[by] if count else by
+    return rows
+
+
+def distinct(keys: Ints) -> tuple[Ints, Ints]:
+    """What `np.unique` returns with its inverse, for keys (n,) that are not negative."""
+    rows = order(keys)
+    first = np.diff(keys[rows], prepend=-1) > 0
+    inverse = np.empty(len(keys), dtype=np.int64)
+    inverse[rows] = np.cumsum(first) - 1
+    return keys[rows[first]], inverse
+
 
 def cell_faces(cells: Ints) -> Ints:
     """The faces of every cell, outward, shape (4 m, 3 or 6); face f of cell c is row 4 c + f."""
     local = FACES if cells.shape[1] == 4 else FACES_QUADRATIC
     return cells[:, local].reshape(-1, local.shape[1])
+
+
+def faces_of(cells: Ints, cell: Ints, face: Ints) -> Ints:
+    """Nodes of some faces: `face` (k,) of the cells `cell` (k,); shape (k, 3 or 6)."""
+    local = FACES if cells.shape[1] == 4 else FACES_QUADRATIC
+    return cells[cell[:, None], local[face]]
 
 
 def match_faces(cells: Ints) -> Ints:
@@ -72,16 +134,20 @@ def match_faces(cells: Ints) -> Ints:
     Raises:
         ValueError: A face belongs to more than two cells.
     """
-    corners = np.sort(cell_faces(cells)[:, :3], axis=1)
-    order = np.lexsort(corners.T[::-1])
-    ordered = corners[order]
-    same = np.all(ordered[1:] == ordered[:-1], axis=1)
+    a, b, c = (cells[:, corner].ravel() for corner in FACES.T)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    middle = np.maximum(low, np.minimum(high, c))
+    low, high = np.minimum(low, c), np.maximum(high, c)
+    keys = low * (int(cells.max()) + 1) + middle
+    rows = order(high, keys)
+    keys, high = keys[rows], high[rows]
+    same = (keys[1:] == keys[:-1]) & (high[1:] == high[:-1])
     if np.any(same[1:] & same[:-1]):
         raise ValueError("a face belongs to more than two cells")
-    partner = np.full(len(corners), -1, dtype=np.int64)
+    partner = np.full(len(rows), -1, dtype=np.int64)
     first = np.flatnonzero(same)
-    partner[order[first]] = order[first + 1]
-    partner[order[first + 1]] = order[first]
+    partner[rows[first]] = rows[first + 1]
+    partner[rows[first + 1]] = rows[first]
     return partner
 
 
@@ -92,13 +158,12 @@ def exterior_facets(cells: Ints) -> tuple[Ints, Ints]:
         Their nodes, outward, shape (k, 3 or 6), and their cells, shape (k,).
     """
     rows = np.flatnonzero(match_faces(cells) < 0)
-    return cell_faces(cells)[rows], rows // 4
+    return faces_of(cells, rows // 4, rows % 4), rows // 4
 
 
 def face_neighbours(cells: Ints) -> Ints:
     """The cell behind each face of each cell, -1 outside; shape (m, 4)."""
-    partner = match_faces(cells)
-    return np.where(partner >= 0, partner // 4, -1).reshape(-1, 4)
+    return match_faces(cells).reshape(-1, 4) // 4
 
 
 def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> tuple[int, Ints]:
@@ -112,19 +177,21 @@ def components(neighbours: Ints, labels: npt.NDArray[np.int32]) -> tuple[int, In
         Their number and the component of each cell.
     """
     cell = np.arange(len(neighbours))
-    near = np.where(neighbours >= 0, neighbours, cell[:, None])
-    near = np.where(labels[near] == labels[:, None], near, cell[:, None])
-    found = cell.copy()
-    while True:
-        least = np.minimum(found, found[near].min(axis=1))
-        if np.array_equal(least, found):
-            break
-        # The cell that a component is known by follows too, and all that are known by it.
-        np.minimum.at(found, found, least)
-        found = np.minimum(found, least)
-        found = found[found]
-    first, component = np.unique(found, return_inverse=True)
-    return len(first), component.ravel()
+    found: Ints = cell.copy()
+    # Pairs of neighbours of one label, each once.
+    once = (neighbours >= 0) & (neighbours < cell[:, None])
+    a, face = np.nonzero(once & (labels[neighbours] == labels[:, None]))
+    b = neighbours[a, face]
+    while len(a):
+        # The greater one is known by the lesser one, and all that are known by it.
+        found[np.maximum(a, b)] = np.minimum(a, b)
+        while not np.array_equal(further := found[found], found):
+            found = further
+        a, b = found[a], found[b]
+        apart = a != b
+        a, b = a[apart], b[apart]
+    known = found == cell
+    return int(known.sum()), (np.cumsum(known) - 1)[found]
 
 
 # Quadrature exact for the volume of a quadratic tetrahedron (cubic Jacobian, four points of
@@ -174,6 +241,30 @@ def jacobians(points: Floats, cells: Ints, barycentric: Floats) -> Floats:
     return np.einsum("qak,maj->mqjk", d, points[cells])
 
 
+def corners(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
+    """Places of each node of cells (3, k), for so many cells at once as a cache holds."""
+    x = np.ascontiguousarray(points.T)
+    for start in range(0, max(len(cells), 1), AT_ONCE):
+        yield [x[:, nodes] for nodes in cells[start : start + AT_ONCE].T]
+
+
+def edge_vectors(points: Floats, cells: Ints) -> Iterator[list[Floats]]:
+    """Edges from the first corner of straight cells (3, k), for so many cells at once."""
+    for first, *others in corners(points, cells):
+        yield [other - first for other in others]
+
+
+def dot(a: Floats, b: Floats) -> Floats:
+    """Scalar products of vectors (3, k); shape (k,)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Cross products of vectors (3, k)."""
+    (a0, a1, a2), (b0, b1, b2) = a, b
+    return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
 def determinants(a: Floats) -> Floats:
     """Determinants of matrices (..., 3, 3): faster than LAPACK's, and the same everywhere."""
     x, y, z = (a[..., k] for k in range(3))
@@ -183,7 +274,8 @@ def determinants(a: Floats) -> Floats:
 def cell_volumes(points: Floats, cells: Ints) -> Floats:
     """Volumes of the cells [mm^3], negative when inverted; shape (m,)."""
     if cells.shape[1] == 4:
-        return determinants(jacobians(points, cells, _TET_POINTS[:1]))[:, 0] / 6
+        some = edge_vectors(points, cells)
+        return np.concatenate([dot(a, cross(b, c)) for a, b, c in some]) / 6
     return determinants(jacobians(points, cells, _TET_POINTS)) @ _TET_WEIGHTS / 6
 
 
@@ -221,14 +313,9 @@ def interface_facets(data: MeshData, name: str) -> tuple[Ints, Ints, Ints]:
         the cell on the second.
     """
     first, second = ([data.regions[r] for r in side] for side in data.interfaces[name])
-    neighbours = face_neighbours(data.cells).ravel()
-    cell = np.repeat(np.arange(len(data.cells)), 4)
-    rows = np.flatnonzero(
-        (neighbours >= 0)
-        & np.isin(data.cell_tags[cell], first)
-        & np.isin(data.cell_tags[neighbours], second)
-    )
-    return cell_faces(data.cells)[rows], cell[rows], neighbours[rows]
+    cell, face, behind = data.between
+    own = np.isin(data.cell_tags[cell], first) & np.isin(data.cell_tags[behind], second)
+    return faces_of(data.cells, cell[own], face[own]), cell[own], behind[own]
 
 
 def region_facets(data: MeshData) -> tuple[Ints, npt.NDArray[np.int32], npt.NDArray[np.int32]]:
@@ -237,16 +324,10 @@ def region_facets(data: MeshData) -> tuple[Ints, npt.NDArray[np.int32], npt.NDAr
     Returns:
         Their nodes, and the region tags before and behind them.
     """
-    neighbours = face_neighbours(data.cells).ravel()
-    cell = np.repeat(np.arange(len(data.cells)), 4)
-    rows = np.flatnonzero(
-        (neighbours > cell) & (data.cell_tags[cell] != data.cell_tags[neighbours])
-    )
-    return (
-        cell_faces(data.cells)[rows],
-        data.cell_tags[cell[rows]],
-        data.cell_tags[neighbours[rows]],
-    )
+    cell, face, behind = data.between
+    once = behind > cell
+    cell, face, behind = cell[once], face[once], behind[once]
+    return faces_of(data.cells, cell, face), data.cell_tags[cell], data.cell_tags[behind]
 
 
 def canonical(data: MeshData) -> MeshData:
@@ -254,17 +335,24 @@ def canonical(data: MeshData) -> MeshData:
 
     Nodes are sorted by z, y, x; cells by region and nodes; facets by tag and nodes.
     """
-    used = np.unique(data.cells)
-    points = data.points[used]
-    rounded = np.round(points, 9)
-    order = np.lexsort(rounded.T)
+    used = np.zeros(len(data.points), dtype=bool)
+    used[data.cells] = True
+    nodes = np.flatnonzero(used)
+    nodes = nodes[np.lexsort(np.round(data.points[nodes], 9).T)]
     number = np.full(len(data.points), -1, dtype=np.int64)
-    number[used[order]] = np.arange(len(used))
+    number[nodes] = np.arange(len(nodes))
     cells, facets = number[data.cells], number[data.facets]
-    by_cell = np.lexsort((*np.sort(cells[:, :4], axis=1).T[::-1], data.cell_tags))
+    a, b, c, d = np.sort(cells[:, :4], axis=1).T
+    n = len(nodes)
+    by_cell = order(c * n + d, (data.cell_tags.astype(np.int64) * n + a) * n + b)
+    behind = data.behind
+    if behind is not None:
+        row = np.full(len(cells) + 1, -1, dtype=np.int64)  # the last for what is -1
+        row[by_cell] = np.arange(len(cells))
+        behind = row[behind[by_cell]]
     by_facet = np.lexsort((*np.sort(facets[:, :3], axis=1).T[::-1], data.facet_tags))
     return MeshData(
-        points=np.ascontiguousarray(points[order]),
+        points=data.points[nodes],
         cells=cells[by_cell],
         cell_tags=data.cell_tags[by_cell].astype(np.int32),
         facets=facets[by_facet],
@@ -273,4 +361,5 @@ def canonical(data: MeshData) -> MeshData:
         boundaries=data.boundaries,
         interfaces=data.interfaces,
         notes=data.notes,
+        behind=behind,
     )

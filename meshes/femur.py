@@ -7,12 +7,13 @@ surface elsewhere. Both surfaces, and those of stem and bone, are functions on o
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from . import femur_bone, layers, swept
-from .data import Floats, Ints, MeshData, exterior_facets, facet_areas
+from .data import Floats, Ints, MeshData, facet_areas
 from .femur_bone import PATCH_RADIUS
 from .femur_surfaces import Femur
 from .tags import assemble, number
@@ -44,7 +45,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     made = swept.mesh(surfaces, times, mesh.curved)
     regions = number(REGIONS)
     tags = _regions(made, surfaces, regions)
-    facets, owner = exterior_facets(made.cells)
+    facets, owner = made.facets
     at = layers.on(made, facets)
     own = tags[owner]
     bone = np.isin(own, [regions["cortical_bone"], regions["cancellous_bone"]])
@@ -66,7 +67,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     )
     head = [geometry.head_offset, 0.0, geometry.head_height]
     notes = {"head_centre": head, "layers": layers.describe(made)}
-    return MeshData(**{**vars(data), "notes": notes})
+    return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 
 
 def _regions(made: layers.Swept, surfaces: Femur, regions: dict[str, int]) -> Any:

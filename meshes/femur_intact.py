@@ -12,12 +12,13 @@ thicker below and thinner above); no cartilage; and no fovea.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from . import layers, swept
-from .data import Floats, MeshData, exterior_facets
+from .data import Floats, MeshData
 from .femur import patches
 from .femur_surfaces import CLEAR, SPREAD, Femur
 from .layers import Lines
@@ -162,7 +163,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     regions = number(REGIONS)
     cortical = (made.layer == 3) | (made.slab == surfaces.stations - 2)
     tags = np.where(cortical, regions["cortical_bone"], regions["cancellous_bone"])
-    facets, owner = exterior_facets(made.cells)
+    facets, owner = made.facets
     at = layers.on(made, facets)
     distal = at.s(0)
     masks = {"distal_cut": distal, "bone_surface": ~distal, "head": at.above(surfaces.neck)}
@@ -173,7 +174,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     )
     head = [geometry.head_offset, 0.0, geometry.head_height]
     notes = {"head_centre": head, "layers": layers.describe(made)}
-    return MeshData(**{**vars(data), "notes": notes})
+    return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 
 
 def _surfaces(geometry: Any, mesh: Any) -> tuple[Intact, int]:

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .data import Floats, Ints
+from .data import Floats, Ints, distinct, faces_of
 
 Bools = npt.NDArray[np.bool_]
 
@@ -113,6 +113,7 @@ class Swept:
         cells: Tetrahedra (m, 4 or 10).
         layer: For each cell the layer it is in: 0 inside, then 1 to 3 outwards.
         slab: For each cell the number of the step along the line that it is in.
+        partner: The same face of another cell, for each face of each, as of `match_faces` (4 m,).
         unit: Units in a step of the coarsest mesh.
     """
 
@@ -121,14 +122,21 @@ class Swept:
     cells: Ints
     layer: Ints
     slab: Ints
+    partner: Ints
     unit: int
+
+    @property
+    def facets(self) -> tuple[Ints, Ints]:
+        """Nodes of the facets on the outside (k, 3 or 6), and their cells (k,)."""
+        cell, face = np.divmod(np.flatnonzero(self.partner < 0), 4)
+        return faces_of(self.cells, cell, face), cell
 
 
 def lines_of(surfaces: Surfaces, phi: Ints, s: Ints, unit: int) -> tuple[Lines, Ints]:
     """Each line that nodes at phi and s (n,) are on, once; and the number of that of each (n,)."""
     turn = surfaces.spokes * unit
-    keys, line = np.unique(s * turn + phi, return_inverse=True)
-    return surfaces.lines((keys % turn) / turn, (keys // turn) / unit), line.ravel()
+    keys, line = distinct(s * turn + phi)
+    return surfaces.lines((keys % turn) / turn, (keys // turn) / unit), line
 
 
 def place(surfaces: Surfaces, nodes: Nodes, unit: int) -> Nodes:

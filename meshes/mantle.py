@@ -45,7 +45,10 @@ def describe(data: MeshData, nominal: float, tip: float) -> dict[str, Any]:
     p5, median, p95 = np.interp([0.05, 0.5, 0.95], share, away[order])
     cells = data.cells[data.cell_tags == data.regions["cement"]]
     volumes = cell_volumes(data.points, cells)
-    below = (data.points[cells[:, :4], 2] @ LATTICE.T < tip).mean(axis=1)
+    z = data.points[cells[:, :4], 2]
+    below = (z.max(axis=1) < tip).astype(float)
+    cut = (z.min(axis=1) < tip) & (z.max(axis=1) >= tip)
+    below[cut] = (z[cut] @ LATTICE.T < tip).mean(axis=1)
     return {
         "thickness": {
             "nominal": nominal,

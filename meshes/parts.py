@@ -18,7 +18,6 @@ from .data import (
     cell_faces,
     cell_volumes,
     components,
-    face_neighbours,
     facet_areas,
 )
 
@@ -103,7 +102,7 @@ def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
         held: Boundaries that supports hold.
     """
     names = {tag: name for name, tag in data.regions.items()}
-    neighbours = face_neighbours(data.cells)
+    neighbours = data.neighbours
     count, piece = components(neighbours, data.cell_tags)
     faces = cell_faces(data.cells)
     behind = neighbours.ravel()

@@ -8,7 +8,7 @@ import numpy as np
 
 from app.errors import GeometryError
 
-from .data import Floats, Ints, MeshData, determinants, jacobians
+from .data import Floats, Ints, MeshData, cross, determinants, dot, edge_vectors, jacobians
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes
@@ -43,8 +43,9 @@ def sicn(points: Floats, cells: Ints) -> Floats:
     Returns:
         Shape (m,).
     """
-    samples = _SAMPLES if cells.shape[1] == 10 else _SAMPLES[-1:]
-    a = jacobians(points, cells, samples) @ np.linalg.inv(_REGULAR)
+    if cells.shape[1] == 4:
+        return np.concatenate([straight(*edges) for edges in edge_vectors(points, cells)])
+    a = jacobians(points, cells, _SAMPLES) @ np.linalg.inv(_REGULAR)
     det = determinants(a)
     # |A^-1| = |cofactor(A)| / |det A|, finite for flat cells
     c0, c1, c2 = (np.cross(a[..., i], a[..., j]) for i, j in ((1, 2), (2, 0), (0, 1)))
@@ -55,9 +56,20 @@ def sicn(points: Floats, cells: Ints) -> Floats:
     return value.min(axis=1)
 
 
-def describe(data: MeshData) -> dict[str, Any]:
+def straight(a: Floats, b: Floats, c: Floats) -> Floats:
+    """SICN of straight cells from the edges at their first corner (3, k); shape (k,).
+
+    Both norms are sums over all edges and all faces: 18 V / sqrt(sum length^2 sum area^2).
+    """
+    d, e, f = cross(b, c), cross(c, a), cross(a, b)
+    lengths = sum(dot(x, x) for x in (a, b, c, a - b, b - c, c - a))
+    areas = sum(dot(x, x) for x in (d, e, f, d + e + f))
+    scale = np.sqrt(lengths * areas)
+    return 6 * dot(a, d) / np.where(scale > 0, scale, 1.0)
+
+
+def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
     """The quality notes: counts, least and median SICN, and the worst element of each region."""
-    quality = sicn(data.points, data.cells)
     return {
         "cells": len(data.cells),
         "nodes": len(data.points),
@@ -72,8 +84,11 @@ def describe(data: MeshData) -> dict[str, Any]:
     }
 
 
-def gate(data: MeshData) -> None:
+def gate(data: MeshData) -> Floats:
     """Refuse a mesh with inverted or nearly flat elements.
+
+    Returns:
+        SICN of each cell (m,).
 
     Raises:
         GeometryError: Names the worst elements: region, centroid [mm] and SICN.
@@ -81,7 +96,7 @@ def gate(data: MeshData) -> None:
     quality = sicn(data.points, data.cells)
     bad = int((quality < BAD).sum())
     if not bad:
-        return
+        return quality
     names = {tag: name for name, tag in data.regions.items()}
     lines = []
     for cell in np.argsort(quality, kind="stable")[: min(bad, WORST_SHOWN)]:

@@ -7,9 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from .curving import untangle
-from .data import EDGES, Floats, Ints
+from .data import (
+    EDGES,
+    FACES,
+    FACES_QUADRATIC,
+    Floats,
+    Ints,
+    cell_faces,
+    corners,
+    distinct,
+    match_faces,
+)
 from .layers import Nodes, Swept, lines_of, place
-from .quality import sicn
+from .quality import straight
 
 SURER = 1e-6  # a diagonal is taken instead of the usual one if it is better by this much
 # How much of the larger thickness a mid-edge node keeps beside a layer's end: else cells invert.
@@ -24,6 +34,24 @@ AROUND = {
     (5, 7): (9, 8, 6, 4),
     (6, 9): (4, 5, 8, 7),
 }
+_CHILDREN = np.array(
+    [
+        (*CORNERS, *((p, q, ring[k], ring[(k + 1) % 4]) for k in range(4)))
+        for (p, q), ring in AROUND.items()
+    ]
+)
+# For each diagonal: the partners of the children's faces (32,), -1 for those on the cell's; and
+# which of these is in the middle of each of the cell's faces (4,), not at a corner.
+_INNER = np.array([match_faces(children) for children in _CHILDREN])
+_CENTRES = np.array(
+    [
+        [
+            next(r for r, nodes in enumerate(cell_faces(children)) if np.isin(nodes, middles).all())
+            for middles in FACES_QUADRATIC[:, 3:]
+        ]
+        for children in _CHILDREN
+    ]
+)
 
 
 def refined(made: Swept) -> Swept:
@@ -31,26 +59,53 @@ def refined(made: Swept) -> Swept:
     ends, of = _edges(made.cells)
     nodes = _joined(made.nodes, _middles(made, ends))
     local = np.hstack([made.cells, of + len(made.nodes)])
-    choices = []
-    for (p, q), ring in AROUND.items():
-        ways = [(p, q, ring[k], ring[(k + 1) % 4]) for k in range(4)]
-        choices.append(local[:, ways])
-    best = choices[0]
-    worth = sicn(nodes.x, best.reshape(-1, 4)).reshape(-1, 4).min(axis=1)
-    for cells in choices[1:]:
-        other = sicn(nodes.x, cells.reshape(-1, 4)).reshape(-1, 4).min(axis=1)
-        better = other > worth + SURER
-        best = np.where(better[:, None, None], cells, best)
-        worth = np.where(better, other, worth)
-    corners = local[:, np.array(CORNERS)]
-    cells = np.concatenate([corners, best], axis=1).reshape(-1, 4)
+    best = _best(nodes.x, local)
+    children = _CHILDREN[best].reshape(-1, 32) + 10 * np.arange(len(local))[:, None]
+    cells = local.ravel().take(children).reshape(-1, 4)
     return replace(
         made,
         nodes=nodes,
         cells=cells,
         layer=np.repeat(made.layer, 8),
         slab=np.repeat(made.slab, 8),
+        partner=_partners(made, best),
     )
+
+
+def _best(points: Floats, local: Ints) -> Ints:
+    """The diagonal around which the least quality is best: numbers of `AROUND`, shape (m,)."""
+    best = []
+    for middles in corners(points, local[:, 4:]):
+        x = dict(enumerate(middles, start=4))
+        chosen = np.zeros(middles[0].shape[1], dtype=np.int64)
+        worth = np.full(len(chosen), -np.inf)
+        for way, ((p, q), ring) in enumerate(AROUND.items()):
+            own = [x[k] - x[p] for k in (q, *ring, ring[0])]
+            other = np.min([straight(own[0], *own[k : k + 2]) for k in range(1, 5)], axis=0)
+            better = other > worth + SURER
+            chosen[better], worth[better] = way, other[better]
+        best.append(chosen)
+    return np.concatenate(best)
+
+
+def _partners(made: Swept, best: Ints) -> Ints:
+    """What `match_faces` would find among the children, whose diagonals are the `best` (m,)."""
+    first = 32 * np.arange(len(best))
+    inner = _INNER[best]
+    partner = np.where(inner < 0, -1, inner + first[:, None]).ravel()
+    row = np.flatnonzero(made.partner > np.arange(len(made.partner)))
+    cell, face = np.divmod(row, 4)
+    other, behind = np.divmod(made.partner[row], 4)
+    pairs = [(_CENTRES[best[cell], face], _CENTRES[best[other], behind])]
+    nodes = made.cells[other]
+    for corner in FACES[face].T:
+        # The child at a corner has the same faces as its parent.
+        same = nodes == made.cells[cell, corner][:, None]
+        pairs.append((4 * corner + face, 4 * same.argmax(axis=1) + behind))
+    for here, there in pairs:
+        here, there = here + first[cell], there + first[other]
+        partner[here], partner[there] = there, here
+    return partner
 
 
 def curved(made: Swept) -> Swept:
@@ -112,9 +167,9 @@ def _thickness(made: Swept) -> Floats:
 
 def _edges(cells: Ints) -> tuple[Ints, Ints]:
     """Edges of the cells (e, 2), and the six of each cell as rows of them (m, 6)."""
-    ends = np.sort(cells[:, :4][:, np.array(EDGES)].reshape(-1, 2), axis=1)
+    a, b = (cells[:, k].ravel() for k in np.array(EDGES).T)
     n = int(cells.max()) + 1
-    keys, of = np.unique(ends[:, 0] * n + ends[:, 1], return_inverse=True)
+    keys, of = distinct(np.minimum(a, b) * n + np.maximum(a, b))
     return np.stack([keys // n, keys % n], axis=1), of.reshape(-1, 6)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from app.errors import GeometryError
 
 from . import refine
-from .data import Floats, Ints, cell_volumes, exterior_facets
+from .data import Floats, Ints, cell_volumes, match_faces
 from .layers import DIGITS, FLOOR, Bools, Nodes, Surfaces, Swept, place
 
 COARSEST = 5.0  # mm: meshes of this size and below are refinements of one that is coarser
@@ -121,7 +121,13 @@ def _coarsest(surfaces: Surfaces, unit: int) -> Swept:
     ordered = np.sort(tets, axis=1)
     keep = (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
     made = Swept(
-        surfaces, nodes, tets[keep], np.concatenate(layer)[keep], np.concatenate(slab)[keep], unit
+        surfaces,
+        nodes,
+        cells=tets[keep],
+        layer=np.concatenate(layer)[keep],
+        slab=np.concatenate(slab)[keep],
+        partner=np.zeros(0, dtype=np.int64),
+        unit=unit,
     )
     return _packed(made)
 
@@ -177,15 +183,14 @@ def _packed(made: Swept) -> Swept:
     nodes = Nodes(**{name: values[used] for name, values in vars(made.nodes).items()})
     flipped = cell_volumes(nodes.x, cells) < 0
     cells[flipped] = cells[flipped][:, [1, 0, 2, 3]]
-    return replace(made, nodes=nodes, cells=cells)
+    return replace(made, nodes=nodes, cells=cells, partner=match_faces(cells))
 
 
 def _check_volume(made: Swept) -> None:
     """Raise GeometryError unless the cells fill what their exterior facets enclose, once."""
-    cells, x = made.cells, made.nodes.x
-    volume = float(np.abs(cell_volumes(x, cells)).sum())
-    facets, _ = exterior_facets(cells)
-    corners = x[facets]
+    x = made.nodes.x
+    volume = float(np.abs(cell_volumes(x, made.cells)).sum())
+    corners = x[made.facets[0]]
     flux = np.cross(corners[:, 0], corners[:, 1]) * corners[:, 2]
     enclosed = float(flux.sum()) / 6
     if abs(volume - enclosed) > 1e-9 * volume:

@@ -25,10 +25,12 @@ from meshes.data import (
     boundary_areas,
     cell_volumes,
     components,
+    distinct,
     exterior_facets,
     face_neighbours,
     facet_areas,
     interface_facets,
+    order,
     region_volumes,
 )
 from meshes.imported import MILLIMETRES
@@ -239,6 +241,14 @@ def test_names_may_overlap_and_patches_do_not() -> None:
     assert counted == 1
     counted, _ = components(face_neighbours(cells), np.array([1, 2], dtype=np.int32))
     assert counted == 2
+
+
+@pytest.mark.parametrize("most", [5, 2**40, 2**62])
+def test_rows_are_ordered_as_by_lexsort(most: int) -> None:
+    first, last = np.random.default_rng(1).integers(0, most, (2, 1000)) // 7 * 7
+    np.testing.assert_array_equal(order(first, last), np.lexsort([first, last]))
+    for found, wanted in zip(distinct(last), np.unique(last, return_inverse=True), strict=True):
+        np.testing.assert_array_equal(found, wanted)
 
 
 @pytest.mark.parametrize("unit", ["mm", "cm"])

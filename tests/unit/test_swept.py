@@ -22,6 +22,7 @@ from meshes.data import (
     facet_areas,
     interface_facets,
     jacobians,
+    match_faces,
 )
 from meshes.femur_surfaces import Femur as Surfaces
 from tests import support
@@ -140,6 +141,11 @@ def test_half_the_size_is_the_mesh_refined(size: float) -> None:
     for name in ("distal_cut", "resection", "stem_trunnion", "bone_surface"):
         few, many = (int(np.isin(d.facet_tags, d.boundaries[name]).sum()) for d in (coarse, fine))
         assert many == 4 * few, name
+
+
+def test_neighbours_are_inherited() -> None:
+    made = swept.mesh(_plain(), 2, False)
+    np.testing.assert_array_equal(made.partner, match_faces(made.cells))
 
 
 def test_middle_nodes_of_curved_cells_are_nodes_of_the_finer_mesh() -> None:
