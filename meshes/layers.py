@@ -20,6 +20,7 @@ from .data import Floats, Ints, distinct, faces_of
 Bools = npt.NDArray[np.bool_]
 
 FLOOR = 0.12  # of the mesh size: layers thinner than this have no thickness
+ALONG = 0.10  # of the distance to the next section, where that is far: the same
 DIGITS = 6  # decimals [mm] that nodes are rounded to: processors differ far behind these
 
 

@@ -20,7 +20,7 @@ from app.errors import GeometryError
 
 from . import refine
 from .data import Floats, Ints, cell_volumes, match_faces
-from .layers import DIGITS, FLOOR, Bools, Nodes, Surfaces, Swept, place
+from .layers import ALONG, DIGITS, FLOOR, Bools, Nodes, Surfaces, Swept, place
 
 COARSEST = 5.0  # mm: meshes of this size and below are refinements of one that is coarser
 SPOKES = 8  # least number around: two in each quarter
@@ -168,10 +168,14 @@ def _merged(surfaces: Surfaces) -> tuple[Bools, Floats, Floats]:
     apart = np.sqrt(((np.roll(bone, -1, axis=0) - bone) ** 2).sum(axis=2))
     apart = np.maximum(apart, np.roll(apart, 1, axis=0))
     floor = FLOOR * np.maximum(surfaces.size, apart)
+    # Sections that turn are farther apart on the lateral side: wedges there are longer.
+    low, high = surfaces.mantle
+    steps = ALONG * np.sqrt((np.diff(bone[:, low : high + 1], axis=1) ** 2).sum(axis=2))
+    for at in (np.s_[:, low:high], np.s_[:, low + 1 : high + 1]):
+        floor[at] = np.maximum(floor[at], steps)
     gap = lines.gap.reshape(spokes, levels)
     merged = gap < floor
     # Below and above the mantle its first and its last section go on.
-    low, high = surfaces.mantle
     merged[:, :low], merged[:, high + 1 :] = merged[:, low : low + 1], merged[:, high : high + 1]
     return merged, np.where(merged, -gap, 0.0), np.where(merged, 0.0, floor)
 
