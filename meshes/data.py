@@ -349,11 +349,11 @@ def canonical(data: MeshData) -> MeshData:
     if behind is not None:
         row = np.full(len(cells) + 1, -1, dtype=np.int64)  # the last for what is -1
         row[by_cell] = np.arange(len(cells))
-        behind = row[behind[by_cell]]
+        behind = row[behind.take(by_cell, axis=0)]
     by_facet = np.lexsort((*np.sort(facets[:, :3], axis=1).T[::-1], data.facet_tags))
     return MeshData(
         points=data.points[nodes],
-        cells=cells[by_cell],
+        cells=cells.take(by_cell, axis=0),
         cell_tags=data.cell_tags[by_cell].astype(np.int32),
         facets=facets[by_facet],
         facet_tags=data.facet_tags[by_facet].astype(np.int32),
