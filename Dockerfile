@@ -19,7 +19,7 @@ RUN pip install --no-deps --no-build-isolation --no-index --break-system-package
 
 # What the shipped cases need is compiled and meshed now: the first run waits for no compiler. Who
 # runs later is somebody else, who adds to it.
-RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 python3 -m app.warm \
+RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 python3 -m mantle.simulation.precompile \
     && find /var/cache/mantle -name '*.o' -delete -o -name '*.lock' -delete \
     && chmod -R a+rwX /var/cache/mantle/fenics /var/cache/mantle/mantle
 

@@ -1,8 +1,8 @@
-"""``python3 -m app`` is the command ``mantle``."""
+"""``python3 -m mantle`` is the command ``mantle``."""
 
 import sys
 
-from app.cli import main
+from mantle.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -21,8 +21,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
-from app import __version__, gmsh_file, ranks
-from app.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
+from mantle import __version__
+from mantle.errors import AloneError, EnvironmentProblem, InputError, MantleError, together
+from mantle.schema import gmsh_file
+from mantle.system import ranks
 
 INTERNAL_ERROR = 70
 STOPPED = 5
@@ -248,14 +250,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _explain(error: Exception) -> EnvironmentProblem | None:
     """The machine's part in an error, if it has any."""
-    from app import compiled, sizing
+    from mantle.soundness import sizing
+    from mantle.system import form_cache
 
-    if (problem := sizing.explain(error) or compiled.explain(error)) is not None:
+    if (problem := sizing.explain(error) or form_cache.explain(error)) is not None:
         return problem
     if type(error).__name__ == "LinAlgError":
-        from app import arithmetic
+        from mantle.system import blas_check
 
-        return arithmetic.problem()
+        return blas_check.problem()
     return None
 
 
@@ -342,35 +345,35 @@ def _run(
     options.overrides += ["output.error=true"] if options.error else []
     file, case = _case(options)
     output = options.output or Path("out") / options.case.stem
-    from app import folders, limits
+    from mantle.system import folders, stopping
 
-    walltime = limits.seconds(options.walltime) if options.walltime else None
+    walltime = stopping.seconds(options.walltime) if options.walltime else None
     if options.restart not in (None, "auto") and case.variations:
         raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
     keep = options.keep or (options.restart == "auto" and not options.force)
     folders.prepare_run(output, options.force or keep or bool(options.restart))
     if keep:
-        from app import kept
+        from mantle.simulation import keep_finished
 
-        if kept.everything(output, case, options.case, options.overrides):
+        if keep_finished.everything(output, case, options.case, options.overrides):
             if rank() == 0:
                 print(f"{output} is finished already")
             return 0
     if size is None and count is not None and count > 1:
-        return ranks.launch(count, [sys.executable, "-m", "app", *rest])
+        return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     _configure_log(options.log_level)
     if size is None:
         ranks.alone()
-    from app import compiled
+    from mantle.system import form_cache
 
     if rank() == 0:
-        compiled.mend()
+        form_cache.mend()
     with _stack():
-        from app.run import run
+        from mantle.simulation.session import run
 
-        compiled.share()
+        form_cache.share()
     with file.placing():
         return run(
             case,
@@ -387,7 +390,8 @@ def _run(
 
 def _case(options: argparse.Namespace) -> tuple[Any, Any]:
     """The file, and the case in it, which has to fit this machine."""
-    from app import case_file, config, sizing
+    from mantle.schema import case_file, config
+    from mantle.soundness import sizing
 
     file = case_file.read(options.case, options.overrides)
     case = config.resolve(file, options.case.parent)
@@ -397,7 +401,8 @@ def _case(options: argparse.Namespace) -> tuple[Any, Any]:
 
 def _check(options: argparse.Namespace) -> int:
     """Tell how a case was understood."""
-    from app import case_file, config, preview, sizing
+    from mantle.schema import case_file, config
+    from mantle.soundness import preview, sizing
 
     file = case_file.read(options.case, options.overrides)
     case = config.resolve(file, options.case.parent)
@@ -408,9 +413,9 @@ def _check(options: argparse.Namespace) -> int:
         data = _build(case)
         print(preview.exact_size(case, data))
         with _stack():
-            from app import soundness
+            from mantle.soundness import case_on_mesh
         with file.placing():
-            notes += soundness.judge(case, soundness.look(case, data))
+            notes += case_on_mesh.judge(case, case_on_mesh.look(case, data))
     else:
         print(preview.estimated_size(case))
     for message in notes:
@@ -425,9 +430,9 @@ def _mesh(options: argparse.Namespace) -> int:
         raise InputError("--pictures: only of stems with a mantle of cement; this case has none")
     path = _mesh_path(options.output, options.case.stem)
     data = _build(case)
-    import meshes
-    from app import preview
-    from meshes.picture import picture
+    from mantle import meshes
+    from mantle.meshes.picture import picture
+    from mantle.soundness import preview
 
     try:
         meshes.write_msh(data, path)
@@ -482,8 +487,8 @@ def _build(case: Any) -> Any:
     """The mesh of a case, cached."""
     with _stack():
         import gmsh  # noqa: F401  (only to tell early that it is missing)
-    import meshes
-    from app import folders
+    from mantle import meshes
+    from mantle.system import folders
 
     return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
 
@@ -491,7 +496,7 @@ def _build(case: Any) -> Any:
 def _study(options: argparse.Namespace) -> int:
     """Error against run time of a case."""
     _configure_log("info")
-    from app import study
+    from mantle.campaigns import study
 
     output = options.output or Path("out") / f"{options.case.stem}-study"
     study.run(options.case, options.overrides, output, options.cores)
@@ -501,7 +506,7 @@ def _study(options: argparse.Namespace) -> int:
 def _sweep(options: argparse.Namespace) -> int:
     """Run the cases of a sweep."""
     _configure_log("info")
-    from app import sweep
+    from mantle.campaigns import sweep
 
     output = options.output or Path("out") / f"{options.sweep.stem}-sweep"
     if options.dry_run:
@@ -516,9 +521,9 @@ def _report(options: argparse.Namespace) -> int:
     """Write the report of a sweep; say where, and how the paper's trends fare."""
     _configure_log("info")
     with _stack():
-        from app import report
+        from mantle.report import sweep_report
 
-    written = report.run(options.folder)
+    written = sweep_report.run(options.folder)
     wide = max((len(t.name) for t in written.trends), default=0)
     for t in written.trends:
         by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
@@ -526,14 +531,14 @@ def _report(options: argparse.Namespace) -> int:
         print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
     print(f"{written.done} of {written.cases} cases have results")
     page, *others = written.files
-    print(f"{page}, and {len(others)} files in {page.parent / report.PICTURES}")
+    print(f"{page}, and {len(others)} files in {page.parent / sweep_report.PICTURES}")
     return 0
 
 
 def _verify(options: argparse.Namespace) -> int:
     """Compare with what is known; 1 if a problem fails."""
     _configure_log("info")
-    from app import verify
+    from mantle.verification import verify
 
     passed = verify.run(options.pattern, options.output, options.fine, options.cores)
     return 0 if passed else CHECK_FAILED
@@ -542,16 +547,16 @@ def _verify(options: argparse.Namespace) -> int:
 def _stress(options: argparse.Namespace) -> int:
     """Stiff and extreme cases; 1 if any is wrong or fails unexplained."""
     _configure_log("info")
-    from app import stress
+    from mantle.verification import extremes
 
-    stable = stress.run(options.pattern, options.output, options.full, options.cores)
+    stable = extremes.run(options.pattern, options.output, options.full, options.cores)
     return 0 if stable else CHECK_FAILED
 
 
 def _bench(options: argparse.Namespace) -> int:
     """Measure what contact costs; 1 if anything cannot be measured."""
     _configure_log("info")
-    from app import bench
+    from mantle.verification import bench
 
     measured = bench.run(options.pattern, options.output, options.full)
     return 0 if measured else CHECK_FAILED
@@ -561,7 +566,7 @@ def _schema() -> int:
     """Print the schema."""
     import json
 
-    from app import config
+    from mantle.schema import config
 
     print(json.dumps(config.schema(), indent=2, ensure_ascii=False))
     return 0
@@ -569,7 +574,7 @@ def _schema() -> int:
 
 def _doctor() -> int:
     """Print what is found on this machine."""
-    from app import doctor
+    from mantle.system import doctor
 
     print(doctor.report())
     return 0
@@ -610,7 +615,7 @@ class _stack:
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("app"):
+        if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("mantle"):
             raise EnvironmentProblem(
                 f"the package {error.name} is missing; ./mantle doctor tells what is there"
             ) from error

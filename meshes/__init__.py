@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import GeometryError, Reason
+from mantle.errors import GeometryError, Reason
 
 from . import cache as _cache
 from . import quality as _quality

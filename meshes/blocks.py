@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import GeometryError
+from mantle.errors import GeometryError
 
 from .data import Floats, MeshData, exterior_facets
 from .session import extract, generate, grade, session

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize.elementwise import find_root
 
-from app.errors import GeometryError
+from mantle.errors import GeometryError
 
 from . import femur_bone, femur_stem
 from .data import Floats, Ints

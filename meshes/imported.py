@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import GeometryError
+from mantle.errors import GeometryError
 
 from .curving import untangle
 from .data import Ints, MeshData, cell_volumes, exterior_facets
 from .session import generate, session
 from .tags import assemble, number
 
-ROOT = Path(__file__).resolve().parents[1]
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 # How often the finest cells of a script may be in its diagonal; any more would never be meshed.
 MOST_EDGES = 20_000
@@ -59,11 +58,8 @@ def _apart(geometry: Any, mesh: Any) -> Any:
     Raises:
         GeometryError: As `_parts`, or gmsh crashes.
     """
-    script = (
-        f"import sys; sys.path[:0] = [{str(ROOT)!r}]; from meshes.imported import serve; serve()"
-    )
     done = subprocess.run(
-        [sys.executable, "-c", script],
+        [sys.executable, "-P", "-c", "from mantle.meshes.imported import serve; serve()"],
         input=pickle.dumps((geometry, mesh)),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -1,7 +1,7 @@
 """What a mesh consists of: its pieces, where they touch, and what hangs together by accident.
 
 A piece is a part of a region whose cells are joined by faces. All here is small beside the mesh and
-serves judging a case before anything is solved (`app.soundness`).
+serves judging a case before anything is solved (`soundness.case_on_mesh`).
 """
 
 from __future__ import annotations

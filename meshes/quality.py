@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import GeometryError
+from mantle.errors import GeometryError
 
 from .data import Floats, Ints, MeshData, cross, determinants, dot, edge_vectors, jacobians
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from app.errors import GeometryError, MantleError
+from mantle.errors import GeometryError, MantleError
 
 from .curving import untangle
 from .data import Floats, Ints

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.errors import GeometryError
+from mantle.errors import GeometryError
 
 from . import refine
 from .data import Floats, Ints, cell_volumes, match_faces

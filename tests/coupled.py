@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app import model, scene
-from app.heating import Accepted
-from app.model import Model
-from app.motion import Step, Summary
-from app.problem import Trial
-from app.solver import Solver
-from app.terms import Scene
-from app.timing import Timing
+from mantle.mechanics.problem import Trial
+from mantle.numerics.newton import Solver
+from mantle.scene import build as scene
+from mantle.scene.terms import Scene
+from mantle.simulation import model
+from mantle.simulation.model import Model
+from mantle.stepping.heat_steps import Accepted
+from mantle.stepping.load_steps import Step, Summary
+from mantle.system.timing import Timing
 from tests import support
 
 Floats = NDArray[np.float64]

@@ -66,7 +66,7 @@ def solve(name: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / name
         case = support.CONFIGS / f"{name}.yaml"
-        command = [sys.executable, "-m", "app", "run", str(case), "-o", str(output)]
+        command = [sys.executable, "-m", "mantle", "run", str(case), "-o", str(output)]
         subprocess.run(command, check=True, capture_output=True, text=True)
         return numbers(output)
 

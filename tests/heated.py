@@ -9,14 +9,14 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app import scene
-from app.balance import Balance
-from app.problem import Problem
-from app.quantities import Samples, Stresses
-from app.solver import Solver
-from app.systems import mechanical
-from app.terms import Expansion, Scene
-from app.timing import Timing
+from mantle.mechanics.problem import Problem
+from mantle.mechanics.systems import mechanical
+from mantle.numerics.newton import Solver
+from mantle.results.balance import Balance
+from mantle.results.quantities import Samples, Stresses
+from mantle.scene import build
+from mantle.scene.terms import Expansion, Scene
+from mantle.system.timing import Timing
 from tests import support
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Heated:
         """A case, its scene changed."""
         case = support.case(text, *overrides)
         timing = Timing()
-        problem = Problem(change(scene.build(case)), support.mesh(case), 1.0, timing)
+        problem = Problem(change(build.build(case)), support.mesh(case), 1.0, timing)
         solver = Solver(mechanical(problem), 1e-12, 50, "direct", {}, timing)
         return cls(problem, solver, Stresses(problem, timing), Balance(problem, np.zeros(3)))
 

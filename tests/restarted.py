@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from app import checkpoint, config
-from app.folders import saved
-from app.run import run
+from mantle.schema import config
+from mantle.simulation import checkpoint
+from mantle.simulation.session import run
+from mantle.system.folders import saved
 
 BLOCKS = """
 geometry:

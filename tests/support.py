@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -16,25 +17,32 @@ import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
-import meshes
-from app import compiled, config, quantities, ranks, scene, stepping
-from app.balance import Balance
-from app.motion import Motion, Step
-from app.problem import Problem, Trial
-from app.quantities import Samples, Stresses
-from app.solver import Solver
-from app.systems import mechanical
-from app.timing import Timing
-from meshes.distribute import TaggedMesh, distribute
+import mantle
+from mantle import meshes
+from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.systems import mechanical
+from mantle.meshes.distribute import TaggedMesh, distribute
+from mantle.numerics.newton import Solver
+from mantle.results import quantities
+from mantle.results.balance import Balance
+from mantle.results.quantities import Samples, Stresses
+from mantle.scene import build
+from mantle.schema import config
+from mantle.stepping import stages
+from mantle.stepping.load_steps import Motion, Step
+from mantle.system import form_cache, ranks
+from mantle.system.timing import Timing
 
 Floats = NDArray[np.float64]
 
 # Tests compile into the cache that runs of other tests use at the same time.
-compiled.mend()
-compiled.share()
+form_cache.mend()
+form_cache.share()
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
+# The folder that holds the package `mantle`: in a checkout it is made of links by the launcher.
+PROGRAM = Path(str(mantle.__file__)).parents[1]
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,7 @@ def mesh(case: config.Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
 def assemble(case: config.Case, tagged: TaggedMesh | None = None) -> tuple[Problem, Solver]:
     """Problem and solver of a case, at rest."""
     timing, options = Timing(), case.solver
-    problem = Problem(scene.build(case), tagged or mesh(case), options.augmentation_factor, timing)
+    problem = Problem(build.build(case), tagged or mesh(case), options.augmentation_factor, timing)
     solver = Solver(
         mechanical(problem),
         options.tolerance,
@@ -149,7 +157,7 @@ def solve(
             balance.update(solver.parts()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
-    stepping.run(problem.scene.stages, (Motion(problem, solver, on_step, print),), ())
+    stages.run(problem.scene.stages, (Motion(problem, solver, on_step, print),), ())
     interfaces = {
         c.name: quantities.interface(problem, samples[-1], i)
         for i, c in enumerate(problem.scene.contacts)
@@ -194,8 +202,7 @@ def on_ranks(
 
 def environment() -> dict[str, str]:
     """Environment of a new set of ranks, whatever MPI this process was started by."""
-    import os
 
     foreign = ("OMPI_COMM_", "PMIX_", "PRTE_", "PMI_")
     here = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
-    return ranks.environment(here) | {"PYTHONPATH": str(ROOT)}
+    return ranks.environment(here) | {"PYTHONPATH": f"{PROGRAM}{os.pathsep}{ROOT}"}

@@ -16,9 +16,11 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from app import cli, config, ranks
-from app.cli import main
-from app.errors import InputError
+from mantle import cli
+from mantle.cli import main
+from mantle.errors import InputError
+from mantle.schema import config
+from mantle.system import ranks
 
 GOOD = """\
 title: press
@@ -1313,7 +1315,7 @@ def test_run_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_module_exits_with_the_code(tmp_path: Path) -> None:
     result = subprocess.run(
-        [sys.executable, "-m", "app", "run", str(tmp_path / "none.yaml")],
+        [sys.executable, "-m", "mantle", "run", str(tmp_path / "none.yaml")],
         capture_output=True,
         text=True,
         timeout=60,
@@ -1330,7 +1332,7 @@ def test_one_rank_of_a_plain_mpirun_speaks_and_all_exit_with_2(tmp_path: Path) -
     path = tmp_path / "case.yaml"
     path.write_text(edit([("110 GPa", "110 mm")]))
     result = subprocess.run(
-        ["mpirun", "-n", "3", sys.executable, "-m", "app", "run", str(path)],
+        ["mpirun", "-n", "3", sys.executable, "-m", "mantle", "run", str(path)],
         env=ranks.environment(),
         capture_output=True,
         text=True,

@@ -13,9 +13,12 @@ from pathlib import Path
 
 import pytest
 
-from app import __version__, cli, config, folders, preview
-from app.cli import main
-from app.errors import ConvergenceError
+from mantle import __version__, cli
+from mantle.cli import main
+from mantle.errors import ConvergenceError
+from mantle.schema import config
+from mantle.soundness import preview
+from mantle.system import folders
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
@@ -36,7 +39,7 @@ def test_check_imports_neither_solver_nor_mesher() -> None:
     result = python(
         """
         import sys
-        from app.cli import main
+        from mantle.cli import main
         assert main(["check", "configs/stance.yaml"]) == 0
         heavy = ("dolfinx", "mpi4py", "petsc4py", "gmsh", "ufl", "h5py", "scipy", "matplotlib")
         print("loaded:", [m for m in heavy if m in sys.modules])
@@ -48,7 +51,7 @@ def test_check_imports_neither_solver_nor_mesher() -> None:
 def test_check_takes_less_than_two_seconds() -> None:
     """Processor time, which on an idle machine is the wall time: others may be busy here."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, "-m", "app", "check", "configs/stance.yaml"]
+    command = [sys.executable, "-m", "mantle", "check", "configs/stance.yaml"]
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=60)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 2.0
@@ -298,7 +301,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_reader_that_leaves_is_no_error() -> None:
-    command = f"{sys.executable} -m app schema | head -n 1; echo ${{PIPESTATUS[0]}}"
+    command = f"{sys.executable} -m mantle schema | head -n 1; echo ${{PIPESTATUS[0]}}"
     result = subprocess.run(
         ["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, timeout=60
     )
@@ -308,7 +311,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
 
 @pytest.mark.parametrize("streams", ["", "2>&1"])
 def test_a_run_goes_on_without_its_reader(streams: str, tmp_path: Path) -> None:
-    command = f"{sys.executable} -m app run configs/blocks.yaml -o {tmp_path} {streams}"
+    command = f"{sys.executable} -m mantle run configs/blocks.yaml -o {tmp_path} {streams}"
     result = subprocess.run(
         ["bash", "-c", f"{command} | head -n 0; echo ${{PIPESTATUS[0]}}"],
         cwd=ROOT,

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from app import case_file, config, preview, sizing, study_file, sweep_file
-from app.cli import main
-from app.errors import GeometryError, InputError
-from app.gmsh_file import ALLOWED
-from app.units import LONGEST_VALUE
+from mantle.cli import main
+from mantle.errors import GeometryError, InputError
+from mantle.schema import case_file, config, study_file, sweep_file
+from mantle.schema.gmsh_file import ALLOWED
+from mantle.schema.units import LONGEST_VALUE
+from mantle.soundness import preview, sizing
 from tests.support import CONFIGS, environment
 
 BLOCKS = CONFIGS / "blocks.yaml"
@@ -238,7 +239,7 @@ def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
         "base: case.yaml\nset: {output.fields: false}\ngrid: {mesh.size: [0.5 mm]}\n"
     )
     done = subprocess.run(
-        [sys.executable, "-m", "app", "sweep", "sweep.yaml", "-o", "out", "--allow-scripts"],
+        [sys.executable, "-m", "mantle", "sweep", "sweep.yaml", "-o", "out", "--allow-scripts"],
         cwd=tmp_path,
         env=environment(),
         capture_output=True,
@@ -277,7 +278,7 @@ def test_a_mesh_file_is_known_by_its_name(tmp_path: Path) -> None:
 def test_a_script_is_not_meshed_by_the_nanometre(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import meshes
+    from mantle import meshes
 
     monkeypatch.setenv(ALLOWED, "1")
     case = config.load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])

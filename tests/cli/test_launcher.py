@@ -18,8 +18,11 @@ from pathlib import Path
 
 import pytest
 
+import mantle
+
 ROOT = Path(__file__).resolve().parents[2]
 MANTLE = ROOT / "mantle"
+PROGRAM = Path(str(mantle.__file__)).parents[1]
 
 # A stand-in for the application on every rank.
 RANK = """
@@ -47,7 +50,11 @@ if what == "wait":
     world.barrier()
     sys.exit(5)
 """
-LAUNCH = "import sys; from app import ranks; sys.exit(ranks.launch(int(sys.argv[1]), sys.argv[2:]))"
+LAUNCH = """
+import sys
+from mantle.system import ranks
+sys.exit(ranks.launch(int(sys.argv[1]), sys.argv[2:]))
+"""
 
 
 def run(*arguments: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
@@ -335,9 +342,8 @@ def test_modules_in_the_current_folder_change_nothing(misleading: Path) -> None:
 @pytest.mark.parallel
 def test_what_an_installed_command_starts_finds_mantle_and_not_the_folder(misleading: Path) -> None:
     """As the script that pip makes: it has the program's folder in front, and no environment."""
-    code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from app.cli import main; sys.exit(main())"
-    )
+    front = f"sys.path.insert(0, {str(PROGRAM)!r})"
+    code = f"import sys; {front}; from mantle.cli import main; sys.exit(main())"
     result = subprocess.run(
         [sys.executable, "-P", "-c", code, "run", "blocks.yaml", "-n", "2", "-o", "out"],
         cwd=misleading,
@@ -367,7 +373,11 @@ def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -
         done = subprocess.run(
             [*who, "sh", MANTLE, "mesh", case, "-o", "out/$(touch PWNED);'\"/mesh.msh"],
             cwd=folder / "work",
-            env={"PATH": os.environ["PATH"], "HOME": str(folder / "home"), "PYTHONPATH": str(ROOT)}
+            env={
+                "PATH": os.environ["PATH"],
+                "HOME": str(folder / "home"),
+                "PYTHONPATH": str(PROGRAM),
+            }
             | {"MANTLE_BACKEND": "native", "PYTHONDONTWRITEBYTECODE": "1"},
             capture_output=True,
             text=True,

@@ -19,9 +19,11 @@ import h5py
 import numpy as np
 import pytest
 
-import meshes
-from app import config, identity, kept
-from meshes import femur_bone
+from mantle import meshes
+from mantle.meshes import femur_bone
+from mantle.schema import config
+from mantle.simulation import keep_finished
+from mantle.system import identity
 from tests import support
 
 FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}
@@ -100,7 +102,7 @@ stages:
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     """``mantle run`` in a process of its own, in series."""
     return subprocess.run(
-        [sys.executable, "-m", "app", "run", *map(str, arguments)],
+        [sys.executable, "-m", "mantle", "run", *map(str, arguments)],
         env=support.environment(),
         capture_output=True,
         text=True,
@@ -130,7 +132,7 @@ def test_what_check_notes_is_in_the_log(tmp_path: Path) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(SLIDING)
     change = "regions.upper.poisson_ratio=0.499"
-    command = [sys.executable, "-m", "app", "check", str(case), "--set", change]
+    command = [sys.executable, "-m", "mantle", "check", str(case), "--set", change]
     check = subprocess.run(command, capture_output=True, text=True, timeout=60)
     result = run(
         case,
@@ -354,12 +356,12 @@ def test_results_of_an_older_mesh_file_are_not_finished(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(config.dump(case))
     record = json.dumps({"identity": identity.parts()})
     (tmp_path / "provenance.json").write_text(record)
-    assert not kept.finished(tmp_path, case)
+    assert not keep_finished.finished(tmp_path, case)
     (tmp_path / "DONE").write_text("")
-    assert kept.finished(tmp_path, case)
+    assert keep_finished.finished(tmp_path, case)
     later = (tmp_path / "DONE").stat().st_mtime + 1
     os.utime(mesh, (later, later))
-    assert not kept.finished(tmp_path, case)
+    assert not keep_finished.finished(tmp_path, case)
 
 
 def test_results_of_another_stack_are_not_finished(tmp_path: Path) -> None:
@@ -370,7 +372,7 @@ def test_results_of_another_stack_are_not_finished(tmp_path: Path) -> None:
         for value, finished in (("0.1", False), (identity.parts()[name], True)):
             record = {"identity": identity.parts() | {name: value}}
             (tmp_path / "provenance.json").write_text(json.dumps(record))
-            assert kept.finished(tmp_path, case) == finished, name
+            assert keep_finished.finished(tmp_path, case) == finished, name
 
 
 def test_petsc_options_reach_the_solver(tmp_path: Path) -> None:
@@ -499,7 +501,7 @@ def test_an_interrupt_leaves_finished_variations(tmp_path: Path) -> None:
     loads = ", ".join(f"'[{8 + 0.001 * i}, 0, 0] N'" for i in range(200))
     grid = f"variations: {{grid: {{loads.push.force: [{loads}]}}}}\n"
     case.write_text(SLIDING + grid)
-    command = [sys.executable, "-m", "app", "run", str(case), "-o", str(output)]
+    command = [sys.executable, "-m", "mantle", "run", str(case), "-o", str(output)]
     process = subprocess.Popen(
         command,
         env=support.environment(),

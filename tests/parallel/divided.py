@@ -14,9 +14,10 @@ import numpy as np
 from dolfinx.cpp.graph import AdjacencyList_int32
 from scipy.spatial import cKDTree
 
-from app import cli, model
-from meshes.data import MeshData, face_neighbours
-from meshes.distribute import TaggedMesh, distribute
+from mantle import cli
+from mantle.meshes.data import MeshData, face_neighbours
+from mantle.meshes.distribute import TaggedMesh, distribute
+from mantle.simulation import model
 
 Ints = np.ndarray
 

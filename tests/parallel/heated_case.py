@@ -12,9 +12,9 @@ from pathlib import Path
 
 from petsc4py import PETSc
 
-from app import quantities
-from app.bonds import bonds
-from app.terms import Cure, Expansion, Prescribed, Scene
+from mantle.results import quantities
+from mantle.results.bond_strength import bonds
+from mantle.scene.terms import Cure, Expansion, Prescribed, Scene
 from tests.heated import Heated
 
 CASE = """

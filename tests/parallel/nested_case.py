@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from app import nested
+from mantle.stepping import nested_start
 from tests.unit import test_nested
 
 if __name__ == "__main__":
@@ -16,10 +16,10 @@ if __name__ == "__main__":
     found = []
     for settings in ({}, test_nested.ALWAYS):
         for name, value in settings.items():
-            setattr(nested, name, value)
+            setattr(nested_start, name, value)
         model, steps = test_nested.go()
         (j,) = model.mechanics[0].problem.jumps
-        found.append((nested.replicated(j), steps[0].outcome.residuals[0]))
+        found.append((nested_start.replicated(j), steps[0].outcome.residuals[0]))
     (cold, first), (warm, then) = found
     if comm.rank == 0:
         numbers = {"difference": abs(warm - cold).max() / abs(cold).max(), "start": then / first}

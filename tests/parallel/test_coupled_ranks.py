@@ -16,7 +16,7 @@ def run(ranks: int, folder: Path, *overrides: str) -> dict[str, Any]:
     case, output = folder / "case.yaml", folder / f"{ranks}"
     case.write_text("title: Ranks\n" + coupled.CASE, encoding="utf-8")
     sets = [text for override in overrides for text in ("--set", override)]
-    support.on_ranks(ranks, "-m", "app", "run", case, "-o", output, *sets)
+    support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, *sets)
     return dict(json.loads((output / "summary.json").read_text()))
 
 

@@ -40,7 +40,7 @@ def numbers(value: dict[str, Any], *path: str) -> Iterator[tuple[tuple[str, ...]
 
 def run(name: str, ranks: int, output: Path, way: str = "") -> Summaries:
     """Summaries of a coarsened case by folder: one, or that of each variation."""
-    program = ["-m", "tests.parallel.divided"] if way else ["-m", "app"]
+    program = ["-m", "tests.parallel.divided"] if way else ["-m", "mantle"]
     overrides = COARSE[name] + COARSER.get(name, [])
     sets = [word for o in overrides for word in ("--set", o)]
     done = subprocess.run(

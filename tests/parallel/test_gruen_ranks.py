@@ -32,7 +32,7 @@ def test_zones_do_not_depend_on_the_number_of_ranks(tmp_path: Path) -> None:
     found = []
     for ranks in (1, 2):
         output, case = tmp_path / str(ranks), support.CONFIGS / "stance.yaml"
-        support.on_ranks(ranks, "-m", "app", "run", case, "-o", output, *overrides)
+        support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, *overrides)
         summary = json.loads((output / "summary.json").read_text())
         found.append({key: dict(numbers(summary[key])) for key in ("gruen", "mantle")})
     one, two = found

@@ -16,12 +16,14 @@ import json, sys
 from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
-from app.conduction import Conduction
-from app.heat_system import HeatSystem
-from app.solver import Solver
-from app.terms import (Autocatalytic, Conductor, Convection, Cure, FixedTemperature, HeatFlux,
-                       HeatSource, Perfusion, Scene, ThermalContact)
-from app.timing import Timing
+from mantle.heat.conduction import Conduction
+from mantle.heat.system import HeatSystem
+from mantle.numerics.newton import Solver
+from mantle.scene.terms import (
+    Autocatalytic, Conductor, Convection, Cure, FixedTemperature, HeatFlux, HeatSource, Perfusion,
+    Scene, ThermalContact,
+)
+from mantle.system.timing import Timing
 from tests import support
 
 case = support.case((support.CONFIGS / "cylinders.yaml").read_text(),

@@ -53,7 +53,7 @@ def summaries(tmp_path_factory: pytest.TempPathFactory) -> dict[int, dict[str, A
     found = {}
     for ranks in (1, 2, 3):
         output = folder / str(ranks)
-        support.on_ranks(ranks, "-m", "app", "run", case, "-o", output)
+        support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output)
         assert (output / "DONE").exists()
         found[ranks] = json.loads((output / "summary.json").read_text())
     return found
@@ -129,6 +129,6 @@ def test_an_error_on_one_rank_is_told_once_and_ends_all(tmp_path: Path) -> None:
         ("supports.outer.x", "sqrt(z - 1e-3)"),
         ("loads.pull.density[1]", "log(z - 0.5)"),
     ):
-        run = ("-m", "app", "run", case, "-o", tmp_path / "out", "--force")
+        run = ("-m", "mantle", "run", case, "-o", tmp_path / "out", "--force")
         done = support.on_ranks(3, *run, "--set", f"{key}={value}", code=2)
         assert done.stderr.count(f"{key}: expression '{value}' is not finite at (") == 1

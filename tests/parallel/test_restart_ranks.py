@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.folders import saved
-from app.results import Run
+from mantle.results.reading import Run
+from mantle.system.folders import saved
 from tests import restarted, support
 
 STEPS = ("--set", "output.checkpoint.steps=1")
@@ -19,7 +19,7 @@ STEPS = ("--set", "output.checkpoint.steps=1")
 def test_another_number_of_ranks(tmp_path: Path, first: int, then: int) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(restarted.RUBBING)
-    command = ("-m", "app", "run", case)
+    command = ("-m", "mantle", "run", case)
     support.on_ranks(1, *command, "-o", tmp_path / "whole")
     out = tmp_path / "out"
     support.on_ranks(first, *command, "-o", out, *STEPS)
@@ -45,7 +45,7 @@ def test_the_same_number_of_ranks(tmp_path: Path) -> None:
     case = tmp_path / "case.yaml"
     case.write_text(restarted.RUBBING)
     options = ("--set", "mesh.size=1.2 mm", "--set", "output.fields=false")
-    command = ("-m", "app", "run", case, *options)
+    command = ("-m", "mantle", "run", case, *options)
     support.on_ranks(2, *command, "-o", tmp_path / "whole")
     out = tmp_path / "out"
     support.on_ranks(2, *command, "-o", out, *STEPS)

@@ -52,7 +52,7 @@ def test_variations_on_two_ranks(tmp_path: Path) -> None:
     for ranks in (1, 2):
         output = tmp_path / str(ranks)
         # Nothing holds the stem that is lifted out.
-        support.on_ranks(ranks, "-m", "app", "run", case, "-o", output, code=4)
+        support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, code=4)
         assert (output / "lifted" / "FAILED").exists() and not (output / "DONE").exists()
         assert len(list(output.glob("*/DONE"))) == 5
         tables.append(json.loads((output / "variations.json").read_text()))
@@ -70,7 +70,7 @@ def test_variations_on_two_ranks(tmp_path: Path) -> None:
     # What is finished stays, on two ranks too; what failed is tried again.
     output = tmp_path / "2"
     before = {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")}
-    again = support.on_ranks(2, "-m", "app", "run", case, "-o", output, "--keep", code=4)
+    again = support.on_ranks(2, "-m", "mantle", "run", case, "-o", output, "--keep", code=4)
     assert again.stdout.count("5 of 6 variations are finished already") == 1
     assert {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")} == before
     table = json.loads((output / "variations.json").read_text())

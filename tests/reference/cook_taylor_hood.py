@@ -1,4 +1,4 @@
-r"""Cook's membrane by Taylor and Hood's elements: the origin of `app.closed_forms.COOK`.
+r"""Cook's membrane by Taylor and Hood's elements: the origin of `verification.closed_forms.COOK`.
 
 Plane strain in displacement u and pressure p, in two dimensions and with another discretisation
 than the application's: cubic u and quadratic continuous p, which do not lock, on a mesh graded

@@ -36,8 +36,8 @@ from dolfinx.mesh import create_submesh, entities_to_geometry
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 
-from app import config
-from meshes.distribute import TaggedMesh
+from mantle.meshes.distribute import TaggedMesh
+from mantle.schema import config
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -27,7 +27,7 @@ def run(
     output: Path, path: str, cache: Path | str | None, *before: str, **more: str
 ) -> subprocess.CompletedProcess[str]:
     """Run a small case, after some commands of the shell in a mount namespace of its own."""
-    command = [sys.executable, "-m", "app", "run", str(CASE), "-o", str(output), *OPTIONS]
+    command = [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS]
     environ = environment() | {"PYTHONPATH": path} | more
     environ |= {"XDG_CACHE_HOME": str(cache)} if cache else {}
     if before:

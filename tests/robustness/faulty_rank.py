@@ -8,18 +8,20 @@ from typing import Any
 
 from mpi4py import MPI
 
-import meshes
-from app import checkpoint, cli, problem, solver
-from app.errors import ConvergenceError, StoppedError
-from app.output import Writer
-from meshes import distribute
+from mantle import cli, meshes
+from mantle.errors import ConvergenceError, StoppedError
+from mantle.mechanics import problem
+from mantle.meshes import distribute
+from mantle.numerics import newton
+from mantle.results.output import Writer
+from mantle.simulation import checkpoint
 
 # What is called in a phase, and the call that fails.
 PHASES: dict[str, tuple[Any, str, int]] = {
     "mesh": (meshes, "build", 1),
     "distribution": (distribute, "_cell_tags", 1),
     "assembly": (problem.Problem, "__init__", 1),
-    "solve": (solver.Solver, "_residual", 2),
+    "solve": (newton.Solver, "_residual", 2),
     "output": (Writer, "history", 1),
     "checkpoint": (checkpoint, "write", 1),
 }

@@ -25,9 +25,10 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from app import case_file, config, gmsh_file, preview, study_file, sweep_file
-from app.errors import InputError
-from app.units import registry
+from mantle.errors import InputError
+from mantle.schema import case_file, config, gmsh_file, study_file, sweep_file
+from mantle.schema.units import registry
+from mantle.soundness import preview
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SECONDS = 2.0

@@ -16,10 +16,10 @@ import sys
 import traceback
 from pathlib import Path
 
-import meshes
-from app import config
-from app.errors import GeometryError, InputError
-from meshes.session import session
+from mantle import meshes
+from mantle.errors import GeometryError, InputError
+from mantle.meshes.session import session
+from mantle.schema import config
 
 MEMORY = 4 << 30
 SECONDS = 20

@@ -8,7 +8,9 @@ import resource
 import sys
 from pathlib import Path
 
-from app import cli, model, run, sizing
+from mantle import cli
+from mantle.simulation import model, session
+from mantle.soundness import sizing
 
 
 def limit(more: float) -> None:
@@ -19,13 +21,13 @@ def limit(more: float) -> None:
 
 
 if __name__ == "__main__":
-    assert model and run  # loaded
+    assert model and session  # loaded
     sizing.available = lambda environ=os.environ: 1e12
-    usual = run.Session.solve
+    usual = session.Session.solve
 
     def solve(*arguments: object) -> object:
         limit(float(os.environ["MORE"]))
         return usual(*arguments)  # type: ignore[arg-type]
 
-    run.Session.solve = solve  # type: ignore[method-assign, assignment]
+    session.Session.solve = solve  # type: ignore[method-assign, assignment]
     sys.exit(cli.main())

@@ -42,7 +42,7 @@ def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[
 
 
 def command(output: Path) -> list[str]:
-    return [sys.executable, "-m", "app", "run", str(CASE), "-o", str(output), *OPTIONS, *ALL]
+    return [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS, *ALL]
 
 
 @slow

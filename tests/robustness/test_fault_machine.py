@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app import arithmetic, compiled, sizing
-from app.errors import EnvironmentProblem
+from mantle.errors import EnvironmentProblem
+from mantle.soundness import sizing
+from mantle.system import blas_check, form_cache
 from tests import support
 from tests.robustness import shims
 from tests.robustness.faulty import CASE, HERE, OPTIONS, run, slow
@@ -31,7 +32,7 @@ def solve(output: Path, *before: str, **more: str) -> subprocess.CompletedProces
     return subprocess.run(
         [
             sys.executable,
-            *(before or ("-m", "app")),
+            *(before or ("-m", "mantle")),
             "run",
             str(STEM),
             "-o",
@@ -66,13 +67,18 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> list[float]:
 def test_only_records_are_by_the_clock_of_the_wall() -> None:
     """Limits and durations are by clocks that are never set."""
     used = {
-        f"{path.parent.name}/{path.name}"
+        path.relative_to(support.ROOT).as_posix()
         for folder in ("app", "meshes", "forms")
-        for path in (support.ROOT / folder).glob("*.py")
+        for path in (support.ROOT / folder).rglob("*.py")
         if re.search(r"\btime\.time\(|datetime\.now|clock\.time\(", path.read_text())
     }
     # Provenance of a run, of a checkpoint; and how old files are, which is by that clock.
-    assert used == {"app/run.py", "app/output.py", "app/checkpoint.py", "app/compiled.py"}
+    assert used == {
+        "app/simulation/session.py",
+        "app/results/output.py",
+        "app/simulation/checkpoint.py",
+        "app/system/form_cache.py",
+    }
 
 
 @slow
@@ -89,7 +95,7 @@ def test_a_clock_that_is_set_changes_nothing(
     )
     assert float(jumped.stdout) > 1000
     sets = [word for o in SMALL for word in ("--set", o)]
-    command = [sys.executable, "-m", "app", "run", str(STEM), "-o", str(tmp_path / "out"), *sets]
+    command = [sys.executable, "-m", "mantle", "run", str(STEM), "-o", str(tmp_path / "out"), *sets]
     done = subprocess.run(
         [*command, *LIMIT, "--set", "output.checkpoint.minutes=1"],
         env=support.environment() | more,
@@ -104,14 +110,14 @@ def test_a_clock_that_is_set_changes_nothing(
 def test_modules_are_looked_at_again_when_the_clock_was_set_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiled, "form_cache", lambda: tmp_path)
-    compiled.mend()
+    monkeypatch.setattr(form_cache, "form_cache", lambda: tmp_path)
+    form_cache.mend()
     later = time.time() + 1e6
-    os.utime(tmp_path / compiled.LOCK, (later, later))
-    module = tmp_path / f"form{compiled.EXTENSION_SUFFIXES[0]}"
+    os.utime(tmp_path / form_cache.LOCK, (later, later))
+    module = tmp_path / f"form{form_cache.EXTENSION_SUFFIXES[0]}"
     for path in (module, tmp_path / "form.c", tmp_path / "form.c.cached"):
         path.write_bytes(b"half")
-    compiled.mend()
+    form_cache.mend()
     assert not module.exists()
 
 
@@ -139,7 +145,7 @@ def test_errors_for_want_of_memory_are_told_as_such() -> None:
 
 
 def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
-    program = ["-m", "app", "run", str(CASE), "-o", str(tmp_path / "out")]
+    program = ["-m", "mantle", "run", str(CASE), "-o", str(tmp_path / "out")]
     done = subprocess.run(
         ["sh", "-c", 'ulimit -v 500000; exec "$@"', "sh", sys.executable, *program],
         env=support.environment(),
@@ -170,23 +176,23 @@ def test_memory_that_runs_out(more: int, usual: list[float], tmp_path: Path) -> 
 
 
 def test_the_blas_here_is_right() -> None:
-    assert all(error <= arithmetic.ROUNDING for _, error in arithmetic._errors())
-    assert arithmetic.problem() is None
+    assert all(error <= blas_check.ROUNDING for _, error in blas_check._errors())
+    assert blas_check.problem() is None
 
 
 def test_a_wrong_number_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     for error in (1e-3, np.nan, np.inf):
-        monkeypatch.setattr(arithmetic, "_errors", lambda e=error: iter([("dxyz", e)]))
-        assert "computes wrong numbers: dxyz" in str(arithmetic.problem())
+        monkeypatch.setattr(blas_check, "_errors", lambda e=error: iter([("dxyz", e)]))
+        assert "computes wrong numbers: dxyz" in str(blas_check.problem())
 
 
 def test_threads_that_have_no_core_are_told() -> None:
     cores = len(os.sched_getaffinity(0))
-    assert not arithmetic.crowd(2 * cores, {"OMP_NUM_THREADS": "1"})
-    assert not arithmetic.crowd(1, {"OMP_NUM_THREADS": str(cores)})
-    found = arithmetic.crowd(cores, {"OMP_NUM_THREADS": "2"})
+    assert not blas_check.crowd(2 * cores, {"OMP_NUM_THREADS": "1"})
+    assert not blas_check.crowd(1, {"OMP_NUM_THREADS": str(cores)})
+    found = blas_check.crowd(cores, {"OMP_NUM_THREADS": "2"})
     assert "OMP_NUM_THREADS=1" in found and f"{cores} rank(s) of 2 threads" in found
-    assert arithmetic.crowd(2, {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": str(cores)})
+    assert blas_check.crowd(2, {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": str(cores)})
 
 
 @slow
@@ -257,7 +263,7 @@ def test_a_compiler_that(how: str, tmp_path: Path) -> None:
 def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
     """A process that compiles a module for ever."""
     script = (
-        "import sys, time\nfrom pathlib import Path\nfrom app import compiled\n"
+        "import sys, time\nfrom pathlib import Path\nfrom mantle.system import form_cache\n"
         "def get(name, objects, folder, timeout): (folder / f'{name}.c').touch()\n"
         "compiled._wait(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
         "print('compiling', flush=True)\ntime.sleep(60)\n"
@@ -279,7 +285,7 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(
 
     def asleep(seconds: float) -> None:
         # Another form is free meanwhile.
-        compiled._wait(get, "other", [], tmp_path, 10)
+        form_cache._wait(get, "other", [], tmp_path, 10)
         seen.append((tmp_path / "form.c").exists())
         if len(seen) == 3:
             child.kill()
@@ -289,14 +295,14 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(
         return (folder / f"{name}.c").exists()
 
     child = waiting(tmp_path, "form")
-    monkeypatch.setattr(compiled.time, "sleep", asleep)
+    monkeypatch.setattr(form_cache.time, "sleep", asleep)
     # What it had begun is removed once it is dead, and not before.
-    assert compiled._let_go(lambda: compiled._wait(get, "form", [], tmp_path, 10)) is False
+    assert form_cache._let_go(lambda: form_cache._wait(get, "form", [], tmp_path, 10)) is False
     assert seen == [True, True, True]
-    assert not compiled._compiling
+    assert not form_cache._compiling
     (tmp_path / "form.c").touch()
     (tmp_path / "form.c.cached").touch()
-    assert compiled._wait(get, "form", [], tmp_path, 10) is True  # nothing to wait for
+    assert form_cache._wait(get, "form", [], tmp_path, 10) is True  # nothing to wait for
 
 
 @slow
@@ -309,7 +315,7 @@ def test_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
     environ = support.environment() | {"XDG_CACHE_HOME": str(tmp_path / "c"), "CC": str(compiler)}
     both = []
     for k in range(2):
-        command = [sys.executable, "-m", "app", "run", str(CASE), "-o", str(tmp_path / f"{k}")]
+        command = [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(tmp_path / f"{k}")]
         both.append(
             subprocess.Popen([*command, *OPTIONS], env=environ, stderr=subprocess.PIPE, text=True)
         )

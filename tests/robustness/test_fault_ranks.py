@@ -31,7 +31,7 @@ ALL = (
 
 def command(output: Path, *more: str) -> list[str]:
     """The small case on two ranks."""
-    program = [sys.executable, "-m", "app", "run", str(CASE), "-o", str(output)]
+    program = [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output)]
     return [*program, *ALL, "-n", "2", *more]
 
 
@@ -143,7 +143,7 @@ def test_an_error_on_one_rank_ends_all(phase: str, error: str, rank: int, tmp_pa
 def test_ranks_end_with_a_killed_mpirun(number: int, tmp_path: Path) -> None:
     """They would wait for each other for ever, at full speed."""
     output = tmp_path / "out"
-    words = support.mpirun(2, "-m", "app", "run", CASE, "-o", output, *ALL)
+    words = support.mpirun(2, "-m", "mantle", "run", CASE, "-o", output, *ALL)
     child = subprocess.Popen(
         [*words, "--set", "mesh.size=1 mm"],
         env=support.environment(),

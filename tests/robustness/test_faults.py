@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import meshes
-from app import compiled, config, folders
+from mantle import meshes
+from mantle.schema import config
+from mantle.system import folders, form_cache
 from tests.robustness.faulty import CASE, DAMAGES, HERE, OPTIONS, damage, mounts, run, slow
 from tests.support import environment
 
@@ -40,7 +41,7 @@ def test_a_mesh_that_cannot_be_kept_is_a_mesh(caplog: pytest.LogCaptureFixture) 
 def test_damaged_conversions_are_made_again(kept: str, tmp_path: Path) -> None:
     (tmp_path / "mantle" / "units").mkdir(parents=True)
     (tmp_path / "mantle" / "units" / "conversions.json").write_text(kept)
-    script = "from app.units import conversion; print(*conversion('mm', 'mm'))"
+    script = "from mantle.schema.units import conversion; print(*conversion('mm', 'mm'))"
     done = subprocess.run(
         [sys.executable, "-c", script],
         env=environment() | {"XDG_CACHE_HOME": str(tmp_path)},
@@ -67,12 +68,12 @@ def test_modules_are_whole_or_not(tmp_path: Path) -> None:
     shutil.copy(
         math.__file__ if hasattr(math, "__file__") else np._core._multiarray_umath.__file__, module
     )
-    assert compiled.whole(module)
+    assert form_cache.whole(module)
     raw = module.read_bytes()
     for how in DAMAGES:
         module.write_bytes(raw)
         damage(module, how)
-        assert not compiled.whole(module), how
+        assert not form_cache.whole(module), how
 
 
 # -------------------------------------------------------------------------------- whole runs
@@ -115,7 +116,16 @@ def test_what_another_has_left_of_a_compilation_is_no_obstacle(
 @slow
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_compiler_is_told(ranks: int, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "app", "run", str(CASE), "-o", str(tmp_path / "out"), *OPTIONS]
+    command = [
+        sys.executable,
+        "-m",
+        "mantle",
+        "run",
+        str(CASE),
+        "-o",
+        str(tmp_path / "out"),
+        *OPTIONS,
+    ]
     more = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "CC": "/nowhere/cc"}
     done = subprocess.run(
         [*command, "-n", str(ranks)],

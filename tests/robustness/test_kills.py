@@ -27,7 +27,7 @@ def start(output: Path, folder: Path, *more: str) -> subprocess.Popen[str]:
     """A run with cache and temporary files in a folder, leader of a process group."""
     (folder / "tmp").mkdir(exist_ok=True)
     return subprocess.Popen(
-        [sys.executable, "-m", "app", "run", str(CASE), "-o", str(output), *OPTIONS, *more],
+        [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS, *more],
         env=environment() | {"XDG_CACHE_HOME": str(folder / "cache"), "TMPDIR": f"{folder}/tmp"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

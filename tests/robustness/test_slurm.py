@@ -21,8 +21,8 @@ from pathlib import Path
 
 import pytest
 
-from app import batch
-from app.errors import EnvironmentProblem
+from mantle.campaigns import batch
+from mantle.errors import EnvironmentProblem
 from tests import support
 
 pytestmark = pytest.mark.slow
@@ -74,7 +74,7 @@ here = pathlib.Path(__file__).parent
 while (here / "hold").exists():
     time.sleep(0.1)
 done = subprocess.run(
-    [sys.executable, "-m", "app", "run", *sys.argv[1:]], stdout=subprocess.PIPE, text=True
+    [sys.executable, "-m", "mantle", "run", *sys.argv[1:]], stdout=subprocess.PIPE, text=True
 )
 print(done.stdout)
 what = "solved" if "converged: " in done.stdout else "finished" if "already" in done.stdout else "-"
@@ -84,7 +84,7 @@ sys.exit(done.returncode)
 """
 CONTROLLER = """\
 import logging, pathlib, sys
-from app import batch
+from mantle.campaigns import batch
 from tests.robustness.test_slurm import batch_of
 logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
 batch_of(pathlib.Path(sys.argv[1]), int(sys.argv[2]))

@@ -11,8 +11,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from app.motion import Motion
-from app.solver import Outcome, Solver
+from mantle.numerics.newton import Outcome, Solver
+from mantle.stepping.load_steps import Motion
 from tests import support
 
 STEM = """

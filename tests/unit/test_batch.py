@@ -21,10 +21,12 @@ from pathlib import Path
 
 import pytest
 
-import meshes
-from app import batch, cluster, config, identity
-from app.batch import Job, Result
-from app.errors import EnvironmentProblem, InputError, StoppedError
+from mantle import meshes
+from mantle.campaigns import batch, cluster
+from mantle.campaigns.batch import Job, Result
+from mantle.errors import EnvironmentProblem, InputError, StoppedError
+from mantle.schema import config
+from mantle.system import identity
 from tests import support
 
 CASE = """\
@@ -338,7 +340,8 @@ def test_a_killed_batch_does_not_block_the_next(bench: Bench) -> None:
     """Everything is killed while a case runs; and while it lives, no second batch may start."""
     bench.take(60)
     script = (
-        "import sys, pathlib; from app import batch; batch.MANTLE_RUN = tuple(sys.argv[2:4]);"
+        "import sys, pathlib; from mantle.campaigns import batch;"
+        "batch.MANTLE_RUN = tuple(sys.argv[2:4]);"
         "case = pathlib.Path(sys.argv[1]) / 'case.yaml';"
         "job = batch.Job('size-1.0', case, ('mesh.size=1.0 mm',));"
         "batch.run([job], case.parent / 'out put', 1)"

@@ -12,10 +12,12 @@ from typing import Any
 
 import pytest
 
-from app import bench, bench_picture, cli, config
-from app.bench import Line, growth, later_steps, spread, stance
-from app.bench_run import CASES, Cost, NotMeasured, Runs, Setting
-from app.errors import InputError
+from mantle import cli
+from mantle.errors import InputError
+from mantle.schema import config
+from mantle.verification import bench, bench_picture
+from mantle.verification.bench import Line, growth, later_steps, spread, stance
+from mantle.verification.bench_run import CASES, Cost, NotMeasured, Runs, Setting
 
 
 def cost(

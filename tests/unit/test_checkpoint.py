@@ -17,12 +17,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app import checkpoint, config, limits
-from app.checkpoint import DamagedError
-from app.cli import main
-from app.errors import InputError
-from app.folders import saved
-from app.state import Rows
+from mantle.cli import main
+from mantle.errors import InputError
+from mantle.numerics.state import Rows
+from mantle.schema import config
+from mantle.simulation import checkpoint
+from mantle.simulation.checkpoint import DamagedError
+from mantle.system import stopping
+from mantle.system.folders import saved
 from tests import restarted, support
 
 COMM = MPI.COMM_SELF
@@ -64,7 +66,7 @@ def test_a_failed_write_leaves_what_was_there(
     def full(number: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("app.folders.os.fsync", full)
+    monkeypatch.setattr("mantle.system.folders.os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         checkpoint.write(COMM, path, {"format": 1}, {"a": 2})
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
@@ -178,12 +180,12 @@ def test_checkpoints_do_not_change_the_steps(run_of_blocks: Path, tmp_path: Path
 
 
 def test_spans_of_time() -> None:
-    assert limits.seconds("2:00:00") == 7200
-    assert limits.seconds("30:05") == 1805
-    assert limits.seconds("1-1:00:00") == 90000
+    assert stopping.seconds("2:00:00") == 7200
+    assert stopping.seconds("30:05") == 1805
+    assert stopping.seconds("1-1:00:00") == 90000
     for wrong in ("", "5", "2 h", "1:2:3", "0:00"):
         with pytest.raises(InputError, match="walltime"):
-            limits.seconds(wrong)
+            stopping.seconds(wrong)
 
 
 LONG = ["--set", "stages.1.increments=400", "--set", FIELDS]
@@ -198,7 +200,7 @@ def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: 
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)
     process = subprocess.Popen(
-        [sys.executable, "-m", "app", "run", str(case), "-o", str(out), *LONG],
+        [sys.executable, "-m", "mantle", "run", str(case), "-o", str(out), *LONG],
         env=support.environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -223,10 +225,10 @@ def test_a_second_interruption_stops_a_single_rank_at_once(
     handlers: dict[int, Any] = {}
     now, ended = [10.0], list[int]()
     monkeypatch.setattr(signal, "signal", handlers.__setitem__)
-    monkeypatch.setattr("app.limits.clock", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr("app.ranks.world_size", lambda: None)
+    monkeypatch.setattr("mantle.system.stopping.clock", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("mantle.system.ranks.world_size", lambda: None)
     monkeypatch.setattr("os._exit", ended.append)
-    stop = limits.signals()
+    stop = stopping.signals()
     handlers[first](first, None)
     assert stop() == first.name
     now[0] += 0.9
@@ -256,8 +258,8 @@ def test_the_wall_time_is_kept(
             return self.now
 
     clock = Clock()
-    monkeypatch.setattr("app.run.clock", clock)
-    monkeypatch.setattr("app.limits.clock", clock)
+    monkeypatch.setattr("mantle.simulation.session.clock", clock)
+    monkeypatch.setattr("mantle.system.stopping.clock", clock)
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)
     command = ["run", str(case), "-o", str(out), *LONG, "--restart", "auto"]
@@ -271,7 +273,7 @@ def test_the_wall_time_is_kept(
 def started(*command: str) -> subprocess.Popen[str]:
     """A process of its own, with all that it starts."""
     return subprocess.Popen(
-        [sys.executable, "-m", "app", *command],
+        [sys.executable, "-m", "mantle", *command],
         env=support.environment(),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

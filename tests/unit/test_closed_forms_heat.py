@@ -15,9 +15,9 @@ import pytest
 from ruamel.yaml import YAML
 from scipy.integrate import quad, solve_ivp
 
-from app import closed_forms_coupled as coupled
-from app import closed_forms_heat as exact
-from app.expressions import evaluate
+from mantle.schema.expressions import evaluate
+from mantle.verification import closed_forms_coupled as coupled
+from mantle.verification import closed_forms_heat as exact
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 

@@ -14,12 +14,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.conduction import Conduction
-from app.errors import InputError
-from app.heat_system import HeatSystem
-from app.integrator import METHODS, Method, State, step
-from app.solver import Solver
-from app.terms import (
+from mantle.campaigns.work_precision import fitted_order
+from mantle.errors import InputError
+from mantle.heat.conduction import Conduction
+from mantle.heat.system import HeatSystem
+from mantle.meshes import blocks
+from mantle.meshes.distribute import TaggedMesh, distribute
+from mantle.numerics.integrator import METHODS, Method, State, step
+from mantle.numerics.newton import Solver
+from mantle.scene.terms import (
     Autocatalytic,
     Conductor,
     Convection,
@@ -33,10 +36,7 @@ from app.terms import (
     Scene,
     ThermalContact,
 )
-from app.timing import Timing
-from app.work_precision import fitted_order
-from meshes import blocks
-from meshes.distribute import TaggedMesh, distribute
+from mantle.system.timing import Timing
 from tests import support
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from app import config, scene, terms, units
-from app.errors import InputError
-from app.terms import multiplier
+from mantle.errors import InputError
+from mantle.scene import build as scene
+from mantle.scene import terms
+from mantle.scene.terms import multiplier
+from mantle.schema import config, units
 from tests import support
 
 CASE = """

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from ufl.algorithms import expand_derivatives, strip_variables
 
-from app import points
-from app.points import PointLaw, gap_vectors
-from forms.contact import OPEN, SLIP, STICK, contact_law
+from mantle.forms.contact import OPEN, SLIP, STICK, contact_law
+from mantle.mechanics import points
+from mantle.mechanics.points import PointLaw, gap_vectors
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.coupling import Staggered
+from mantle.stepping.coupling import Staggered
 from tests import coupled
 
 Floats = NDArray[np.float64]

@@ -19,11 +19,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from app.curing import UNREACTED, Curing, Degrees, FreeStrain, as_temperature
-from app.integrator import METHODS, Controller, Method, State, first_step, start_slope, step
-from app.pointwise import Pointwise
-from app.terms import Autocatalytic, Cure, Expansion, Prescribed
-from forms import cure as forms
+from mantle.forms import cure as forms
+from mantle.heat.curing import UNREACTED, Curing, Degrees, FreeStrain, as_temperature
+from mantle.numerics.integrator import (
+    METHODS,
+    Controller,
+    Method,
+    State,
+    first_step,
+    start_slope,
+    step,
+)
+from mantle.numerics.pointwise import Pointwise
+from mantle.scene.terms import Autocatalytic, Cure, Expansion, Prescribed
 
 Floats = NDArray[np.float64]
 

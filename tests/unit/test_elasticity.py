@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives, strip_variables
 
-from app.closed_forms import Fibrous
-from forms import elasticity
+from mantle.forms import elasticity
+from mantle.verification.closed_forms import Fibrous
 
 Floats = NDArray[np.float64]
 Stiffness = Callable[[Sequence[float], Sequence[float]], Floats]

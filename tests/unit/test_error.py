@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from app import config, error
+from mantle.results import error
+from mantle.schema import config
 from tests import support
 
 STACK = """

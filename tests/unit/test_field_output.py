@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from app.bodies import Bodies, bodies_of
-from app.conduction import Conduction
-from app.field_output import Copies, Fields, HeatFields
-from app.quantities import Samples
-from app.results import shape_functions
-from app.terms import Conductor, Scene, ThermalContact
-from app.thermal_quantities import ThermalRecord
-from app.timing import Timing
-from meshes.distribute import TaggedMesh
+from mantle.heat.conduction import Conduction
+from mantle.meshes.distribute import TaggedMesh
+from mantle.results.field_output import Copies, Fields, HeatFields
+from mantle.results.quantities import Samples
+from mantle.results.reading import shape_functions
+from mantle.results.thermal_quantities import ThermalRecord
+from mantle.scene.bodies import Bodies, bodies_of
+from mantle.scene.terms import Conductor, Scene, ThermalContact
+from mantle.system.timing import Timing
 from tests import support
 from tests.unit.test_thermal_quantities import SIDES, ZERO, two_blocks
 

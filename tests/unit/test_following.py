@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from app import config, log
-from app.run import run
+from mantle.results import log
+from mantle.schema import config
+from mantle.simulation.session import run
 
 # A ring that sets around a rigid core that it is smooth on, all at body temperature.
 RING = """

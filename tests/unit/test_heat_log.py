@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from app import heat_log, log
+from mantle.results import heat_log, log
 
 
 def summary() -> dict[str, Any]:

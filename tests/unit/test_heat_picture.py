@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from app import heat_picture
+from mantle.results import heat_picture
 from tests.unit.test_thermal_quantities import BODIES, ZERO, two_blocks
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.heat_preconditioner import WORTH, KeptFactors
+from mantle.heat.preconditioner import WORTH, KeptFactors
 from tests.unit.test_conduction import (
     BONE,
     CEMENT,

@@ -11,7 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.integrator import METHODS, Controller, Method, State, first_step, start_slope, step
+from mantle.numerics.integrator import (
+    METHODS,
+    Controller,
+    Method,
+    State,
+    first_step,
+    start_slope,
+    step,
+)
 
 Floats = NDArray[np.float64]
 SDIRK4, EULER = METHODS["sdirk4"], METHODS["backward_euler"]

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.pointwise import Pointwise
-from forms import heat, interface_heat
+from mantle.forms import heat, interface_heat
+from mantle.numerics.pointwise import Pointwise
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.work_precision import fitted_order
-from meshes.interfaces import (
+from mantle.campaigns.work_precision import fitted_order
+from mantle.meshes.interfaces import (
     ContactPoints,
     Entries,
     Holds,
@@ -359,7 +359,7 @@ def test_points_do_not_depend_on_the_partition(tmp_path: Path) -> None:
     for ranks in (1, 2, 3):
         path = tmp_path / f"{ranks}.npz"
         program = tmp_path / f"{ranks}.py"
-        program.write_text(SAVE.format(root=str(support.ROOT), path=str(path)))
+        program.write_text(SAVE.format(root=str(support.PROGRAM), path=str(path)))
         support.on_ranks(ranks, program)
         results.append(dict(np.load(path)))
     for other in results[1:]:

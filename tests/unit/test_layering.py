@@ -52,7 +52,7 @@ def test_forms_import_only_ufl(path: Path) -> None:
 @all_of("meshes")
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     """Its errors and expressions apart, which need no stack and belong to no layer above."""
-    allowed = {"app.errors"}
+    allowed = {"mantle.errors"}
     assert {m for m in imported(path) if top(m) == "app"} - allowed == set()
     assert "forms" not in set(map(top, imported(path)))
 
@@ -91,7 +91,7 @@ def config_patterns(path: Path) -> list[str]:
 @all_of("app")
 def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
     """Interfaces, supports, loads and materials become terms in one place."""
-    if named(path) in ("app/scene.py", "app/scene_heat.py"):
+    if named(path) in ("app/scene/build.py", "app/scene/build_heat.py"):
         assert len(config_patterns(path)) > 8
         return
     assert config_patterns(path) == []
@@ -135,14 +135,18 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
         "thermal_quantities",
     )
     if path.stem in (*solving, "balance", "heat_balance", "quantities", "diagnosis"):
-        assert not {m for m in imported(path) if m.startswith(("app.config", "app.materials"))}
+        assert not {
+            m
+            for m in imported(path)
+            if m.startswith(("mantle.schema.config", "mantle.schema.materials"))
+        }
         text = ast.unparse(tree(path))
         assert not {c for c in chosen - {"Contact"} if f"config.{c}" in text}
 
 
 @all_of("app")
 def test_only_the_configuration_knows_yaml(path: Path) -> None:
-    allowed = {"app/config.py", "app/case_file.py"}
+    allowed = {"app/schema/config.py", "app/schema/case_file.py"}
     if any(top(m) == "ruamel" for m in imported(path)):
         assert named(path) in allowed
 
@@ -155,7 +159,11 @@ def test_no_communicator_of_the_whole_world_but_at_the_top(path: Path) -> None:
         for node in ast.walk(tree(path))
         if isinstance(node, ast.Attribute) and node.attr == "COMM_WORLD"
     ]
-    assert not world or named(path) in ("app/cli.py", "app/run.py", "app/doctor.py")
+    assert not world or named(path) in (
+        "app/cli.py",
+        "app/simulation/session.py",
+        "app/system/doctor.py",
+    )
 
 
 @all_of(*LAYERS)

@@ -10,10 +10,10 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from app.deflation import Boxes, Deflated, Motions, free_directions
-from app.errors import ConvergenceError
-from app.linear import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
-from app.sparse import from_rows
+from mantle.errors import ConvergenceError
+from mantle.mechanics.deflation import Boxes, Deflated, Motions, free_directions
+from mantle.numerics.linear import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
+from mantle.numerics.sparse import from_rows
 from tests import support
 
 BLOCK = """
@@ -210,7 +210,7 @@ def test_interfaces_are_factored_first_and_the_stiffness_next(
 
 
 def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.deflation.STALE", 0.2)
+    monkeypatch.setattr("mantle.mechanics.deflation.STALE", 0.2)
     problem, _ = support.assemble(support.case(PUSHED))
     (j,) = problem.jumps
     motions = Motions(problem)

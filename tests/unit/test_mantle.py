@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import meshes
-from app import preview
-from app.geometries import Blocks, Cylinders, MeshOptions
-from meshes import mantle, mantle_picture
-from meshes.data import MeshData
+from mantle import meshes
+from mantle.meshes import mantle, mantle_picture
+from mantle.meshes.data import MeshData
+from mantle.schema.geometries import Blocks, Cylinders, MeshOptions
+from mantle.soundness import preview
 
 INNER, THICKNESS, LENGTH = 7.0, 4.0, 20.0
 ROD = Cylinders(

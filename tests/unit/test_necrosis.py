@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from app import necrosis
+from mantle.results import necrosis
 
 ZERO = 273.15
 R = 8.314462618

@@ -10,12 +10,12 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app import nested
-from app.errors import GeometryError, MantleError, StoppedError
-from app.model import Model
-from app.motion import Step
-from app.problem import Trial
-from app.timing import Timing
+from mantle.errors import GeometryError, MantleError, StoppedError
+from mantle.mechanics.problem import Trial
+from mantle.simulation.model import Model
+from mantle.stepping import nested_start
+from mantle.stepping.load_steps import Step
+from mantle.system.timing import Timing
 from tests import support
 
 STEM = """
@@ -73,7 +73,7 @@ def go(*overrides: str) -> tuple[Model, list[Step]]:
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start from a coarser mesh although this one is small."""
     for name, value in ALWAYS.items():
-        monkeypatch.setattr(nested, name, value)
+        monkeypatch.setattr(nested_start, name, value)
 
 
 def jumps(model: Model) -> Any:
@@ -149,7 +149,7 @@ def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPat
 def test_where_a_coarser_mesh_pays(size: str, unknowns: dict[str, int], nests: bool) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
     case = support.case(text, f"mesh.size={size}")
-    coarse = nested.coarser(case, unknowns)
+    coarse = nested_start.coarser(case, unknowns)
     assert (coarse is not None) == nests
     if coarse is not None:
         assert coarse.mesh.size == pytest.approx(3.0)
@@ -183,7 +183,7 @@ def test_interpolation_is_exact_for_linear_jumps() -> None:
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].jumps[0]
         for size in ("3.1", "1.3")
     )
-    weights = nested.interpolation(coarse.points, fine.points, fine.mine)
+    weights = nested_start.interpolation(coarse.points, fine.points, fine.mine)
     slope = np.random.default_rng(5).normal(size=(3, 3))
     found = weights @ (coarse.points.x @ slope + 1.0)
     assert len(fine.mine) > 2 * len(coarse.mine)
@@ -193,15 +193,15 @@ def test_interpolation_is_exact_for_linear_jumps() -> None:
 def test_between_the_last_two() -> None:
     """A fine step that was cut asks for a time that the coarse model has passed."""
     known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
-    assert nested.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
-    assert nested.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
+    assert nested_start.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
+    assert nested_start.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
 
 
 def test_the_nearest_point_of_a_triangle() -> None:
     """No point of a fine grid on any of the triangles is nearer, beside a corner or an edge too."""
     random = np.random.default_rng(1)
     corners, x = random.normal(size=(5, 3, 3)), 2 * random.normal(size=(200, 3))
-    triangle, weights = nested._nearest(corners, x)
+    triangle, weights = nested_start._nearest(corners, x)
     assert weights.min() >= 0 and np.allclose(weights.sum(axis=1), 1)
     off = np.linalg.norm(np.einsum("nc,nci->ni", weights, corners[triangle]) - x, axis=1)
     n = 60

@@ -6,9 +6,10 @@ import io
 
 import pytest
 
-from app import cli, ranks
-from app.cli import main
-from app.errors import InputError
+from mantle import cli
+from mantle.cli import main
+from mantle.errors import InputError
+from mantle.system import ranks
 
 RULE = "-" * 74 + "\n"
 NON_ZERO = (

@@ -13,13 +13,16 @@ from typing import Any
 
 import pytest
 
-from app import case_file, config, report, report_compare, report_gruen, report_paper
-from app import report_sweep as rs
-from app import report_trends as rt
-from app.cli import main
-from app.errors import InputError
-from app.report_sweep import Number
-from app.report_trends import HELD, NOT_HELD, UNDECIDED
+from mantle.cli import main
+from mantle.errors import InputError
+from mantle.report import gruen, sweep_report
+from mantle.report import sweep_results as rs
+from mantle.report.paper import cases as report_paper
+from mantle.report.paper import compare
+from mantle.report.paper import trends as rt
+from mantle.report.paper.trends import HELD, NOT_HELD, UNDECIDED
+from mantle.report.sweep_results import Number
+from mantle.schema import case_file, config
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODULI = {"titanium": 110, "CoCr": 200}
@@ -290,7 +293,7 @@ def test_heat_is_judged_by_reading_and_told_after_ten_seconds(maker: Maker) -> N
     cases = report_paper.Cases(found)
     assert verdicts(found)["T-g (slice, initial)"] == HELD
     assert verdicts(found)["T-g (slice, held)"] == NOT_HELD
-    rows = [r for r in report_compare.compare(cases, found) if r.fact.id == "25"]
+    rows = [r for r in compare.compare(cases, found) if r.fact.id == "25"]
     assert [(r.case, r.peak) for r in rows] == [("initial 2", 72.0), ("held 2", 100.0)]
     # 72 over 76 degC, above the 37 degC of the body.
     assert rows[0].ratios[0] == pytest.approx(35 / 39)
@@ -318,7 +321,7 @@ def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
 def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
     found = sweep(maker, as_the_paper_says, 0.05)
     cases = report_paper.Cases(found)
-    rows = report_compare.compare(cases, found)
+    rows = compare.compare(cases, found)
     assert list(dict.fromkeys(r.fact.id for r in rows)) == [str(i) for i in range(1, 34)]
     slip = next(r for r in rows if r.fact.id == "1")
     assert slip.case == "titanium 4 1"
@@ -338,14 +341,14 @@ def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
 def test_a_failed_case_is_named_as_the_reason(maker: Maker) -> None:
     maker.stance("titanium", 4.0, 1.0, None, status="failed", exit_code=3, message="no mesh")
     found = rs.read(maker.write())
-    rows = report_compare.compare(report_paper.Cases(found), found)
+    rows = compare.compare(report_paper.Cases(found), found)
     assert rows[0].remark == "the case titanium 4 1 failed"
     assert rows[0].peak is None
 
 
 def test_odd_numbers_are_answered_from_the_data(maker: Maker) -> None:
     found = report_paper.Cases(sweep(maker, as_the_paper_says, 0.01))
-    first, second, stress = report_compare.strange(found)
+    first, second, stress = compare.strange(found)
     assert "1650" in first and "300.0 ± 3.0 µm" in first and "5 times" in first
     assert "680" in second and "no such jump" in second
     assert "no stress of the heated femur" in stress
@@ -375,15 +378,15 @@ def test_stress_shielding_is_against_the_femur_without_a_stem(maker: Maker) -> N
     del data["regions"]["stem"]
     maker.add("intact", data, {"gruen": zones(0.004, ())})
     found = rs.read(maker.write())
-    without = report_gruen.intact(found.cases)
+    without = gruen.intact(found.cases)
     assert without is not None and without.name == "intact"
-    change = report_gruen.shielding(found.cases[1], without)
+    change = gruen.shielding(found.cases[1], without)
     assert set(change) == {"cortical_bone"}
     assert list(change["cortical_bone"].values()) == pytest.approx([-0.25] * 14)
-    head, rows = report_gruen.table(found.cases[0])
+    head, rows = gruen.table(found.cases[0])
     assert len(rows) == 14 and len(head) == len(rows[0]) == 1 + 8 + 1
     assert rows[6][:2] == ["7 (frontal)", "20 / 10"] and rows[7][0] == "8 (lateral)"
-    page = report.run(maker.folder).files[0].read_text()
+    page = sweep_report.run(maker.folder).files[0].read_text()
     assert "Stress shielding" in page and "14 (lateral)" in page
 
 
@@ -393,7 +396,7 @@ def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
             thickness = {"nominal": t, "min": 0.5, "median": t, "clipped_fraction": 0.25}
             summary = {"mantle": {"thickness": thickness, "volume": 1e4 * t}}
             maker.stance(stem, t, 1.0, {}, summary=summary)
-    head, rows = report_gruen.mantles(rs.read(maker.write()).cases)
+    head, rows = gruen.mantles(rs.read(maker.write()).cases)
     assert [row[2] for row in rows] == ["3", "5"] and {row[0] for row in rows} == {"femur"}
     assert dict(zip(head, rows[0], strict=True))["cement (cm³)"] == "30"
     assert "25 %" in rows[0] and "-" in rows[0]
@@ -404,7 +407,7 @@ def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
 
 def test_the_page_needs_nothing_else(maker: Maker) -> None:
     sweep(maker, as_the_paper_says, 0.05)
-    written = report.run(maker.folder)
+    written = sweep_report.run(maker.folder)
     page = written.files[0].read_text()
     names = [f.name for f in written.files[1:]]
     assert names == [f"figure{n}.png" for n in range(3, 8)] + ["comparison.csv"]
@@ -425,7 +428,7 @@ def test_titles_names_and_messages_are_escaped(maker: Maker) -> None:
     maker.stance("titanium", 3.0, 1.0, contact(as_the_paper_says, "titanium", 3, 1, 0.1))
     maker.stance("titanium", 2.0, 1.0, contact(as_the_paper_says, "titanium", 2, 1, 0.1))
     maker.write(title=bad)
-    page = report.run(maker.folder).files[0].read_text()
+    page = sweep_report.run(maker.folder).files[0].read_text()
     assert "<script" not in page and "<b>" not in page
     assert page.count("&lt;script&gt;alert") >= 4
 
@@ -438,7 +441,7 @@ def test_a_partial_sweep_is_reported_with_what_is_missing(maker: Maker) -> None:
     gone = {"name": "gone", "folder": "runs/none", "status": "converged"}
     gone["numbers"], gone["errors"] = {"cement_bone.slip_p99": 0.05}, {"cement_bone.slip_p99": 0.01}
     maker.cases.append(gone)
-    written = report.run(maker.write())
+    written = sweep_report.run(maker.write())
     page = written.files[0].read_text()
     assert (written.done, written.cases) == (3, 4)
     assert "Without results: titanium 2 1" in page
@@ -454,13 +457,13 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
         numbers = contact(lambda *a, x=taper: x, "", 0, 0, 0.1)
         more = {"overrides": {"geometry.taper": f"{taper:g} deg", "title": "x"}}
         maker.add(f"taper {taper:g}", data, {"interfaces": numbers}, **more)
-    written = report.run(maker.write())
+    written = sweep_report.run(maker.write())
     assert [f.name for f in written.files] == ["report.html", "over_geometry_taper.png"]
     page = written.files[0].read_text()
     assert not written.trends and "Rakotomanana" not in page
     assert "Numbers over geometry.taper" in page and "cement-bone slip, p99" in page
     (maker.folder / "report" / "old.png").write_text("")
-    report.run(maker.folder)
+    sweep_report.run(maker.folder)
     assert not (maker.folder / "report" / "old.png").exists()
 
 

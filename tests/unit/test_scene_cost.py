@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 import ufl
 
-from app import heat_forms, mechanics, model, points, temperature_jumps
-from app.problem import Problem
-from app.solver import Solver
-from app.timing import Timing
+from mantle.heat import assembly, temperature_jumps
+from mantle.mechanics import assembly as mechanics
+from mantle.mechanics import points
+from mantle.mechanics.problem import Problem
+from mantle.numerics.newton import Solver
+from mantle.simulation import model
+from mantle.system.timing import Timing
 from tests import support
 
 CASE = """
@@ -209,7 +212,7 @@ class Bill:
     laws: int
     heat_laws: int
     forms: int
-    heat_forms: int
+    assembly: int
     integrals: int
 
 
@@ -255,7 +258,7 @@ def bill(
         count(temperature_jumps.interface_heat, "flux_and_derivatives", "heat_laws")
         for name in COMPILERS:
             count(mechanics.fem, name, "forms", "integrals")
-        count(heat_forms.HeatForms, "_form", "heat_forms")
+        count(assembly.HeatForms, "_form", "heat_forms")
         patch.setattr(model, "Solver", solver)
         for name, absent in (("Problem", not elastic), ("Conduction", not heated)):
             if absent:

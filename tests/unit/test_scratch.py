@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from app import scratch
+from mantle.system import scratch
 from tests.support import environment
 
-SCRIPT = "from app import scratch; import sys, time; print(scratch.make()[0], flush=True)\n"
+SCRIPT = (
+    "from mantle.system import scratch; import sys, time; print(scratch.make()[0], flush=True)\n"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +37,8 @@ def test_folders_of_runs_that_live_stay(place: Path) -> None:
 
 def test_folders_of_runs_that_were_killed_go(place: Path) -> None:
     setting = (
-        f"from pathlib import Path\nfrom app import scratch\nscratch.SHARED = Path('{place}')\n"
+        "from pathlib import Path\nfrom mantle.system import scratch\n"
+        f"scratch.SHARED = Path('{place}')\n"
     )
     child = subprocess.Popen(
         [sys.executable, "-c", setting + SCRIPT + "time.sleep(60)"],

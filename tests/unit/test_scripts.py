@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import meshes
-from app import config
-from app.errors import InputError
-from app.gmsh_file import ALLOWED, physical_names
-from meshes import cache
-from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
+from mantle import meshes
+from mantle.errors import InputError
+from mantle.meshes import cache
+from mantle.meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
+from mantle.schema import config
+from mantle.schema.gmsh_file import ALLOWED, physical_names
 from tests import support
 
 # Two layers of a box 2 x 3 x (1 + 2), by gmsh's own kernel; the surface between them is named.
@@ -184,7 +184,7 @@ def test_scripts_that_fail(text: str, expected: str, tmp_path: Path) -> None:
     script(tmp_path, text)
     (tmp_path / "case.yaml").write_text(CASE)
     done = subprocess.run(
-        [sys.executable, "-m", "app", "mesh", tmp_path / "case.yaml", "-o", tmp_path / "out"],
+        [sys.executable, "-m", "mantle", "mesh", tmp_path / "case.yaml", "-o", tmp_path / "out"],
         env=support.environment() | {"XDG_CACHE_HOME": str(tmp_path)},
         capture_output=True,
         text=True,
@@ -199,7 +199,7 @@ def test_check_says_what_it_does_not_know(tmp_path: Path) -> None:
     script(tmp_path, LAYERS)
     (tmp_path / "case.yaml").write_text(CASE)
     done = subprocess.run(
-        [sys.executable, "-m", "app", "check", tmp_path / "case.yaml"],
+        [sys.executable, "-m", "mantle", "check", tmp_path / "case.yaml"],
         env=support.environment(),
         capture_output=True,
         text=True,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.errors import InputError
-from app.terms import Cure, Prescribed, Scene
+from mantle.errors import InputError
+from mantle.scene.terms import Cure, Prescribed, Scene
 from tests.heated import Heated, expanding
 from tests.unit.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
 

@@ -7,9 +7,9 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from app.errors import ConvergenceError
-from app.prediction import take_better
-from meshes.distribute import TaggedMesh
+from mantle.errors import ConvergenceError
+from mantle.mechanics.prediction import take_better
+from mantle.meshes.distribute import TaggedMesh
 from tests import support
 
 # A block pressed on a wall and aside: points stick and slip.

@@ -14,15 +14,17 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import meshes
-from app import config, folders, preview, soundness
-from app.active_set import ActiveSet
-from app.cli import main
-from app.errors import ConvergenceError, GeometryError, InputError
-from app.holding import gaps_of, groups_of
-from app.rigid_motions import describe, rigid_modes
-from meshes.data import MeshData, components, face_neighbours
-from meshes.parts import coincident
+from mantle import meshes
+from mantle.cli import main
+from mantle.errors import ConvergenceError, GeometryError, InputError
+from mantle.meshes.data import MeshData, components, face_neighbours
+from mantle.meshes.parts import coincident
+from mantle.numerics.active_set import ActiveSet
+from mantle.numerics.rigid_motions import describe, rigid_modes
+from mantle.schema import config
+from mantle.soundness import case_on_mesh, preview
+from mantle.soundness.free_motions import gaps_of, groups_of
+from mantle.system import folders
 from tests import support
 from tests.support import CONFIGS
 
@@ -70,7 +72,7 @@ def build(case: config.Case) -> MeshData:
 def judged(text: str, *overrides: str) -> list[str]:
     """What is noted of a case on its mesh."""
     case = support.case(text, *overrides)
-    return soundness.judge(case, soundness.look(case, build(case)))
+    return case_on_mesh.judge(case, case_on_mesh.look(case, build(case)))
 
 
 def torn(data: MeshData, case: config.Case, name: str, share: float = 1.0) -> MeshData:
@@ -119,7 +121,7 @@ def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
     # Meshes of these are made where they are run, in tests/cli/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
     notes = preview.warnings(case)
-    notes += [] if large else soundness.judge(case, soundness.look(case, build(case)))
+    notes += [] if large else case_on_mesh.judge(case, case_on_mesh.look(case, build(case)))
     for note in notes:
         assert any(words in note for words in EXPECTED.get(name, ())), note
     if not large:
@@ -172,12 +174,12 @@ def test_a_smooth_pin_may_turn_and_a_smooth_taper_slide(order: int) -> None:
 def test_a_body_that_nothing_holds_is_refused() -> None:
     """A block that a crack parts from the one below, though its interface is bonded."""
     case = support.case(TWO, "interfaces={}")
-    found = soundness.look(case, build(case))
+    found = case_on_mesh.look(case, build(case))
     assert len(groups_of(case, found)) == 1
-    cracked = soundness.look(case, torn(build(case), case, "bone_metal"))
+    cracked = case_on_mesh.look(case, torn(build(case), case, "bone_metal"))
     assert len(groups_of(case, cracked)) == 2
     with pytest.raises(InputError) as caught:
-        soundness.judge(case, cracked)
+        case_on_mesh.judge(case, cracked)
     error, crack = caught.value.messages
     assert error.startswith(
         "supports: nothing holds body 'metal': it is free to move along x, y, z and to turn about "
@@ -190,14 +192,14 @@ def test_a_turn_that_supports_leave_is_refused() -> None:
     """Nodes on one edge hold all axes and leave a turn about the edge."""
     case = support.case(TWO, "interfaces={}")
     data = build(case)
-    found = soundness.look(case, data)
+    found = case_on_mesh.look(case, data)
     bottom = found.boundaries["bottom"]
     ((piece, nodes),) = bottom.items()
     edge = nodes[data.points[nodes, 1] < 1e-9]
     assert len(edge) >= 2
     held = replace(found, boundaries={**found.boundaries, "bottom": {piece: edge}})
     with pytest.raises(InputError, match="it is free to turn about an axis along x, by a support"):
-        soundness.judge(case, held)
+        case_on_mesh.judge(case, held)
 
 
 def test_a_piece_of_a_region_that_hangs_on_nothing_is_named() -> None:
@@ -211,13 +213,13 @@ def test_a_piece_of_a_region_that_hangs_on_nothing_is_named() -> None:
         cell_tags=np.append(data.cell_tags, data.regions["metal"]).astype(np.int32),
     )
     with pytest.raises(InputError, match=r"body 'metal' \(the piece of 1 cells at \(4"):
-        soundness.judge(case, soundness.look(case, far))
+        case_on_mesh.judge(case, case_on_mesh.look(case, far))
 
 
 def test_holes_in_an_interface_are_told() -> None:
     case = support.case(TWO)
-    (note,) = soundness.judge(
-        case, soundness.look(case, torn(build(case), case, "bone_metal", 0.4))
+    (note,) = case_on_mesh.judge(
+        case, case_on_mesh.look(case, torn(build(case), case, "bone_metal", 0.4))
     )
     assert "regions 'bone' and 'metal'" in note and "a crack that nothing closes" in note
 
@@ -383,7 +385,7 @@ def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> 
 def test_strains_that_are_not_small_are_told() -> None:
     case = support.case(TWO)
     numbers = {"bone": {"von_mises_p99": 1200.0}, "metal": {"von_mises_p99": 1200.0}}
-    (note,) = soundness.doubts(case, numbers)
+    (note,) = case_on_mesh.doubts(case, numbers)
     assert note.startswith("region 'bone' is strained by 7.1 %")
 
 
@@ -452,7 +454,7 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
 def test_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come, without a friction coefficient, is no bond."""
     case = support.case(TWO)
-    found = soundness.look(case, build(case))
+    found = case_on_mesh.look(case, build(case))
     case = case.model_copy(update={"interfaces": {"bone_metal": SimpleNamespace(gap=0.1)}})
     assert len(groups_of(case, found)) == 2
     assert np.allclose(gaps_of(case, found)["bone_metal"], 0.1)

@@ -18,10 +18,12 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-import meshes
-from app import config, folders, kernels, pointwise, units
-from app.sparse import from_triplets
-from meshes.interfaces import _connected, _distinct_rows
+from mantle import meshes
+from mantle.meshes.interfaces import _connected, _distinct_rows
+from mantle.numerics import kernels, pointwise
+from mantle.numerics.sparse import from_triplets
+from mantle.schema import config, units
+from mantle.system import folders
 from tests import support
 
 
@@ -31,7 +33,7 @@ def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_
     case = config.load(path)
     meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     script = (
-        "import sys; from app.cli import main; "
+        "import sys; from mantle.cli import main; "
         f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}]) == 0; "
         "print(*sys.modules)"
     )
@@ -46,7 +48,7 @@ def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_
 def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:
     import gmsh
 
-    from meshes.cache import _gmsh_version
+    from mantle.meshes.cache import _gmsh_version
 
     assert _gmsh_version() == gmsh.__version__
 
@@ -180,9 +182,12 @@ def test_rows_are_told_apart_as_by_numpy() -> None:
 def test_a_run_of_a_warm_case_compiles_nothing(tmp_path: Path) -> None:
     """On another mesh and in a cache of its own, where there was nothing before."""
     case = str(support.CONFIGS / "blocks.yaml")
-    warm = f"from app.warm import warm; from pathlib import Path; warm(Path({case!r}), 1)"
+    warm = (
+        "from pathlib import Path; from mantle.simulation.precompile import warm; "
+        f"warm(Path({case!r}), 1)"
+    )
     run = (
-        "import sys, ffcx.codegeneration.jit as jit; from app.cli import main; "
+        "import sys, ffcx.codegeneration.jit as jit; from mantle.cli import main; "
         "jit._compile_objects = None; "
         f"sys.exit(main(['run', {case!r}, '-o', {str(tmp_path / 'out')!r}]))"
     )

@@ -6,8 +6,8 @@ import dataclasses
 
 import pytest
 
-from app.errors import ConvergenceError
-from app.solver import Outcome, Solver
+from mantle.errors import ConvergenceError
+from mantle.numerics.newton import Outcome, Solver
 from tests import coupled, support
 
 PLUG = """

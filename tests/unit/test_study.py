@@ -17,9 +17,10 @@ from typing import Any
 
 import pytest
 
-from app import batch, config, study, study_file, study_options, study_parameters
-from app.cli import main
-from app.errors import InputError, MantleError, StoppedError
+from mantle.campaigns import batch, study, study_parameters
+from mantle.cli import main
+from mantle.errors import InputError, MantleError, StoppedError
+from mantle.schema import config, study_file, study_options
 from tests import support
 
 CASE = """\

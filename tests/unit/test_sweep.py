@@ -28,19 +28,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app import (
-    batch,
-    case_file,
-    config,
-    preview,
-    report_sweep,
-    sweep,
-    sweep_file,
-    sweep_options,
-    uncertainty,
-)
-from app.cli import main
-from app.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
+from mantle.campaigns import batch, sweep, uncertainty
+from mantle.cli import main
+from mantle.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
+from mantle.report import sweep_results
+from mantle.schema import case_file, config, sweep_file, sweep_options
+from mantle.soundness import preview
 from tests import support
 
 CASE = """\
@@ -74,8 +67,8 @@ FRICTION = "interfaces.lower_upper.friction_coefficient"
 
 STAND_IN = """\
 import json, pathlib, sys, time
-from app import config
-from app.folders import FAILED
+from mantle.schema import config
+from mantle.system.folders import FAILED
 here, path, output = pathlib.Path(__file__).parent, *map(pathlib.Path, (sys.argv[1], sys.argv[3]))
 case = config.load(path)
 many = [(v.name, v.case) for v in config.variations(path)] or [("", case)]
@@ -518,7 +511,7 @@ grid:
     assert len({r["folder"] for r in rows}) == 16
     for row in rows:
         assert re.fullmatch(r"runs/shared-[0-9a-f]{10}-1/case-[0-9a-f]{10}", row["folder"])
-    assert [c.name for c in report_sweep.read(bench.out).cases] == [r["case"] for r in rows]
+    assert [c.name for c in sweep_results.read(bench.out).cases] == [r["case"] for r in rows]
     bench.calls()
     bench.run()
     assert not bench.calls()
@@ -586,7 +579,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from app import batch, sweep
+from mantle.campaigns import batch; from mantle.campaigns import sweep
 batch.MANTLE_RUN = tuple(sys.argv[3:])
 sweep.run(Path(sys.argv[1]), (), Path(sys.argv[2]), 2)
 """
@@ -599,7 +592,7 @@ def killed(path: Path, out: Path, wanted: int, seconds: float, runs_too: bool) -
     """
     child = subprocess.Popen(
         [sys.executable, "-c", CONTROLLER, str(path), str(out), *batch.MANTLE_RUN],
-        env=os.environ | {"PYTHONPATH": str(support.ROOT)},
+        env=os.environ | {"PYTHONPATH": str(support.PROGRAM)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

@@ -12,10 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.errors import GeometryError
-from app.geometries import Femur, IntactFemur, MeshOptions
-from meshes import femur, femur_bone, femur_intact, femur_stem, layers, mantle, quality, swept
-from meshes.data import (
+from mantle.errors import GeometryError
+from mantle.meshes import (
+    femur,
+    femur_bone,
+    femur_intact,
+    femur_stem,
+    layers,
+    mantle,
+    quality,
+    swept,
+)
+from mantle.meshes.data import (
     MeshData,
     cell_volumes,
     exterior_facets,
@@ -24,7 +32,8 @@ from meshes.data import (
     jacobians,
     match_faces,
 )
-from meshes.femur_surfaces import Femur as Surfaces
+from mantle.meshes.femur_surfaces import Femur as Surfaces
+from mantle.schema.geometries import Femur, IntactFemur, MeshOptions
 from tests import support
 
 
@@ -310,8 +319,8 @@ def test_patches_have_the_area_of_discs() -> None:
 DIGEST = """
 import hashlib, sys
 sys.path.insert(0, {root!r})
-from app.geometries import Femur, MeshOptions
-from meshes import femur
+from mantle.schema.geometries import Femur, MeshOptions
+from mantle.meshes import femur
 digest = hashlib.sha256()
 for curved in (False, True):
     data = femur.build(Femur(), MeshOptions(size="3 mm", curved=curved))
@@ -331,7 +340,7 @@ PROCESSORS = {
 
 def digest(**environment: str) -> str:
     return subprocess.run(
-        [sys.executable, "-c", DIGEST.format(root=str(support.ROOT))],
+        [sys.executable, "-c", DIGEST.format(root=str(support.PROGRAM))],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,

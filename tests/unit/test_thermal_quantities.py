@@ -16,14 +16,14 @@ import pytest
 from dolfinx import fem, mesh
 from scipy.integrate import quad
 
-from app.bodies import Bodies, bodies_of
-from app.cure_quantities import CureRecord
-from app.errors import InputError
-from app.heat_forms import HeatForms
-from app.thermal_nodes import Probe
-from app.thermal_quantities import Exchange, ThermalRecord
-from app.timing import Timing
-from meshes.distribute import TaggedMesh
+from mantle.errors import InputError
+from mantle.heat.assembly import HeatForms
+from mantle.heat.nodes import Probe
+from mantle.meshes.distribute import TaggedMesh
+from mantle.results.cure_quantities import CureRecord
+from mantle.results.thermal_quantities import Exchange, ThermalRecord
+from mantle.scene.bodies import Bodies, bodies_of
+from mantle.system.timing import Timing
 from tests import coupled, support
 
 ZERO = 273.15

@@ -9,8 +9,8 @@ import pytest
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app import quantities
-from app.bonds import bonds
+from mantle.results import quantities
+from mantle.results.bond_strength import bonds
 from tests.heated import Heated, expanding
 
 Floats = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app import timing
+from mantle.system import timing
 
 
 class Clock:

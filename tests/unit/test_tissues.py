@@ -10,14 +10,15 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-import meshes
-from app import config, quantities
-from app.errors import InputError
-from app.heat_forms import HeatForms
-from app.report_heat import bone_peak
-from app.report_sweep import Case
-from app.thermal_quantities import ThermalRecord
-from app.timing import Timing
+from mantle import meshes
+from mantle.errors import InputError
+from mantle.heat.assembly import HeatForms
+from mantle.report.paper.heat import bone_peak
+from mantle.report.sweep_results import Case
+from mantle.results import quantities
+from mantle.results.thermal_quantities import ThermalRecord
+from mantle.schema import config
+from mantle.system.timing import Timing
 from tests import support
 from tests.unit.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app import uniqueness
-from app.uniqueness import critical_friction
+from mantle.soundness import uniqueness
+from mantle.soundness.uniqueness import critical_friction
 from tests import support
 
 Floats = NDArray[np.float64]

@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app import config, variations
-from app.errors import InputError
-from app.model import Model
-from app.motion import Step
-from app.neighbours import kriging
-from app.problem import Trial
-from app.quantities import Samples
-from app.timing import Timing
+from mantle.errors import InputError
+from mantle.mechanics.neighbours import kriging
+from mantle.mechanics.problem import Trial
+from mantle.results.quantities import Samples
+from mantle.schema import config
+from mantle.simulation import variations
+from mantle.simulation.model import Model
+from mantle.stepping.load_steps import Step
+from mantle.system.timing import Timing
 from tests import coupled, support
 
 Floats = NDArray[np.float64]

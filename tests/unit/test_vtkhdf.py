@@ -17,10 +17,9 @@ import numpy as np
 import pytest
 from dolfinx import fem, mesh
 
-from app import ranks as mpi
-from app import vtkhdf
+from mantle.results import vtkhdf
+from tests import support
 
-ROOT = Path(__file__).parents[2]
 STEPS = 3
 TRIANGLE = 5  # VTK's number of this cell type
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of VTK's quadratic tetrahedron
@@ -116,7 +115,7 @@ def in_ranks(ranks, function, *arguments):
     command = [sys.executable, __file__, function, *map(str, arguments)]
     if ranks > 1:
         command = ["mpirun", "-n", str(ranks), *command]
-    environment = {**mpi.environment(), "PYTHONPATH": str(ROOT)}
+    environment = support.environment()
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     sys.stdout.write(done.stdout + done.stderr)
     return done.returncode

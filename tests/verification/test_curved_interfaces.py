@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app import closed_forms
-from app.quantities import Stresses
-from app.timing import Timing
+from mantle.results.quantities import Stresses
+from mantle.system.timing import Timing
+from mantle.verification import closed_forms
 from tests import support
 
 SHRINK_FIT = """

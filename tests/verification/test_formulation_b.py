@@ -14,15 +14,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import meshes
-from app import config, scene, stepping
-from app.jumps import Jumps
-from app.motion import Motion, Step
-from app.problem import Problem, Trial
-from app.solver import Solver
-from app.systems import mechanical
-from app.timing import Timing
-from meshes.distribute import TaggedMesh, distribute
+from mantle import meshes
+from mantle.mechanics.jumps import Jumps
+from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.systems import mechanical
+from mantle.meshes.distribute import TaggedMesh, distribute
+from mantle.numerics.newton import Solver
+from mantle.scene import build
+from mantle.schema import config
+from mantle.stepping import stages
+from mantle.stepping.load_steps import Motion, Step
+from mantle.system.timing import Timing
 from tests.reference import formulation_b
 from tests.reference.formulation_b import InterfaceState, State
 
@@ -162,7 +164,7 @@ CLAMPED_STEM = HALF_STEM.replace(
 
 def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[State], Jumps]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
-    terms = scene.build(case)
+    terms = build.build(case)
     options, timing = case.solver, Timing()
     problem = Problem(terms, tagged, options.augmentation_factor, timing)
     solver = Solver(
@@ -205,7 +207,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    stepping.run(terms.stages, (Motion(problem, solver, on_step, print),), ())
+    stages.run(terms.stages, (Motion(problem, solver, on_step, print),), ())
     return times, states, jumps
 
 

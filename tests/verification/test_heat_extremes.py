@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app import verify
+from mantle.verification import verify
 
 
 @pytest.mark.slow

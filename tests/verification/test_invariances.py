@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from forms.contact import OPEN, SLIP, STICK
+from mantle.forms.contact import OPEN, SLIP, STICK
 from tests import support
 from tests.support import Solved
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.errors import InputError
-from app.reduction import _held_motions
-from app.rigid_motions import rigid_modes
+from mantle.errors import InputError
+from mantle.mechanics.reduction import _held_motions
+from mantle.numerics.rigid_motions import rigid_modes
 from tests import support
 
 CYLINDERS = """

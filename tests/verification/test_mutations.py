@@ -17,8 +17,12 @@ import pytest
 
 from tests import support
 
-ELASTICITY, CONTACT = "forms/elasticity.py", "forms/contact.py"
-HEAT, INTERFACE_HEAT, CURE = "forms/heat.py", "forms/interface_heat.py", "forms/cure.py"
+ELASTICITY, CONTACT = "mantle/forms/elasticity.py", "mantle/forms/contact.py"
+HEAT, INTERFACE_HEAT, CURE = (
+    "mantle/forms/heat.py",
+    "mantle/forms/interface_heat.py",
+    "mantle/forms/cure.py",
+)
 TRIAL = "S = f + r * (d + gap)"
 RADIUS = "radius = μ * sum(p[1:], p[0])"
 
@@ -117,7 +121,7 @@ MUTATIONS = {
         "wall_penalty",
     ),
     "sign_of_the_body_force": (
-        "forms/loads.py",
+        "mantle/forms/loads.py",
         "return dot(b, v)",
         "return -dot(b, v)",
         "sine_p2",
@@ -142,19 +146,19 @@ MUTATIONS = {
         "heat_bars",
     ),
     "eq68_no_net_heat_of_friction": (
-        "app/coupling.py",
+        "mantle/stepping/coupling.py",
         "[c.master[0]] for c in scene.contacts]), 1 - β)",
         "[c.master[0]] for c in scene.contacts]), -β)",
         "rubbing_energy",
     ),
     "share_of_the_other_side": (
-        "app/scene_heat.py",
+        "mantle/scene/build_heat.py",
         "e_s / (e_s + e_m)",
         "e_m / (e_s + e_m)",
         "rubbing_split",
     ),
     "given_share_of_the_other_side": (
-        "app/scene_heat.py",
+        "mantle/scene/build_heat.py",
         "first if slave == tuple(given[0]) else 1.0 - first",
         "1.0 - first if slave == tuple(given[0]) else first",
         "rubbing_given",
@@ -174,18 +178,23 @@ MUTATIONS = {
     ),
     "sign_of_the_heating": (HEAT, "return q * v\n", "return -q * v\n", "heat_slab"),
     "capacity": (
-        "app/conduction.py",
+        "mantle/heat/conduction.py",
         "+= c.capacity * ",
         "+= 1.1 * c.capacity * ",
         "heat_cylinder",
     ),
     "heat_of_cure": (
-        "app/cure_heat.py",
+        "mantle/heat/cure_heat.py",
         "c.heat * volume[dof]",
         "0.9 * c.heat * volume[dof]",
         "cure_heat",
     ),
-    "sign_of_the_cure": ("app/cure_heat.py", "(d.degree - a)", "(a - d.degree)", "cure_heat"),
+    "sign_of_the_cure": (
+        "mantle/heat/cure_heat.py",
+        "(d.degree - a)",
+        "(a - d.degree)",
+        "cure_heat",
+    ),
     "arrhenius_sign": (CURE, "exp(-Ea / (", "exp(Ea / (", "cure_isothermal"),
     "arrhenius_exponents": (
         CURE,
@@ -194,7 +203,7 @@ MUTATIONS = {
         "cure_isothermal",
     ),
     "sign_of_the_thermal_strain": (
-        "app/expansion.py",
+        "mantle/mechanics/expansion.py",
         "(temperatures[x.region].x.array - x.reference)",
         "(x.reference - temperatures[x.region].x.array)",
         "layers_bonded",
@@ -210,7 +219,7 @@ MUTATIONS = {
 
 def verify(program: Path, pattern: str) -> subprocess.CompletedProcess[str]:
     """Run ``mantle verify`` of a copy of the program."""
-    command = [sys.executable, "-m", "app", "verify", "-k", pattern, "-o", "out", "--cores", "2"]
+    command = [sys.executable, "-m", "mantle", "verify", "-k", pattern, "-o", "out", "--cores", "2"]
     environment = os.environ | {"PYTHONPATH": str(program)}
     return subprocess.run(command, cwd=program, env=environment, capture_output=True, text=True)
 
@@ -219,9 +228,9 @@ def verify(program: Path, pattern: str) -> subprocess.CompletedProcess[str]:
 def program(tmp_path: Path) -> Path:
     """A copy of the program."""
     for folder in ("app", "forms", "meshes", "configs"):
-        shutil.copytree(
-            support.ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__")
-        )
+        target = tmp_path / "mantle" / ("" if folder == "app" else folder)
+        caches = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(support.ROOT / folder, target, ignore=caches, dirs_exist_ok=True)
     return tmp_path
 
 

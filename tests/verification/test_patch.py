@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from forms.contact import OPEN, SLIP, STICK
+from mantle.forms.contact import OPEN, SLIP, STICK
 from tests import support
 
 TOLERANCE = 1e-9

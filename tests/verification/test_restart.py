@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 
-from app import config, nested
-from app import run as running
-from app.errors import StoppedError
-from app.folders import saved
-from app.results import Run
-from app.run import run
+from mantle.errors import StoppedError
+from mantle.results.reading import Run
+from mantle.schema import config
+from mantle.simulation import session as running
+from mantle.simulation.session import run
+from mantle.stepping import nested_start
+from mantle.system.folders import saved
 from tests import coupled, restarted, support
 from tests.unit import test_nested
 
@@ -63,7 +64,7 @@ def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
 
 def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in test_nested.ALWAYS.items():
-        monkeypatch.setattr(nested, name, value)
+        monkeypatch.setattr(nested_start, name, value)
     options = (FIELDS, *test_nested.TURNS)
     case, files = restarted.whole(test_nested.STEM, tmp_path, *options)
     # Before the turn, which is where a coarser mesh is asked.
@@ -99,7 +100,7 @@ def test_an_interruption_while_companions_are_solved(
     options = (FIELDS, "output.error=true", "mesh.size=1.5 mm", "mesh.far_size=1.5 mm")
     case, _ = restarted.whole(restarted.RUBBING, tmp_path, *options)
     stop: list[str] = []
-    monkeypatch.setattr("app.limits.signals", lambda: lambda: stop[0] if stop else "")
+    monkeypatch.setattr("mantle.system.stopping.signals", lambda: lambda: stop[0] if stop else "")
     errors = running._errors
 
     def interrupted(*arguments: Any) -> Any:

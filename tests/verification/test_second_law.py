@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.work_precision import fitted_order
-from forms.contact import SLIP
+from mantle.campaigns.work_precision import fitted_order
+from mantle.forms.contact import SLIP
 from tests import support
 from tests.support import Solved
 from tests.verification.test_full_slip import BAR

@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from app import closed_forms, config, verify, verify_problems
-from app.errors import InputError
-from app.verify_measures import Sample
-from app.verify_problem import CASES, Point, Problem
+from mantle.errors import InputError
+from mantle.schema import config
+from mantle.verification import closed_forms, problems, verify
+from mantle.verification.measures import Sample
+from mantle.verification.problem import CASES, Point, Problem
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "passed"}
 
@@ -70,7 +71,7 @@ def test_what_fails_is_told(
     broken = Problem(
         "incline_loose", "nothing holds it", 0.1, "incline.yaml", (Point(loose, _never),)
     )
-    everything = verify_problems.problems()
+    everything = problems.problems()
     monkeypatch.setattr(verify, "problems", lambda fine: [broken, *everything])
     monkeypatch.setattr(closed_forms, "push_up", lambda slope, friction: 0.5)
     assert not verify.run("incline", tmp_path, fine=False, cores=2)
@@ -135,7 +136,7 @@ def test_pattern_without_match_is_an_input_error(tmp_path: Path) -> None:
 def test_problems_are_well_posed() -> None:
     """Unique short names; cases that exist and say how to run them; ladders that go down."""
     for fine in (False, True):
-        everything = verify_problems.problems(fine)
+        everything = problems.problems(fine)
         names = [p.name for p in everything]
         assert len(set(names)) == len(names) > 35
         assert max(map(len, names)) <= 26

@@ -1,0 +1,316 @@
+"""``mantle study``: error against run time of a case, by its ``study`` section."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mantle.campaigns import batch, study_report
+from mantle.campaigns import work_precision as wp
+from mantle.campaigns.batch import Job, Result
+from mantle.campaigns.study_report import Measured, Report, Run
+from mantle.errors import InputError, gravest
+from mantle.schema import case_file, config, study_file, study_options
+from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.study_file import Source
+from mantle.schema.study_options import OF_RUN, STEM_UNITS, Study
+
+log = logging.getLogger("mantle")
+
+BUSY = 0.5  # load of the machine beside a study
+
+
+def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
+    """Run all points of a study and report them.
+
+    Args:
+        case: The case file, with a study section, or a study of another case.
+        overrides: ``--set`` options; they hold for every point, so not for what varies.
+        folder: Where everything goes; what is done there already is not run again.
+        cores: Cores to use. Runs go one at a time, so that their times can be compared.
+
+    Raises:
+        InputError: The case or any point is wrong: everything at once, before anything runs.
+        MantleError: Every run failed, of which it has the gravest exit code.
+        StoppedError: Interrupted; the same command goes on from there.
+    """
+    source = study_file.read(case, overrides)
+    points = plan(source.study)
+    cases = _resolve(points, source)
+    jobs = [_job(p, source) for p in points]
+    if (load := os.getloadavg()[0]) > BUSY:
+        log.warning("other programs are at work (load %.1f): run times will mislead", load)
+    results = batch.run(jobs, folder, cores)
+    runs = [_run(*each) for each in zip(points, cases, results, strict=True)]
+    report = evaluate(source.study, runs)
+    written = study_report.write(report, source, cores, folder)
+    log.info("%s", study_report.table(report))
+    log.info("written in %s: %s", folder, ", ".join(written))
+    if all(r.exit_code for r in results):
+        text = f"every run of the study failed:\n{results[0].message}"
+        raise gravest([r.exit_code for r in results], text)
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A point of a line or of the reference's ladder.
+
+    Attributes:
+        path: Where the line stands in the case file.
+        line: Its name; empty in the reference.
+        index: The point's number along it.
+        changes: Its overrides.
+        key: The key that stands for all that vary; empty if none does.
+    """
+
+    path: case_file.Path
+    line: str
+    index: int
+    changes: dict[str, Any]
+    key: str
+
+    @property
+    def label(self) -> str:
+        """The value of its key, as written."""
+        value = self.changes.get(self.key, "")
+        return f"#{self.index + 1}" if isinstance(value, dict | list) else str(value)
+
+
+def plan(study: Study) -> list[Planned]:
+    """Every point of a study, in the order of the file; the reference's come last."""
+    lines = [(("study", "lines", name), name, line) for name, line in study.lines.items()]
+    if study.reference.run is not None:
+        lines.append((("study", "reference", "run"), "", study.reference.run))
+    return [
+        Planned(path, name, i, changes, (*study_options.varying(line), "")[0])
+        for path, name, line in lines
+        for i, changes in enumerate(study_options.steps(line))
+    ]
+
+
+def _overrides(point: Planned, common: Sequence[str]) -> list[str]:
+    """The options that make a case the point's."""
+    own = {key: value for key, value in point.changes.items() if key != "ranks"}
+    return [*common, *study_options.options(own)]
+
+
+def _job(point: Planned, source: Source) -> Job:
+    name = "-".join(filter(None, (point.line or "reference", point.label)))
+    return Job(
+        name=name.replace(" ", ""),
+        case=source.case,
+        overrides=tuple(_overrides(point, source.overrides)),
+        ranks=point.changes.get("ranks", source.ranks),
+        alone=True,
+    )
+
+
+def _resolve(points: Sequence[Planned], source: Source) -> list[config.Case]:
+    """The configuration of each point.
+
+    Raises:
+        InputError: All that is wrong with any of them, each located at its value in the study.
+    """
+    cases: list[config.Case] = []
+    problems: list[Problem] = []
+    for point in points:
+        try:
+            cases.append(config.load(source.case, _overrides(point, source.overrides)))
+        except InputError as error:
+            problems += [_located(point, message, source.file) for message in error.messages]
+    condition = "solver.condition"
+    if condition in source.study.quantities and not all(c.output.condition for c in cases):
+        at = ("study", "quantities", source.study.quantities.index(condition))
+        problems.append(Problem(at, "needs output.condition: true"))
+    source.file.raise_all(problems)
+    return cases
+
+
+def _located(point: Planned, message: str, file: CaseFile) -> Problem:
+    """A defect of a point, where its cause stands in the study."""
+    if found := case_file.located(message, point.changes, point.path):
+        item = (*found.path, point.index)
+        return Problem(item, found.text) if item in file.places else found
+    at = f"with {point.key} = {point.label}: " if point.key else ""
+    return Problem(point.path, at + message)
+
+
+def _run(point: Planned, case: config.Case, result: Result) -> Run:
+    """What a point gave."""
+    timing = result.summary.get("timing")
+    cached = ("mesh", "compile", "error")
+    time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
+    x, unit = _number(case, point)
+    return Run(
+        line=point.line,
+        key=point.key,
+        label=point.label,
+        x=x,
+        unit=unit,
+        changes=point.changes,
+        time=time,
+        tolerance=case.solver.tolerance,
+        result=result,
+    )
+
+
+def _number(case: config.Case, point: Planned) -> tuple[float | None, str]:
+    """The value of the point's key as a positive number, if it is one, and its internal unit."""
+    value: Any = point.changes if point.key == "ranks" else case.model_dump(mode="json")
+    for item in re.sub(r"\[(\d+)\]", r".\1", point.key).split("."):
+        if isinstance(value, list):
+            value = value[int(item)]
+        else:
+            value = value.get(item) if isinstance(value, dict) else None
+    number, _, unit = str(value).partition(" ")
+    try:
+        x = float(number)
+    except ValueError:
+        return None, ""
+    return (x, unit) if 0 < x < math.inf else (None, "")
+
+
+def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | None:
+    """A number of ``summary.json``.
+
+    Args:
+        summary: Its content; may be empty.
+        name: ``<interface or region>.<key>``, ``stem.<key>``, ``solver.<key>``, ``timing.<key>``,
+            ``balance.<key>``; ``.x`` .. for a component.
+        suffix: Of the key, e.g. ``_error``.
+
+    Returns:
+        The number, or None if it is not there.
+    """
+    owner, _, key = name.partition(".")
+    key, _, axis = key.partition(".")
+    if name in OF_RUN or (owner == "stem" and key in STEM_UNITS):
+        tables = [summary.get(owner, {})]
+    else:
+        tables = [
+            section.get(part, {}).get(owner, {})
+            for section in (summary, summary.get("thermal", {}))
+            for part in ("interfaces", "regions", "cure", "bonds")
+        ]
+    for table in tables:
+        value = table.get(key + suffix)
+        if axis and isinstance(value, list):
+            value = value["xyz".index(axis)]
+        if isinstance(value, int | float):
+            return float(value)
+    return None
+
+
+def evaluate(study: Study, runs: Sequence[Run]) -> Report:
+    """Errors, orders, fronts and advice from the runs of a study."""
+    curve = [r for r in runs if r.line]
+    ladder = [r for r in runs if not r.line]
+    measured = [_measure(study, name, curve, ladder) for name in study.quantities]
+    pairs = [(m.name, p) for m in measured for p in m.points]
+    return Report(
+        target=study.target,
+        runs=curve,
+        ladder=ladder,
+        quantities=measured,
+        advice=_advice_on_all(study.target, curve, measured),
+        effectivity=wp.effectivity(pairs),
+    )
+
+
+def _measure(study: Study, name: str, curve: list[Run], ladder: list[Run]) -> Measured:
+    """One quantity over all runs."""
+    compared = study.compares(name)
+    reference = _reference(study, name, ladder) if compared else None
+    points = []
+    for r in curve:
+        summary = r.result.summary
+        value, estimate = quantity(summary, name), quantity(summary, name, "_error")
+        point = wp.Point(r.line, r.label, r.x, r.time, value, estimate, r.tolerance)
+        points.append(wp.compare(point, reference))
+    errors = [p.bound for p in points]
+    times = [p.time for p in points]
+    lines = dict.fromkeys(r.line for r in curve)
+    return Measured(
+        name=name,
+        unit=study_options.unit(name),
+        compared=compared,
+        reference=reference,
+        points=points,
+        exponents={n: wp.exponent([p for p in points if p.line == n]) for n in lines},
+        front=wp.pareto(times, errors),
+        errors=errors,
+        advice=_advice(study.target, name, curve, errors, reference) if compared else "",
+    )
+
+
+def _reference(study: Study, name: str, ladder: list[Run]) -> wp.Reference | None:
+    """What a quantity is compared with; None if the ladder failed."""
+    values = study.reference.values
+    if values is not None:
+        return wp.Reference(study_options.known_value(name, values[name]), 0.0, None, "given")
+    found = [(r, v) for r in ladder if (v := quantity(r.result.summary, name)) is not None]
+    if found and len(ladder) == 1:
+        return wp.Reference(found[0][1], 0.0, None, "of one run")
+    if len(found) < 2:
+        return None
+    x = [r.x for r, _ in found if r.x is not None]
+    if x and x[0] < x[-1]:
+        x = [1.0 / each for each in x]  # a number that grows as the run gets finer
+    return wp.extrapolate(x if len(x) == len(found) else [], [v for _, v in found])
+
+
+def _advice(
+    target: float,
+    name: str,
+    curve: list[Run],
+    errors: list[float | None],
+    reference: wp.Reference | None,
+) -> str:
+    """What to use for one quantity."""
+    if reference is None or reference.value == 0.0:
+        return f"no advice on {name}: it has no reference" + ("" if reference is None else " but 0")
+    own = reference.uncertainty / abs(reference.value)
+    if own > target:
+        return (
+            f"no advice on {name}: its reference is known to {study_report.percent(own)} only; "
+            "refine study.reference.run"
+        )
+    return _sentence(target, name, curve, errors)
+
+
+def _advice_on_all(target: float, curve: list[Run], measured: list[Measured]) -> str:
+    """What to use for all quantities together, of those that have a reference good enough."""
+    compared = [m for m in measured if m.compared]
+    good = [
+        m
+        for m in compared
+        if m.reference and 0 <= m.reference.uncertainty <= target * abs(m.reference.value)
+    ]
+    if len(compared) == 1 or not good:
+        return ""
+    left_out = [m.name for m in compared if m not in good]
+    what = f"all but {', '.join(left_out)}" if left_out else f"all {len(good)} quantities"
+    worst: list[float | None] = []
+    for errors in zip(*(m.errors for m in good), strict=True):
+        known = [e for e in errors if e is not None]
+        worst.append(max(known) if len(known) == len(errors) else None)
+    return _sentence(target, what, curve, worst)
+
+
+def _sentence(target: float, what: str, curve: list[Run], errors: Sequence[float | None]) -> str:
+    wanted = study_report.percent(target)
+    i, reached = wp.best([r.time for r in curve], errors, target)
+    if i is None:
+        return f"no advice on {what}: no run has a known error"
+    r, time = curve[i], batch.duration(curve[i].time or 0.0)
+    at = r.label if r.key == "mesh.size" else f"{r.key} = {r.label}"
+    if reached:
+        return f"for {wanted} in {what} use {r.line} at {at}: {time}"
+    error = study_report.percent(errors[i] or 0.0)
+    return f"nothing reaches {wanted} in {what}; closest is {r.line} at {at}: {error} in {time}"

@@ -1,0 +1,295 @@
+"""What a study found, as a table, ``study.csv``, ``study.json`` and ``study.png``."""
+
+from __future__ import annotations
+
+import csv
+import io
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mantle import __version__
+from mantle.campaigns.batch import Result, duration
+from mantle.campaigns.work_precision import USEFUL, Effectivity, Point, Reference
+from mantle.errors import StoppedError
+from mantle.schema.study_file import Source
+from mantle.system.folders import remove, write_json, write_text
+
+# Exponents nearer to 0 say that the error does not depend on the key.
+FLAT = 0.05
+# Lengths are small where bodies meet.
+SHOWN = {"mm": (1e3, " um"), "-": (1.0, "")}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A point of a line, or of the reference's ladder, and what became of it.
+
+    Attributes:
+        line: Name of the line; empty in the reference's ladder.
+        key: The key that varies, or one that stands for several.
+        label: Its value, as written.
+        x: The same as a number, if it is one.
+        unit: Internal unit of the number; empty if it has none.
+        changes: All overrides of the point.
+        time: Run time without meshing and compiling, which are done once, and without companions
+            that tell the error [s]; None if it failed.
+        tolerance: Relative tolerance of the solver.
+        result: Its result.
+    """
+
+    line: str
+    key: str
+    label: str
+    x: float | None
+    unit: str
+    changes: dict[str, Any]
+    time: float | None
+    tolerance: float
+    result: Result
+
+    @property
+    def status(self) -> str:
+        """Done, or how it failed."""
+        code = self.result.exit_code
+        return f"failed (exit code {code})" if code else "done"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One quantity over the runs of all lines.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit.
+        compared: Whether it has an error; else only its values are shown.
+        reference: What it is compared with; None if there is nothing.
+        points: A point for each run.
+        exponents: The p of error ~ key^p along each line.
+        front: Points that no other beats in time and error, fastest first.
+        errors: Error of each point, not less than the reference's own; None if unknown.
+        advice: What to use; empty if it is not compared.
+    """
+
+    name: str
+    unit: str
+    compared: bool
+    reference: Reference | None
+    points: Sequence[Point]
+    exponents: dict[str, float | None]
+    front: list[int]
+    errors: list[float | None]
+    advice: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that a study found.
+
+    Attributes:
+        target: Relative error wanted.
+        runs: The runs of all lines.
+        ladder: Those of the reference.
+        quantities: What was measured, over `runs`.
+        advice: What to use for all of it; empty for a single quantity.
+        effectivity: How good the estimated errors are.
+    """
+
+    target: float
+    runs: Sequence[Run]
+    ladder: Sequence[Run]
+    quantities: Sequence[Measured]
+    advice: str
+    effectivity: Effectivity
+
+
+def percent(value: float) -> str:
+    """A relative number for people: 0.41 %, 12 %."""
+    return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
+
+
+def shown(value: float | None, unit: str) -> str:
+    """A value for people, lengths in micrometres."""
+    factor, name = SHOWN.get(unit, (1.0, f" {unit}"))
+    return "-" if value is None else f"{factor * value:.4g}{name}"
+
+
+def error_text(m: Measured, i: int) -> str:
+    """The error of a point: below that of the reference only this is known."""
+    error = m.errors[i]
+    if error is None:
+        return "-"
+    return percent(error) if m.points[i].trusted or not error else f"< {percent(error)}"
+
+
+def describe(reference: Reference | None, unit: str) -> str:
+    """The reference in words."""
+    if reference is None:
+        return "no reference: its runs failed or do not have it"
+    text = f"reference {shown(reference.value, unit)}"
+    if reference.method == "given":
+        return f"{text}, given"
+    if reference.method == "of one run":
+        return f"{text}, of one run: errors are those of the method"
+    own = percent(reference.uncertainty / abs(reference.value)) if reference.value else "?"
+    order = "" if reference.order is None else f", observed order {reference.order:.1f}"
+    return f"{text} ± {own} ({reference.method}{order})"
+
+
+def table(report: Report) -> str:
+    """The report for the terminal."""
+    lines = []
+    wide = max(26, *(len(r.key) + len(r.label) + 1 for r in report.runs))
+    name = max(14, *(len(r.line) for r in report.runs))
+    for m in report.quantities:
+        estimates = m.compared and any(p.estimate is not None for p in m.points)
+        lines += ["", f"{m.name}: {describe(m.reference, m.unit)}" if m.compared else m.name]
+        head = f"  {'':<3}{'line':<{name}} {'at':<{wide}} {'value':>12} {'error':>9} {'time':>9}"
+        lines.append(head + (f" {'estimated':>10} {'index':>6}" if estimates else ""))
+        for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True)):
+            mark = "*" if i in m.front else ""
+            at = f"{r.key} {r.label}"
+            row = f"  {mark:<3}{r.line:<{name}} {at:<{wide}} "
+            if r.result.exit_code:
+                lines.append(row + r.status)
+                continue
+            row += f"{shown(p.value, m.unit):>12} {error_text(m, i):>9} {duration(p.time or 0):>9}"
+            if estimates:
+                index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
+                row += f" {shown(p.estimate, m.unit):>10} {index:>6}"
+            lines.append(row.rstrip())
+        keys = {r.line: r.key for r in report.runs}
+        orders = [
+            f"{keys[n]}^{p:.1f} along {n}"
+            for n, p in m.exponents.items()
+            if p is not None and abs(p) >= FLAT
+        ]
+        if orders:
+            lines.append(f"  error goes with {', '.join(orders)}")
+        if m.compared:
+            lines.append(f"  {m.advice}")
+    lines += ["", "* no other run is both faster and closer"]
+    if report.effectivity.pairs:
+        lines += _effectivity(report.effectivity)
+    return "\n".join([*lines, *([report.advice] if report.advice else [])])
+
+
+def _effectivity(e: Effectivity) -> list[str]:
+    """How good the estimated errors are, and where they are not."""
+    low, high = USEFUL
+    lines = [
+        f"estimated over true error is within {low:g} to {high:g} for {e.useful} of {e.pairs} "
+        f"numbers ({percent(e.useful / e.pairs)})"
+    ]
+    for name, p in e.others:
+        lines.append(f"  {name} with {p.line} at {p.label}: {p.effectivity:.2f}")
+    return lines
+
+
+def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]:
+    """Write the files.
+
+    Returns:
+        Their names; a picture of nothing is not drawn.
+
+    Raises:
+        StoppedError: The folder cannot be written.
+    """
+    from mantle.campaigns import study_parameters, study_picture
+
+    record = {
+        "mantle": __version__,
+        "host": platform.node(),
+        "study": source.file.name,
+        "case": str(source.case),
+        "overrides": source.overrides,
+        "cores": cores,
+        **_record(report),
+    }
+    try:
+        # What is not drawn again would stay beside other numbers.
+        remove(folder / name for name in ("study.png", "study_parameters.png"))
+        write_json(folder / "study.json", record)
+        write_text(folder / "study.csv", _csv(report))
+        drawn = {
+            "study.png": study_picture.picture(report, folder / "study.png"),
+            "study_parameters.png": study_parameters.picture(
+                report, folder / "study_parameters.png"
+            ),
+        }
+    except OSError as error:
+        raise StoppedError(f"cannot write the study in {folder}: {error.strerror}") from error
+    return ["study.json", "study.csv", *(name for name, done in drawn.items() if done)]
+
+
+def _record(report: Report) -> dict[str, Any]:
+    """The report as plain data."""
+    e = report.effectivity
+    return {
+        "target": report.target,
+        "advice": report.advice,
+        "quantities": {
+            m.name: {
+                "unit": m.unit,
+                "advice": m.advice,
+                "compared": m.compared,
+                "reference": None if m.reference is None else asdict(m.reference),
+                "exponents": m.exponents,
+                "points": [
+                    asdict(p)
+                    | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
+                    for i, p in enumerate(m.points)
+                ],
+            }
+            for m in report.quantities
+        },
+        "effectivity": {
+            "pairs": e.pairs,
+            "useful": e.useful,
+            "others": [[n, p.line, p.label, p.effectivity] for n, p in e.others],
+        },
+        "runs": [_run_record(r) for r in report.runs],
+        "reference_runs": [_run_record(r) for r in report.ladder],
+    }
+
+
+def _run_record(r: Run) -> dict[str, Any]:
+    return {
+        "line": r.line,
+        "overrides": r.changes,
+        "status": r.status,
+        "message": r.result.message,
+        "folder": str(r.result.folder),
+        "time": r.time,
+        "timing": r.result.summary.get("timing"),
+        "solver": r.result.summary.get("solver"),
+    }
+
+
+def _csv(report: Report) -> str:
+    """A row for each run and quantity; values in the unit of their row."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(
+        "line,key,at,number [internal],status,quantity,unit,value,reference,"
+        "reference uncertainty,error [-],error exceeds uncertainty,estimated error,"
+        "effectivity [-],pareto,time [s],mesh [s],compile [s],error [s],total [s],unknowns,steps,"
+        "newton iterations,krylov iterations,condition,ranks".split(",")
+    )
+    for m in report.quantities:
+        ref = m.reference
+        for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True)):
+            summary = r.result.summary
+            timing, solver = summary.get("timing", {}), summary.get("solver", {})
+            rows.writerow(
+                [r.line, r.key, r.label, r.x, r.status, m.name, m.unit, p.value]
+                + [ref and ref.value, ref and ref.uncertainty, p.error]
+                + [int(p.trusted), p.estimate, p.effectivity, int(i in m.front), r.time]
+                + [timing.get(k) for k in ("mesh", "compile", "error", "total")]
+                + [solver.get(k) for k in ("dofs", "steps", "newton_iterations")]
+                + [solver.get(k) for k in ("linear_iterations", "condition")]
+                + [r.result.job.ranks]
+            )
+    return text.getvalue()

@@ -1,0 +1,235 @@
+"""``mantle sweep``: many cases from one, with one table for all of them.
+
+Everything goes into one folder, that of a batch (`app/campaigns/batch.py`), and beside it::
+
+    folder/sweep.csv     a row for each case: what varies, numbers and their errors, cost
+    folder/sweep.json    the same with the overrides, folders and messages; seconds of all calls
+    folder/sweep.yaml    the sweep as it was read
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import os
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from mantle.campaigns import batch, uncertainty
+from mantle.campaigns.batch import Job, Result
+from mantle.campaigns.study import quantity
+from mantle.errors import InputError, gravest
+from mantle.schema import case_file, study_options, sweep_file
+from mantle.schema.sweep_file import Planned
+from mantle.schema.sweep_options import Sweep, samples
+from mantle.simulation import variations
+from mantle.soundness import preview
+from mantle.system import identity
+from mantle.system.folders import write_json, write_text
+
+log = logging.getLogger("mantle")
+
+STATUS = {0: "converged", 4: "not converged", 5: "stopped"}
+FAILED = "failed"
+NOT_CONVERGED = "no convergence"
+# How much of the cores' time runs of different length leave unused at the end of a sweep.
+IDLE = 1.1
+
+
+def run(
+    path: Path,
+    overrides: Sequence[str],
+    folder: Path,
+    cores: int,
+    slurm: Sequence[str] | None = None,
+) -> None:
+    """Run the cases of a sweep that are not done yet, and write their table.
+
+    Args:
+        path: The sweep file.
+        overrides: ``--set`` options: they hold for every case, so not for what varies.
+        folder: Where everything goes; what is done there already is not run again.
+        cores: Cores to use.
+        slurm: Run each case as a Slurm job, with these further options of sbatch.
+
+    Raises:
+        InputError: The file or any case of it is wrong: everything at once, before anything runs.
+        MantleError: Some cases failed, of which it has the gravest exit code; the others are done.
+        StoppedError: Interrupted; the same command goes on from there.
+    """
+    sweep, planned = sweep_file.read(path, overrides)
+    jobs = [_job(p) for p in planned]
+    begin = time.monotonic() - _spent(folder)
+    log.info("%s: %d cases", sweep.title or path.stem, len(planned))
+
+    def write(results: Sequence[Result]) -> list[dict[str, Any]]:
+        return _write(sweep, path, overrides, planned, results, folder, cores, begin)
+
+    rows = write(batch.run(jobs, folder, cores, slurm, write))
+    log.info("%s", _table(rows))
+    if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
+        log.info("\n%s", spread)
+    log.info("written in %s: sweep.csv, sweep.json; mantle report %s draws it", folder, folder)
+    failed = [row for row in rows if row["exit_code"]]
+    if failed:
+        reasons = [f"{r['name']}: {_reason(r['message'])} (in {r['folder']})" for r in failed]
+        text = "\n".join([f"{len(failed)} of {len(rows)} cases failed:", *reasons])
+        raise gravest([r["exit_code"] for r in failed], text)
+
+
+def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
+    """What `run` would do, as a table: cases, their size, what they would cost.
+
+    Raises:
+        InputError: As `run`.
+    """
+    sweep, planned = sweep_file.read(path, overrides)
+    jobs = [_job(p) for p in planned]
+    results = batch.look(jobs, folder, cores)
+    wide = max(len(p.point.name) for p in planned)
+    lines = [
+        f"{sweep.title or path.stem}: {len(planned)} cases",
+        "",
+        f"{'case':<{wide}} {'ranks':>5} {'unknowns':>10} {'about':>9}",
+    ]
+    total, seen = 0.0, set[object]()
+    for p, result in zip(planned, results, strict=True):
+        seconds = preview.seconds(p.case, result.process not in seen)  # of one core
+        about = batch.duration(seconds / min(p.ranks, cores))
+        note = f"shares the matrices of {result.process}" if result.process in seen else ""
+        if result.folder in seen:
+            note, seconds, about = "the same as one above", 0.0, "-"
+        elif not result.exit_code:
+            note, seconds, about = f"done in {batch.duration(result.seconds)}", 0.0, "-"
+        seen |= {result.process, result.folder}
+        total += seconds
+        size = f"{round(preview.unknowns(p.case), -2):,.0f}".replace(",", " ")
+        lines.append(f"{p.point.name:<{wide}} {p.ranks:>5} {size:>10} {about:>9}  {note}".rstrip())
+    wall = batch.duration(IDLE * total / cores)
+    return "\n".join([*lines, "", f"about {wall} for what is not done, on {cores} cores"])
+
+
+def _spent(folder: Path) -> float:
+    """Seconds that earlier calls took."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        text = (folder / "sweep.json").read_text(encoding="utf-8")
+        return float(json.loads(text)["seconds"])
+    return 0.0
+
+
+def _job(p: Planned) -> Job:
+    return Job(p.point.name, p.base, p.overrides, p.ranks, share=True)
+
+
+def _write(
+    sweep: Sweep,
+    path: Path,
+    overrides: Sequence[str],
+    planned: Sequence[Planned],
+    results: Sequence[Result],
+    folder: Path,
+    cores: int,
+    begin: float,
+) -> list[dict[str, Any]]:
+    """Write the tables; the rows."""
+    rows = [_row(p, r, folder) for p, r in zip(planned, results, strict=True)]
+    keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
+    try:
+        write_json(
+            folder / "sweep.json",
+            {
+                "title": sweep.title or path.stem,
+                "file": str(path),
+                "overrides": list(overrides),
+                "program": identity.program(),
+                "cores": cores,
+                "seconds": round(time.monotonic() - begin, 1),
+                "uncertainty": uncertainty.of_parts(rows, samples(sweep)),
+                "cases": rows,
+            },
+        )
+        write_text(folder / "sweep.csv", _csv(rows, keys))
+        # The file may have changed since.
+        data = sweep.model_dump(mode="json", exclude_unset=True)
+        write_text(folder / "sweep.yaml", case_file.written(data))
+    except OSError as error:
+        raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
+    return rows
+
+
+def _row(p: Planned, result: Result, folder: Path) -> dict[str, Any]:
+    """A case as the tables have it."""
+    summary = result.summary
+    numbers = variations.headlines(summary)
+    estimates = {name: quantity(summary, name, "_error") for name in numbers}
+    solver = summary.get("solver", {})
+    return {
+        "name": p.point.name,
+        "part": p.point.part,
+        "overrides": p.point.changes,
+        "folder": os.path.relpath(result.folder, folder),
+        "ranks": p.ranks,
+        "status": STATUS.get(result.exit_code, FAILED),
+        "exit_code": result.exit_code,
+        "message": result.message,
+        "seconds": round(result.seconds, 2),
+        "unknowns": solver.get("dofs"),
+        "newton_iterations": solver.get("newton_iterations"),
+        "linear_iterations": solver.get("linear_iterations"),
+        "numbers": numbers,
+        "errors": {name: value for name, value in estimates.items() if value is not None},
+    }
+
+
+def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
+    """A row for each case, units in the header."""
+    flat = []
+    for r in rows:
+        numbers = {}
+        for name, value in r["numbers"].items():
+            unit = study_options.unit(name)
+            numbers[f"{name} [{unit}]"] = value
+            if name in r["errors"]:
+                numbers[f"{name} error [{unit}]"] = r["errors"][name]
+        flat.append(
+            {
+                "case": r["name"],
+                "status": r["status"],
+                **{key: r["overrides"].get(key, "") for key in keys},
+                **numbers,
+                "unknowns [-]": r["unknowns"],
+                "newton [-]": r["newton_iterations"],
+                "krylov [-]": r["linear_iterations"],
+                "wall [s]": r["seconds"],
+                "folder": r["folder"],
+            }
+        )
+    text = io.StringIO()
+    header = list(dict.fromkeys(key for row in flat for key in row))
+    table = csv.DictWriter(text, fieldnames=header, lineterminator="\n")
+    table.writeheader()
+    table.writerows(flat)
+    return text.getvalue()
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """A line for each case, for people."""
+    wide = max(len(r["name"]) for r in rows)
+    lines = [f"{'case':<{wide}} {'unknowns':>9} {'newton':>6} {'wall':>8}  most"]
+    for r in rows:
+        size, newton = ("-" if r[k] is None else r[k] for k in ("unknowns", "newton_iterations"))
+        said = r["status"] if r["exit_code"] else variations.most(r["numbers"])
+        wall = batch.duration(r["seconds"])
+        lines.append(f"{r['name']:<{wide}} {size:>9} {newton:>6} {wall:>8}  {said}")
+    return "\n".join(lines)
+
+
+def _reason(message: str) -> str:
+    """What a message comes down to: where nothing converged, else its last line."""
+    lines = [line.strip() for line in message.splitlines() if line.strip()]
+    return next((line for line in lines if line.startswith(NOT_CONVERGED)), ["", *lines][-1])

@@ -1,0 +1,110 @@
+"""What the samples of a Latin hypercube say: how far numbers spread, and which input does it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import rankdata
+
+from mantle.schema import study_options
+
+# Fewer samples say nothing of a spread.
+FEWEST = 3
+# Numbers that stay below this are rounding, in any unit of theirs.
+NOTHING = 1e-9
+
+
+def of_parts(
+    rows: Sequence[Mapping[str, Any]], inputs: Mapping[str, Sequence[str]]
+) -> dict[str, dict[str, Any]]:
+    """Spread of each number over the converged samples of each part that has some.
+
+    Args:
+        rows: Of ``sweep.json``.
+        inputs: The uncertain inputs of each part.
+
+    Returns:
+        By part: ``samples``, and ``numbers`` by name: mean, deviation (standard, of a sample), p5,
+        p95 (percentiles), and ``correlation`` with each input, by ranks (Spearman): 1 where the
+        number always grows with the input.
+    """
+    found = {}
+    for part, keys in inputs.items():
+        samples = [r for r in rows if r["part"] == part and not r["exit_code"]]
+        if len(samples) < FEWEST:
+            continue
+        values = {key: [_number(r["overrides"][key]) for r in samples] for key in keys}
+        names = [n for n in samples[0]["numbers"] if all(n in r["numbers"] for r in samples)]
+        found[part] = {
+            "samples": len(samples),
+            "numbers": {n: _spread([r["numbers"][n] for r in samples], values) for n in names},
+        }
+    return found
+
+
+def _number(value: object) -> float:
+    """The number of a value with a unit."""
+    return float(str(value).partition(" ")[0])
+
+
+def _spread(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    low, high = np.percentile(numbers, (5, 95))
+    correlation = {key: _correlation(numbers, values) for key, values in inputs.items()}
+    return {
+        "mean": float(np.mean(numbers)),
+        "deviation": float(np.std(numbers, ddof=1)),
+        "p5": float(low),
+        "p95": float(high),
+        "correlation": {key: r for key, r in correlation.items() if r is not None},
+    }
+
+
+def _correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
+    """Of ranks; None where one of them does not vary."""
+    x, y = (rankdata(v) - np.mean(rankdata(v)) for v in (a, b))
+    size = math.sqrt(float(x @ x) * float(y @ y))
+    return float(x @ y) / size if size else None
+
+
+def rows(of: Mapping[str, Any]) -> list[list[str]]:
+    """A part for people: number, unit, mean, percentiles, and the inputs it follows.
+
+    Args:
+        of: An entry of `of_parts`.
+
+    Returns:
+        Texts; what varies by more than rounding, the most uncertain first.
+    """
+    spread = {n: s for n, s in of["numbers"].items() if s["deviation"] > NOTHING}
+    order = sorted(spread, key=lambda n: -spread[n]["deviation"] / (abs(spread[n]["mean"]) or 1))
+    found = []
+    for name in order:
+        s = spread[name]
+        causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))
+        follows = ", ".join(f"{key.rpartition('.')[2]} {r:+.2f}" for key, r in causes)
+        numbers = [f"{s[key]:.4g}" for key in ("mean", "p5", "p95")]
+        found.append([name, study_options.unit(name), *numbers, follows])
+    return found
+
+
+HEAD = ("number", "unit", "mean", "5 %", "95 %", "follows (rank correlation)")
+
+
+def table(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """All parts as text."""
+    blocks = []
+    for part, of in found.items():
+        lines = [list(HEAD), *rows(of)]
+        wide = [max(len(line[k]) for line in lines) for k in range(len(HEAD))]
+        blocks.append(f"{part or 'samples'}: {of['samples']} samples")
+        blocks += [
+            "  ".join(
+                text.rjust(w) if 2 <= k <= 4 else text.ljust(w)
+                for k, (text, w) in enumerate(zip(line, wide, strict=True))
+            ).rstrip()
+            for line in lines
+        ]
+    return "\n".join(blocks)

@@ -1,0 +1,500 @@
+r"""Heat in a scene on its mesh: one implicit solve of temperature and temperature jumps.
+
+A stage of a time step asks for the state at the end of an interval h that started at T*: with
+T_b = θ + B_b τ the temperature of body b (see `heat.temperature_jumps`), the heat its nodes lack is
+
+.. math:: r_b = M_b (T_b - T_b^*)/h + K_b T_b + R_b (T_b - T_a) - f_b
+
+(M lumped capacity, K conduction, R exchange with surroundings at T_a, f what heats). Unknowns are
+θ with the rows Σ r_b = 0 and τ with the rows Σ B_b^T r_b - W q = 0. In a steady solve 1/h is zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.errors import InputError
+from mantle.heat.assembly import HeatForms
+from mantle.heat.cure_heat import CureHeat
+from mantle.heat.loads import FixedTemperatures, FrictionHeating, HeatLoads
+from mantle.heat.matrices import HeatMatrices, with_diagonal
+from mantle.heat.monotone import Bounds, Extremes, Monotone
+from mantle.heat.temperature_jumps import TemperatureJumps, cut_off
+from mantle.mechanics.systems import Measure
+from mantle.meshes.distribute import TaggedMesh
+from mantle.numerics.state import State, keyed, node_keys
+from mantle.scene.bodies import Bodies, bodies_of
+from mantle.scene.terms import Scene, multiplier
+from mantle.system.timing import Timing
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
+ROUNDING = 2.0
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+
+
+@dataclass(frozen=True)
+class _Evaluation:
+    """What residual, Jacobian and reports of one state have in common.
+
+    Attributes:
+        given: The state, and pressures and heat of friction, which are set from outside.
+        T: Temperature of own nodes of each body [K].
+        lacking: Heat that they lack, interfaces left out [N mm/s].
+        parts: What that is made of, conduction left out.
+        flux: Heat through own points by area, and its derivatives (`TemperatureJumps.flux`).
+        sizes: Norm of the parts and what rounding leaves of them, once they were asked for.
+    """
+
+    given: list[Floats]
+    T: list[Floats]
+    lacking: list[Floats]
+    parts: list[Floats]
+    flux: list[tuple[Floats, Floats, Floats]]
+    sizes: list[tuple[float, float]] = field(default_factory=list)
+
+
+class Conduction:
+    """Operators and state of one implicit solve of heat.
+
+    Attributes:
+        space: Temperature space, piecewise linear.
+        owned: Nodes of this rank.
+        bodies: Thermal bodies: regions joined by all but interfaces of finite conductance.
+        jumps: The temperature jumps, or an empty tuple.
+        capacity: Heat capacity of own nodes in each body [N mm/K].
+        matrix: Blocks of the Jacobian: one, or two by two with jumps.
+        version: Counts changes of the matrices other than those from one iteration to the next.
+    """
+
+    def __init__(self, scene: Scene, tagged: TaggedMesh, timing: Timing) -> None:
+        """Assemble everything that does not change; collective.
+
+        Args:
+            scene: The scene; all of its regions conduct.
+            tagged: Its mesh.
+            timing: Where the seconds go.
+
+        Raises:
+            InputError: The scene does not fit the mesh.
+        """
+        self.scene, self.tagged = scene, tagged
+        self.comm: MPI.Comm = tagged.mesh.comm
+        self.bodies: Bodies = bodies_of(tagged, scene.thermal_contacts, ())
+        self.forms = HeatForms(tagged, self.bodies, timing)
+        self.space = self.forms.space
+        self.owned = self.forms.owned
+        self._every = range(len(self.bodies.names))
+        self._loads = HeatLoads(scene, self.bodies, self.forms)
+        self._fixed = FixedTemperatures(scene, self.forms)
+        self.jumps: tuple[TemperatureJumps, ...] = (
+            (TemperatureJumps(scene, tagged, self.bodies, self.forms, self._fixed.of_body),)
+            if scene.thermal_contacts
+            else ()
+        )
+        for j in self.jumps:
+            self._fixed.join(j)
+        self.held = self._fixed.base >= 0
+        self.capacity = self._capacities()
+        # Heat is counted from a temperature that is near all of them: less is lost to rounding.
+        self._reference = float(np.mean([c.initial for c in scene.conductors]))
+        self._exchange, self._brought = self._loads.exchanges(self._reference)
+        self.cures: tuple[CureHeat, ...] = (
+            (CureHeat(scene, self.bodies, self.forms),) if scene.cures else ()
+        )
+        self.frictions: tuple[FrictionHeating, ...] = (
+            (
+                FrictionHeating(
+                    self.forms.zeros(),
+                    {f"friction {f.interface}": 0.0 for f in scene.friction_heat},
+                ),
+            )
+            if scene.friction_heat
+            else ()
+        )
+        self._monotone = Monotone(self.comm, self._conduction(), self.capacity)
+        data = [c.initial for c in scene.conductors] + [e.outside for e in self._loads.exchange]
+        self._data = Extremes(
+            self.comm, min(data), max(data), bool(scene.cures or scene.friction_heat)
+        )
+        self._blocks = HeatMatrices(self._monotone.matrices, self.jumps, self.held)
+        self._seconds = 0.0
+        self._rate = 1.0
+        self._start, self._heats = self.forms.zeros(), self.forms.zeros()
+        self._given: list[Floats] = []
+        self._last: tuple[_Evaluation, ...] = ()
+        self._fill()
+        self._work = [self.matrix[0][0].createVecRight(), self.matrix[0][0].createVecLeft()]
+        self._θ = fem.Function(self.space, name="temperature")
+        self._moved = {
+            b: fem.Function(self.space, name=f"temperature {self.bodies.names[b]}")
+            for j in self.jumps
+            for b in j.moves
+        }
+
+    # Construction
+
+    def _capacities(self) -> list[Floats]:
+        total = self.forms.zeros()
+        for c in self.scene.conductors:
+            total[self.bodies.of_region[c.region]] += c.capacity * self.forms.volumes(c.region)
+        return total
+
+    def _conduction(self) -> list[PETSc.Mat]:
+        """Conduction matrix of each body [N mm/(s K)]."""
+        parts: dict[int, PETSc.Mat] = {}
+        for c in self.scene.conductors:
+            body, matrix = self.bodies.of_region[c.region], self.forms.conduction(c)
+            if body in parts:
+                parts[body].axpy(1.0, matrix, structure=DIFFERENT)
+            else:
+                parts[body] = matrix
+        return [with_diagonal(parts[b]) for b in self._every]
+
+    # State
+
+    def vectors(self) -> list[PETSc.Vec]:
+        """New vectors: temperature of own nodes, and with jumps those of own points."""
+        return self._blocks.vectors()
+
+    def initial(self) -> list[PETSc.Vec]:
+        """The state at the start.
+
+        Where regions share a temperature from the start, though theirs differ, it is the mean by
+        capacity: no heat is lost. Given temperatures hold from the start.
+        """
+        capacity, heat = self.forms.zeros(), self.forms.zeros()
+        for c in self.scene.conductors:
+            body, nodal = self.bodies.of_region[c.region], c.capacity * self.forms.volumes(c.region)
+            capacity[body] += nodal
+            heat[body] += nodal * (c.initial - self._reference)
+        T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, capacity, strict=True)]
+        x = self.vectors()
+        for j in self.jumps:
+            table = np.array(T)
+            x[1].array[:] = table[j.bodies[:, 1], j.dof] - table[j.bodies[:, 0], j.dof]
+        added = self._added(x[1:])
+        total = sum(c * (t - a) for c, t, a in zip(capacity, T, added, strict=True))
+        x[0].array[:] = self._reference + total / sum(capacity)
+        self._set_given(0.0)
+        self.impose(x)
+        return x
+
+    def _added(self, τ: Sequence[PETSc.Vec]) -> list[Floats]:
+        """What jumps add to the temperature of own nodes of each body [K]."""
+        added = self.forms.zeros()
+        for j, vector in zip(self.jumps, τ, strict=True):
+            for b, B in j.moves.items():
+                B.mult(vector, self._work[1])
+                added[b] = self._work[1].array.copy()
+        return added
+
+    def nodal(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
+        """Temperature of own nodes of each body [K]; what a body has not is without meaning."""
+        return [x[0].array_r + added for added in self._added(x[1:])]
+
+    def temperatures(self, x: Sequence[PETSc.Vec]) -> list[fem.Function]:
+        """Temperature of each body as a function, overwritten by the next call."""
+        T = self.nodal(x)
+        values = {-1: x[0].array_r} | {b: T[b] for b in self._moved}
+        for function, nodal in zip((self._θ, *self._moved.values()), values.values(), strict=True):
+            function.x.array[: self.owned] = nodal
+            function.x.scatter_forward()
+        return [self._moved.get(b, self._θ) for b in self._every]
+
+    def of_region(self, region: str) -> fem.Function:
+        """Temperature of a region as last spread by ``temperatures``."""
+        return self._moved.get(self.bodies.of_region[region], self._θ)
+
+    # What a run remembers
+
+    @cached_property
+    def nodes(self) -> Ints:
+        """Keys of own nodes."""
+        return node_keys(self.space)
+
+    def _keys(self) -> list[Ints]:
+        """Keys of temperatures, jumps and degrees of cure, as far as there are any."""
+        setting = [self.nodes[n.dof] for cure in self.cures for n in cure.nodes]
+        return [self.nodes, *(j.mine for j in self.jumps), *setting]
+
+    def pack(self, values: Sequence[Floats]) -> State:
+        """Temperatures of own nodes, jumps of own points, degrees of cure, as they are kept."""
+        return {"parts": [keyed(k, v) for k, v in zip(self._keys(), values, strict=False)]}
+
+    def unpack(self, state: State) -> list[Floats]:
+        """Read them back."""
+        return [r.of(k) for k, r in zip(self._keys(), state["parts"], strict=False)]
+
+    def state(self) -> State:
+        """What earlier steps leave to those that come."""
+        setting = self._keys()[1 + len(self.jumps) :]
+        curing = [m for cure in self.cures for m in cure.curing.memory]
+        return {
+            "extremes": self._data.state(),
+            "flagged": [keyed(self.nodes, f) for f in self._monotone.flags],
+            "curing": [keyed(k, m.T) for k, m in zip(setting, curing, strict=True)],
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; collective."""
+        self._data.resume(state["extremes"])
+        self._monotone.resume([r.of(self.nodes) for r in state["flagged"]])
+        setting = self._keys()[1 + len(self.jumps) :]
+        found = [r.of(k).T for k, r in zip(setting, state["curing"], strict=True)]
+        curing = [m for cure in self.cures for m in cure.curing.memory]
+        for memory, values in zip(curing, found, strict=True):
+            memory[:] = values
+        self._fill()
+
+    # One implicit solve
+
+    def begin(
+        self, start: Sequence[Floats], degrees: Sequence[Floats], h: float, seconds: float
+    ) -> bool:
+        """Prepare a solve; collective.
+
+        Args:
+            start: Temperatures of own nodes, and with jumps those of own points, from which the
+                interval starts [K].
+            degrees: Degrees of cure from which it starts, of own nodes of each region that sets.
+            h: Its length [s]; infinite for a steady state.
+            seconds: Time at its end, since the start of the run.
+
+        Returns:
+            Whether the degrees are ones to start from; if not, there is nothing to solve.
+
+        Raises:
+            InputError: A steady state does not exist: nothing sets the temperature of a body.
+        """
+        x = self.vectors()
+        for vector, values in zip(x, start, strict=True):
+            vector.array[:] = values
+        self._start = self.nodal(x)
+        self._seconds, self._last = seconds, ()
+        self._heats = self._loads.heats(seconds)
+        self._set_given(seconds)
+        if math.isinf(h):
+            self._refuse_cut_off()
+        rate = 0.0 if math.isinf(h) else 1 / h
+        if rate != self._rate:
+            self._rate = rate
+            self._fill()
+        return all([cure.begin(degrees, h, seconds) for cure in self.cures])
+
+    def _refuse_cut_off(self) -> None:
+        here = [bool((e > 0).any()) for e in self._exchange]
+        for b, condition in self._fixed.of_body.items():
+            here[b] = here[b] or bool((condition >= 0).any())
+        reached = np.any(self.comm.allgather(here), axis=0)
+        lost = cut_off(self.scene.thermal_contacts, self.jumps, list(reached))
+        if lost:
+            raise InputError(
+                f"stages: there is no steady state: nothing sets the temperature of "
+                f"'{self.bodies.names[lost[0]]}'; allowed: a given temperature, convection or "
+                "perfusion on it, or an interface that conducts"
+            )
+
+    def _fill(self) -> None:
+        """Set the linear part of the Jacobian."""
+        self._last = ()
+        added = [m * self._rate + r for m, r in zip(self.capacity, self._exchange, strict=True)]
+        self._blocks.fill(self._monotone.matrices, added)
+
+    def _set_given(self, seconds: float) -> None:
+        values = self._fixed.values(seconds)
+        self._given = [self._fixed.continuous(values)]
+        self._given += [self._fixed.jumps(values, j) for j in self.jumps]
+        self._data.see(
+            *self._fixed.extremes(values),
+            min(float(h.min(initial=0.0)) for h in self._heats),
+            max(float(h.max(initial=0.0)) for h in self._heats),
+        )
+
+    def impose(self, x: Sequence[PETSc.Vec]) -> None:
+        """Put given temperatures and jumps into a state."""
+        x[0].array[self.held] = self._given[0][self.held]
+        for j, τ, given in zip(self.jumps, x[1:], self._given[1:], strict=True):
+            τ.array[j.held] = given[j.held]
+
+    def _at(self, x: Sequence[PETSc.Vec]) -> _Evaluation:
+        """Evaluate a state, unless it is the one evaluated last; collective."""
+        arrays = [v.array_r for v in x]
+        given = [*arrays, *(j.pressure for j in self.jumps)]
+        given += [nodal for f in self.frictions for nodal in f.nodal]
+        for last in self._last:
+            # Together, for what follows is collective: one rank may see a change, another none.
+            same = all(map(np.array_equal, given, last.given))
+            if self.comm.allreduce(same, MPI.LAND):
+                return last
+        T = self.nodal(x)
+        lacking, parts = [], list[Floats]()
+        above, flow = self._work
+        for b in self._every:
+            above.array[:] = T[b] - self._reference
+            self._monotone.matrices[b].mult(above, flow)
+            exchanged = self._exchange[b] * above.array_r - self._brought[b]
+            stored = self._rate * self.capacity[b] * (T[b] - self._start[b])
+            lacking.append(flow.array_r + exchanged + stored - self._heats[b])
+            parts += [exchanged, stored, self._heats[b]]
+        for source in (*(c.heats(T) for c in self.cures), *(f.nodal for f in self.frictions)):
+            lacking = [r - s for r, s in zip(lacking, source, strict=True)]
+            parts += source
+        flux = [j.flux(τ) for j, τ in zip(self.jumps, arrays[1:], strict=True)]
+        found = _Evaluation([a.copy() for a in given], T, lacking, parts, flux)
+        self._last = (found,)
+        return found
+
+    def residual(self, x: Sequence[PETSc.Vec], out: Sequence[PETSc.Vec]) -> None:
+        """Heat that is lacking, zero where temperatures are given [N mm/s]."""
+        here = self._at(x)
+        r = here.lacking
+        out[0].array[:] = np.where(self.held, 0.0, sum(r))
+        for j, (q, _, _), f in zip(self.jumps, here.flux, out[1:], strict=True):
+            total = -j.weight * q
+            for b, B in j.moves.items():
+                self._work[1].array[:] = r[b]
+                moved = f.duplicate()
+                B.multTranspose(self._work[1], moved)
+                total += moved.array
+            f.array[:] = np.where(j.held, 0.0, total)
+
+    def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
+        """Set the blocks of the Jacobian to a state."""
+        here = self._at(x)
+        by_jump = [-j.weight * q_τ for j, (_, q_τ, _) in zip(self.jumps, here.flux, strict=True)]
+        self._blocks.set(by_jump, [cure.growth(here.T) for cure in self.cures])
+
+    @property
+    def matrix(self) -> list[list[PETSc.Mat]]:
+        """Blocks of the Jacobian."""
+        return self._blocks.matrix
+
+    @property
+    def version(self) -> int:
+        """Changes of the matrix that outdate its preconditioner."""
+        return self._blocks.version
+
+    def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
+        """Degrees of cure in a state, of own nodes of each region that sets."""
+        return [d.degree for cure in self.cures for d in cure.at(self.nodal(x))]
+
+    @property
+    def adiabatic_rises(self) -> list[float]:
+        """By how much full cure would warm each region that sets [K]."""
+        return [n.adiabatic_rise for cure in self.cures for n in cure.nodes]
+
+    @staticmethod
+    def rubbing(jumps: TemperatureJumps) -> tuple[Floats, Floats]:
+        """Friction heat per area at own points (n,) [N/(mm s)], and the slave's share of it."""
+        return jumps.friction, jumps.share
+
+    # Extremes
+
+    def bounds(self, x: Sequence[PETSc.Vec]) -> Bounds:
+        """Between what the temperatures of a state have to be; collective."""
+        return self._data.bounds(x[0].array_r)
+
+    def outside(self, x: Sequence[PETSc.Vec]) -> bool:
+        """Whether a state leaves its bounds; collective."""
+        return self._monotone.outside(self.nodal(x), self.bounds(x))
+
+    def correct(self, x: Sequence[PETSc.Vec]) -> bool:
+        """Correct conduction where a state leaves its bounds; collective.
+
+        Returns:
+            Whether that may help: the step is to be done again.
+        """
+        changed = self._monotone.correct(self.nodal(x), self.bounds(x))
+        if changed:
+            self._fill()
+        return changed
+
+    def settle(self, x: Sequence[PETSc.Vec]) -> None:
+        """Take corrections back where an accepted state no longer needs them; collective."""
+        if self._monotone.settle(self.nodal(x), self.bounds(x)):
+            self._fill()
+
+    # Size of a residual
+
+    def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> Measure:
+        """How large a residual f of a state x is; collective [N mm/s].
+
+        Its scale is that of the heat stored, brought in and let through, not of what conduction
+        alone would move: in a state that hardly changes that is large and cancels.
+        """
+        here = self._at(x)
+        if not here.sizes:
+            here.sizes.append(self._sizes(here, x))
+        ((scale, rounding),) = here.sizes
+        return Measure(math.sqrt(sum(v.norm() ** 2 for v in f)), scale, rounding, lasting=False)
+
+    def _sizes(self, here: _Evaluation, x: Sequence[PETSc.Vec]) -> tuple[float, float]:
+        """Norm of what balances in a state, and what rounding leaves of it; collective."""
+        parts = [np.where(self.held, sum(here.lacking), 0.0), *here.parts]
+        parts += [j.weight * q for j, (q, _, _) in zip(self.jumps, here.flux, strict=True)]
+        noise = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
+        local = [float(a @ a) for a in (*parts, *noise)]
+        norms = np.sqrt(np.array(self.comm.allreduce(np.array(local), MPI.SUM)))
+        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
+        return float(norms[: len(parts)].sum()), rounding
+
+    # What is reported
+
+    def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+        """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
+
+        Of the interval last begun: the sum is the rate at which heat is stored in it, to the
+        tolerance of the solver.
+        """
+        here = self._at(x)
+        T = here.T
+        found: dict[str, float] = {}
+        for h in self._loads.heating:
+            total = sum(float(nodal.sum()) for nodal in h.nodal.values())
+            found[h.name] = multiplier(h.course, self._seconds) * total
+        for e in self._loads.exchange:
+            found[e.name] = sum(
+                float((nodal * (e.outside - T[b])).sum()) for b, nodal in e.per_kelvin.items()
+            )
+        for cure in self.cures:
+            for n, heat in zip(cure.nodes, cure.released(T), strict=True):
+                found[f"cure {n.region}"] = float(heat.sum())
+        lacking = [r.copy() for r in here.lacking]
+        for j, (flux, _, _) in zip(self.jumps, here.flux, strict=True):
+            q = j.weight * flux
+            for side, sign in ((0, 1.0), (1, -1.0)):
+                for b in self._every:
+                    at = j.bodies[:, side] == b
+                    np.add.at(lacking[b], j.dof[at], sign * q[at])
+        for s, c in enumerate(self._fixed.conditions):
+            found[c.name] = sum(
+                float(lacking[b][condition == s].sum())
+                for b, condition in self._fixed.of_body.items()
+            )
+        names = list(found)
+        sums = self.comm.allreduce(np.array(list(found.values())), MPI.SUM)
+        every = {name: float(v) for name, v in zip(names, sums, strict=True)}
+        for friction in self.frictions:
+            every |= friction.flows
+        return every
+
+    def stored(self, x: Sequence[PETSc.Vec]) -> float:
+        """Heat stored, from an arbitrary but fixed temperature on [N mm]; collective."""
+        local = sum(
+            float((m * (t - self._reference)).sum())
+            for m, t in zip(self.capacity, self.nodal(x), strict=True)
+        )
+        return float(self.comm.allreduce(local, MPI.SUM))

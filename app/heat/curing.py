@@ -1,0 +1,358 @@
+"""Degree of cure: a state of every node of a region that sets, advanced node by node.
+
+A time integration asks for the degree of cure at the end of an implicit step, a = a* + h f(a, T),
+with its derivative by the temperature there; the heat that is released is that of a - a*, so none
+is lost. What the curing does to strains is in `FreeStrain`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+from ufl import as_ufl, diff, variable
+from ufl.algorithms import expand_derivatives, strip_variables
+from ufl.core.expr import Expr
+
+from mantle.forms import cure as forms
+from mantle.numerics.pointwise import Pointwise
+from mantle.scene.terms import Autocatalytic, Cure, Expansion, Prescribed, multiplier
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# A reaction ends this far below its limit. What would be left takes ever longer and warms by less
+# than any tolerance, but the stages of a long step would overshoot the limit for it.
+UNREACTED = 1e-6
+# Degrees further than this from [0, 1] are not there by rounding.
+ROUNDING = 1e-12
+# Times are equal up to this part of them.
+SAME = 1e-10
+# Below this degree errors count by their part of the degree, down to the second.
+_SMALL, _SMALLEST = 1e-2, 1e-9
+# Newton's method is in the logarithm of what reacts over what does not.
+_CONVERGED = 1e-8
+# Parts of what may react that are taken from the last step without looking at the ends, and the
+# logarithm of what is less than any.
+_HARDLY, _HALF, _LOWEST = 1e-12, 0.5, -50.0
+# Temperatures between which iterates of a solver mean something [K], and the least share of what
+# may react whose powers are numbers.
+_COLDEST, _HOTTEST, _LEAST = 1.0, 1e9, 1e-300
+_ITERATIONS = 100
+
+
+@dataclass(frozen=True)
+class Degrees:
+    """Degree of cure after an implicit step and its derivative by the temperature there (n,)."""
+
+    degree: Floats
+    by_temperature: Floats
+
+
+class Kinetics(Protocol):
+    """How the nodes of one region set."""
+
+    @property
+    def events(self) -> tuple[float, ...]:
+        """Times [s] at which the rate has a kink."""
+
+    @property
+    def memory(self) -> Floats:
+        """What it remembers of the step before at each node (k, n), to be written to."""
+
+    def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
+        """Solve a = a* + h f(a, T)."""
+
+
+class Curing:
+    """The degrees of cure of all regions that set, on the nodes of this rank."""
+
+    def __init__(self, comm: MPI.Comm, cures: Sequence[Cure], nodes: Sequence[int]) -> None:
+        """Compile the rates; collective.
+
+        Args:
+            comm: Communicator of the mesh.
+            cures: Regions that set.
+            nodes: Number of nodes of each on this rank.
+        """
+        self._comm = comm
+        self._cures = tuple(cures)
+        self._nodes = tuple(nodes)
+        self._kinetics = [kinetics(comm, c, n) for c, n in zip(cures, nodes, strict=True)]
+
+    @property
+    def events(self) -> tuple[float, ...]:
+        """Times [s] that no time step should cross."""
+        return tuple(sorted({t for k in self._kinetics for t in k.events}))
+
+    @property
+    def memory(self) -> list[Floats]:
+        """What the kinetics of each region remember of the step before, to be written to."""
+        return [k.memory for k in self._kinetics]
+
+    def initial(self) -> list[Floats]:
+        """Degrees of cure at the start."""
+        return [np.full(n, c.initial) for c, n in zip(self._cures, self._nodes, strict=True)]
+
+    def admissible(self, start: Sequence[Floats]) -> bool:
+        """Whether every degree lies in [0, 1] up to rounding; collective.
+
+        A stage of a time step that is too long may start from one that does not.
+        """
+        inside = all(bool((np.abs(a - 0.5) <= 0.5 + ROUNDING).all()) for a in start)
+        return bool(self._comm.allreduce(inside, op=MPI.LAND))
+
+    def update(
+        self, start: Sequence[Floats], temperatures: Sequence[Floats], h: float, seconds: float
+    ) -> list[Degrees]:
+        """Degrees a = a* + h f(a, T), always in [a*, 1], for admissible a*.
+
+        Args:
+            start: Degrees a* (n,) per region.
+            temperatures: Temperatures at the end of the step (n,) per region [K].
+            h: Length of the implicit step [s].
+            seconds: Time at its end [s].
+
+        Raises:
+            ValueError: If the step has no end: what sets has no steady state but the set one.
+        """
+        if not np.isfinite(h):
+            raise ValueError("Cure needs a time step of finite length.")
+        return [
+            k.update(np.clip(a, 0.0, 1.0), T, h, seconds)
+            for k, a, T in zip(self._kinetics, start, temperatures, strict=True)
+        ]
+
+
+def kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
+    """The compiled kinetics of a region."""
+    match cure.kinetics:
+        case Autocatalytic():
+            return _Autocatalytic(comm, cure.kinetics, nodes)
+        case Prescribed():
+            return _Clock(cure.kinetics, cure.initial, nodes)
+
+
+class _Clock:
+    """Cure that follows a clock, whatever the temperature."""
+
+    def __init__(self, terms: Prescribed, initial: float, nodes: int) -> None:
+        self.memory: Floats = np.zeros((0, nodes))
+        self._course = terms.rate
+        self._initial = initial
+        times, rates = np.array(terms.rate).T
+        self._total = float(np.trapezoid(rates, times))
+        self.events = tuple(map(float, times))
+
+    def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
+        """The same for every node."""
+        # Before and after its course the reaction rests. Where it begins or ends at once, what ends
+        # there sees the rate before; the clock is rounded.
+        near = SAME * seconds
+        runs = self.events[0] + near < seconds <= self.events[-1] + near
+        r = multiplier(self._course, seconds) if runs else 0.0
+        rate = forms.prescribed_rate(r, self._total, self._initial)
+        return Degrees(np.minimum(start + h * rate, 1.0), np.zeros_like(start))
+
+
+class _Autocatalytic:
+    """Nodes of a region with autocatalytic kinetics."""
+
+    events: tuple[float, ...] = ()
+
+    def __init__(self, comm: MPI.Comm, terms: Autocatalytic, nodes: int) -> None:
+        pairs = range(len(terms.limit))
+        names = ["k0", "Ea", "m", "n"]
+        values = [terms.rate_constant, terms.activation_energy, terms.m, terms.n]
+        knots = [f"T_{k}" for k in pairs] + [f"limit_{k}" for k in pairs]
+        levels = [T for T, _ in terms.limit] + [a for _, a in terms.limit]
+
+        def limit(x: dict[str, Expr], T: Expr) -> Expr:
+            if not terms.limit:
+                return as_ufl(1.0)
+            return forms.conversion_limit(
+                T, [x[f"T_{k}"] for k in pairs], [x[f"limit_{k}"] for k in pairs]
+            )
+
+        def limits(x: dict[str, Expr]) -> list[Expr]:
+            T = variable(x["T"])
+            value = limit(x, T)
+            return _plain(value, diff(value, T))
+
+        def rates(x: dict[str, Expr]) -> list[Expr]:
+            a, T = variable(x["a"]), variable(x["T"])
+            rate = forms.autocatalytic_rate(a, T, limit(x, T), *(x[k] for k in names))
+            return _plain(rate, diff(rate, a), diff(rate, T))
+
+        sizes = dict.fromkeys(["T", *knots], 1)
+        constants = dict(zip([*names, *knots], [*values, *levels], strict=True))
+        self._rates = Pointwise(comm, nodes, sizes | dict.fromkeys(["a", *names], 1), rates)
+        self._rates.set(**{k: np.full(nodes, v) for k, v in constants.items()})
+        self._limits: tuple[Pointwise, ...] = ()
+        if terms.limit:
+            self._limits = (Pointwise(comm, nodes, sizes, limits),)
+            self._limits[0].set(**{k: np.full(nodes, constants[k]) for k in knots})
+        # Mean rates of the last step, at what temperatures and how they grow with these: of the
+        # next one they are not far.
+        self.memory: Floats = np.zeros((3, nodes))
+        self._mean, self._warmth, self._growth = self.memory
+
+    def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
+        """Only nodes that still react are looked at."""
+        # Iterates of a solver may be cold beyond sense, or no number: nothing reacts there.
+        T = np.minimum(np.fmax(temperature, _COLDEST), _HOTTEST)
+        limit, limit_by_T = np.ones_like(T), np.zeros_like(T)
+        for law in self._limits:
+            limit, limit_by_T = law(T=T)
+        degree, by_T = start.copy(), np.zeros_like(start)
+
+        def rates(rows: Ints, reacted: Floats) -> list[Floats]:
+            return self._rates(rows, a=start[rows] + reacted, T=T[rows])
+
+        rows = np.flatnonzero(limit - start > UNREACTED)
+        room = limit[rows] - start[rows]
+        mean = self._mean[rows] + self._growth[rows] * (T[rows] - self._warmth[rows])
+        share = np.where(self._mean[rows] > 0, h * mean / room, 0.0)
+        low = np.full(len(rows), _LOWEST)
+        high: Floats = np.log((room - UNREACTED) / UNREACTED)
+        # Where too little is known the ends are looked at first.
+        new = np.flatnonzero(~((share > _HARDLY) & (share < _HALF) & (start[rows] > 0)))
+        if len(new):
+            first = rates(rows[new], np.zeros(len(new)))[0]
+            last = rates(rows[new], room[new] - UNREACTED)[0]
+            # Rates in between are at least the lower of the two at the ends.
+            least = h * np.minimum(first, last) / room[new]
+            low[new] = np.log(np.maximum(least, _LEAST)) - 1.0
+            share[new] = np.where(share[new] > 0, share[new], h * first / room[new])
+            ends = h * last >= room[new] - UNREACTED
+            done = rows[new[ends & (first > 0)]]
+            degree[done], by_T[done] = limit[done] - UNREACTED, limit_by_T[done]
+            on = np.ones(len(rows), dtype=bool)
+            on[new[ends | ~(first > 0)]] = False
+            rows, room, share = rows[on], room[on], share[on]
+            low, high = low[on], high[on]
+        reacted, f, f_a, f_T = self._react(rows, room, share, low, high, h, rates)
+        degree[rows] = start[rows] + reacted
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # The step itself, or what is left of it where the reaction has ended before.
+            taken = np.fmin(h, reacted / f)
+            slope = taken * f_T / (1 - taken * f_a)
+        by_T[rows] = np.where(np.isfinite(slope), slope, 0.0)
+        self._mean[:], self._warmth[:], self._growth[:] = (degree - start) / h, T, by_T / h
+        return Degrees(degree, by_T)
+
+    @staticmethod
+    def _react(
+        rows: Ints,
+        room: Floats,
+        share: Floats,
+        low: Floats,
+        high: Floats,
+        h: float,
+        rates: Callable[[Ints, Floats], list[Floats]],
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        r"""What reacts at some nodes, with the rate and its derivatives by degree and temperature.
+
+        Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds:
+        ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
+        root. With m > 1 a step may be so long that there are more; one of them is found.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = np.log(share) - np.log1p(-share)
+        found = np.zeros((3, len(rows)))
+        moving = np.arange(len(rows))
+        for _ in range(_ITERATIONS):
+            if not len(moving):
+                break
+            at, below, above = s[moving], low[moving], high[moving]
+            at = np.where((at > below) & (at < above), at, (below + above) / 2)
+            share = _logistic(at)
+            reacted = room[moving] * share
+            f, f_a, f_T = rates(rows[moving], reacted)
+            found[:, moving] = f, f_a, f_T
+            with np.errstate(divide="ignore", invalid="ignore"):
+                value = np.log(reacted / (h * f))
+                slope = (1 - share) * (1 - reacted * f_a / f)
+                step = np.where(slope > 0, -value / slope, np.inf)
+            low[moving] = np.where(value > 0, below, at)
+            high[moving] = np.where(value > 0, at, above)
+            s[moving] = at + step
+            going = ~(np.abs(step) <= _CONVERGED) & (high[moving] - low[moving] > _CONVERGED)
+            moving = moving[going]
+        return room * _logistic(np.clip(s, low, high)), *found
+
+
+def as_temperature(degree: Floats, error: Floats, rise: float) -> Floats:
+    """Errors of degrees of cure as temperatures (n,) [K], by the heat that they release.
+
+    At small degrees an error counts by its part of the degree, for both grow together.
+
+    Args:
+        degree: Degrees of cure (n,).
+        error: Their errors (n,).
+        rise: By how much full cure would warm the region that keeps its heat [K].
+    """
+    return rise * error * np.maximum(1, _SMALL / np.maximum(degree, _SMALLEST))
+
+
+def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
+    """Part of the free strain of a way that is there at a part s of it (n,).
+
+    Args:
+        gel: Degree of cure at gelation.
+        start: Degrees of cure where it begins (n,).
+        end: Where it ends.
+        s: How much of it is gone, the degree being linear in it.
+    """
+    grown = np.divide(gel - start, end - start, out=np.zeros_like(start), where=end > start)
+    gelled = np.clip(grown, 0.0, 1.0)
+    left = np.maximum(s - gelled, 0.0)
+    return np.divide(left, 1 - gelled, out=np.ones_like(left), where=gelled < 1)
+
+
+class FreeStrain:
+    """What curing and warming strain without stress, at the nodes of one region."""
+
+    def __init__(self, comm: MPI.Comm, cure: Cure, expansion: Expansion, nodes: int) -> None:
+        """Compile the increment; collective.
+
+        Args:
+            comm: Communicator of the mesh.
+            cure: The region that sets.
+            expansion: Its thermal expansion.
+            nodes: Number of its nodes on this rank.
+        """
+        names = ("a_old", "T_old", "a", "T", "gel", "expansion", "shrinkage")
+
+        def increment(x: dict[str, Expr]) -> list[Expr]:
+            return [forms.free_strain_increment(*(x[k] for k in names))]
+
+        self._law = Pointwise(comm, nodes, dict.fromkeys(names, 1), increment)
+        self._law.set(
+            gel=np.full(nodes, cure.gel),
+            expansion=np.full(nodes, expansion.coefficient),
+            shrinkage=np.full(nodes, cure.shrinkage),
+        )
+
+    def increment(self, a_old: Floats, T_old: Floats, a: Floats, T: Floats) -> Floats:
+        """Linear strain (n,) [-] of a step from (a_old, T_old) to (a, T [K]), each (n,)."""
+        return self._law(a_old=a_old, T_old=T_old, a=a, T=T)[0]
+
+
+def _logistic(s: Floats) -> Floats:
+    """1 / (1 + exp(-s)) without overflow."""
+    small = np.exp(-np.abs(s))
+    return np.where(s < 0, small, 1.0) / (1 + small)
+
+
+def _plain(*expressions: Expr) -> list[Expr]:
+    """Expressions with derivatives taken and without the labels of their variables.
+
+    The labels differ from run to run; without them what is compiled is found again.
+    """
+    return [strip_variables(expand_derivatives(e)) for e in expressions]

@@ -1,0 +1,158 @@
+r"""The Jacobian of an implicit solve of heat, filled again and again with the same pattern.
+
+With A_b = M_b/h + K_b + R_b of each body, the blocks are
+
+.. math:: \sum_b A_b, \qquad C = \sum_b A_b B_b, \qquad C^T,
+          \qquad \sum_b B_b^T A_b B_b - W \, ∂q/∂τ.
+
+Rows and columns of given temperatures and jumps are zero but for their diagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.heat.temperature_jumps import TemperatureJumps
+from mantle.numerics.sparse import from_rows, matrix_sum
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
+
+
+class HeatMatrices:
+    """Blocks of the Jacobian.
+
+    Attributes:
+        matrix: One block, or two by two with jumps.
+        version: Counts how often the linear parts were filled.
+    """
+
+    def __init__(
+        self, K: Sequence[PETSc.Mat], jumps: tuple[TemperatureJumps, ...], held: Bools
+    ) -> None:
+        """Find the patterns; collective.
+
+        Args:
+            K: Conduction matrix of each body, with its whole diagonal in the pattern.
+            jumps: The jumps, or an empty tuple.
+            held: Own nodes whose continuous temperature is given.
+        """
+        self.version = 0
+        self._jumps, self._held = jumps, held
+        self._bodies = [k.copy() for k in K]
+        self._A = matrix_sum(self._bodies)
+        self._A.setOption(PETSc.Mat.Option.KEEP_NONZERO_PATTERN, True)
+        self._A.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        start = self._A.getOwnershipRange()[0]
+        self._rows = (start + np.flatnonzero(held)).astype(PETSc.IntType)
+        self._diagonal = self._A.createVecLeft()
+        self._vectors = [self._A.createVecRight()]
+        self.matrix = [[self._A]]
+        for j in jumps:
+            self._C = {b: self._bodies[b].matMult(B) for b, B in j.moves.items()}
+            self._D = {b: B.transposeMatMult(self._C[b]) for b, B in j.moves.items()}
+            self._linear = matrix_sum(list(self._C.values())), matrix_sum(list(self._D.values()))
+            self._linear[1].setOption(PETSc.Mat.Option.SYMMETRIC, True)
+            C, D = (m.copy() for m in self._linear)
+            self._vectors.append(D.createVecRight())
+            self.matrix = [[self._A, C], [C.transpose(PETSc.Mat()), D]]
+
+    def vectors(self) -> list[PETSc.Vec]:
+        """A new vector for each block."""
+        vectors = [v.duplicate() for v in self._vectors]
+        for v in vectors:
+            v.set(0.0)
+        return vectors
+
+    def fill(self, K: Sequence[PETSc.Mat], added: Sequence[Floats]) -> None:
+        """Set the linear parts; collective.
+
+        Args:
+            K: Conduction matrix of each body.
+            added: What capacity and exchange add to the diagonals [N mm/(s K)].
+        """
+        self.version += 1
+        self._A.zeroEntries()
+        for A, k, diagonal in zip(self._bodies, K, added, strict=True):
+            k.copy(A, structure=SAME)
+            self._diagonal.array[:] = diagonal
+            A.setDiagonal(self._diagonal, addv=PETSc.InsertMode.ADD_VALUES)
+            self._A.axpy(1.0, A, structure=SUBSET)
+        for j in self._jumps:
+            for total in self._linear:
+                total.zeroEntries()
+            for b, B in j.moves.items():
+                self._bodies[b].matMult(B, result=self._C[b])
+                B.transposeMatMult(self._C[b], result=self._D[b])
+                self._linear[0].axpy(1.0, self._C[b], structure=SUBSET)
+                self._linear[1].axpy(1.0, self._D[b], structure=SUBSET)
+        self._A.getDiagonal(self._diagonal)
+        self._typical = _mean(self._diagonal)
+        self._A.zeroRowsColumns(self._rows, diag=self._typical)
+        self._A.getDiagonal(self._diagonal)
+
+    def set(self, by_jump: Sequence[Floats], growth: Sequence[dict[int, Floats]]) -> None:
+        """Complete the Jacobian; collective.
+
+        Args:
+            by_jump: What the interfaces add to the diagonal of the jumps, if any [N mm/(s K)].
+            growth: How heat released at own nodes of some bodies grows with their temperature, if
+                any is [N mm/(s K)].
+        """
+        for by_body in growth:
+            new = self._diagonal.copy()
+            new.array[:] -= np.where(self._held, 0.0, sum(by_body.values()))
+            self._A.setDiagonal(new)
+        for j, added in zip(self._jumps, by_jump, strict=True):
+            (_, C), (Ct, D) = self.matrix
+            for linear, full in zip(self._linear, (C, D), strict=True):
+                linear.copy(full, structure=SAME)
+            for b, released in ((b, r) for by_body in growth for b, r in by_body.items()):
+                if b in j.moves:
+                    self._diagonal_of(released, j.moves[b], C, D)
+            free = [v.duplicate() for v in self._vectors]
+            for v, held in zip(free, (self._held, j.held), strict=True):
+                v.array[:] = ~held
+            diagonal = D.getDiagonal()
+            diagonal.array[:] += added
+            D.setDiagonal(diagonal)
+            diagonal.array[:] = np.where(j.held, self._typical, diagonal.array)
+            C.diagonalScale(free[0], free[1])
+            D.diagonalScale(free[1], free[1])
+            D.setDiagonal(diagonal)
+            C.transpose(Ct)
+
+    @staticmethod
+    def _diagonal_of(released: Floats, B: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
+        """Take a diagonal of a body out of the blocks of the jumps."""
+        scaled, left = B.copy(), B.createVecLeft()
+        left.array[:] = released
+        scaled.diagonalScale(left)
+        C.axpy(-1.0, scaled, structure=SUBSET)
+        D.axpy(-1.0, B.transposeMatMult(scaled), structure=SUBSET)
+
+    def diagonal(self) -> list[Floats]:
+        """Diagonals of the diagonal blocks as last set."""
+        return [self.matrix[k][k].getDiagonal().array.copy() for k in range(len(self.matrix))]
+
+
+def with_diagonal(A: PETSc.Mat) -> PETSc.Mat:
+    """The matrix with every diagonal entry in its pattern."""
+    start, end = A.getOwnershipRange()
+    n = end - start
+    zero = from_rows(
+        A.comm.tompi4py(), (n, n), np.arange(n + 1), np.arange(start, end), np.zeros(n)
+    )
+    return matrix_sum((zero, A))
+
+
+def _mean(v: PETSc.Vec) -> float:
+    return float(v.sum()) / v.getSize()

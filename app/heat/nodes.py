@@ -1,0 +1,186 @@
+"""Nodes of regions, of the two sides of interfaces, and named points in the temperature field.
+
+Every node belongs to the rank that owns it, whoever owns the cells around it. A region's nodes come
+with their shares of its volume; where the temperature jumps, each side has its own value there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.errors import InputError
+from mantle.heat.assembly import HeatForms
+from mantle.meshes.distribute import TaggedMesh
+from mantle.scene.bodies import cell_tags
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# How far outside its cell a point may be, in barycentric coordinates: curved surfaces are cut.
+_OUTSIDE = 0.1
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes of a region that this rank owns.
+
+    Attributes:
+        body: Whose temperature they have.
+        dof: Their rows in it, rising (n,).
+        x: Positions (n, 3) [mm].
+        volume: Integrals of their shape functions over the region (n,) [mm3].
+    """
+
+    body: int
+    dof: Ints
+    x: Floats
+    volume: Floats
+
+    def values(self, temperatures: Sequence[fem.Function]) -> Floats:
+        """Temperatures of the nodes (n,) [K], from those of the bodies."""
+        return np.asarray(temperatures[self.body].x.array[self.dof], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of an interface: rows of nodes by region."""
+
+    rows: dict[str, Ints]
+
+    def gather(self, values: Mapping[str, Floats]) -> Floats:
+        """Values of the nodes of this side (n, ...), from those of the regions."""
+        return np.concatenate([values[r][rows] for r, rows in self.rows.items()])
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Nodes of an interface with the body on either side (n,)."""
+
+    dof: Ints
+    first: Ints
+    second: Ints
+
+    def jump(self, temperatures: Sequence[fem.Function]) -> Floats:
+        """Temperature of the second side minus that of the first (n,) [K]."""
+        table = np.stack([t.x.array[self.dof] for t in temperatures])
+        column = np.arange(len(self.dof))
+        return np.asarray(table[self.second, column] - table[self.first, column])
+
+
+def region_nodes(
+    forms: HeatForms, regions: Sequence[str], of_region: Mapping[str, int]
+) -> dict[str, Nodes]:
+    """Nodes of regions; collective.
+
+    Args:
+        forms: The forms of heat.
+        regions: The regions.
+        of_region: Body of each.
+    """
+    x = forms.space.tabulate_dof_coordinates()
+    found = {}
+    for region in regions:
+        volume = forms.volumes(region)
+        dof = np.flatnonzero(volume > 0)
+        found[region] = Nodes(of_region[region], dof, x[dof], volume[dof])
+    return found
+
+
+def sides_of(
+    nodes: Mapping[str, Nodes], interface: tuple[Sequence[str], Sequence[str]]
+) -> tuple[Side, Side]:
+    """The nodes that the regions of the two sides of an interface share, seen from either."""
+    on = [np.unique(np.concatenate([nodes[r].dof for r in side])) for side in interface]
+    shared = np.intersect1d(*on)
+    first, second = (
+        Side({r: np.flatnonzero(np.isin(nodes[r].dof, shared)) for r in side}) for side in interface
+    )
+    return first, second
+
+
+def pairs_of(nodes: Mapping[str, Nodes], interface: tuple[Sequence[str], Sequence[str]]) -> Pair:
+    """The same nodes, once, with the bodies on either side."""
+    bodies: list[dict[int, int]] = [
+        {int(d): nodes[r].body for r in side for d in nodes[r].dof} for side in interface
+    ]
+    dof = sorted(bodies[0].keys() & bodies[1].keys())
+    first, second = (np.array([b[d] for d in dof], dtype=np.int64) for b in bodies)
+    return Pair(np.array(dof, dtype=np.int64), first, second)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A named point [mm] in a region; without a region in any that holds it."""
+
+    name: str
+    at: tuple[float, float, float]
+    region: str = ""
+
+
+class Probes:
+    """Temperatures at named points, linear in the cells that hold them."""
+
+    def __init__(
+        self,
+        tagged: TaggedMesh,
+        space: fem.FunctionSpace,
+        of_region: Mapping[str, int],
+        probes: Sequence[Probe],
+    ) -> None:
+        """Find the cells; collective.
+
+        Raises:
+            InputError: A point is not in its region.
+        """
+        self.names = tuple(p.name for p in probes)
+        self._comm = tagged.mesh.comm
+        self._mine: list[tuple[int, int, Ints, Floats]] = []
+        tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]
+        names = {tag: name for name, tag in tagged.regions.items()}
+        for k, probe in enumerate(probes):
+            wanted = tagged.regions[probe.region] if probe.region else tags
+            cells = np.flatnonzero(tags == wanted)
+            cell, share, inside = _nearest(tagged, cells, np.array(probe.at))
+            best, rank = self._comm.allreduce((inside, -self._comm.rank), MPI.MAX)
+            if best < -_OUTSIDE:
+                where = f"region '{probe.region}'" if probe.region else "the model"
+                raise InputError(
+                    f"output.probes.{probe.name}: {list(probe.at)} mm is not in {where}; allowed: "
+                    "a point inside"
+                )
+            if rank == -self._comm.rank:
+                body = of_region[names[int(tags[cell])]]
+                self._mine.append((k, body, space.dofmap.list[cell].astype(np.int64), share))
+
+    def values(self, temperatures: Sequence[fem.Function]) -> Floats:
+        """Temperatures of the probes (p,) [K]; collective."""
+        local = np.zeros(len(self.names))
+        for k, body, dofs, share in self._mine:
+            local[k] = share @ temperatures[body].x.array[dofs]
+        return np.asarray(self._comm.allreduce(local, MPI.SUM))
+
+
+def _nearest(tagged: TaggedMesh, cells: Ints, point: Floats) -> tuple[int, Floats, float]:
+    """The cell that holds a point best, its barycentric coordinates there (4,), the smallest."""
+    if not len(cells):
+        return -1, np.zeros(4), -np.inf
+    geometry = tagged.mesh.geometry
+    corners = geometry.x[geometry.dofmap[cells][:, :4]]
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    ξ = np.linalg.solve(edges, (point - corners[:, 0])[:, :, None])[:, :, 0]
+    smallest = np.minimum(ξ.min(axis=1), 1 - ξ.sum(axis=1))
+    best = int(np.argmax(smallest))
+    place = ξ[best]
+    if geometry.dofmap.shape[1] > 4:
+        nodes = np.ascontiguousarray(geometry.x[geometry.dofmap[cells[best]]])
+        place = geometry.cmap.pull_back(point[None, :], nodes)[0]
+    # A point just outside takes the value of the surface.
+    share = np.maximum([1 - place.sum(), *place], 0.0)
+    return int(cells[best]), share / share.sum(), float(smallest[best])

@@ -1,0 +1,105 @@
+"""Factors of the matrix of heat, kept while they are worth it.
+
+From one implicit solve to the next the matrix changes little: not at all in equal time steps, on
+the diagonal where something sets. Old factors precondition the new matrix then, at the price of
+some more Krylov iterations; when those have cost as much as new factors would, these are made.
+"""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from mantle.numerics.linear import FACTORED, configure, on_one_rank
+from mantle.numerics.sparse import entries
+from mantle.numerics.state import State
+
+# Factors cost as much as so many solutions with them (measured: 8 to 12 for 7 000 to 30 000).
+WORTH = 10
+# A diagonal that has changed by this part asks for new factors at once: a step of another length.
+MOVED = 0.1
+
+
+class KeptFactors:
+    """The context of a PCPYTHON: a direct solver of the matrix of some earlier solve.
+
+    Attributes:
+        made: How often the matrix was factored.
+        of: The entries that were, and a digest of their places (`numerics.sparse.entries`).
+    """
+
+    def __init__(self) -> None:
+        """Nothing is known before the first set-up."""
+        self.made = 0
+        self._solves = self._applied = 0
+        self._seen = self._current = -1
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Factor the first matrix; collective."""
+        if not self.made:
+            self._of = pc.getOperators()[1]
+            self._pc = PETSc.PC().create(self._of.comm)
+            self._pc.setOptionsPrefix(f"mantle_heat_factors_{id(self)}_")
+            self._joined = PETSc.Mat() if self._of.getType() == "nest" else self._of
+            self._factor()
+
+    def apply(self, pc: PETSc.PC, x: PETSc.Vec, y: PETSc.Vec) -> None:
+        """Solve with the factors there are, or with new ones if that is due; collective."""
+        state = self._of.stateGet()
+        moved = False
+        if state != self._seen:
+            self._seen, moved = state, self._moved()
+            self._solves += 1
+        if state != self._current and (moved or self._applied - self._solves >= WORTH):
+            self._factor()
+        self._applied += 1
+        self._x.array[:] = np.concatenate([v.array_r for v in _parts(x)])
+        self._pc.apply(self._x, self._y)
+        begin = 0
+        for v in _parts(y):
+            v.array[:] = self._y.array_r[begin : begin + v.getLocalSize()]
+            begin += v.getLocalSize()
+        # A vector of blocks does not see that these have changed, and remembers its norm.
+        y.stateIncrease()
+
+    def state(self) -> State:
+        """What the next decision to factor depends on."""
+        return {"solves": self._solves, "applied": self._applied}
+
+    def resume(self, state: State) -> None:
+        """Read it back, with factors of the matrix as it is; collective."""
+        self._factor()
+        self._solves, self._applied = state["solves"], state["applied"]
+        self._seen = self._current = -1
+
+    def _moved(self) -> bool:
+        """Whether the diagonal is another one, on the whole."""
+        diagonal = self._of.getDiagonal()
+        diagonal.axpy(-1.0, self._diagonal)
+        return float(diagonal.norm(PETSc.NormType.N1)) > MOVED * self._size
+
+    def _factor(self) -> None:
+        if self._of.getType() == "nest":
+            self._of.convert("aij", out=self._joined)
+        self._joined.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self._pc.setReusePreconditioner(False)
+        self._pc.setOperators(self._joined)
+        if self.made:
+            self._pc.setUp()
+        else:
+            configure(self._pc, on_one_rank(FACTORED, self._of.comm.size))
+        self._pc.setReusePreconditioner(True)
+        self._diagonal = self._of.getDiagonal()
+        self._size = float(self._diagonal.norm(PETSc.NormType.N1))
+        self.of = entries(self._of)
+        self.made += 1
+        self._seen = self._current = self._of.stateGet()
+        self._solves, self._applied = 1, 0
+        if self.made == 1:
+            self._x, self._y = self._joined.createVecs()
+
+
+def _parts(x: PETSc.Vec) -> list[PETSc.Vec]:
+    """Blocks of a vector."""
+    return list(x.getNestSubVecs()) if x.getType() == "nest" else [x]

@@ -1,0 +1,117 @@
+"""Heat as the solver sees it: temperature, and temperature jumps where there are any."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from petsc4py import PETSc
+
+from mantle.heat.conduction import Conduction
+from mantle.mechanics.systems import Measure
+from mantle.numerics.active_set import ActiveSet
+from mantle.numerics.linear import INTERFACE, MULTIGRID, Inverse, Options, is_direct
+from mantle.numerics.state import State
+
+# Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
+# balance, and temperatures are kept between their bounds to 1e-9 of the range.
+STRICTER = 1e-2
+KEPT_FACTORS: Options = {
+    "pc_type": "python",
+    "pc_python_type": "mantle.heat.preconditioner.KeptFactors",
+}
+
+
+class HeatSystem:
+    """A `mechanics.systems.System`: the implicit solve that ``conduction.begin`` prepared."""
+
+    prefix = "mantle_heat_"
+    inverses: Mapping[str, Inverse] = {}
+    # Nearly linear: two iterations do if the first is solved well.
+    newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-5}  # noqa: RUF012
+
+    def __init__(self, conduction: Conduction) -> None:
+        """Wrap the operators."""
+        self._conduction, self.comm = conduction, conduction.comm
+        # Conduction has no states to change.
+        self.active = ActiveSet(self.comm)
+
+    @property
+    def version(self) -> int:
+        """Changes of the matrices from one time step to the next."""
+        return self._conduction.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Temperature, and with finite conductance its jumps."""
+        # No interface, no second block.
+        return dict(
+            zip(("temperature", "temperature_jump"), self._conduction.vectors(), strict=False)
+        )
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """Capacity, conduction and exchange; conductance."""
+        return [list(row) for row in self._conduction.matrix]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Both blocks at once if direct; multigrid for the temperature, direct for the jumps."""
+        if is_direct(linear, self._conduction.matrix[0][0].getSize()[0]):
+            # Jumps are strong where conductance is low: taken in turns they take many turns.
+            return {"": KEPT_FACTORS}
+        every: dict[str, Options] = {"temperature": MULTIGRID, "temperature_jump": INTERFACE}
+        return {name: every[name] for name in self.blocks()}
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given temperatures into a state."""
+        self._conduction.impose(x)
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """Heat that is lacking."""
+        self._conduction.residual(x, f)
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """Complete the matrices."""
+        self._conduction.jacobian(x)
+
+    def motions(self) -> None:
+        """Nothing moves."""
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Heat that is lacking, beside that stored, brought in and let through [N mm/s]."""
+        m = self._conduction.measure(x, f)
+        return [replace(m, scale=STRICTER * m.scale)]
+
+    def soften(self, factor: float) -> bool:
+        """No augmentation."""
+        return False
+
+    def augmentation(self) -> dict[str, float]:
+        """No augmentation."""
+        return {}
+
+    def usual_augmentation(self) -> float:
+        """No augmentation."""
+        return 1.0
+
+    def lessen_friction(self, share: float) -> bool:
+        """No friction."""
+        return False
+
+    def tie(self, on: bool) -> bool:
+        """No mechanical interface."""
+        return False
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """Temperatures, and temperature jumps."""
+        return self._conduction.pack([v.array_r for v in x])
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read them back."""
+        for v, values in zip(x, self._conduction.unpack(state), strict=True):
+            v.array[:] = values
+
+    def state(self) -> State:
+        """Nothing that the next solve would not find again."""
+        return {}
+
+    def resume(self, state: State) -> None:
+        """Nothing moves."""

@@ -1,0 +1,163 @@
+r"""Temperature jumps: what the two sides of interfaces of finite conductance differ by.
+
+One continuous temperature θ and, at the vertices of these interfaces, jumps τ (slave minus master):
+body b has the temperature T_b = θ + B_b τ. With r_b the heat that nodes of body b lack, interfaces
+left out, and q the heat from master to slave per area,
+
+.. math:: \sum_b r_b = 0, \qquad \sum_b B_b^T r_b - W q(τ, p) = 0,
+
+W the areas of the points. A large conductance makes jumps small and nothing else large that would
+have to cancel; without any the two sides are strangers. The rules where interfaces meet, or given
+temperatures hold one or both sides, are those of displacement (`meshes.interfaces`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.forms import interface_heat
+from mantle.heat.assembly import HeatForms
+from mantle.meshes.distribute import TaggedMesh
+from mantle.meshes.interfaces import Holds, InterfaceFacets, contact_points, gather
+from mantle.numerics.pointwise import Pointwise
+from mantle.numerics.sparse import from_triplets, owners
+from mantle.scene.bodies import Bodies, contact_facets
+from mantle.scene.terms import Scene, ThermalContact
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class TemperatureJumps:
+    """Jumps at all interfaces of finite conductance.
+
+    Attributes:
+        points: All points, replicated; component 0 of what is said by component.
+        mine: Rows of ``points`` that this rank owns (n,).
+        dof: Own node of each own point (n,).
+        interface: Number of the own points' interfaces in ``scene.thermal_contacts`` (n,).
+        bodies: Thermal bodies (master, slave) of own points (n, 2).
+        weight: Areas of own points (n,) [mm2].
+        held: Whether given temperatures hold both sides of own points (n,).
+        given: Which given temperatures (master, slave), -1 where the jump is free (n, 2).
+        moves: B_b of each body that jumps move.
+        pressure: Contact pressure at own points (n,) [MPa], set from outside.
+        friction: Friction heat per area at own points (n,) [N/(mm s)], set from outside.
+        share: The part of it that goes into the slave (n,).
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        bodies: Bodies,
+        forms: HeatForms,
+        held: dict[int, Ints],
+    ) -> None:
+        """Find the points and compile the law; collective.
+
+        Args:
+            scene: A scene with at least one interface of finite conductance.
+            tagged: The mesh.
+            bodies: Thermal bodies.
+            forms: The forms of heat.
+            held: For each body that given temperatures hold anywhere, which one holds each own
+                node, -1 where none does.
+
+        Raises:
+            InputError: An interface has no facets on this mesh.
+        """
+        contacts = scene.thermal_contacts
+        comm, index_map = forms.comm, forms.space.dofmap.index_map
+        facets = contact_facets(tagged, bodies, forms.space, contacts, {})
+        holds = _holds(forms, facets, held)
+        self.points, entries = contact_points(facets, holds, len(contacts))
+        self.mine, place = owners(comm, index_map, self.points.dof)
+        start = index_map.local_range[0]
+        n = len(self.mine)
+        self.dof = self.points.dof[self.mine] - start
+        self.interface = self.points.interface[self.mine]
+        self.bodies = self.points.bodies[self.mine]
+        self.weight = self.points.weight[self.mine]
+        self.given = self.points.given[self.mine, 0]
+        self.held = self.given[:, 0] >= 0
+        # Temperature has one component where displacement has three.
+        first = entries.column % 3 == 0
+        row, point = entries.row[first] // 3, entries.column[first] // 3
+        self.moves: dict[int, PETSc.Mat] = {}
+        for b in map(int, np.unique(entries.body)):
+            mine = (entries.body[first] == b) & (row >= start) & (row < index_map.local_range[1])
+            self.moves[b] = from_triplets(
+                comm,
+                forms.owned,
+                n,
+                row[mine] - start,
+                place[point[mine]],
+                entries.value[first][mine],
+            )
+        self.pressure: Floats = np.zeros(n)
+        self.friction: Floats = np.zeros(n)
+        shares = {f.interface: f.slave_share for f in scene.friction_heat}
+        self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
+        with forms.compiling():
+            self._law = Pointwise(
+                comm,
+                n,
+                {"p": 1, "τ": 1, "open": 1, "per_pressure": 1, "cap": 1},
+                lambda x: interface_heat.flux_and_derivatives(
+                    x["p"], x["τ"], x["open"], x["per_pressure"], x["cap"]
+                ),
+            )
+        laws = np.array([[c.open, c.per_pressure, c.cap] for c in contacts])[self.interface]
+        self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])
+
+    def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
+        """Heat q from master to slave at own points [N/(mm s)], dq/dτ and dq/dp (n,).
+
+        Args:
+            τ: Jumps of own points (n,) [K].
+        """
+        q, by_jump, by_pressure = self._law(p=self.pressure, τ=τ)
+        return q, by_jump, by_pressure
+
+
+def cut_off(
+    contacts: Sequence[ThermalContact],
+    jumps: tuple[TemperatureJumps, ...],
+    reached: Sequence[bool],
+) -> list[int]:
+    """Bodies to which heat can come from none whose temperature something outside sets.
+
+    Args:
+        contacts: Interfaces of finite conductance.
+        jumps: Their jumps, or an empty tuple.
+        reached: For each body, whether something outside sets its temperature.
+    """
+    group = list(range(len(reached)))
+    for j in jumps:
+        for i, c in enumerate(contacts):
+            if c.open > 0 or c.per_pressure > 0:
+                for a, b in np.unique(j.points.bodies[j.points.interface == i], axis=0):
+                    group = [group[a] if g == group[b] else g for g in group]
+    warm = {g for g, here in zip(group, reached, strict=True) if here}
+    return [b for b, g in enumerate(group) if g not in warm]
+
+
+def _holds(forms: HeatForms, facets: InterfaceFacets, held: dict[int, Ints]) -> Holds:
+    """Given temperatures at the vertices of interfaces, as supports hold displacement."""
+    start = forms.space.dofmap.index_map.local_range[0]
+    dof, first = np.unique(facets.vertex_dofs, return_index=True)
+    own = (dof >= start) & (dof < start + forms.owned)
+    node, vertex = dof[own] - start, facets.vertices.ravel()[first[own]]
+    none = np.zeros(0, dtype=np.int64)
+    pieces = [(none, none, none)]
+    for b, condition in held.items():
+        here = condition[node] >= 0
+        pieces.append((vertex[here], np.full(int(here.sum()), b), condition[node[here]]))
+    columns = gather(forms.comm, *(np.concatenate([p[k] for p in pieces]) for k in range(3)))
+    return Holds(columns[0], columns[1], np.repeat(columns[2][:, None], 3, axis=1))

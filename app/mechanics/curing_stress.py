@@ -1,0 +1,225 @@
+r"""Regions that set: their stress is history, not a function of strain.
+
+While cement sets its stiffness grows from nearly nothing, so that what it was strained by before
+leaves no stress. The law is a rate,
+
+.. math:: \dot σ = g(α)\, C : (\dot ε - \dot e^* I),
+
+with α the degree of cure, g the modulus over the final one and e* the free strain (expansion and
+shrinkage) since gelation. Over a step g is the mean of its values at both ends, second order in
+the step. For the step's equilibrium the region is a body of stiffness g C under the forces
+
+.. math:: -\int σ : ε(v) + \int g\, C : (ε(u) + Δe^* I) : ε(v)
+
+with σ, u of the last converged state. Degrees, moduli and free strains live at the vertices; stress
+at quadrature points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import basix
+import basix.ufl
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.errors import InputError
+from mantle.forms import cure, elasticity, loads
+from mantle.mechanics.assembly import Mechanics
+from mantle.numerics.pointwise import Pointwise
+from mantle.numerics.state import State, keyed
+from mantle.scene.bodies import Bodies
+from mantle.scene.terms import Cure, Elastic, Scene
+from mantle.system.timing import Timing
+
+Floats = NDArray[np.float64]
+
+# Rows and columns of the components of elasticity.symmetric.
+ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
+# A modulus that changes by less than this part of the final one is the same.
+SAME = 1e-12
+
+
+class Setting:
+    """Stress history of all regions that set.
+
+    Attributes:
+        bodies: Bodies that hold such regions.
+        points: Quadrature points in the reference cell (p, 3).
+        weights: Their weights (p,).
+    """
+
+    def __init__(self, scene: Scene, mechanics: Mechanics, bodies: Bodies, timing: Timing) -> None:
+        """Start free of stress; collective.
+
+        Raises:
+            InputError: A region that sets has eigenstrains, which know no rate.
+        """
+        self._mechanics = mechanics
+        self._body = {c.region: bodies.of_region[c.region] for c in scene.cures}
+        self.bodies = sorted(set(self._body.values()))
+        self._elastic = {e.region: e for e in scene.elastic if e.region in self._body}
+        for e in self._elastic.values():
+            if e.eigenstrains:
+                raise InputError(
+                    f"regions.{e.region}.eigenstrains: none in a region that sets; allowed: "
+                    "shrinkage and thermal expansion"
+                )
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, mechanics.setting_degree)
+        points, weights = (np.asarray(a, dtype=np.float64) for a in quadrature)
+        self.points, self.weights = points, weights
+        element = basix.ufl.quadrature_element(
+            "tetrahedron", value_shape=(6,), degree=mechanics.setting_degree
+        )
+        self._stress = fem.Function(fem.functionspace(mechanics.mesh, element))
+        self._before = {b: fem.Function(mechanics.space) for b in self.bodies}
+        self._step = {b: fem.Function(mechanics.space) for b in self.bodies}
+        scalars = mechanics.scalars
+        self._rise = {c.region: fem.Function(scalars) for c in scene.cures}
+        # Growth and free strain of the last converged state, and those to come.
+        nodes = len(fem.Function(scalars).x.array)
+        with timing.phase("compile"):
+            self._growth = {c.region: _growth(mechanics.comm, c, nodes) for c in scene.cures}
+        self._old = {
+            c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
+            for c in scene.cures
+        }
+        self._new = dict(self._old)
+        self.stiffen()
+        self._cells = {c.region: mechanics.region_cells(c.region) for c in scene.cures}
+        v = ufl.TestFunction(mechanics.space)
+        self._measure = mechanics.cells()
+        self._forces = {b: mechanics.form(self._prestress(b, v)) for b in self.bodies}
+        with timing.phase("compile"):
+            self._increments = {
+                r: fem.Expression(
+                    self._stress_of(e, elasticity.strain(self._step[self._body[r]]), -1),
+                    points,
+                    comm=mechanics.comm,
+                )
+                for r, e in self._elastic.items()
+            }
+
+    def _stress_of(self, e: Elastic, ε: Any, sign: int) -> Any:
+        """Stress of a strain, with the step's free strain added or taken off."""
+        g = self._mechanics.growth[e.region]
+        ε = ε + sign * elasticity.swelling(self._rise[e.region])
+        return g * elasticity.stress(lambda x: self._mechanics.energy_density(e, x), ε)
+
+    def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
+        """Regions of a body that set, with their measures."""
+        degree = self._mechanics.setting_degree
+        return [
+            (e, self._measure(self._mechanics.tag(r), degree=degree))
+            for r, e in self._elastic.items()
+            if self._body[r] == body
+        ]
+
+    def internal_work(self, body: int, v: Any) -> Any:
+        """Work of the stress of a body in a displacement v [N mm]."""
+        σ = elasticity.symmetric(list(self._stress))
+        return sum(
+            loads.mechanical_work(σ, elasticity.strain(v)) * dx for _, dx in self._regions(body)
+        )
+
+    def _prestress(self, body: int, v: Any) -> Any:
+        ε = elasticity.strain(self._before[body])
+        held = sum(
+            loads.mechanical_work(self._stress_of(e, ε, 1), elasticity.strain(v)) * dx
+            for e, dx in self._regions(body)
+        )
+        return held - self.internal_work(body, v)
+
+    def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
+        """Take in degrees of cure and free strains at the end of the step."""
+        self._new = {
+            r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
+            for r, growth in self._growth.items()
+        }
+
+    def stiffen(self) -> bool:
+        """Put the step's mean modulus and free strain into the forms; collective.
+
+        Returns:
+            Whether a modulus has changed.
+        """
+        change = 0.0
+        for r, function in self._mechanics.growth.items():
+            (g0, e0), (g1, e1) = self._old[r], self._new[r]
+            mean = (g0 + g1) / 2
+            change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
+            function.x.array[:] = mean
+            self._rise[r].x.array[:] = e1 - e0
+        return bool(self._mechanics.comm.allreduce(change, MPI.MAX) > SAME)
+
+    def forces(self) -> dict[int, PETSc.Vec]:
+        """Nodal forces on each body that the step starts with [N]; collective."""
+        parts = {}
+        for body, form in self._forces.items():
+            part = fem.petsc.assemble_vector(form)
+            part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+            parts[body] = part
+        return parts
+
+    def stress(self, region: str) -> Floats:
+        """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
+        σ = np.zeros((len(self._cells[region]), len(self.weights), 3, 3))
+        σ[..., ROWS, COLUMNS] = σ[..., COLUMNS, ROWS] = self._values(region)
+        return σ
+
+    def _values(self, region: str) -> Floats:
+        dofs = self._stress.function_space.dofmap.list[self._cells[region]]
+        return np.asarray(self._stress.x.array.reshape(-1, 6)[dofs])
+
+    def state(self) -> State:
+        """Stress of own cells by region; the rest follows from displacement, cure and strain."""
+        number = self._mechanics.mesh.topology.original_cell_index
+        return {r: keyed(number[cells], self._values(r)) for r, cells in self._cells.items()}
+
+    def resume(self, state: State, displacements: Sequence[fem.Function]) -> None:
+        """Read it back, once displacements are spread and cure and strain are set."""
+        number = self._mechanics.mesh.topology.original_cell_index
+        for region, cells in self._cells.items():
+            dofs = self._stress.function_space.dofmap.list[cells]
+            self._stress.x.array.reshape(-1, 6)[dofs] = state[region].of(number[cells])
+        for b in self.bodies:
+            self._before[b].x.array[:] = displacements[b].x.array
+        self._old = dict(self._new)
+
+    def commit(self, displacements: Sequence[fem.Function]) -> None:
+        """Make stress and strain of a converged state the history.
+
+        Args:
+            displacements: Of each body, ghosts included.
+        """
+        for b in self.bodies:
+            self._step[b].x.array[:] = displacements[b].x.array - self._before[b].x.array
+            self._before[b].x.array[:] = displacements[b].x.array
+        for region, expression in self._increments.items():
+            cells = self._cells[region]
+            if len(cells):
+                values = expression.eval(self._mechanics.mesh, cells)
+                values = values.reshape(len(cells), len(self.weights), 3, 3)
+                dofs = self._stress.function_space.dofmap.list[cells]
+                self._stress.x.array.reshape(-1, 6)[dofs] += values[..., ROWS, COLUMNS]
+        self._old = dict(self._new)
+
+
+def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
+    """Modulus over the final one by degree of cure, at every vertex of this rank."""
+    constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
+    law = Pointwise(
+        comm,
+        nodes,
+        dict.fromkeys(("a", *constants), 1),
+        lambda x: [cure.modulus_factor(*(x[k] for k in ("a", *constants)))],
+    )
+    law.set(**{k: np.full(nodes, v) for k, v in constants.items()})
+    return law

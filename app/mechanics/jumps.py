@@ -1,0 +1,469 @@
+r"""The jump block: unknown jumps at contact points, coupled to the bonded displacement.
+
+With U_b = u + B_b q the displacement of body b, q the jumps (three per contact point) and K_b the
+stiffness of body b, the equilibrium of a linear scene reads
+
+.. math:: K u + C q = f, \qquad C^T u + D q - f_q + W F = 0,
+          \qquad C = \sum_b K_b B_b, \quad D = \sum_b B_b^T K_b B_b, \quad f_q = \sum_b B_b^T f_b,
+
+W the areas of the contact points and F their forces. W is diagonal, so the second line gives F and
+the law F = P(F + r D(q)) becomes one equation per point, with e = C^T u + D q - f_q:
+
+.. math:: e + W P(-e/W + r D(q)) = 0.
+
+Its Jacobian rows are (1 - P') [C^T, D] + r W P'. Open points (P' = 0) are plain equilibrium, points
+that stick (P' = 1) say that the jump does not change: all points sticking is the bonded problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.errors import InputError
+from mantle.forms.contact import SLIP, STICK
+from mantle.mechanics.assembly import Mechanics
+from mantle.mechanics.points import PointForces, PointLaw, gap_vectors
+from mantle.mechanics.reduction import Reduction
+from mantle.meshes.distribute import TaggedMesh
+from mantle.meshes.interfaces import ContactPoints, Entries, Holds, InterfaceFacets, contact_points
+from mantle.numerics.sparse import from_triplets, matrix_sum, owners
+from mantle.numerics.state import Rows, State, keyed
+from mantle.scene.bodies import Bodies, contact_facets, held_vertices
+from mantle.scene.terms import Contact, Scene, Support, amplitude, gap_at
+from mantle.schema.run_options import USUAL_AUGMENTATION
+from mantle.system.timing import Timing
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# A face is closed, when slip is told from opening, if its gap is below this fraction of the step.
+CLOSED = 1e-6
+
+
+@dataclass
+class History:
+    """Converged state of the contact points of this rank: committed, never half-updated.
+
+    Attributes:
+        jump: Jump (n, 3) [mm].
+        force: Interface force per area, conjugate to the jump (n, 3) [MPa].
+        friction: Its part that friction carries (n, 3) [MPa].
+        opening: Jump with the initial gap (n, 3) [mm].
+        accumulated: Sum of slip increments of each face (n, 3) [mm].
+        dissipation: Dissipated by friction so far (n,) [N mm].
+        least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening so far (n,) [N mm].
+        work: Work of the whole interface force in the jump so far (n,) [N mm].
+    """
+
+    jump: Floats
+    force: Floats
+    friction: Floats
+    opening: Floats
+    accumulated: Floats
+    dissipation: Floats
+    least: Floats
+    contact_work: Floats
+    work: Floats
+
+
+class Jumps:
+    """Jumps of all contact interfaces on this rank.
+
+    Attributes:
+        points: All contact points, replicated.
+        facets: All interface facets, replicated.
+        mine: Rows of ``points`` that this rank owns (n,).
+        edge_lengths: Mean edge of the facets of each interface [mm].
+        augmented: Whether each own point is of an augmented-Lagrangian interface (n,).
+        stiffness: Augmentation or penalty of each own point (n,) [MPa/mm].
+        share: Part of the force of equilibrium in the trial force: 1 for an augmentation (n,).
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        bodies: Bodies,
+        mechanics: Mechanics,
+        reduction: Reduction,
+        augmentation_factor: float,
+        timing: Timing,
+    ) -> None:
+        """Find the contact points and assemble the coupling; collective.
+
+        Raises:
+            InputError: An interface has no facets on this mesh.
+        """
+        self._supports = scene.supports
+        self.comm = tagged.mesh.comm
+        space = mechanics.space
+        self.facets: InterfaceFacets = contact_facets(
+            tagged, bodies, space, scene.contacts, scene.moduli
+        )
+        holds = held_vertices(
+            tagged, bodies, space, scene.supports, np.unique(self.facets.vertices)
+        )
+        self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
+        _refuse_released(scene.supports, self.points)
+        _refuse_moving_rigid(scene, bodies, holds, self.points, entries)
+        self.mine, place = owners(self.comm, space.dofmap.index_map, self.points.dof)
+        self.weight = self.points.weight[self.mine]
+        self.normals = self.points.normals[self.mine]
+        self.faces = self.points.faces[self.mine]
+        self.held = self.points.held[self.mine]
+        self.interface = self.points.interface[self.mine]
+        edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
+        self.edge_lengths = [
+            float(edges[self.facets.interface == i].mean()) for i in range(len(scene.contacts))
+        ]
+        self._given = [self._given_by(s) for s in range(len(scene.supports))]
+        self._find_moves(mechanics, entries, place)
+        self.C, self.D, self.Ct = self._coupling(mechanics, reduction)
+        self._work = self.Ct.createVecLeft()
+        self._laws: dict[tuple[bool, ...], PointLaw] = {}
+        self._timing = timing
+        self.begin(scene.contacts, augmentation_factor)
+
+    def begin(self, contacts: Sequence[Contact], augmentation_factor: float) -> None:
+        """Begin at rest with laws of the same interfaces; collective.
+
+        Args:
+            contacts: Interfaces of the same surfaces as ever.
+            augmentation_factor: Default augmentation over the local stiffness per area.
+        """
+        self._contacts, self._factor = contacts, augmentation_factor
+        self.augmented = np.array([c.augmented for c in contacts])[self.interface]
+        self._law = self._law_of(contacts)
+        self._tied = np.zeros(len(self.mine), dtype=bool)
+        self.default_stiffness = self._default_stiffness()
+        self._softness = 1.0
+        self._stiffen()
+        full = np.zeros(len(self.points.weight))
+        for i, c in enumerate(contacts):
+            # On every rank at all points, so that an error is raised on every rank.
+            here = self.points.interface == i
+            full[here] = c.gap(self.points.x[here])
+        self._full_gap = full[self.mine]
+        self.set_time(0.0)
+        zero, none = np.zeros((len(self.mine), 3)), np.zeros(len(self.mine))
+        self.history = History(zero, zero, zero, self.gap, zero, none, none, none, none)
+
+    # Construction
+
+    def _law_of(self, contacts: Sequence[Contact]) -> PointLaw:
+        """The law of all points, compiled once for the same kinds of friction."""
+        friction = np.array([c.friction for c in contacts])[self.interface]
+        self._frictional = np.array([c.frictional for c in contacts])[self.interface]
+        kinds = tuple(c.frictional for c in contacts)
+        if kinds not in self._laws:
+            with self._timing.phase("compile"):
+                self._laws[kinds] = PointLaw(
+                    self.comm, self.normals, self.faces, friction, self._frictional
+                )
+        law = self._laws[kinds]
+        law.set_friction(friction)
+        self._friction = friction
+        return law
+
+    def lessen_friction(self, share: float) -> None:
+        """Use a share of the friction coefficients, until told otherwise."""
+        self._law.set_friction(share * self._friction)
+
+    def tie(self, on: bool) -> bool:
+        """Tie interfaces that were open everywhere so far, or none; collective if it does.
+
+        Tied sides touch, whatever that takes, and do not slip: a body that nothing else holds is
+        brought to the one it is pushed against. Returns whether there are any.
+        """
+        self._tied = np.zeros(len(self.mine), dtype=bool)
+        if not on:
+            return False
+        for i in range(len(self._contacts)):
+            here = self.interface == i
+            touched = (self._clearance <= 0) | self.history.force.any(axis=1)
+            if not self.comm.allreduce(bool(touched[here].any()), MPI.LOR):
+                self._tied |= here
+        return bool(self.comm.allreduce(bool(self._tied.any()), MPI.LOR))
+
+    def _default_stiffness(self) -> Floats:
+        """Stiffness of each own point: given, else a factor of what its jump meets per area.
+
+        That with all else held, in its softest direction: it follows materials, setting, mesh and
+        order by itself.
+        """
+        given = np.array([c.stiffness for c in self._contacts])[self.interface]
+        return np.where(given > 0, given, self._factor * self._met())
+
+    def _met(self) -> Floats:
+        """Stiffness per area that each own jump meets in its softest direction (n,)."""
+        return np.asarray(np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight)
+
+    def _given_by(self, s: int) -> Floats:
+        """Own jumps (n, 3) that a support gives at full amplitude [mm]."""
+        master, slave = self.points.given[:, :, 0] == s, self.points.given[:, :, 1] == s
+        sign = slave.astype(float) - master
+        rows = np.flatnonzero(sign.any(axis=1))
+        jump = np.zeros(sign.shape)
+        jump[rows] = sign[rows] * self._supports[s].values(self.points.x[rows])
+        return jump[self.mine]
+
+    def _find_moves(self, mechanics: Mechanics, entries: Entries, place: Ints) -> None:
+        """What jumps add to each body they move, and the stiffness of the cells they move."""
+        index_map = mechanics.space.dofmap.index_map
+        start, end = (3 * k for k in index_map.local_range)
+        n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
+        self.moves: dict[int, PETSc.Mat] = {}
+        self._strips: dict[int, fem.Form] = {}
+        ghosts = index_map.ghosts
+        for body in map(int, np.unique(entries.body)):
+            here = entries.body == body
+            row, column, value = entries.row[here], entries.column[here], entries.value[here]
+            column = 3 * place[column // 3] + column % 3
+            own = (row >= start) & (row < end)
+            B = from_triplets(self.comm, n_u, n_q, row[own] - start, column[own], value[own])
+            self.moves[body] = B
+            marked = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
+            nodes = np.unique(row // 3)
+            marked[: index_map.size_local] = np.isin(
+                np.arange(start // 3, end // 3, dtype=np.int64), nodes
+            )
+            marked[index_map.size_local :] = np.isin(ghosts, nodes)
+            self._strips[body] = mechanics.strip_stiffness(body, marked)
+
+    def _coupling(
+        self, mechanics: Mechanics, reduction: Reduction
+    ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
+        """Assemble C, D and the transpose of C."""
+        KB = {b: mechanics.matrix(self._strips[b]).matMult(B) for b, B in self.moves.items()}
+        C = reduction.rows(matrix_sum(list(KB.values())))
+        D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in self.moves.items()])
+        return C, D, C.copy().transpose()
+
+    def restiffen(self, mechanics: Mechanics, reduction: Reduction) -> None:
+        """Assemble the coupling again, in the same matrices: stiffness or supports have changed."""
+        new = self._coupling(mechanics, reduction)
+        for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
+            values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.default_stiffness = self._default_stiffness()
+        self._stiffen()
+
+    # State in time
+
+    def set_time(self, time: float) -> None:
+        """Set gaps and given jumps to a time."""
+        gap = self._clearance = np.zeros(len(self.mine))
+        for i, c in enumerate(self._contacts):
+            here = self.interface == i
+            gap[here] = gap_at(self._full_gap[here], c.history, time)
+        self.gap = gap_vectors(self.normals, self.faces, gap)
+        self.given = np.zeros(self.held.shape)
+        for support, jump in zip(self._supports, self._given, strict=True):
+            self.given += amplitude(support.history, time) * jump
+
+    def soften(self, factor: float) -> None:
+        """Use a multiple of the default augmentation, until told otherwise.
+
+        A penalty ε is exact contact of D - (F - F_old) / ε: with S = F + r (D - (F - F_old) / ε) it
+        is found with any r, and r = ε is the usual way. Softer, it is as easily solved as without
+        penalty, and the answer is the same.
+        """
+        self._softness = factor
+        self._stiffen()
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen, in the mean; collective."""
+        given = any(c.augmented and c.stiffness > 0 for c in self._contacts)
+        if self._factor == USUAL_AUGMENTATION and not given:
+            return 1.0
+        here = self.augmented
+        usual = USUAL_AUGMENTATION * self._met()[here]
+        logs = float(np.log(usual / self.default_stiffness[here]).sum())
+        total, count = self.comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
+        return float(np.exp(total / count)) if count else 1.0
+
+    def _stiffen(self) -> None:
+        """Stiffness of the trial forces S, and the share of the force of equilibrium in them."""
+        softer = self._softness * self.default_stiffness
+        if self._softness != 1.0 and not self.augmented.all():
+            soft = self._softness * USUAL_AUGMENTATION * self._met()
+            softer = np.where(self.augmented, softer, np.minimum(soft, self.default_stiffness))
+        self.stiffness = softer
+        self.share = np.where(self.augmented, 1.0, 1.0 - softer / self.default_stiffness)
+
+    # Residual and Jacobian
+
+    def equilibrium(self, u: PETSc.Vec, q: PETSc.Vec, f_q: Floats) -> Floats:
+        """Equilibrium e = C^T u + D q - f_q at own points (n, 3) [N]; -e is the force W F."""
+        self.Ct.mult(u, self._work)
+        self.D.multAdd(q, self._work, self._work)
+        return self._work.array.reshape(-1, 3) - f_q.reshape(-1, 3)
+
+    def forces(self, e: Floats) -> Floats:
+        """Interface force per area from equilibrium (n, 3) [MPa]; zero where supports hold."""
+        return np.where(self.held, 0.0, -e / self.weight[:, None])
+
+    def law(self, e: Floats, q: Floats) -> PointForces:
+        """The law at own points for a trial state."""
+        free = ~self.held
+        F = self._multiplier(self.forces(e))
+        law = self._law.evaluate(
+            F * free, q * free, self.gap, self.history.jump * free, self.stiffness
+        )
+        if self._tied.any():
+            old, n = self.history.jump, self.normals
+            slid = old - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, old)
+            trial = F + self.stiffness[:, None] * (q + self.gap - slid)
+            law.force[self._tied] = (trial * free)[self._tied]
+            law.jacobian[self._tied] = np.eye(3)
+            law.status[self._tied] = STICK
+        return law
+
+    def _multiplier(self, F: Floats) -> Floats:
+        """The part of the trial force that is no stretch: of a penalty only the friction before."""
+        share = self.share[:, None]
+        return share * F + (1 - share) * self.history.friction
+
+    def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
+        """Residual e + W P at own points (n, 3) [N]; the given jumps where supports hold."""
+        r = e + self.weight[:, None] * law.force
+        return np.where(self.held, self._scale[:, None] * (q - self.given), r)
+
+    @property
+    def _scale(self) -> Floats:
+        return self.stiffness * self.weight
+
+    def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
+        """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
+        P = law.jacobian.copy()
+        P[self.held[:, :, None] | self.held[:, None, :]] = 0
+        eye = np.eye(3)[None]
+        times = eye - self.share[:, None, None] * P
+        added = self._scale[:, None, None] * P
+        held = self.held[:, :, None] & np.eye(3, dtype=bool)[None]
+        times = np.where(self.held[:, :, None], 0.0, times)
+        return times, np.where(held, self._scale[:, None, None], added)
+
+    def local_stiffness(self) -> Floats:
+        """Stiffness that the jump of each own point meets with all else held (n, 3, 3) [N/mm]."""
+        starts, columns, values = self.D.getDiagonalBlock().getValuesCSR()
+        rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+        k = rows // 3 == columns // 3
+        blocks = np.zeros((len(self.mine), 3, 3))
+        blocks[rows[k] // 3, rows[k] % 3, columns[k] % 3] = values[k]
+        return blocks
+
+    # What a run remembers
+
+    def rows(self, values: NDArray[Any]) -> Rows:
+        """Values of own points with their keys."""
+        return keyed(self.mine, values)
+
+    def state(self) -> State:
+        """The history."""
+        return {f.name: self.rows(getattr(self.history, f.name)) for f in fields(History)}
+
+    def resume(self, state: State) -> None:
+        """Read it back."""
+        self.history = History(**{name: found.of(self.mine) for name, found in state.items()})
+
+    # Commit
+
+    def commit(self, e: Floats, q: Floats, law: PointForces) -> None:
+        """Make a converged state the history.
+
+        Dissipation is the implicit sum, new friction times the step's slip: what the incremental
+        potential (eq. 55) makes non-negative at each point, where the trapezoidal rule is negative
+        when friction reverses. Work is trapezoidal, so that the energy balance closes.
+
+        Contact without tension does no work in its total gap (jump and initial gap; a changing gap
+        does do work in the jump), so ``contact_work`` is what the load steps make of points that
+        close or open within a step. For a penalty it is the energy stored in its springs,
+        r/2 g^2 per area, which comes back when they let go; their tangential part is no slip and is
+        taken out of the dissipation.
+        """
+        old = self.history
+        step = q - old.jump
+        opening = q + self.gap
+        F = self.forces(e)
+        normal = np.einsum("pk,pki->pi", law.pressures, self.normals)
+        friction = F + normal
+        along = np.einsum("pi,pki->pk", step, self.normals)
+        slip = np.linalg.norm(step[:, None, :] - along[:, :, None] * self.normals, axis=2)
+        # Friction and slip as the law has them: none where a point is open or sticks, though the
+        # solver's tolerance leaves some.
+        rubbing = law.force + normal
+        slipped = step + (self._multiplier(F) - rubbing) / self.stiffness[:, None]
+        rubbed = np.einsum("pi,pi->p", rubbing, self._tangential(slipped, opening, law))
+        slides = self._frictional & (law.status == SLIP)
+        dissipated = self.weight * np.where(slides, rubbed, 0.0)
+        pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
+        self.history = History(
+            jump=q.copy(),
+            force=F,
+            friction=friction,
+            opening=opening,
+            accumulated=old.accumulated + np.where(law.pressures > 0, slip, 0.0),
+            dissipation=old.dissipation + dissipated,
+            least=np.minimum(old.least, dissipated),
+            contact_work=old.contact_work + self.weight * pushed,
+            work=old.work + self.weight * np.einsum("pi,pi->p", (F + old.force) / 2, step),
+        )
+
+    def _tangential(self, step: Floats, opening: Floats, law: PointForces) -> Floats:
+        """What the closed faces of each point leave of a step (n, 3) [mm].
+
+        At an edge that is the part along it: the force of a point that friction on one face holds
+        against another acts across the edge too, but nothing slips there.
+        """
+        gap = np.einsum("pi,pki->pk", opening, self.normals)
+        closed = (law.pressures > 0) | (gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None])
+        n = np.where(closed[:, :, None], self.normals, 0.0)
+        return step - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, step)
+
+
+def _refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
+    """Refuse supports that give jumps in some stages only: what is unknown may not change.
+
+    Raises:
+        InputError: One holds a body where another one holds what it touches.
+    """
+    for s, support in enumerate(supports):
+        if not all(support.active) and (points.given == s).any():
+            raise InputError(
+                f"supports.{support.name}: it is let go of, but holds its body on an interface "
+                "where the other side is held too; allowed: a boundary away from such edges, the "
+                "same stages for both, or an elastic foundation instead of one of them"
+            )
+
+
+def _refuse_moving_rigid(
+    scene: Scene, bodies: Bodies, holds: Holds, points: ContactPoints, entries: Entries
+) -> None:
+    """Refuse jumps that would move a rigid region: its nodes have no displacement of their own.
+
+    Raises:
+        InputError: A support holds an elastic side where it does not hold the rigid one.
+    """
+    rigid = {r.region for r in scene.rigid}
+    for body in np.unique(entries.body):
+        if rigid.issuperset(bodies.names[body].split(" + ")):
+            point, component = np.divmod(entries.column[entries.body == body][0], 3)
+            there = (holds.vertex == points.vertex[point]) & (holds.body != body)
+            support = scene.supports[holds.support[there, component].max()]
+            x, y, z = points.x[point]
+            raise InputError(
+                f"supports.{support.name}: holds along {'xyz'[component]} what touches the rigid "
+                f"region '{bodies.names[body]}' where none holds the region, at ({x:.4g}, {y:.4g}, "
+                f"{z:.4g}) mm; allowed: the same components of both, e.g. a roller on the side of "
+                "the region too"
+            )

@@ -1,0 +1,138 @@
+"""Where a load step starts from: the states before it.
+
+Contact with friction is homogeneous of degree one: without gaps, loads that grow in proportion from
+zero make the state grow with them, so that from the second step on the straight line through the
+states before is the answer itself. Where the load turns, or points open or begin to slip, it is
+only near it or not even that: a predicted state is taken if it is closer to equilibrium than the
+state the step comes from.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from mantle.numerics.newton import Solver
+from mantle.numerics.state import State
+
+# States before the last that are kept.
+KEPT = 3
+
+
+class Predictor(Protocol):
+    """Finds a start for a load step."""
+
+    def predict(self, time: float) -> None:
+        """Put a better start for the step to a time into the solver, or leave it; collective.
+
+        The problem is at that time, and the solver has the state last committed.
+        """
+
+    def commit(self, time: float) -> None:
+        """The state of the solver at a time is history."""
+
+    def state(self) -> State:
+        """What it remembers."""
+
+    def resume(self, state: State) -> None:
+        """Read it back."""
+
+
+class Extrapolation:
+    r"""The straight line through the last two states; where a stage begins, all that they span.
+
+    Loads turn there. With x the last state and d_i the ways to it from those before, the s_i of
+
+    .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min
+
+    would make x + sum s_i d_i the state of least residual, were the residual R linear.
+    """
+
+    def __init__(self, solver: Solver) -> None:
+        """Begin with nothing known."""
+        self._solver = solver
+        self._trail: list[tuple[float, PETSc.Vec]] = []
+
+    def begin(self, time: float) -> None:
+        """A path of loads goes on, or is the first."""
+        if not self._trail:
+            self._trail = [(time, self._solver.x.copy())]
+
+    def predict(self, time: float) -> None:
+        """Follow the line, or go where the states lead, if that is closer to equilibrium."""
+        if len(self._trail) < 2:
+            return
+        stage_begins = math.ceil(time) - 1
+        x = self._line(time) if self._trail[-2][0] >= stage_begins else self._mixture()
+        take_better(self._solver, x)
+
+    def _line(self, time: float) -> PETSc.Vec:
+        """The state at a time on the straight line."""
+        (t0, x0), (t1, x1) = self._trail[-2:]
+        s = (time - t1) / (t1 - t0)
+        x = x1.copy()
+        x.axpby(-s, 1.0 + s, x0)
+        return x
+
+    def _mixture(self) -> PETSc.Vec:
+        """The state of least residual that the last ones span, were it linear."""
+        solver = self._solver
+        *before, x = (state.copy() for _, state in self._trail)
+        here = solver.residual(x)
+        steps, changes = [], []
+        for state in before:
+            step = x.copy()
+            step.axpy(-1.0, state)
+            there = x.copy()
+            there.axpy(1.0, step)
+            change = solver.residual(there)
+            change.axpy(-1.0, here)
+            steps.append(step)
+            changes.append(change)
+        gram = np.array([[a.dot(b) for b in changes] for a in changes])
+        shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
+        for share, step in zip(shares, steps, strict=True):
+            x.axpy(share, step)
+        return x
+
+    def commit(self, time: float) -> None:
+        """Remember the state; of two at one time the later."""
+        state = (time, self._solver.x.copy())
+        self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
+
+    def state(self) -> State:
+        """The states."""
+        return {"trail": [[time, self._solver.pack(x)] for time, x in self._trail]}
+
+    def resume(self, state: State) -> None:
+        """Read them back."""
+        self._trail = [(time, self._solver.unpack(x)) for time, x in state["trail"]]
+
+
+def take_better(solver: Solver, x: PETSc.Vec) -> bool:
+    """Give the solver a state if it is closer to equilibrium than its own; collective.
+
+    Args:
+        solver: Of a problem at the time of the step.
+        x: The state; its supported components are set.
+    """
+    if not imbalance(solver, x) < imbalance(solver, solver.x.copy()):
+        return False  # nor is a state that is no number
+    x.copy(solver.x)
+    return True
+
+
+def imbalance(solver: Solver, x: PETSc.Vec) -> float:
+    """Norm of the residual of a state [N], once it is what supports say; collective."""
+    return float(solver.residual(x).norm())
+
+
+def same(a: PETSc.Vec, b: PETSc.Vec) -> bool:
+    """Whether two states are equal; collective."""
+    difference = a.copy()
+    difference.axpy(-1.0, b)
+    return bool(difference.norm() == 0.0)

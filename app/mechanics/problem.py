@@ -1,0 +1,462 @@
+"""The discrete problem of a scene: residual and Jacobian of the coupled min-max problem.
+
+Unknowns are blocks: the continuous displacement, and the jumps where the scene has contact. The
+displacement block is assembled once; see `mechanics.jumps` for the equations of the jump block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.mechanics.assembly import Mechanics
+from mantle.mechanics.curing_stress import Setting
+from mantle.mechanics.expansion import Expansions, ThermalStiffness
+from mantle.mechanics.forces import Forces
+from mantle.mechanics.jumps import Jumps
+from mantle.mechanics.points import PointForces
+from mantle.mechanics.reduction import holds, near_null_space, reduction_of, support_of_dofs
+from mantle.meshes.distribute import TaggedMesh
+from mantle.numerics.linear import Inverse, stiffness_options
+from mantle.numerics.state import State, keyed, node_keys
+from mantle.scene.bodies import bodies_of, boundary_facets, cell_tags
+from mantle.scene.terms import Scene, amplitude
+from mantle.system.timing import Timing
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+# Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
+ROUNDING = 2.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The jump block at a trial state: equilibrium (n, 3) [N], jumps (n, 3) [mm], the law."""
+
+    equilibrium: Floats
+    jump: Floats
+    law: PointForces
+
+
+class Problem:
+    """Operators and state of a scene.
+
+    Attributes:
+        jumps: The jump block, or an empty tuple.
+        expansions: Thermal expansion of what has constant moduli, or an empty tuple.
+        setting: What sets, or an empty tuple.
+        u: Displacement, the continuous field.
+        time: Current time: stage k runs from k to k + 1.
+        version: Counts how often the stiffness has changed: preconditioners are of one version.
+        inverse: Solves with the stiffness alone.
+        load_size: Norm of the nodal forces of loads and free strains [N].
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        augmentation_factor: float,
+        timing: Timing,
+        like: Problem | None = None,
+    ) -> None:
+        """Assemble everything that does not change; collective.
+
+        Args:
+            scene: What is solved.
+            tagged: Its mesh.
+            augmentation_factor: Default augmentation over modulus and mesh size.
+            timing: Where the seconds go.
+            like: One with other contacts but the same stiffness, which never changes: its inverse
+                serves both.
+
+        Raises:
+            InputError: The scene does not fit the mesh.
+        """
+        self.scene, self.tagged = scene, tagged
+        self.comm = tagged.mesh.comm
+        self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
+        self.mechanics = Mechanics(scene, tagged, self.bodies, timing)
+        self.space = self.mechanics.space
+        self.u = self.mechanics.u
+        self._owned = 3 * self.space.dofmap.index_map.size_local
+        self._stage = self.version = 0
+        self._reduce()
+        self.setting: tuple[Setting, ...] = (
+            (Setting(scene, self.mechanics, self.bodies, timing),) if scene.cures else ()
+        )
+        self._stiffness = self.mechanics.stiffness()
+        self.K = self._constrained()
+        self.K.setBlockSize(3)
+        self.K.setOption(PETSc.Mat.Option.SPD, True)
+        self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
+        options = stiffness_options("auto", self.K, scene.order)
+        own = Inverse(self.K, lambda: self.version, options, self._shape)
+        self.inverse: Inverse = like.inverse if like is not None else own
+        self.jumps: tuple[Jumps, ...] = (
+            (
+                Jumps(
+                    scene,
+                    tagged,
+                    self.bodies,
+                    self.mechanics,
+                    self.reduction,
+                    augmentation_factor,
+                    timing,
+                ),
+            )
+            if scene.contacts
+            else ()
+        )
+        self._reaction_rows += [self._supported(j.C) for j in self.jumps]
+        self.moved = {
+            b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
+            for j in self.jumps
+            for b in j.moves
+        }
+        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
+        self.expansions: tuple[Expansions, ...] = (
+            (Expansions(scene, self.mechanics, self.bodies),) if self.mechanics.swelling else ()
+        )
+        self.set_time(0.0)
+
+    def begin(self, scene: Scene, augmentation_factor: float) -> None:
+        """Begin at rest, with other loads and contact laws; the matrices stay; collective.
+
+        Args:
+            scene: One that differs in the values of loads and in contact laws alone.
+            augmentation_factor: Default augmentation over the local stiffness per area.
+        """
+        self.scene = scene
+        self.set_stage(0, self.K.createVecRight())
+        for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
+            state.x.array[:] = 0
+        for j in self.jumps:
+            j.begin(scene.contacts, augmentation_factor)
+        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps, self._forces)
+        self.set_time(0.0)
+
+    # Construction
+
+    def _reduce(self) -> None:
+        """Find the unknowns that the supports of the current stage hold."""
+        support_of = support_of_dofs(self.scene, self.tagged, self.bodies, self.space, self._stage)
+        self.reduction = reduction_of(self.scene, self.tagged, self.space, support_of)
+        self.held = self.reduction.held
+        self._first = self.comm.exscan(len(self.held)) or 0
+
+    def _constrained(self) -> PETSc.Mat:
+        """The stiffness with the supports of the current stage; keeps what they meet of it."""
+        K = self.reduction.matrix(self.mechanics.matrix(self._stiffness))
+        self._lifts = [_lift(K, unit) for unit in self.reduction.unit]
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        rows = self.supported_rows()
+        self._reaction_rows = [self._supported(K)]
+        K.zeroRowsColumns(rows, diag=_typical(K))
+        self._diagonal = K.getDiagonal()
+        return K
+
+    def _renew(self) -> None:
+        """Assemble the stiffness and the coupling again, in the same matrices."""
+        K = self._constrained()
+        K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        for j in self.jumps:
+            j.restiffen(self.mechanics, self.reduction)
+        self._reaction_rows += [self._supported(j.C) for j in self.jumps]
+        self.version += 1
+        self.set_time(self.time)
+
+    def bodies_at(self, boundary: str) -> set[int]:
+        """Bodies that have facets on a boundary; collective."""
+        f = boundary_facets(self.tagged, boundary)
+        here = {int(b) for b in np.unique(self.bodies.of_tag[cell_tags(self.tagged)[f.cells]])}
+        return set().union(*self.comm.allgather(here))
+
+    # What a run remembers
+
+    @cached_property
+    def nodes(self) -> Ints:
+        """Keys of own nodes of the displacement."""
+        return node_keys(self.space)
+
+    @cached_property
+    def _vertices(self) -> Ints:
+        return node_keys(self.mechanics.scalars)
+
+    def pack(self, u: PETSc.Vec, q: PETSc.Vec | None) -> State:
+        """A state of the unknowns, as it is kept."""
+        state: State = {"displacement": self.reduction.state(u, self.nodes)}
+        for j in self.jumps:
+            assert q is not None
+            state["jump"] = j.rows(q.array_r.reshape(-1, 3))
+        return state
+
+    def unpack(self, state: State, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Read it back."""
+        self.reduction.resume(state["displacement"], u, self.nodes)
+        for j in self.jumps:
+            assert q is not None
+            q.array[:] = state["jump"].of(j.mine).ravel()
+
+    def _shape(self) -> State:
+        """What the stiffness depends on: supports of the stage, and how far regions have set."""
+        n = len(self._vertices) if self.mechanics.growth else 0
+        growth = self.mechanics.growth.items()
+        return {
+            "stage": self._stage,
+            "growth": {r: keyed(self._vertices, g.x.array[:n]) for r, g in growth},
+        }
+
+    def _reshape(self, shape: State) -> bool:
+        """Make the stiffness that of a shape, of this stage or a later one; whether it changed."""
+        before = self.version
+        for k in range(self._stage + 1, shape["stage"] + 1):
+            self.set_stage(k, self.K.createVecRight())
+        changed = False
+        for region, found in shape["growth"].items():
+            g = self.mechanics.growth[region]
+            old = g.x.array.copy()
+            g.x.array[: len(self._vertices)] = found.of(self._vertices)
+            g.x.scatter_forward()
+            changed |= not np.array_equal(old, g.x.array)
+        if self.comm.allreduce(changed, MPI.LOR):
+            self._renew()
+        return self.version != before
+
+    def state(self) -> State:
+        """All that is history."""
+        return {
+            "time": self.time,
+            "inverse": self.inverse.state(),
+            "shape": self._shape(),
+            "contact": [j.state() for j in self.jumps],
+            "setting": [s.state() for s in self.setting],
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back at rest; collective. `settle` follows."""
+        self.inverse.resume(state["inverse"], self._reshape)
+        self._reshape(state["shape"])
+        for j, history in zip(self.jumps, state["contact"], strict=True):
+            j.resume(history)
+
+    def settle(self, state: State, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Read back what depends on displacement, temperature and cure, once these are there."""
+        self.spread(u, q)
+        for s, stress in zip(self.setting, state["setting"], strict=True):
+            s.resume(stress, self.displacements())
+        self.set_time(state["time"])
+
+    # State in time
+
+    def set_stage(self, stage: int, u: PETSc.Vec) -> None:
+        """Let go of the supports that do not hold in a stage, and hold on by those that do.
+
+        Nothing is done unless they differ from those before.
+
+        Args:
+            stage: Number of the stage.
+            u: The displacement, which stays.
+        """
+        then, self._stage = self._stage, stage
+        if all(holds(s, then) == holds(s, stage) for s in self.scene.supports):
+            return
+        old = self.reduction
+        self._reduce()
+        self.reduction.carry(u, old)
+        self._renew()
+        self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
+
+    def set_time(self, time: float) -> None:
+        """Set loads, supports and gaps to a time; the state itself does not move."""
+        self.time = time
+        action = self._forces.at(time)
+        self.f, self.f_q = self.reduction.vector(action.nodal), action.jump
+        self.load_size = float(self.f.norm())
+        self._given = np.zeros(len(self.held))
+        for support, unit, lift in zip(
+            self.scene.supports, self.reduction.unit, self._lifts, strict=True
+        ):
+            a = amplitude(support.history, time)
+            self._given += a * unit
+            self.f.axpy(a, lift)
+        for j in self.jumps:
+            j.set_time(time)
+        self.mechanics.set_amplitudes(
+            {
+                (e.region, k): amplitude(s.history, time)
+                for e in self.scene.elastic
+                for k, s in enumerate(e.eigenstrains)
+            }
+        )
+
+    def set_temperature(self, temperatures: Mapping[str, fem.Function]) -> None:
+        """Swell to temperatures; the state itself does not move.
+
+        Args:
+            temperatures: For each region that expands, values at the vertices [K], ghosts included.
+        """
+        for x in self.expansions:
+            self._forces.set_free("heat", x.set(temperatures))
+        self.set_time(self.time)
+
+    def set_cure(
+        self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]
+    ) -> None:
+        """Say how far regions have set; takes effect at the next `restiffen`.
+
+        Args:
+            degrees: For each region that sets, the degree of cure at the vertices [-].
+            strains: Its free strain accumulated since gelation at the vertices [-].
+        """
+        for s in self.setting:
+            s.set(degrees, strains)
+
+    def restiffen(self) -> None:
+        """Take in the stiffness and the stress of what has set so far; before every solve.
+
+        The matrices are assembled again, in place, only if a modulus has changed; then `version`
+        is another one.
+        """
+        for s in self.setting:
+            if s.stiffen():
+                self._renew()
+            self._forces.set_free("cure", s.forces())
+            self.set_time(self.time)
+
+    def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
+        """How the forces change with temperature; zero in supported rows; collective.
+
+        Args:
+            moves: For each region whose temperatures jumps move, what they add to the nodal ones.
+        """
+        (x,) = self.expansions
+        return x.stiffness(moves, self.reduction, self.jumps, self.supported_rows())
+
+    def impose(self, u: PETSc.Vec) -> None:
+        """Set the supported components of a displacement to their current values."""
+        u.array[self.held] = self._given[self.held]
+
+    # Residual and Jacobian
+
+    def trial(self, u: PETSc.Vec, q: PETSc.Vec) -> Trial:
+        """The jump block at a trial state; only for scenes with contact."""
+        (j,) = self.jumps
+        e = j.equilibrium(u, q, self.f_q).copy()
+        jump = q.array.reshape(-1, 3).copy()
+        return Trial(e, jump, j.law(e, jump))
+
+    def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
+        """K u + C q - f, zero in supported rows [N]."""
+        self.K.mult(u, out)
+        for j in self.jumps:
+            j.C.multAdd(q, out, out)
+        out.axpy(-1.0, self.f)
+        out.array[self.held] = 0
+
+    def supported_rows(self) -> NDArray[np.int32]:
+        """Global rows that supports hold, of this rank."""
+        return (self._first + np.flatnonzero(self.held)).astype(np.int32)
+
+    def _supported(self, A: PETSc.Mat) -> PETSc.Mat:
+        """Rows of a matrix that supports hold."""
+        rows = PETSc.IS().createGeneral(self.supported_rows(), comm=self.comm)
+        return A.createSubMatrix(rows)
+
+    def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
+        """Size of the forces in a state: loads, reactions and interface forces [N].
+
+        Not what supports would have to push a model with that holds still: on a fine mesh that is
+        far more than any force there is.
+        """
+        reaction = self._reaction_rows[0].createVecLeft()
+        self._reaction_rows[0].mult(u, reaction)
+        scale = self.load_size
+        for j, rows in zip(self.jumps, self._reaction_rows[1:], strict=True):
+            rows.multAdd(q, reaction, reaction)
+            e = j.equilibrium(u, q, self.f_q)
+            for forces in (np.where(j.held, 0.0, e), self.f_q):
+                scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
+        return scale + float(reaction.norm())
+
+    def rounding(self, u: PETSc.Vec) -> float:
+        """Residual that rounding alone leaves at a displacement: a stiff body that moves [N]."""
+        return ROUNDING * float(np.finfo(float).eps) * (self._diagonal * u).norm()
+
+    # State
+
+    def spread(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Put a state into the displacement functions of all bodies."""
+        nodal = self.reduction.expand(u)
+        self.u.x.petsc_vec.array[: self._owned] = nodal.array
+        self.u.x.scatter_forward()
+        for j in self.jumps:
+            extra = nodal.duplicate()
+            for body, B in j.moves.items():
+                B.mult(q, extra)
+                function = self.moved[body]
+                function.x.petsc_vec.array[: self._owned] = nodal.array + extra.array
+                function.x.scatter_forward()
+
+    def displacements(self) -> list[fem.Function]:
+        """Displacement of each body, as last spread."""
+        return self.mechanics.displacements(self.moved)
+
+    def applied(self) -> tuple[Floats, Floats]:
+        """Loads now acting on own nodes and jumps [N]; no eigenstrains, no supports."""
+        return self._forces.applied(self.time)
+
+    def resultants(self) -> list[Floats]:
+        """Resultant of each load now acting [N]."""
+        return self._forces.resultants(self.time)
+
+    def free_work(self, u: PETSc.Vec) -> float:
+        """Half the work of the free strains' forces now acting in a displacement [N mm]."""
+        return self._forces.free_work(self.reduction.expand(u))
+
+    def augmentation(self, trial: bool = False) -> dict[str, float]:
+        """Augmentation or penalty of each interface [MPa/mm]; collective.
+
+        Args:
+            trial: Of penalties what they are solved with, not what they are.
+        """
+        values = {}
+        for j in self.jumps:
+            for i, c in enumerate(self.scene.contacts):
+                stiffness = j.stiffness if c.augmented or trial else j.default_stiffness
+                local = float(stiffness[j.interface == i].max(initial=0.0))
+                values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
+        return values
+
+    def commit(self, trial: Trial | None) -> None:
+        """Make a converged state, whose displacements have been spread, the history."""
+        for j in self.jumps:
+            if trial is not None:
+                j.commit(trial.equilibrium, trial.jump, trial.law)
+        for s in self.setting:
+            s.commit(self.displacements())
+
+
+def _lift(K: PETSc.Mat, unit: Floats) -> PETSc.Vec:
+    """Minus the forces of a support's displacements at full amplitude."""
+    given, forces = K.createVecRight(), K.createVecLeft()
+    given.array[:] = unit
+    K.mult(given, forces)
+    forces.scale(-1)
+    return forces
+
+
+def _typical(K: PETSc.Mat) -> float:
+    """Mean diagonal of a matrix: what supported rows get, so that scales stay alike."""
+    diagonal = K.getDiagonal()
+    return float(diagonal.sum()) / diagonal.getSize()

@@ -1,0 +1,369 @@
+"""Systems of equations as the solver sees them: blocks of unknowns, residual, Jacobian.
+
+A system knows its own linear algebra: which blocks there are, how they are preconditioned, and how
+large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.mechanics.deflation import Motions
+from mantle.mechanics.jumps import Jumps
+from mantle.mechanics.problem import Problem, Trial
+from mantle.numerics.active_set import ActiveSet
+from mantle.numerics.linear import SWEEP, Inverse, Options, stiffness_options
+from mantle.numerics.sparse import block_diagonal, fill
+from mantle.numerics.state import State
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How large a part of a residual is.
+
+    Attributes:
+        norm: Its norm.
+        scale: The size of what it balances.
+        rounding: What rounding leaves of it.
+        lasting: Whether the scale of a state that converged holds for those after it: forces that
+            have acted do, the heat that flowed in the first instant of a contact does not.
+    """
+
+    norm: float
+    scale: float
+    rounding: float
+    lasting: bool = True
+
+
+class System(Protocol):
+    """What the solver asks of a system."""
+
+    comm: MPI.Comm
+    prefix: str
+    # States of its contact points at the last Jacobians.
+    active: ActiveSet
+    # PETSc options of its Newton iteration that differ from the solver's.
+    newton: Options
+
+    @property
+    def inverses(self) -> Mapping[str, Inverse]:
+        """Inverses of diagonal blocks that others use too, by block."""
+
+    @property
+    def version(self) -> int:
+        """Counts changes of the matrices that outdate their preconditioners."""
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """A new vector for each block, in the order of the preconditioner."""
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The blocks of the Jacobian; None where it is zero."""
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """PETSc options of each block's preconditioner; ``linear`` is direct, multigrid or auto."""
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given values into a state."""
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """The residual of a state."""
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """Set the blocks of the Jacobian to a state."""
+
+    def motions(self) -> Motions | None:
+        """Motions that the last Jacobian hardly resists, of displacement and jumps, if any."""
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """How large the residual f of a state x is, by part; collective."""
+
+    def soften(self, factor: float) -> bool:
+        """Solve with this multiple of the augmentation in force, if there is one to change."""
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen; collective."""
+
+    def lessen_friction(self, share: float) -> bool:
+        """Solve with this share of all friction coefficients, if there is friction."""
+
+    def tie(self, on: bool) -> bool:
+        """Solve with interfaces tied that were open everywhere so far, if there are any."""
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """A state of the unknowns, as it is kept."""
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read it back."""
+
+    def state(self) -> State:
+        """What it remembers of Jacobians before."""
+
+    def resume(self, state: State) -> Motions | None:
+        """Read it back, with the Jacobian in which motions were let go last; collective."""
+
+
+def size(vectors: list[PETSc.Vec]) -> float:
+    """Norm of a state or residual in several blocks; collective."""
+    return math.sqrt(sum(v.norm() ** 2 for v in vectors))
+
+
+def mechanical(problem: Problem) -> Bonded | Contact:
+    """The system of a mechanical problem."""
+    return Contact(problem) if problem.jumps else Bonded(problem)
+
+
+def _stiffness(linear: str, problem: Problem) -> Options:
+    """Direct or multigrid."""
+    return stiffness_options(linear, problem.K, problem.scene.order)
+
+
+class Bonded:
+    """Displacement alone: no interface can move."""
+
+    prefix = "mantle_"
+    # The equations are linear: one linear solve, to the solver's own limit.
+    newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-14}  # noqa: RUF012
+
+    def __init__(self, problem: Problem) -> None:
+        """Take the stiffness as it is."""
+        self._problem, self.comm = problem, problem.comm
+        self.inverses = {"displacement": problem.inverse}
+        self.active = ActiveSet(self.comm)
+
+    @property
+    def version(self) -> int:
+        """Changes of the stiffness."""
+        return self._problem.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """The displacement."""
+        return {"displacement": self._problem.K.createVecLeft()}
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The stiffness."""
+        return [[self._problem.K]]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Direct or multigrid."""
+        return {"displacement": _stiffness(linear, self._problem)}
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given displacements into a state."""
+        self._problem.impose(x[0])
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """K u - f."""
+        self._problem.residual_u(x[0], None, f[0])
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """Nothing to do: the stiffness is constant."""
+
+    def motions(self) -> None:
+        """Nothing moves but what supports leave."""
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Forces out of balance, beside those there are [N]."""
+        problem, u = self._problem, x[0]
+        return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
+
+    def soften(self, factor: float) -> bool:
+        """No augmentation."""
+        return False
+
+    def augmentation(self) -> dict[str, float]:
+        """No augmentation."""
+        return {}
+
+    def usual_augmentation(self) -> float:
+        """No augmentation."""
+        return 1.0
+
+    def lessen_friction(self, share: float) -> bool:
+        """No friction."""
+        return False
+
+    def tie(self, on: bool) -> bool:
+        """No interface."""
+        return False
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """The displacement."""
+        return self._problem.pack(x[0], None)
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read it back."""
+        self._problem.unpack(state, x[0], None)
+
+    def state(self) -> State:
+        """Nothing."""
+        return {}
+
+    def resume(self, state: State) -> None:
+        """Nothing moves."""
+
+
+class Contact:
+    """Displacement and jumps.
+
+    Attributes:
+        trial: The jump block at the state whose residual or Jacobian was asked for last.
+    """
+
+    trial: Trial
+
+    prefix = "mantle_"
+    newton: Options = {}  # noqa: RUF012
+
+    def __init__(self, problem: Problem) -> None:
+        """Set up the blocks of the Jacobian."""
+        self._problem, self.comm = problem, problem.comm
+        self.inverses = {"displacement": problem.inverse}
+        (self._jumps,) = problem.jumps
+        j: Jumps = self._jumps
+        self._C = j.C.copy()
+        self._C.zeroRows(problem.supported_rows(), diag=0.0)
+        self._coupled = self.version
+        self._rows = block_diagonal(j.comm, len(j.mine))
+        self._A_qu = self._rows.matMult(j.Ct)
+        self._A_qq = self._rows.matMult(j.D)
+        self._added = block_diagonal(j.comm, len(j.mine))
+        self._motions_of = -1
+        self.active = ActiveSet(self.comm)
+
+    @property
+    def version(self) -> int:
+        """Changes of the stiffness."""
+        return self._problem.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Displacement and jumps."""
+        return {
+            "displacement": self._problem.K.createVecLeft(),
+            "jump": self._jumps.D.createVecLeft(),
+        }
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The stiffness, the coupling, and the rows of the jumps."""
+        return [[self._problem.K, self._C], [self._A_qu, self._A_qq]]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Direct or multigrid for the displacement, a sweep for the jumps."""
+        return {"displacement": _stiffness(linear, self._problem), "jump": SWEEP}
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given displacements and jumps into a state."""
+        u, q = x
+        self._problem.impose(u)
+        held = self._jumps.held.ravel()
+        q.array[held] = self._jumps.given.ravel()[held]
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """Equilibrium of the bodies, and of the contact points with their law."""
+        self._problem.residual_u(x[0], x[1], f[0])
+        trial = self.trial = self._problem.trial(*x)
+        f[1].array[:] = self._jumps.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """The generalized Jacobian of the contact points."""
+        self._couple()
+        trial = self.trial = self._problem.trial(*x)
+        self._set_rows(*self._jumps.row_factors(trial.law))
+        self.active.add(trial.law.status)
+
+    def _couple(self) -> None:
+        """Take in the coupling, if it has changed."""
+        if self._coupled != self.version:
+            self._coupled = self.version
+            self._jumps.C.copy(self._C)
+            self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
+
+    def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
+        """Set the rows of the jumps."""
+        self._factors = times, added
+        fill(self._rows, times)
+        fill(self._added, added)
+        self._rows.matMult(self._jumps.Ct, result=self._A_qu)
+        self._rows.matMult(self._jumps.D, result=self._A_qq)
+        self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+
+    def motions(self) -> Motions:
+        """Bodies that slide, lift off or bend away."""
+        if self._motions_of != self.version:
+            self._motions, self._motions_of = Motions(self._problem), self.version
+        before = self._motions.version
+        self._motions.follow(self.trial.law.jacobian)
+        if self._motions.version != before:
+            self._then = self._factors
+        return self._motions
+
+    @property
+    def rows(self) -> PETSc.Mat:
+        """What multiplies equilibrium in the rows of the jumps: 1 - P' as last set."""
+        return self._rows
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Forces out of balance, beside those there are [N]."""
+        problem = self._problem
+        return [Measure(size(f), problem.force_scale(*x), problem.rounding(x[0]))]
+
+    def soften(self, factor: float) -> bool:
+        """Solve with this multiple of the default augmentation."""
+        self._jumps.soften(factor)
+        return True
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
+        return self._problem.augmentation(trial=True)
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen; collective."""
+        return self._jumps.usual_augmentation()
+
+    def lessen_friction(self, share: float) -> bool:
+        """Solve with this share of all friction coefficients, if there is friction."""
+        self._jumps.lessen_friction(share)
+        return any(c.frictional for c in self._problem.scene.contacts)
+
+    def tie(self, on: bool) -> bool:
+        """Solve with interfaces tied that were open everywhere so far, if there are any."""
+        return self._jumps.tie(on)
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """Displacement and jumps."""
+        return self._problem.pack(x[0], x[1])
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read them back."""
+        self._problem.unpack(state, x[0], x[1])
+
+    def state(self) -> State:
+        """The motions that the law let go, and the rows of the Jacobian then."""
+        if self._motions_of != self.version or not self._motions.version:
+            return {}
+        times, added = self._then
+        values = {"motions": self._motions.known, "times": times, "added": added}
+        return {name: self._jumps.rows(v) for name, v in values.items()}
+
+    def resume(self, state: State) -> Motions | None:
+        """Let them go again; collective."""
+        if not state:
+            return None
+        self._couple()
+        known, times, added = (state[k].of(self._jumps.mine) for k in ("motions", "times", "added"))
+        self._set_rows(times, added)
+        self._then = self._factors
+        self._motions, self._motions_of = Motions(self._problem), self.version
+        self._motions.let_go(known)
+        return self._motions

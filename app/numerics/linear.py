@@ -1,0 +1,490 @@
+"""Linear algebra of a nonlinear solve: Krylov method, preconditioners, and when they are made.
+
+The Krylov method is preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, in the
+order of the blocks). Preconditioners of the large blocks are set up once and kept while they are
+good enough; that of the stiffness belongs to the problem, so that everything that solves with it
+shares it.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from mantle.mechanics.deflation import Deflated, Motions
+from mantle.numerics.sparse import entries, put_entries
+from mantle.numerics.state import Ints, Share, State
+from mantle.system.timing import Timing
+
+if TYPE_CHECKING:
+    from mantle.mechanics.systems import System
+
+log = logging.getLogger("mantle")
+
+Options = Mapping[str, str | int | float | bool]
+
+# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid. With MUMPS, which
+# several ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns, 7.1 against
+# 6.2 at 35 000. CHOLMOD solves twice as fast, and multigrid is slower on second order: 6.5 against
+# 5.3 at 38 000 of first order, 7.1 against 9.6 at 38 000 and 24 against 26 at 92 000 of second,
+# where the factors take twice the memory.
+DIRECT_LIMIT = 25_000
+SERIAL_LIMITS = {1: DIRECT_LIMIT, 2: 60_000}
+FACTORED: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
+FACTORED_SERIALLY: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "cholmod"}
+MULTIGRID: Options = {
+    "pc_type": "gamg",
+    "pc_gamg_agg_nsmooths": 1,
+    "pc_gamg_threshold": 0.01,
+    "pc_gamg_aggressive_coarsening": 1,
+    "pc_gamg_coarse_eq_limit": 1000,
+    "mg_coarse_pc_type": "cholesky",
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_ksp_max_it": 1,
+    "mg_levels_pc_type": "sor",
+}
+# A block of interface unknowns: one symmetric sweep over the points does what factors do, in a
+# fifth of the time; where conductance lets temperatures jump, factors are needed.
+SWEEP: Options = {"pc_type": "sor"}
+INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+KRYLOV: Options = {"ksp_type": "fgmres", "ksp_max_it": 300, "ksp_gmres_restart": 100}
+SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
+# Of several blocks: Gauss-Seidel. A block's preconditioner stays until it has to be made again.
+SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
+# Blocks of nodal unknowns keep their preconditioners from one Jacobian to the next.
+KEPT = ("displacement", "temperature")
+# Krylov iterations that making them again is worth, and usual ones for a digit of the residual.
+PRICE, USUAL = 30, 8
+# Unknowns up to which a matrix can be factored after all where multigrid fails.
+FACTORABLE = 300_000
+# Bits of the numbers of a rank's entries.
+RANK = 40
+# How the log calls the methods.
+WORDS = {
+    "cg": "conjugate gradients",
+    "fgmres": "flexible GMRES",
+    "gamg": "by multigrid",
+    "cholesky": "factored",
+    "telescope": "factored",
+    "lu": "factored",
+    "sor": "swept",
+}
+
+
+def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
+    """Whether a block is factored; ``linear`` is direct, multigrid or auto (by size)."""
+    return linear == "direct" or (linear == "auto" and size <= limit)
+
+
+def stiffness_options(linear: str, K: PETSc.Mat, order: int) -> Options:
+    """Options for a stiffness of displacements of an order; ``linear`` as above."""
+    serial = K.comm.size == 1
+    limit = SERIAL_LIMITS[order] if serial else DIRECT_LIMIT
+    return factors(K) if is_direct(linear, K.getSize()[0], limit) else MULTIGRID
+
+
+def factors(matrix: PETSc.Mat) -> Options:
+    """Options that factor a symmetric positive definite matrix."""
+    if matrix.comm.size > 1 and matrix.getSize()[0] > DIRECT_LIMIT:
+        return FACTORED
+    return on_one_rank(FACTORED_SERIALLY, matrix.comm.size)
+
+
+def on_one_rank(options: Options, ranks: int) -> Options:
+    """A preconditioner as one rank makes it for all.
+
+    What several of them factor together depends in its rounding on which message comes first; up to
+    the size at which matrices are factored at all, one rank takes no more time (measured: 16 000
+    unknowns on two ranks, 13 CPU s of solving against 19).
+    """
+    if ranks == 1:
+        return options
+    inner = {f"telescope_{key}": value for key, value in options.items()}
+    outer: Options = {
+        "pc_type": "telescope",
+        "pc_telescope_reduction_factor": ranks,
+        "telescope_ksp_type": "preonly",
+    }
+    return {**outer, **inner}
+
+
+class Inverse:
+    """An approximate inverse of a symmetric positive definite matrix, made on first use.
+
+    Attributes:
+        pc: It, as a preconditioner: made once, and again only where `refresh` says so.
+    """
+
+    def __init__(
+        self,
+        matrix: PETSc.Mat,
+        version: Callable[[], int],
+        options: Options,
+        shape: Callable[[], State] = dict,
+    ) -> None:
+        """Take the matrix as it is.
+
+        Args:
+            matrix: The matrix, which may change in place.
+            version: Counts how often it has changed.
+            options: PETSc options of the preconditioner, until others are asked for.
+            shape: What the matrix depends on.
+        """
+        self._matrix, self._version, self._shape = matrix, version, shape
+        self._fell = False
+        self._options = dict(options)
+        self._made: int | None = None
+        self.pc = PETSc.PC().create(matrix.comm)
+        self._krylov = PETSc.KSP().create(matrix.comm)
+        self._krylov.setType("cg")
+        self._krylov.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+        self._krylov.setInitialGuessNonzero(True)
+
+    @property
+    def size(self) -> int:
+        """Unknowns."""
+        return int(self._matrix.getSize()[0])
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the matrix has changed since it was made."""
+        return self._made != self._version()
+
+    def use(self, options: Options) -> None:
+        """Choose PETSc options; what was made with others is made again."""
+        if dict(options) != self._options:
+            self._options, self._made = dict(options), None
+
+    def make(self) -> None:
+        """Set up, unless that was done; collective."""
+        if self._made is None:
+            self.pc.reset()
+            self.refresh()
+
+    def refresh(self) -> None:
+        """Set up for the matrix as it is; collective."""
+        pc = self.pc
+        pc.setReusePreconditioner(False)
+        pc.setOperators(self._matrix)
+        if self._made is None:
+            pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
+            configure(pc, self._options)
+        else:
+            pc.setUp()
+        if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
+            raise MemoryError(f"the factors of {self.size} unknowns")
+        pc.setReusePreconditioner(True)
+        self._made, self._of = self._version(), self._shape()
+
+    def state(self) -> State:
+        """What it was made of, and whether it is factored after all."""
+        return {"of": self._of, "fell": self._fell}
+
+    def resume(self, state: State, reshape: Callable[[State], bool]) -> None:
+        """Make it of the same again; collective.
+
+        Args:
+            state: What was said then.
+            reshape: Makes the matrix one of another shape; says whether it is another one then.
+        """
+        if state["fell"]:
+            self.fall_back()
+        if reshape(state["of"]):
+            self.refresh()
+
+    def fall_back(self) -> bool:
+        """Factor the matrix instead of approximating its inverse, if it is not too large."""
+        if self._options.get("pc_type") != MULTIGRID["pc_type"] or self.size > FACTORABLE:
+            return False
+        self.use(factors(self._matrix))
+        self.make()
+        self._fell = True
+        return True
+
+    def solve(self, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> int:
+        """Solve with the matrix by conjugate gradients; collective.
+
+        Args:
+            b: Right-hand side.
+            x: Initial guess, then the solution.
+            rtol: Residual relative to that of ``b`` at which to stop.
+
+        Returns:
+            Iterations.
+        """
+        self.make()
+        if self.outdated:
+            self.refresh()
+        self._krylov.setPC(self.pc)
+        self._krylov.setOperators(self._matrix)
+        self._krylov.setTolerances(rtol=rtol)
+        self._krylov.solve(b, x)
+        return int(self._krylov.getIterationNumber())
+
+
+def configure(pc: PETSc.PC, options: Options) -> None:
+    """Set a preconditioner up by PETSc options that nobody else sees."""
+    database = PETSc.Options(pc.getOptionsPrefix())
+    for key, value in options.items():
+        database[key] = value
+    pc.setFromOptions()
+    # Inner solvers read their options when they are set up: that has to be now.
+    pc.setUp()
+    for key in options:
+        database.delValue(key)
+
+
+class Own:
+    """A preconditioner that is kept from one Jacobian to the next: of which one it is."""
+
+    def __init__(self, pc: PETSc.PC) -> None:
+        """Keep one that is set up."""
+        self.pc = pc
+        self._comm = pc.comm.tompi4py()
+        # One that decides by itself when it is made knows of what.
+        self._context = pc.getPythonContext() if pc.getType() == "python" else None
+        self._made()
+
+    def _made(self) -> None:
+        """Remember the matrix as it is."""
+        self.pc.setReusePreconditioner(True)
+        self._of = entries(self.pc.getOperators()[1])
+
+    def refresh(self) -> None:
+        """Set it up for the matrix as it is; collective."""
+        self.pc.setReusePreconditioner(False)
+        self.pc.setUp()
+        self._made()
+
+    def _keys(self, n: int) -> Ints:
+        """Keys of entries of this rank."""
+        return (self._comm.rank << RANK) + np.arange(n)
+
+    def state(self) -> State:
+        """The matrix that it was made of."""
+        values, places = self._of if self._context is None else self._context.of
+        return {
+            "entries": Share(self._keys(len(values)), values),
+            "places": Share(self._keys(1), np.array([places])),
+            "context": self._context and self._context.state(),
+        }
+
+    def resume(self, state: State) -> None:
+        """Make it of that matrix again, unless other ranks had it; collective."""
+        matrix = self.pc.getOperators()[1]
+        values, places = entries(matrix)
+        keys, first = self._keys(len(values)), self._keys(1)
+        found, place = state["entries"], state["places"]
+        same = found.has(keys) and place.has(first) and place.of(first)[0] == places
+        count = self._comm.allreduce(len(values))
+        if not self._comm.allreduce(bool(same and count == len(found.keys)), MPI.LAND):
+            return
+        put_entries(matrix, found.of(keys))
+        if self._context is None:
+            self.refresh()
+        else:
+            self._context.resume(state["context"])
+        put_entries(matrix, values)
+
+
+class Linear:
+    """The linear solver of a system inside its Newton iteration.
+
+    Attributes:
+        matrix: The Jacobian: one matrix, or one of blocks (MATNEST).
+        options: PETSc options it asks for.
+    """
+
+    def __init__(self, system: System, linear: str, timing: Timing) -> None:
+        """Put the blocks together; collective.
+
+        Args:
+            system: What is solved.
+            linear: direct, multigrid or auto (by size).
+            timing: Where the seconds go.
+        """
+        self._system, self._timing = system, timing
+        blocks = system.blocks()
+        self._names = list(blocks)
+        matrices = system.matrices()
+        if len(blocks) == 1:
+            self.matrix: PETSc.Mat = matrices[0][0]
+        else:
+            self.matrix = PETSc.Mat().createNest(matrices, comm=system.comm)
+            self.matrix.assemble()
+        parts = system.options(linear)
+        # Options of blocks, or of all at once.
+        self._split = len(blocks) > 1 and set(parts) == set(blocks)
+        self.options = dict(KRYLOV)
+        for name, of_block in parts.items():
+            prefix = f"fieldsplit_{name}_" if self._split else ""
+            self.options |= {f"{prefix}{key}": value for key, value in of_block.items()}
+            if prefix:
+                self.options |= dict(SPLIT) | {f"{prefix}ksp_type": "preonly"}
+        if len(blocks) == 1 and system.inverses:
+            self.options |= SYMMETRIC
+        self._inverses: list[Inverse] = []
+        self._own: list[Own] = []
+        self._swept: list[PETSc.PC] = []
+        self._factored: list[PETSc.PC] = []
+        self._deflated: tuple[Deflated, ...] = ()
+        self._sizes = [v.getSize() for v in blocks.values()]
+        self._version = system.version
+        self._pending = False
+        self._excess = self._spent = self._gained = 0.0
+
+    def attach(self, ksp: PETSc.KSP, x: list[PETSc.Vec]) -> None:
+        """Set the preconditioners up, of the Jacobian at a state; options are set; collective."""
+        self._ksp = ksp
+        ksp.setConvergenceHistory(reset=True)
+        pc = ksp.getPC()
+        self._system.jacobian(x)
+        self.matrix.assemble()
+        given = PETSc.Options(ksp.getOptionsPrefix()).getAll()
+        own: list[PETSc.PC] = []
+        with self._timing.phase("factorize"):
+            if self._split and pc.getType() == "fieldsplit":
+                parts = self._gauss_seidel(pc, given)
+                own = [parts[n] for n in KEPT if n in parts and n not in self._system.inverses]
+            elif len(self._names) == 1 and self._system.inverses:
+                pc = self._shared(self._names[0], given)
+                parts = {self._names[0]: pc}
+            else:
+                own, parts = [pc], {" and ".join(self._names): pc}
+            motions = self._system.motions() if self._split else None
+            if motions is not None:
+                context = Deflated(pc, self._names, self._system.motions)
+                self._deflated = (context,)
+                pc = PETSc.PC().createPython(context, comm=self._system.comm)
+            ksp.setPC(pc)
+            pc.setOperators(self.matrix)
+            pc.setUp()
+            pc.setUpOnBlocks()
+        self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
+        self._own = [Own(part) for part in own]
+        log.info("linear: %s%s", self._words(parts), ", motions of bodies apart" if motions else "")
+
+    def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
+        """Blocks in turn, each by its own preconditioner or by the one it shares."""
+        fields = self.matrix.getNestISs()[0]
+        pc.setFieldSplitIS(*zip(self._names, fields, strict=True))
+        parts = {}
+        for name, inner in zip(self._names, pc.getFieldSplitSubKSP(), strict=True):
+            if name in self._system.inverses:
+                prefix = f"fieldsplit_{name}_"
+                options = {k[len(prefix) :]: v for k, v in given.items() if k.startswith(prefix)}
+                inner.setPC(self._shared(name, options))
+            parts[name] = inner.getPC()
+        return parts
+
+    def _shared(self, name: str, options: Options) -> PETSc.PC:
+        """The preconditioner that a block shares with whoever solves with its matrix."""
+        inverse = self._system.inverses[name]
+        inverse.use({k: v for k, v in options.items() if not k.startswith(("ksp_", "snes_"))})
+        inverse.make()
+        self._inverses.append(inverse)
+        return inverse.pc
+
+    def update(self, x: list[PETSc.Vec]) -> None:
+        """Set the Jacobian to a state; preconditioners are made again where that is due."""
+        self.learn()
+        self._system.jacobian(x)
+        self.matrix.assemble()
+        if self._excess > PRICE:
+            self._version = self._system.version
+            self._excess = self._spent = self._gained = 0.0
+            for inverse in self._inverses:
+                inverse.refresh()
+            for own in self._own:
+                own.refresh()
+        self._pending = True
+
+    def learn(self) -> None:
+        """See how good the preconditioners were in the last linear solve; nothing if that is known.
+
+        Old ones are kept until the iterations that they have cost in vain are worth new ones.
+        """
+        if not self._pending:
+            return
+        self._pending = False
+        failed = self._ksp.getConvergedReason() < 0
+        norms = self._ksp.getConvergenceHistory()
+        spent = max(len(norms) - 1, 0)
+        if self._version == self._system.version:
+            if failed and (better := self._fall_back()):
+                log.info("linear: no convergence; %s factored instead", better)
+            if spent and norms[-1] > 0:
+                self._spent += spent
+                self._gained += math.log10(norms[0] / norms[-1])
+        elif failed:
+            self._excess = math.inf
+        elif spent and norms[-1] > 0:
+            usual = self._spent / self._gained if self._gained > 0 else USUAL
+            self._excess += spent - usual * math.log10(norms[0] / norms[-1])
+
+    def state(self) -> State:
+        """What it has learned."""
+        return {
+            "swept": bool(self._swept),
+            "fresh": self._version == self._system.version,
+            "sums": [self._excess, self._spent, self._gained],
+            "own": [own.state() for own in self._own],
+        }
+
+    def resume(self, state: State, motions: Motions | None) -> None:
+        """Read it back, with motions that were let go; collective.
+
+        The preconditioners that others share are theirs to make.
+        """
+        if motions is not None:
+            self.matrix.assemble()
+            for context in self._deflated:
+                context.take(motions)
+        if not state["swept"]:
+            self.factor_interfaces()
+        for own, found in zip(self._own, state["own"], strict=True):
+            own.resume(found)
+        self._version = self._system.version - (not state["fresh"])
+        self._excess, self._spent, self._gained = state["sums"]
+
+    def factor_interfaces(self) -> bool:
+        """Factor interfaces that were swept so far; whether there are any."""
+        swept, self._swept = self._swept, []
+        for pc in swept:
+            pc.setType(str(INTERFACE["pc_type"]))
+            pc.setFactorSolverType(str(INTERFACE["pc_factor_mat_solver_type"]))
+        self._factored += swept
+        return bool(swept)
+
+    def sweep_interfaces(self) -> None:
+        """Sweep again what `factor_interfaces` has factored."""
+        factored, self._factored = self._factored, []
+        for pc in factored:
+            pc.setType(str(SWEEP["pc_type"]))
+        self._swept += factored
+
+    def _fall_back(self) -> str:
+        """Factor what has not been factored so far, the interfaces first; what, in words."""
+        if self.factor_interfaces():
+            return "interfaces are"
+        return "the stiffness is" if any([i.fall_back() for i in self._inverses]) else ""
+
+    def _words(self, parts: Mapping[str, PETSc.PC]) -> str:
+        """What is solved by what."""
+        krylov, *kinds = [
+            WORDS.get(kind, kind)
+            for kind in (self._ksp.getType(), *(pc.getType() for pc in parts.values()))
+        ]
+        sizes = dict(zip(self._names, self._sizes, strict=True))
+        blocks = [
+            f"{name} ({sizes.get(name, sum(self._sizes))} unknowns) {kind}"
+            for name, kind in zip(parts, kinds, strict=True)
+        ]
+        return f"{krylov}, {', '.join(blocks)}"

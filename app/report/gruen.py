@@ -1,0 +1,163 @@
+"""Numbers by Gruen zone, what the stem takes from the bone, and how thick the mantle is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mantle.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
+from mantle.report.paper.figures import Figure
+from mantle.report.sweep_results import Case, magnitude
+
+ZONES = tuple(str(z) for z in range(1, 15))
+FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
+BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
+KJ = 1e3  # kJ/m3 of a MPa
+COLOURS = {"titanium": "#1f5fa8", "CoCr": "#d1682c"}
+
+Table = tuple[list[str], list[list[str]]]
+
+
+def zones(case: Case) -> dict[str, dict[str, Any]]:
+    """The Gruen zones of a case; empty if it has none."""
+    found = case.summary.get("gruen")
+    return {z: found[z] for z in ZONES if z in found} if isinstance(found, dict) else {}
+
+
+def table(case: Case) -> Table:
+    """Largest values of both interfaces and the bone's strain energy by zone.
+
+    Returns:
+        Titles of the columns, and the rows; no rows if the case has no zones.
+    """
+    own = zones(case)
+    places = [p for p in INTERFACES if any(p in z.get("interfaces", {}) for z in own.values())]
+    bones = [b for b in BONES if any(b in z.get("strain_energy_density", {}) for z in own.values())]
+    head = ["zone"]
+    head += [f"{WORDS[p]} {WORDS[q]} ({u})" for p in places for q, (u, _) in QUANTITIES.items()]
+    head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
+    rows = []
+    for name, zone in own.items():
+        view = "frontal" if int(name) <= FRONTAL else "lateral"
+        row = [f"{name} ({view})"]
+        for place in places:
+            numbers = zone.get("interfaces", {}).get(place, {})
+            for quantity, (_, factor) in QUANTITIES.items():
+                row.append(_pair(numbers, quantity, factor))
+        row += [_shown(zone.get("strain_energy_density", {}).get(b), KJ) for b in bones]
+        rows.append(row)
+    return head, rows
+
+
+def _pair(numbers: dict[str, Any], quantity: str, factor: float) -> str:
+    largest, mean = (numbers.get(f"{quantity}_{how}") for how in ("max", "mean"))
+    return f"{_shown(largest, factor)} / {_shown(mean, factor)}"
+
+
+def _shown(value: Any, factor: float) -> str:
+    return "-" if not isinstance(value, int | float) else f"{factor * value:.3g}"
+
+
+def intact(cases: Sequence[Case]) -> Case | None:
+    """The femur without a stem, if a sweep has it: with zones and without a stem."""
+    for case in cases:
+        own = zones(case)
+        places = {name for z in own.values() for name in z.get("interfaces", {})}
+        if own and "stem" not in case.data.get("regions", {}) and "stem_cement" not in places:
+            return case
+    return None
+
+
+def shielding(case: Case, without: Case) -> dict[str, dict[str, float]]:
+    """Change of the strain energy density against the intact femur.
+
+    Returns:
+        By kind of bone and zone, relative: -0.4 is 40 % less.
+    """
+    found: dict[str, dict[str, float]] = {}
+    before = zones(without)
+    for name, zone in zones(case).items():
+        for bone in BONES:
+            a, b = (
+                z.get(name, {}).get("strain_energy_density", {}).get(bone)
+                for z in (before, {name: zone})
+            )
+            if isinstance(a, int | float) and isinstance(b, int | float) and a > 0:
+                found.setdefault(bone, {})[name] = b / a - 1
+    return found
+
+
+def shielding_picture(cases: Cases, without: Case | None, folder: Path) -> list[Figure]:
+    """Draw what each stem takes from the bone at 4 mm, by zone; nothing without an intact femur."""
+    if without is None:
+        return []
+    found = {stem: cases.stances(stem).get(4.0) for stem in STEMS.values()}
+    changes = {stem: shielding(c, without) for stem, c in found.items() if c is not None}
+    changes = {stem: by_bone for stem, by_bone in changes.items() if by_bone}
+    if not changes:
+        return []
+    bones = [b for b in BONES if any(b in c for c in changes.values())]
+    from matplotlib import figure as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = mpl.Figure(figsize=(9.4, 2.9 * len(bones) + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(bones), 1, squeeze=False, sharex=True).ravel()
+    width = 0.8 / len(changes)
+    for axes, bone in zip(grid, bones, strict=True):
+        for k, (stem, by_bone) in enumerate(changes.items()):
+            values = by_bone.get(bone, {})
+            at = [int(z) + (k - 0.5 * (len(changes) - 1)) * width for z in values]
+            percent = [100 * v for v in values.values()]
+            axes.bar(at, percent, 0.94 * width, color=COLOURS[stem], label=stem)
+        axes.axhline(0, color="0.2", lw=0.8)
+        axes.axvline(FRONTAL + 0.5, color="0.6", lw=0.8, ls=":")
+        axes.set_title(BONES[bone], fontsize=11, loc="left")
+        axes.set_ylabel("change of strain\nenergy density (%)")
+        axes.grid(True, axis="y", color="0.9")
+        axes.set_axisbelow(True)
+        axes.set_xticks(range(1, 15))
+    grid[-1].set_xlabel("Gruen zone (1 to 7 frontal, 8 to 14 lateral view)")
+    handles, labels = grid[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside right upper", frameon=False)
+    figure.savefig(folder / "shielding.png", dpi=120)
+    caption = (
+        f"Strain energy per volume of bone with a mantle of 4 mm against the intact femur "
+        f"({without.name}); below zero the stem takes load from the bone."
+    )
+    text = ". ".join(
+        f"{stem}, {BONES[bone]}: " + ", ".join(f"zone {z} {100 * v:.0f} %" for z, v in own.items())
+        for stem, by_bone in changes.items()
+        for bone, own in by_bone.items()
+    )
+    return [Figure("shielding.png", "Stress shielding", caption, text)]
+
+
+def mantles(cases: Sequence[Case]) -> Table:
+    """How thick the mantle is, and its volume, a row for each mantle.
+
+    Returns:
+        Titles of the columns, and the rows; no rows where no case tells.
+    """
+    keys = ("min", "p5", "median", "mean", "p95", "max")
+    head = ["geometry", "mesh (mm)", "nominal (mm)", *(f"{k} (mm)" for k in keys)]
+    head += ["clipped by the canal", "cement (cm³)"]
+    found: dict[tuple[str, ...], float] = {}
+    for case in cases:
+        own = case.summary.get("mantle") or {}
+        thickness = own.get("thickness", {})
+        if "nominal" not in thickness:
+            continue
+        clipped = thickness.get("clipped_fraction")
+        size = magnitude(case.data.get("mesh", {}).get("size"))
+        row = (
+            str(case.data.get("geometry", {}).get("kind", "")),
+            "-" if size is None else f"{size:g}",
+            f"{thickness['nominal']:g}",
+            *(_shown(thickness.get(k), 1.0) for k in keys),
+            "-" if clipped is None else f"{100 * clipped:.0f} %",
+            _shown(own.get("volume"), 1e-3),
+        )
+        found[row] = float(thickness["nominal"])
+    return head, [list(row) for row in sorted(found, key=lambda r: (*r[:2], found[r]))]

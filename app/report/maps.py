@@ -1,0 +1,139 @@
+"""Maps of a few cases of a sweep: gap, slip, pressure and temperature on unrolled interfaces."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mantle.errors import MantleError
+from mantle.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
+from mantle.report.paper.figures import Figure
+from mantle.report.sweep_results import Case, Sweep
+from mantle.results import unrolled
+from mantle.results.reading import Floats, Run
+from mantle.results.unrolled import Row, Sheet
+from mantle.schema import config
+
+log = logging.getLogger("mantle")
+
+Chosen = list[tuple[str, Case]]
+
+SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "pressure": "YlOrRd"}
+THICKNESSES = (4.0, 2.0)
+
+
+def chosen(cases: Cases, sweep: Sweep) -> list[Chosen]:
+    """What to draw, a group of cases for each series of maps.
+
+    Of the paper's cases both stems at 4 and 2 mm, and the thinnest and the thickest mantle of each
+    reading of hot cement in the femur; of another sweep the first and the last case.
+    """
+    groups: list[Chosen] = []
+    if cases.curves:
+        stances: Chosen = []
+        for stem in STEMS.values():
+            family = cases.stances(stem)
+            stances += [(f"{stem}, {t:g} mm", family[t]) for t in THICKNESSES if t in family]
+        groups.append(stances)
+        hot: Chosen = []
+        for (model, reading), family in cases.heats().items():
+            if model == "femur":
+                ends = dict.fromkeys((min(family), max(family)))
+                hot += [(f"100 °C {reading}, {t:g} mm", family[t]) for t in ends]
+        groups.append(hot)
+    if not any(groups):
+        done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
+        groups = [[(c.name, c) for c in (done if len(done) < 2 else (done[0], done[-1]))]]
+    return [g for g in groups if g]
+
+
+def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str]]:
+    """Draw the maps of each group, a picture for each interface.
+
+    Returns:
+        The figures, and why there is none of some case.
+    """
+    figures: list[Figure] = []
+    missing: list[str] = []
+    for number, group in enumerate(groups, 1):
+        opened = []
+        for title, case in group:
+            if not (case.folder / "fields.vtkhdf").exists():
+                missing.append(f"no map of {case.name}: it wrote no fields")
+                continue
+            try:
+                opened.append((title, case, Run(case.folder), _geometry(case)))
+            except (OSError, KeyError, ValueError, MantleError) as error:
+                missing.append(f"no map of {case.name}: {_first_line(error)}")
+        names = dict.fromkeys(name for _, _, _, g in opened for name in g.interface_sides)
+        for name in names:
+            columns = [
+                (title, run, sheet)
+                for title, _, run, g in opened
+                if name in g.interface_sides
+                and (sheet := unrolled.sheet(run, g.kind, g.interface_sides[name], g.region_names))
+            ]
+            if not columns:
+                missing.append(f"no map of {name}: it neither surrounds a stem nor is flat")
+                continue
+            file = f"map{number}_{name}.png"
+            labels = unrolled.draw(folder / file, columns, _rows(name, columns))
+            if labels:
+                figures.append(_figure(file, name, columns, labels))
+    return figures, missing
+
+
+def _geometry(case: Case) -> config.Geometry:
+    geometry = config.geometry(case.data, case.folder)
+    if geometry is None:
+        raise ValueError("its case.yaml does not tell its geometry")
+    return geometry
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _rows(name: str, columns: Sequence[tuple[str, Run, Sheet]]) -> list[Row]:
+    rows = []
+    for quantity, colours in SHOWN.items():
+        unit, factor = QUANTITIES[quantity]
+        rows.append(Row(f"{WORDS[quantity]} ({unit})", colours, _contact(name, quantity, factor)))
+    sheets = {id(run): own for _, run, own in columns}
+    hottest = Row("temperature (°C)", "inferno", lambda run: _hottest(run, sheets[id(run)]), False)
+    return [*rows, hottest]
+
+
+def _contact(name: str, quantity: str, factor: float) -> Callable[[Run], Floats | None]:
+    def values(run: Run) -> Floats | None:
+        return factor * run.at_interface(name, quantity) if name in run.contacts else None
+
+    return values
+
+
+def _hottest(run: Run, own: Sheet) -> Floats | None:
+    """The temperature at the written step at which the interface is hottest."""
+    if not run.hot:
+        return None
+    steps = [run.temperature(k) for k in range(len(run.times))]
+    return max(steps, key=lambda T: float(np.max(T[own.nodes])))
+
+
+def _figure(
+    file: str, name: str, columns: Sequence[tuple[str, Run, Sheet]], labels: Sequence[str]
+) -> Figure:
+    what = WORDS.get(name, name.replace("_", "-"))
+    titles = [title for title, _, _ in columns]
+    caption = "The colours of a row are common to all cases and end at the 99.5th percentile. "
+    if all(s.round for _, _, s in columns):
+        caption += (
+            "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
+            "beyond the resection."
+        )
+    if any(label.startswith("temperature") for label in labels):
+        caption += " Temperature: of the second body, at the hottest step that was written."
+    text = f"{', '.join(labels)} on the {what} interface of {'; '.join(titles)}"
+    return Figure(file, f"{what} interface: {'; '.join(titles)}", caption, text)

@@ -1,0 +1,265 @@
+"""``mantle report``: figures, maps, tables and a verdict on a sweep, as one page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import statistics
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mantle.campaigns import uncertainty
+from mantle.campaigns.batch import duration
+from mantle.errors import StoppedError
+from mantle.report import gruen, page
+from mantle.report import maps as report_maps
+from mantle.report.page import bullets, heading, paragraph, table
+from mantle.report.paper import compare
+from mantle.report.paper import figures as report_figures
+from mantle.report.paper import trends as report_trends
+from mantle.report.paper.cases import Cases
+from mantle.report.paper.compare import Row
+from mantle.report.paper.figures import Figure
+from mantle.report.paper.trends import VERDICTS, Trend
+from mantle.report.sweep_results import STATUSES, Case, Sweep, read
+from mantle.system.folders import write_text
+
+PAGE, COMPARISON, PICTURES = "report.html", "comparison.csv", "report"
+MOST_NUMBERS = 11  # in the table of cases
+HONESTY = (
+    "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
+    "published; mantle's are its own and nothing was tuned. Agreement in size and in trend is the "
+    "most that can be asked, and disagreement is told as such."
+)
+
+
+@dataclass(frozen=True)
+class Written:
+    """What a report consists of.
+
+    Attributes:
+        files: The files, the page first.
+        trends: Verdicts on the paper's trends; none for another sweep.
+        done: How many cases have results.
+        cases: How many there are.
+    """
+
+    files: Sequence[Path]
+    trends: Sequence[Trend]
+    done: int
+    cases: int
+
+
+def run(folder: Path) -> Written:
+    """Write the report of a sweep.
+
+    Args:
+        folder: Its directory.
+
+    Raises:
+        InputError: It is not that of a sweep.
+        StoppedError: It cannot be written.
+    """
+    sweep = read(folder)
+    cases = Cases(sweep)
+    pictures = folder / PICTURES
+    try:
+        pictures.mkdir(exist_ok=True)
+        for old in pictures.glob("*.png"):
+            old.unlink()
+        figures, missing = report_figures.paper(cases, pictures) if cases.curves else ([], [])
+        others = [c for c in sweep.cases if c.name not in cases.used or not cases.curves]
+        multiples = report_figures.multiples(others, pictures)
+        maps, unmapped = report_maps.draw(report_maps.chosen(cases, sweep), pictures)
+        shields = gruen.shielding_picture(cases, gruen.intact(sweep.cases), pictures)
+        rows = compare.compare(cases, sweep) if cases.curves else []
+        trends = report_trends.judge(cases) if cases.curves else []
+
+        def drawn(own: Sequence[Figure]) -> str:
+            return "".join(page.figure(f, pictures) for f in own)
+
+        sections = [
+            ("trends", "Trends", _trends(trends)),
+            ("paper", "The paper's figures", drawn(figures) + bullets(missing)),
+            ("comparison", "Number by number", _comparison(rows)),
+            ("odd", "The paper's odd numbers", bullets(_odd(cases))),
+            ("maps", "Maps of the interfaces", drawn(maps) + bullets(unmapped)),
+            ("gruen", "Gruen zones", drawn(shields) + _zones(cases, sweep)),
+            ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
+            ("other", "What else varies", drawn(multiples)),
+            ("uncertain", "What is not known well", _uncertain(sweep)),
+            ("cases", "All cases", _parts(sweep.cases)),
+        ]
+        head = _summary(sweep, rows, trends)
+        text = page.page(sweep.title, sections, head)
+        every = [*figures, *maps, *shields, *multiples]
+        files = [folder / PAGE, *(pictures / f.name for f in every)]
+        if rows:
+            files.append(pictures / COMPARISON)
+            write_text(files[-1], _csv(rows))
+        write_text(folder / PAGE, text)
+    except OSError as error:
+        raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
+    done = sum(c.done for c in sweep.cases)
+    return Written(files, trends, done, len(sweep.cases))
+
+
+def _uncertain(sweep: Sweep) -> str:
+    """How far numbers spread over samples of uncertain inputs."""
+    parts = []
+    for part, of in sweep.uncertainty.items():
+        words = f"{of['samples']} samples{f' ({part})' if part else ''}"
+        parts.append(paragraph(words) + table(uncertainty.HEAD, uncertainty.rows(of)))
+    return "".join(parts)
+
+
+def _summary(sweep: Sweep, rows: Sequence[Row], trends: Sequence[Trend]) -> str:
+    """What the reader should know first."""
+    counts = Counter(c.status for c in sweep.cases)
+    states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
+    lines = [f"{len(sweep.cases)} cases: {states}."]
+    failed = [c.name for c in sweep.cases if not c.done]
+    if failed:
+        lines.append(f"Without results: {', '.join(failed)}. Why stands in the table of all cases.")
+    if trends:
+        names = {v: [t.name for t in trends if t.verdict == v] for v in VERDICTS}
+        each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
+        lines.append(f"Trends that the paper reports: {each}.")
+    lines += _ratios(rows)
+    took = (
+        [duration(sweep.seconds), "on", f"{sweep.cores} core{'s' * (sweep.cores > 1)}"]
+        if sweep.seconds
+        else []
+    )
+    facts = filter(None, (sweep.file, " ".join(took), f"mantle {sweep.program}"))
+    head = paragraph(" · ".join(facts), "quiet")
+    head += f'<div class="summary">{bullets(lines)}</div>\n'
+    return head + (paragraph(HONESTY, "quiet") if trends else "")
+
+
+def _ratios(rows: Sequence[Row]) -> list[str]:
+    """How far mantle's numbers are from the paper's, over all peaks of the stance."""
+    found = [r.ratios for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
+    peaks = [p for p, _ in found if p is not None]
+    p99 = [q for _, q in found if q is not None]
+    if not peaks or not p99:
+        return []
+    near = sum(0.5 <= p <= 2.0 for p in peaks)
+    return [
+        f"Over {len(peaks)} peaks of single-limb stance, mantle's largest value is "
+        f"{statistics.median(peaks):.2g} times the paper's in the median (from {min(peaks):.2g} to "
+        f"{max(peaks):.2g}; {near} within a factor of 2), its 99th percentile "
+        f"{statistics.median(p99):.2g} times."
+    ]
+
+
+def _trends(trends: Sequence[Trend]) -> str:
+    """The verdicts with their reasons."""
+    if not trends:
+        return ""
+    text = (
+        "By 99th percentiles: undecided where the difference is smaller than the estimated errors "
+        "in sum; numbers without ± have no estimate and were taken as they are. Beside it the "
+        "verdict by the largest values, as the paper gives them, whose errors are not known."
+    )
+    rows = [
+        [t.name, t.claim, t.verdict, t.peaks or "-", [f"{p.verdict}: {p.text}" for p in t.parts]]
+        for t in trends
+    ]
+    head = ["", "the paper says", "verdict", "by maxima", "because"]
+    return paragraph(text) + table(head, rows)
+
+
+def _comparison(rows: Sequence[Row]) -> str:
+    """The paper's numbers beside mantle's."""
+    if not rows:
+        return ""
+    head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, p99 ± error"]
+    head += ["max / paper", "p99 / paper", "case, remarks"]
+    lines = []
+    for r in rows:
+        f = r.fact
+        relation = {"exceeded": "> ", "not exceeded": "< "}.get(f.kind, "")
+        remarks = "; ".join(filter(None, (r.case, r.remark, f"paper: {f.remark}" * bool(f.remark))))
+        lines.append(
+            [
+                f.id,
+                r.stem or f.stem,
+                f"{r.thickness:g}" if r.thickness is not None else f.thickness,
+                compare.named(f.place),
+                compare.named(f.quantity),
+                f"{relation}{f.value:g} {compare.UNITS[f.unit]}",
+                "-" if r.peak is None else f"{r.peak:.3g}",
+                "-" if r.number is None else str(r.number),
+                *("-" if x is None else f"{x:.2g}" for x in r.ratios),
+                remarks,
+            ]
+        )
+    text = (
+        "The paper gives peaks. mantle's largest values sit at edges and still change with the "
+        "mesh; its 99th percentiles by area settle, and have an error (for temperatures that of "
+        "the largest value, where it is known). Ratios of temperatures are of their rise above "
+        "37 °C."
+    )
+    return paragraph(text) + table(head, lines)
+
+
+def _odd(cases: Cases) -> list[str]:
+    return compare.strange(cases) if cases.curves else []
+
+
+def _zones(cases: Cases, sweep: Sweep) -> str:
+    """A table for each representative case that has zones."""
+    html = ""
+    for group in report_maps.chosen(cases, sweep):
+        for title, case in group:
+            own = table(*gruen.table(case))
+            html += heading(title) + own if own else ""
+    note = "Of each interface: largest / mean value in the zone."
+    return paragraph(note, "quiet") + html if html else ""
+
+
+def _parts(cases: Sequence[Case]) -> str:
+    """A table for each part of the sweep."""
+    parts: dict[str, list[Case]] = {}
+    for case in cases:
+        parts.setdefault(case.part, []).append(case)
+    html = (heading(part) * bool(part) + _cases(own) for part, own in parts.items())
+    return "".join(html)
+
+
+def _cases(cases: Sequence[Case]) -> str:
+    """Every case with what became of it."""
+    names = report_figures.headlines(cases)[:MOST_NUMBERS]
+    labels = [report_figures.label(name) for name in names]
+    head = ["case", "status", "overrides"]
+    head += [f"{text} ({unit})" if unit else text for text, unit, _ in labels]
+    head += ["unknowns", "ranks", "time", "message"]
+    rows = []
+    for c in cases:
+        numbers = [c.number(name) for name in names]
+        status = c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}"
+        rows.append(
+            [
+                c.name,
+                status,
+                [f"{k} = {v}" for k, v in c.overrides.items()],
+                *(
+                    "-" if n is None else str(n.times(factor))
+                    for n, (_, _, factor) in zip(numbers, labels, strict=True)
+                ),
+                f"{c.unknowns}" if c.unknowns else "-",
+                f"{c.ranks}",
+                duration(c.seconds),
+                c.message or ("" if not c.done or c.summary else "its folder has no summary.json"),
+            ]
+        )
+    return table(head, rows)
+
+
+def _csv(rows: Sequence[Row]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(compare.csv_rows(rows))
+    return text.getvalue()

@@ -1,0 +1,264 @@
+"""A sweep's directory read back: its cases, their configurations and their numbers.
+
+Without dolfinx or MPI; fields are read by `app/results/reading.py`, where a picture needs them.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mantle.campaigns import study
+from mantle.errors import InputError
+from mantle.schema import case_file
+from mantle.schema.units import NUMBER
+
+CONVERGED = "converged"
+STATUSES = (CONVERGED, "not converged", "failed", "stopped")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number and what mesh and step leave wrong in it.
+
+    Attributes:
+        value: The number.
+        error: Its estimated error; None if there is no estimate.
+    """
+
+    value: float
+    error: float | None = None
+
+    def times(self, factor: float) -> Number:
+        """The number in another unit."""
+        return Number(factor * self.value, None if self.error is None else factor * self.error)
+
+    def __str__(self) -> str:
+        """The number for people: to the error's second digit, or to four digits without error."""
+        if self.error is None or self.error <= 0:
+            return f"{self.value:.4g}"
+        if self.error >= abs(self.value):
+            return f"{self.value:.2g} ± {self.error:.2g}"
+        places = max(0, 1 - math.floor(math.log10(self.error)))
+        if places > 5:
+            return f"{self.value:.6g} ± {self.error:.1g}"
+        return f"{self.value:.{places}f} ± {self.error:.{places}f}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case of a sweep.
+
+    Attributes:
+        name: Its name, unique in the sweep.
+        part: The part of the sweep it belongs to.
+        overrides: What makes it out of the sweep's case, as after ``--set``.
+        folder: Its run directory, which may be missing.
+        status: One of `STATUSES`.
+        exit_code: That of the run.
+        message: Why it failed.
+        seconds: Wall time.
+        unknowns: How many, 0 if not known.
+        ranks: MPI ranks.
+        numbers: Headline numbers by name, as the sweep kept them.
+        errors: Their estimated errors.
+    """
+
+    name: str
+    part: str
+    overrides: dict[str, Any]
+    folder: Path
+    status: str
+    exit_code: int = 0
+    message: str = ""
+    seconds: float = 0.0
+    unknowns: int = 0
+    ranks: int = 1
+    numbers: dict[str, float] = field(default_factory=dict)
+    errors: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def done(self) -> bool:
+        """Whether it has results."""
+        return self.status == CONVERGED
+
+    @cached_property
+    def data(self) -> dict[str, Any]:
+        """The resolved configuration as plain data; empty if it cannot be read."""
+        try:
+            return case_file.read(self.folder / "case.yaml").data
+        except InputError:
+            return {}
+
+    @property
+    def bones(self) -> list[str]:
+        """Regions of bone."""
+        regions = self.data.get("regions", {})
+        return [name for name, region in regions.items() if region.get("tissue") == "bone"]
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The content of summary.json; empty if the case is not done or it cannot be read."""
+        try:
+            text = (self.folder / "summary.json").read_text(encoding="utf-8")
+            found = json.loads(text) if self.done else {}
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    @cached_property
+    def history(self) -> list[dict[str, str]]:
+        """The rows of history.csv; empty if there are none."""
+        try:
+            with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
+                return list(csv.DictReader(file))
+        except OSError:
+            return []
+
+    def number(self, name: str) -> Number | None:
+        """A number of the run by ``<interface or region>.<key>``; None if there is none."""
+        if not self.done:
+            return None
+        value = study.quantity(self.summary, name)
+        if value is not None:
+            return Number(value, study.quantity(self.summary, name, "_error"))
+        if name in self.numbers:
+            return Number(self.numbers[name], self.errors.get(name))
+        return None
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep.
+
+    Attributes:
+        folder: Its directory.
+        title: A line for people.
+        file: The sweep file.
+        program: Version and hash of the program that ran it.
+        cores: How many it used.
+        seconds: How long it took.
+        cases: All its cases, those that failed too.
+        uncertainty: What samples of uncertain inputs say, by part (`app/campaigns/uncertainty.py`).
+    """
+
+    folder: Path
+    title: str
+    file: str
+    program: str
+    cores: int
+    seconds: float
+    cases: Sequence[Case]
+    uncertainty: dict[str, Any] = field(default_factory=dict)
+
+
+# Keys of a case and the types they may have.
+_KEYS: dict[str, tuple[type, ...]] = {
+    "name": (str,),
+    "part": (str,),
+    "overrides": (dict,),
+    "folder": (str,),
+    "status": (str,),
+    "exit_code": (int,),
+    "message": (str,),
+    "seconds": (int, float),
+    "unknowns": (int, float),
+    "ranks": (int,),
+    "numbers": (dict,),
+    "errors": (dict,),
+}
+_REQUIRED = ("name", "folder", "status")
+
+
+def read(folder: Path) -> Sweep:
+    """Read ``sweep.json``.
+
+    Args:
+        folder: The directory of a sweep.
+
+    Raises:
+        InputError: It has no sweep.json, or that is damaged: everything that is wrong, at once.
+    """
+    path = folder / "sweep.json"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(
+            f"{folder}: has no sweep.json; expected a directory written by mantle sweep"
+        ) from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}:{error.colno}: {error.msg}") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    problems = _problems(data)
+    if problems:
+        raise InputError([f"{path}: {text}" for text in problems])
+    cases = [_case(entry, folder) for entry in data["cases"]]
+    return Sweep(
+        folder,
+        str(data.get("title") or folder.name),
+        str(data.get("file", "")),
+        str(data.get("program", "")),
+        int(data.get("cores") or 1),
+        float(data.get("seconds") or 0.0),
+        cases,
+        dict(data.get("uncertainty") or {}),
+    )
+
+
+def _problems(data: Any) -> list[str]:
+    """What is wrong with the content of sweep.json."""
+    if not isinstance(data, dict) or not isinstance(data.get("cases"), list):
+        return ["has no list of cases"]
+    if not data["cases"]:
+        return ["cases: is empty"]
+    found, names = [], set()
+    for i, entry in enumerate(data["cases"]):
+        if not isinstance(entry, dict):
+            found.append(f"cases[{i}]: is not a mapping")
+            continue
+        found += [f"cases[{i}]: {key} is missing" for key in _REQUIRED if key not in entry]
+        for key, types in _KEYS.items():
+            value = entry.get(key)
+            if value is not None and (not isinstance(value, types) or isinstance(value, bool)):
+                found.append(f"cases[{i}].{key}: {value!r} is not {_named(types)}")
+        status, name = entry.get("status"), str(entry.get("name"))
+        if isinstance(status, str) and status not in STATUSES:
+            found.append(f"cases[{i}].status: '{status}' is none of {', '.join(STATUSES)}")
+        if name in names:
+            found.append(f"cases[{i}].name: '{name}' is that of an earlier case too")
+        names.add(name)
+    return found
+
+
+def _named(types: tuple[type, ...]) -> str:
+    return {str: "a text", dict: "a mapping", int: "a number"}[types[0]]
+
+
+def _case(entry: dict[str, Any], folder: Path) -> Case:
+    """A case; what is missing is as by default."""
+    own = {key: entry[key] for key in _KEYS if entry.get(key) is not None}
+    for key in ("numbers", "errors"):
+        table = own.get(key, {})
+        own[key] = {k: float(v) for k, v in table.items() if isinstance(v, int | float)}
+    own.setdefault("part", "")
+    own.setdefault("overrides", {})
+    own["unknowns"] = int(own.get("unknowns", 0))
+    own["folder"] = folder / own["folder"]
+    return Case(**own)
+
+
+def magnitude(value: Any) -> float | None:
+    """The number of a value with or without a unit (``4.0 mm``); None if it is not one."""
+    if isinstance(value, bool) or value is None:
+        return None
+    if isinstance(value, int | float):
+        return float(value)
+    match = NUMBER.fullmatch(value) if isinstance(value, str) else None
+    return float(match[1]) if match else None

@@ -1,0 +1,252 @@
+"""Force, moment and energy balances, from forms assembled apart from the solver's matrices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from numpy.typing import NDArray
+from ufl.core.expr import Expr
+
+from mantle.forms import elasticity, loads
+from mantle.mechanics.problem import Problem, Trial
+from mantle.numerics.state import State
+from mantle.scene.terms import Elastic, amplitude
+
+Floats = NDArray[np.float64]
+
+_SUMS = ("_work", "_spent", "_scale", "force", "moment", "energy")
+
+
+class Balance:
+    """Sums kept from step to step.
+
+    Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
+    supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
+    forces. What sets has no energy to come back to: there the work of its stress in its strain,
+    trapezoidal too, takes the place of stored energy and of the work of free strain.
+    """
+
+    def __init__(self, problem: Problem, about: Floats) -> None:
+        """Compile the forms; collective.
+
+        Args:
+            problem: At rest, before any temperature is set.
+            about: Point that moments are taken about (3,) [mm].
+        """
+        self._problem = problem
+        mechanics, scene = problem.mechanics, problem.scene
+        dx = mechanics.cells()
+        v = ufl.TestFunction(problem.space)
+        displacements = problem.displacements()
+        # A rigid body has no energy.
+        energy = [
+            (e, U)
+            for b, U in enumerate(displacements)
+            if (e := mechanics.body_energy(b, U, dx)) != 0
+        ]
+        # One form of all bodies each.
+        self._energy = [mechanics.form(sum(e for e, _ in energy))] if energy else []
+        self._internal = (
+            [mechanics.form(sum(ufl.derivative(e, U, v) for e, U in energy))] if energy else []
+        )
+        self._strain_work = [
+            (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
+            for e in scene.elastic
+            for s in e.eigenstrains
+        ]
+        elastic = {e.region: e for e in scene.elastic}
+        self._swelling = [
+            (free, mechanics.form(self._swelling_work(elastic[region])))
+            for region, free in mechanics.swelling.items()
+        ]
+        self._setting = [
+            (displacements[b], mechanics.form(s.internal_work(b, v)))
+            for s in problem.setting
+            for b in s.bodies
+        ]
+        # The traction k_i U_i of each bed of springs on each body.
+        beds = [
+            ([k[i] * U[i] for i in range(3)], ds)
+            for f, k in zip(scene.foundations, mechanics.springs, strict=True)
+            for b, U in enumerate(displacements)
+            if (ds := mechanics.ds(f.boundary, b)) is not None
+        ]
+        self._springs = [mechanics.form(t[i] * ds) for t, ds in beds for i in range(3)]
+        x = ufl.SpatialCoordinate(problem.tagged.mesh)
+        arm = [x[i] - float(about[i]) for i in range(3)]
+        self._spring_moments = [
+            mechanics.form(
+                (arm[(i + 1) % 3] * t[(i + 2) % 3] - arm[(i + 2) % 3] * t[(i + 1) % 3]) * ds
+            )
+            for t, ds in beds
+            for i in range(3)
+        ]
+        nodes = problem.space.tabulate_dof_coordinates()[: len(problem.reduction.reacting) // 3]
+        self._arm = nodes - about
+        ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
+        low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
+        self._diagonal = float(np.linalg.norm(high - low))
+        self._rest = self._measure(problem.K.createVecLeft(), None)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin at rest, where nothing acts yet, whatever will."""
+        self._work = self._spent = self._scale = 0.0
+        self._last = self._rest
+        self.force = self.moment = self.energy = 0.0
+
+    def state(self) -> State:
+        """The sums."""
+        return {name: getattr(self, name) for name in _SUMS}
+
+    def resume(self, state: State, u: PETSc.Vec, trial: Trial | None) -> None:
+        """Read them back, with the committed state, whose displacements are spread; collective."""
+        for name in _SUMS:
+            setattr(self, name, state[name])
+        self._last = self._measure(u, trial)
+
+    def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
+        return self._strain_work_of(e, elasticity.symmetric(components))
+
+    def _swelling_work(self, e: Elastic) -> object:
+        """Work by nodal swelling."""
+        return self._strain_work_of(
+            e, elasticity.swelling(ufl.TestFunction(self._problem.mechanics.scalars))
+        )
+
+    def _strain_work_of(self, e: Elastic, strain: Expr) -> Any:
+        """Work of a region's stress in a free strain."""
+        mechanics, problem = self._problem.mechanics, self._problem
+        U = problem.displacements()[problem.bodies.of_region[e.region]]
+        σ = elasticity.stress(
+            lambda ε: mechanics.energy_density(e, ε), mechanics.elastic_strain(e, U)
+        )
+        return -loads.mechanical_work(σ, strain) * mechanics.cells()(mechanics.tag(e.region))
+
+    def _measure(self, u: PETSc.Vec, trial: Trial | None) -> dict:
+        """Everything that enters the balances at the current time and state."""
+        problem = self._problem
+        internal = np.zeros(len(problem.reduction.reacting))
+        for form in self._internal:
+            internal += self._assemble(form)
+        setting = [self._assemble(form) for _, form in self._setting]
+        internal += sum(setting)
+        loads_u, loads_q = problem.applied()
+        reaction = np.where(problem.reduction.reacting, internal - loads_u, 0.0)
+
+        def scalar(form: fem.Form) -> float:
+            return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
+
+        held_q = np.zeros(0)
+        jump = np.zeros(0)
+        for j in problem.jumps:
+            jump = trial.jump.ravel().copy() if trial is not None else np.zeros(3 * len(j.mine))
+            e = trial.equilibrium if trial is not None else np.zeros((len(j.mine), 3))
+            held_q = np.where(j.held, e, 0.0).ravel()
+        return {
+            "u": problem.reduction.expand(u).array.copy(),
+            "q": jump,
+            "loads_u": loads_u,
+            "loads_q": loads_q if len(loads_q) else np.zeros_like(jump),
+            "reaction": reaction,
+            "reaction_q": held_q,
+            "energy": sum(scalar(f) for f in self._energy),
+            "amplitudes": [amplitude(h, problem.time) for h, _ in self._strain_work],
+            "strain_work": [scalar(f) for _, f in self._strain_work],
+            "swelling": [e.x.array[: _owned(e)].copy() for e, _ in self._swelling],
+            "swelling_work": [self._assemble(form) for _, form in self._swelling],
+            "setting": [U.x.array[: len(internal)].copy() for U, _ in self._setting],
+            "setting_forces": setting,
+            "springs": np.array([scalar(f) for f in self._springs]).reshape(-1, 3).sum(axis=0),
+            "spring_moments": np.array([scalar(f) for f in self._spring_moments])
+            .reshape(-1, 3)
+            .sum(axis=0),
+        }
+
+    @staticmethod
+    def _assemble(form: fem.Form) -> Floats:
+        """Own entries of a linear form; collective."""
+        part = fem.petsc.assemble_vector(form)
+        part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+        return np.array(part.array)
+
+    def update(self, u: PETSc.Vec, trial: Trial | None) -> None:
+        """Take in a committed step, whose displacements have been spread; collective."""
+        old, new = self._last, self._measure(u, trial)
+        self._last = new
+        problem, comm = self._problem, self._problem.comm
+
+        def work(force: str, motion: str) -> float:
+            return float(np.dot((old[force] + new[force]) / 2, new[motion] - old[motion]))
+
+        parts = [work("loads_u", "u"), work("reaction", "u")]
+        parts += [work("loads_q", "q"), work("reaction_q", "q")]
+        for e0, e1, w0, w1 in zip(
+            old["swelling"],
+            new["swelling"],
+            old["swelling_work"],
+            new["swelling_work"],
+            strict=True,
+        ):
+            parts.append(float(np.dot((w0 + w1) / 2, e1 - e0)))
+        external = float(comm.allreduce(sum(parts), MPI.SUM))
+        for a0, a1, w0, w1 in zip(
+            old["amplitudes"],
+            new["amplitudes"],
+            old["strain_work"],
+            new["strain_work"],
+            strict=True,
+        ):
+            external += (a1 - a0) * (w0 + w1) / 2
+        for u0, u1, f0, f1 in zip(
+            old["setting"],
+            new["setting"],
+            old["setting_forces"],
+            new["setting_forces"],
+            strict=True,
+        ):
+            self._spent += float(comm.allreduce(np.dot((f0 + f1) / 2, u1 - u0), MPI.SUM))
+        self._work += external
+        contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
+        spent = (new["energy"], self._spent, contact)
+        free = problem.free_work(u)
+        self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
+        self.energy = _relative(self._work - sum(spent), self._scale)
+        self._forces(new)
+
+    def _forces(self, new: dict) -> None:
+        comm = self._problem.comm
+        loads_u = new["loads_u"].reshape(-1, 3)
+        reaction = new["reaction"].reshape(-1, 3)
+        sums = [
+            comm.allreduce(values, MPI.SUM)
+            for values in (
+                loads_u.sum(axis=0),
+                reaction.sum(axis=0),
+                np.cross(self._arm, loads_u).sum(axis=0),
+                np.cross(self._arm, reaction).sum(axis=0),
+            )
+        ]
+        scale = float(sum(np.linalg.norm(r) for r in self._problem.resultants()))
+        if not scale:
+            # What only swells has reactions of rounding alone.
+            scale = float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
+            scale = max(scale, self._problem.load_size)
+        self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
+        moment = sums[2] + sums[3] - new["spring_moments"]
+        self.moment = _relative(float(np.linalg.norm(moment)), scale * self._diagonal)
+
+
+def _owned(function: fem.Function) -> int:
+    """Own values of a scalar function."""
+    return int(function.function_space.dofmap.index_map.size_local)
+
+
+def _relative(value: float, scale: float) -> float:
+    return abs(value) / scale if scale else abs(value)

@@ -1,0 +1,114 @@
+"""Bonded interfaces that heat or cure loads: would the bond hold?
+
+A bond that cannot part carries whatever shrinking and cooling ask of it. Its tractions, from the
+stress of the softer side, are compared with what cement and bone stand.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.mechanics.problem import Problem
+from mantle.meshes.interfaces import QUADRATURE, surface
+from mantle.results.quantities import Stresses
+from mantle.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
+
+Floats = NDArray[np.float64]
+
+# Strength of the cement-bone interface [MPa]: Mann, Werner & Ayers 1999, as quoted by the paper in
+# its section 4.5.
+TENSILE_STRENGTH, SHEAR_STRENGTH = 1.35, 2.25
+
+
+class Bond:
+    """A bonded interface, seen from its softer side."""
+
+    def __init__(
+        self, problem: Problem, stresses: Stresses, name: str, soft: list[str], stiff: list[str]
+    ) -> None:
+        """Find its facets.
+
+        Args:
+            problem: The problem.
+            stresses: Its stresses.
+            name: Name of the interface.
+            soft: Regions whose stress counts.
+            stiff: Regions on the other side.
+        """
+        self.name, self._comm, self._stresses = name, problem.comm, stresses
+        self._sides = []
+        vertices = np.vstack([np.zeros(3), np.eye(3)])
+        for region in soft:
+            f = facets_between(problem.tagged, [region], stiff)
+            x, centre = facet_coordinates(problem.tagged, f)
+            n, size = surface(x, QUADRATURE)
+            inward = np.einsum("fqi,fi->fq", n, centre - x[:, :3].mean(axis=1)) > 0
+            # The facets' points in the reference cell (f, q, 3).
+            X = np.einsum("qk,fki->fqi", QUADRATURE, vertices[np.array(FACET_VERTICES)[f.local]])
+            rows = np.searchsorted(stresses.cells[region], f.cells)
+            self._sides.append((region, rows, np.where(inward[..., None], -n, n), size / 6, X))
+
+    def tractions(self) -> tuple[Floats, Floats, Floats]:
+        """Normal traction, positive in tension, shear [MPa] and area [mm2] at own points (p,)."""
+        parts = []
+        for region, rows, n, area, X in self._sides:
+            σ = _extrapolated(self._stresses.evaluate(region)[rows], self._stresses.at(region), X)
+            t = np.einsum("fqij,fqj->fqi", σ, n)
+            normal = np.einsum("fqi,fqi->fq", t, n)
+            shear = np.linalg.norm(t - normal[..., None] * n, axis=2)
+            parts.append([a.ravel() for a in (normal, shear, area)])
+        normal, shear, area = (np.concatenate([p[k] for p in parts]) for k in range(3))
+        return normal, shear, area
+
+    def numbers(self) -> dict[str, float]:
+        """What is published; collective.
+
+        ``strength_fraction`` is the part of the area where
+        (tension / 1.35 MPa)^2 + (shear / 2.25 MPa)^2 exceeds 1.
+        """
+        pieces = self._comm.allgather(self.tractions())
+        normal, shear, area = (np.concatenate([p[k] for p in pieces]) for k in range(3))
+        total = area.sum()
+        load = (np.maximum(normal, 0) / TENSILE_STRENGTH) ** 2 + (shear / SHEAR_STRENGTH) ** 2
+        return {
+            "area": float(total),
+            "strength_fraction": float(area[load > 1].sum() / total),
+            "normal_mean": float(normal @ area / total),
+            "normal_max": float(normal.max()),
+            "shear_mean": float(shear @ area / total),
+            "shear_max": float(shear.max()),
+        }
+
+
+def _extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
+    """Stress (f, p, 3, 3) at points (p, 3) of each cell, continued to others (f, q, 3) linearly."""
+
+    def basis(x: Floats) -> Floats:
+        # One point knows no slope.
+        one = np.ones((*x.shape[:-1], 1))
+        return np.concatenate([one, x], axis=-1) if len(points) > 1 else one
+
+    continued = basis(X) @ np.linalg.pinv(basis(points))
+    return np.asarray(np.einsum("fqp,fpij->fqij", continued, σ))
+
+
+def bonds(problem: Problem, stresses: Stresses) -> tuple[Bond, ...]:
+    """Interfaces that cannot part in a scene that heat or cure loads; collective."""
+    scene, tagged = problem.scene, problem.tagged
+    if not (scene.expansions or scene.cures):
+        return ()
+    parting = {c.name for c in scene.contacts}
+    moduli = scene.moduli
+    found = []
+    for name, sides in tagged.interfaces.items():
+        stiffness = [max(moduli.get(r, np.inf) for r in side) for side in sides]
+        if name in parting or min(stiffness) == np.inf:
+            continue
+        k = int(np.argmin(stiffness))
+        bond = Bond(problem, stresses, name, list(sides[k]), list(sides[1 - k]))
+        if problem.comm.allreduce(bond.tractions()[2].sum(), MPI.SUM) > 0:
+            found.append(bond)
+    return tuple(found)

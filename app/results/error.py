@@ -1,0 +1,198 @@
+r"""How wrong the numbers of a run are, from coarser companions of it.
+
+A number X on a mesh of size h is taken as :math:`X_h = X + C h^p`. Companions on the meshes of size
+:math:`c h` give one estimate each of what is missing,
+
+.. math:: |X_h - X| = |X_h - X_{ch}| / (c^p - 1),
+
+and the larger is reported: unstructured meshes do not nest, so that one difference may be small by
+chance. The order p is not fitted either: fitted to three meshes it was right for half as many
+numbers as the orders in `ORDERS`, the best single ones on the cases ``configs/studies/errors_*``.
+Estimated over true error is within 0.5 and 3 for three numbers in five there; most of the
+others are closer to the truth, by chance, than any estimate can know.
+
+Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
+minimisation is an implicit Euler method). The coarser companions take half the steps, which is
+cheaper; one more on the coarsest mesh takes all of them (or two where the run takes one), and the
+difference gives C. Where time passes, half the steps means a tolerance with which the error of the
+time steps is twice as large.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import getitem
+from typing import Any
+
+import numpy as np
+
+from mantle.schema import config
+
+COARSER = (2.0, 3.0)
+# What converges like the displacement, and what like stress: orders of P1 and P2.
+ORDERS = {1: (1.5, 0.9), 2: (2.0, 1.6)}
+MOTIONS = (
+    *("gap_mean", "gap_p99", "slip_mean", "slip_p99", "dissipation", "force"),
+    *("pressure_mean", "shear_mean", "subsidence", "retroversion", "varus"),
+)
+TRACTIONS = ("pressure_p99", "shear_p99", "von_mises_p99", "hoop_p99", "principal_p99")
+# Temperature is of first order on any mesh. All of its numbers are estimated but these.
+HEAT_ORDER = ORDERS[1][0]
+NOT_ESTIMATED = ("entropy_production_min", "entropy_production_max")
+PEAKS = (
+    *("gap_max", "slip_max", "pressure_max", "shear_max"),
+    *("von_mises_max", "principal_max", "principal_min"),
+)
+# The power of the error of all time steps with which the tolerance of one of them goes.
+TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
+# A peak that still changes by more than this part of itself when the mesh is halved.
+UNSETTLED = 0.1
+# A mesh that is not coarser than this tells nothing.
+LEAST = 1.25
+
+Numbers = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Companion:
+    """A cheaper relative of a run.
+
+    Attributes:
+        case: What is solved.
+        coarsening: Its mesh size over that of the run.
+        steps: Its increments over those of the run, and the error of its time steps the other way.
+    """
+
+    case: config.Case
+    coarsening: float
+    steps: float
+
+    def __str__(self) -> str:
+        """What it is, for people."""
+        fewer = f", {self.steps:g} times the steps" if self.steps != 1 else ""
+        return f"mesh {self.case.mesh.size:g} mm{fewer}"
+
+
+def companions(case: config.Case) -> tuple[Companion, ...]:
+    """What has to be solved to know the errors of a case; nothing unless it asks for them.
+
+    The mesh of a ``.msh`` file cannot be made coarser: only its step error is estimated.
+    """
+    if not case.output.error:
+        return ()
+    most = max(stage.increments for stage in case.stages)
+    frictional = any(
+        isinstance(law, config.Contact | config.Penalty) and law.friction_coefficient > 0
+        for law in case.interfaces.values()
+    )
+    timed = any(stage.duration for stage in case.stages)
+    if frictional:
+        half = most // 2 / most if most > 1 else 1.0
+    else:
+        half = 0.5 if timed else 1.0
+    coarsenings = _coarsenings(case)
+    meshes = tuple(_companion(case, c, half) for c in coarsenings)
+    if not (frictional or timed) or (len(meshes) == 1 and half < 1):
+        # On one coarser mesh the difference itself shows half the steps well enough.
+        return meshes
+    coarsest = (1.0, *coarsenings)[-1]
+    steps = 2.0 if half == 1 else 1.0 if meshes else half
+    return (*meshes, _companion(case, coarsest, steps))
+
+
+def _companion(case: config.Case, coarsening: float, steps: float) -> Companion:
+    """The case on a coarser mesh with another number of steps."""
+    mesh = case.mesh.model_copy(
+        update={"size": coarsening * case.mesh.size, "far_size": coarsening * case.mesh.far}
+    )
+    stages = tuple(
+        s.model_copy(update={"increments": max(1, round(s.increments * steps))})
+        for s in case.stages
+    )
+    changed: dict[str, Any] = {"mesh": mesh, "stages": stages}
+    if case.time is not None:
+        tolerance = case.time.tolerance / steps ** TOLERANCE_POWER[case.time.method]
+        changed["time"] = case.time.model_copy(update={"tolerance": tolerance})
+    return Companion(case.model_copy(update=changed), coarsening, steps)
+
+
+def _coarsenings(case: config.Case) -> tuple[float, ...]:
+    """Mesh sizes of the companions over that of the run, as far as the geometry can be meshed."""
+    limit = case.geometry.coarsest_size / case.mesh.size
+    return tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
+
+
+def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers]]) -> list[str]:
+    """Put an ``X_error`` beside each headline number X.
+
+    Args:
+        run: Sections interfaces, regions and stem of the run's summary, and thermal and cure where
+            there are any; changed in place.
+        order: Degree of its displacement.
+        solved: Its companions with the same sections.
+
+    Returns:
+        Peaks that have not converged with the mesh, as ``interface.pressure_max``.
+    """
+    unsettled: list[str] = []
+    tables = _tables(run)
+    largest = {k: max((abs(q[k]) for _, q in tables if k in q), default=0.0) for k in PEAKS}
+    largest |= dict.fromkeys(("gap_max", "slip_max"), max(largest["gap_max"], largest["slip_max"]))
+    for path, numbers in tables:
+        others = [(c, reduce(getitem, path, o)) for c, o in solved]
+        for key, p in _orders(path, numbers, order).items():
+            if (error := _error(key, p, numbers, others)) is not None:
+                numbers[f"{key}_error"] = error
+        for other in [o for c, o in others if c.coarsening > LEAST][:1]:
+            for k in [k for k in PEAKS if k in numbers]:
+                # What is next to nothing beside its like on other interfaces is no peak.
+                size = max(abs(numbers[k]), UNSETTLED * largest[k])
+                if abs(numbers[k] - other[k]) > UNSETTLED * size:
+                    unsettled.append(f"{path[-1]}.{k}")
+    return unsettled
+
+
+def _tables(run: Numbers) -> list[tuple[tuple[str, ...], Numbers]]:
+    """Each mapping of numbers with its path in the summary."""
+    heat = run.get("thermal", {})
+    sections: list[tuple[tuple[str, ...], Numbers]] = [
+        *(((s,), run[s]) for s in ("interfaces", "regions")),
+        *((("thermal", s), heat[s]) for s in heat),
+        (("cure",), run.get("cure", {})),
+    ]
+    named = [((*path, n), q) for path, section in sections for n, q in section.items()]
+    return [*named, (("stem",), run["stem"])]
+
+
+def _orders(path: tuple[str, ...], numbers: Numbers, order: int) -> dict[str, float]:
+    """The numbers of a table that are estimated, and with which order of convergence."""
+    if path[0] in ("thermal", "cure"):
+        known = {k for k, v in numbers.items() if isinstance(v, float)}
+        return dict.fromkeys(sorted(known.difference(NOT_ESTIMATED)), HEAT_ORDER)
+    motion, stress = ORDERS[order]
+    return {k: motion if k in MOTIONS else stress for k in numbers if k in (*MOTIONS, *TRACTIONS)}
+
+
+def _error(
+    key: str, p: float, run: Numbers, others: Sequence[tuple[Companion, Mapping[str, Any]]]
+) -> Any:
+    """Error of one number or vector; None if nothing is known of it."""
+    value = np.asarray(run[key])
+    known = [
+        (c.coarsening, c.steps, np.asarray(o[key])) for c, o in others if o.get(key) is not None
+    ]
+    if not known:
+        return None
+    # Two on the same mesh tell what the number of steps does: C / n.
+    mesh, steps, last = known[-1]
+    pairs = [(s, o) for c, s, o in [(1.0, 1.0, value), *known[:-1]] if c == mesh and s != steps]
+    path = sum((o - last) / (1 / s - 1 / steps) for s, o in pairs)
+    differences = [
+        abs(value - (o - path * (1 / s - 1))) / (c**p - 1)
+        for c, s, o in known
+        if c > LEAST and (s <= 1 or not pairs)
+    ]
+    by_mesh = np.max(differences, axis=0) if differences else 0.0
+    return np.asarray(by_mesh + abs(path)).tolist()

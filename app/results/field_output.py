@@ -1,0 +1,341 @@
+"""The fields of a run on one grid, where bodies that can part have nodes of their own.
+
+A node of the mesh is there once for every body that meets there, so that gaps and jumps of the
+temperature can be seen. Bodies of the mechanics are not those of the heat: a bonded interface may
+resist heat and an open one may conduct; the grid tells both apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.mechanics.problem import Problem
+from mantle.meshes.distribute import TaggedMesh
+from mantle.numerics.state import ENDS, Rows, State
+from mantle.results.necrosis import CELSIUS
+from mantle.results.quantities import Samples, Stresses
+from mantle.results.thermal_quantities import W_PER_M2, Interfaces, ThermalRecord
+from mantle.results.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
+from mantle.scene.bodies import Bodies, cell_tags
+from mantle.stepping.heat_steps import Heating
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Nodes of the grid that this rank writes, as one layer sees them.
+
+    Attributes:
+        body: Body of each node (n,).
+        dof: Its row in the space the grid was made from (n,).
+        cell: A cell that has it (n,).
+        ends: Vertices of that cell that it is, twice, or is in the middle of (n, 2).
+    """
+
+    body: Ints
+    dof: Ints
+    cell: Ints
+    ends: Ints
+
+
+class Layer(Protocol):
+    """One physics of a run: what it has to write."""
+
+    bodies: Bodies
+    space: fem.FunctionSpace
+
+    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
+        """Values at the nodes of the grid (n,) or (n, components)."""
+
+    def cell(self, cells: int) -> dict[str, Floats]:
+        """Values in this rank's own cells (cells, components)."""
+
+
+class Fields:
+    """The field file."""
+
+    def __init__(self, tagged: TaggedMesh, layers: Sequence[Layer], path: Path) -> None:
+        """Make the grid; `begin` or `resume` comes next; collective.
+
+        Args:
+            tagged: The mesh.
+            layers: The mechanics, if there are any, then the heat; at least one of them.
+            path: The file.
+        """
+        self._layers = tuple(layers)
+        space, owned = layers[0].space, tagged.mesh.topology.index_map(3).size_local
+        tags = cell_tags(tagged)[:owned]
+        dofs = space.dofmap.list[:owned]
+        self._cells = owned
+        bodies, group = np.unique(
+            np.stack([layer.bodies.of_tag[tags] for layer in layers], axis=1),
+            axis=0,
+            return_inverse=True,
+        )
+        stride = int(dofs.max(initial=0)) + 1
+        node = group.reshape(-1, 1) * stride + dofs
+        pairs, first, cells = np.unique(node, return_index=True, return_inverse=True)
+        group, dof = np.divmod(pairs, stride)
+        cell, local = np.divmod(first, dofs.shape[1])
+        # What the points and cells of the file are, in the order of the ranks.
+        of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
+        for k, layer in enumerate(layers):
+            of_points = of_points * len(layer.bodies.names) + bodies[group, k]
+        keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
+        comm = self._comm = tagged.mesh.comm
+        mine, number = _owners(comm, keys)
+        self._nodes = [
+            Copies(body[group[mine]], dof[mine], cell[mine], ENDS[local[mine]]) for body in bodies.T
+        ]
+        place = np.where(mine, np.cumsum(mine), mine.sum() + np.cumsum(~mine)) - 1
+        cells = place[cells.reshape(dofs.shape)]
+        quadratic = dofs.shape[1] > 4
+        self._make = partial(
+            GridFile,
+            comm,
+            path,
+            space.tabulate_dof_coordinates()[dof[mine]],
+            cells[:, QUADRATIC_NODES] if quadratic else cells,
+            QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
+            {"region": tags.astype(np.int32)},
+            ghosts=number[~mine],
+        )
+        of_cells = tagged.mesh.topology.original_cell_index[:owned]
+        self._keys = [comm.gather(k) for k in (keys[mine], of_cells)]
+
+    @staticmethod
+    def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
+        """Between which vertices of the mesh file nodes of cells are (n,)."""
+        geometry = tagged.mesh.geometry
+        corners = geometry.input_global_indices[geometry.dofmap[:, :4]][cell]
+        ends = np.take_along_axis(corners, ENDS[local], axis=1)
+        return np.asarray(ends.min(axis=1) * geometry.index_map().size_global + ends.max(axis=1))
+
+    def begin(self) -> None:
+        """Write the grid; collective.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        self._grid = self._make()
+        self._order: list[Ints] = [np.concatenate(keys) if keys else none() for keys in self._keys]
+
+    def state(self) -> State:
+        """How many steps there are, of what points and cells; collective."""
+        points, cells = (Rows(np.arange(len(keys)), keys) for keys in self._order)
+        return {"steps": self._grid.steps, "points": points, "cells": cells}
+
+    def resume(self, state: State) -> bool:
+        """Go on after some steps of the file that is there, if it is; collective."""
+        self._order = [none(), none()]
+        order: list[Ints] = []
+        if self._comm.rank == 0:
+            self._order = [state[name].values for name in ("points", "cells")]
+            for wanted, keys in zip(self._order, self._keys, strict=True):
+                have = np.concatenate(keys)
+                sort = np.argsort(have, kind="stable")
+                place = np.minimum(np.searchsorted(have[sort], wanted), len(have) - 1)
+                order.append(sort[place])
+        try:
+            self._grid = self._make(order=order, steps=state["steps"])
+        except OSError:
+            return False
+        return True
+
+    def write(self, time: float, samples: Samples | None) -> None:
+        """Append a step; collective."""
+        point: dict[str, Floats] = {}
+        cell: dict[str, Floats] = {}
+        for layer, nodes in zip(self._layers, self._nodes, strict=True):
+            point |= layer.point(nodes, samples)
+            cell |= layer.cell(self._cells)
+        self._grid.write(time, point, cell)
+
+
+def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
+    """Whose the points of several ranks are: the first one's that has them; collective.
+
+    Args:
+        comm: The ranks.
+        keys: What the points of this rank are (n,), none twice.
+
+    Returns:
+        Which are this rank's own (n,), and the number of each among those of all ranks, counted in
+        the order of the ranks (n,).
+    """
+    parts = comm.allgather(keys)
+    _, first, copies = np.unique(np.concatenate(parts), return_index=True, return_inverse=True)
+    own = np.zeros(len(copies), dtype=bool)
+    own[first] = True
+    number = (np.cumsum(own) - 1)[first[copies]]
+    begin = sum(map(len, parts[: comm.rank]))
+    here = slice(begin, begin + len(keys))
+    return own[here], number[here]
+
+
+def none(n: int = 0) -> Ints:
+    """Keys of which nothing is known."""
+    return np.zeros(n, dtype=np.int64)
+
+
+class MechanicalFields:
+    """Displacement, stress, and what contact points do."""
+
+    def __init__(self, problem: Problem, stresses: Stresses) -> None:
+        """Write these of a problem."""
+        self._problem, self._stresses = problem, stresses
+        self.bodies, self.space = problem.bodies, problem.space
+
+    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
+        """Displacement [mm], and by interface gap, slip [mm], pressure, shear [MPa], status."""
+        u = np.zeros((len(nodes.dof), 3))
+        for b, function in enumerate(self._problem.displacements()):
+            at = nodes.body == b
+            u[at] = function.x.array.reshape(-1, 3)[nodes.dof[at]]
+        point: dict[str, Floats] = {"displacement": u}
+        if samples is not None:
+            rows = self._contact_rows(nodes)
+            for i, contact in enumerate(self._problem.scene.contacts):
+                point |= _interface(contact.name, samples, rows[i])
+        return point
+
+    def cell(self, cells: int) -> dict[str, Floats]:
+        """Mean stress [MPa]."""
+        σ = np.zeros((cells, 9))
+        for region, own in self._stresses.cells.items():
+            σ[own] = self._stresses.mean(region).reshape(-1, 9)
+        return {"stress": σ}
+
+    def _contact_rows(self, nodes: Copies) -> dict[int, Ints]:
+        """For each interface, the contact point of each node of the grid, -1 elsewhere."""
+        rows: dict[int, Ints] = {}
+        numbers = self.space.dofmap.index_map.local_to_global(nodes.dof.astype(np.int32))
+        for j in self._problem.jumps:
+            p = j.points
+            for i in range(len(self._problem.scene.contacts)):
+                found = np.full(len(numbers), -1, dtype=np.int64)
+                here = np.flatnonzero(p.interface == i)
+                order = here[np.argsort(p.dof[here], kind="stable")]
+                at = np.clip(np.searchsorted(p.dof[order], numbers), 0, max(len(order) - 1, 0))
+                if len(order):
+                    k = order[at]
+                    same = (p.bodies[k] == nodes.body[:, None]).any(axis=1)
+                    match = (p.dof[k] == numbers) & same
+                    found[match] = k[match]
+                rows[i] = found
+        return rows
+
+
+def _interface(name: str, s: Samples, row: Ints) -> dict[str, Floats]:
+    """Fields of an interface at the grid's nodes: zero away from it, status -1."""
+    on = row >= 0
+
+    def spread(values: Floats, away: float = 0.0) -> Floats:
+        out = np.full(len(row), away)
+        out[on] = values[row[on]]
+        return out
+
+    return {
+        f"{name}_gap": spread(s.gap.max(axis=1)),
+        f"{name}_slip": spread(s.slip.max(axis=1)),
+        f"{name}_pressure": spread(s.pressure),
+        f"{name}_shear": spread(s.shear),
+        f"{name}_status": spread(s.status.astype(float), -1.0),
+    }
+
+
+class HeatFields:
+    """Temperature, heat doses, cure, and what passes interfaces of finite conductance."""
+
+    def __init__(self, heating: Heating, record: ThermalRecord, interfaces: Interfaces) -> None:
+        """Write these of a run.
+
+        Args:
+            heating: The heat.
+            record: Its doses.
+            interfaces: Regions on the first and second side of each interface.
+        """
+        self._heating, self._record, self._interfaces = heating, record, interfaces
+        self._conduction = heating.conduction
+        self.bodies, self.space = self._conduction.bodies, self._conduction.space
+        # On nodes of this rank, ghosts too.
+        self._work = fem.Function(self.space)
+
+    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
+        """By node.
+
+        Temperature [degC]; in bone seconds at or above 47 degC, CEM43 [min] and Henriques-Moritz;
+        where anything sets its degree of cure; by interface of finite conductance the jump of the
+        temperature (second side minus first) [K] and the heat flux from first to second side
+        [W/m2], zero away from it.
+        """
+        x = self._heating.vectors()
+        temperatures = [t.x.array - CELSIUS for t in self._conduction.temperatures(x)]
+        found = {"temperature": self._at(nodes, temperatures)}
+        if self._record.bone:
+            found |= {name: self._at(nodes, dose) for name, dose in self._doses().items()}
+        degrees = [np.zeros(len(self._work.x.array)) for _ in self.bodies.names]
+        for region, values in self._heating.degrees().items():
+            own, _ = self._record.exposure(region)
+            degrees[own.body] += self._spread(own.dof, values)
+        if self._heating.degrees():
+            found["degree_of_cure"] = self._at(nodes, degrees)
+        for j, τ in zip(self._conduction.jumps, x[1:], strict=True):
+            flux = W_PER_M2 * j.flux(τ.array)[0]
+            for i, c in enumerate(self._conduction.scene.thermal_contacts):
+                here = j.interface == i
+                # From first to second side, whichever is the master.
+                forward = set(self._interfaces[c.name][0]) == set(c.master)
+                sign = 1.0 if forward else -1.0
+                sides = {self.bodies.of_region[r] for r in (*c.master, *c.slave)}
+                on = np.isin(nodes.body, list(sides)) & (nodes.ends[:, 0] == nodes.ends[:, 1])
+                for what, values in (("temperature_jump", τ.array), ("heat_flux", flux)):
+                    spread = self._spread(j.dof[here], sign * values[here])
+                    table = [spread for _ in self.bodies.names]
+                    found[f"{c.name}_{what}"] = np.where(on, self._at(nodes, table), 0.0)
+        return found
+
+    def cell(self, cells: int) -> dict[str, Floats]:
+        """Nothing."""
+        return {}
+
+    def _doses(self) -> dict[str, list[Floats]]:
+        """Doses of bone at the nodes of each body, by name."""
+        zero = np.zeros(len(self._work.x.array))
+        names = ("seconds_over_47", "cem43", "henriques_moritz")
+        found: dict[str, list[Floats]] = {
+            name: [zero.copy() for _ in self.bodies.names] for name in names
+        }
+        for region in self._record.bone:
+            own, e = self._record.exposure(region)
+            for name, dose in zip(names, (e.over[0], e.cem43, e.damage), strict=True):
+                # Regions of one body agree on the nodes that they share.
+                of_body = found[name][own.body]
+                np.maximum(of_body, self._spread(own.dof, dose), out=of_body)
+        return found
+
+    def _spread(self, dof: Ints, values: Floats) -> Floats:
+        """Values of own nodes on all nodes of this rank, zero elsewhere; collective."""
+        self._work.x.array[:] = 0.0
+        self._work.x.array[dof] = values
+        self._work.x.scatter_forward()
+        return self._work.x.array.copy()
+
+    def _at(self, nodes: Copies, values: Sequence[Floats]) -> Floats:
+        """Values of the bodies at the nodes of the grid: linear along edges."""
+        table = np.stack(values)
+        dofs = self.space.dofmap.list[nodes.cell[:, None]][:, 0]
+        ends = np.take_along_axis(dofs, nodes.ends, axis=1)
+        return np.asarray(table[nodes.body[:, None], ends].mean(axis=1))

@@ -1,0 +1,92 @@
+"""Strain energy of the bone and what interfaces do, by Gruen zone."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.mechanics.problem import Problem
+from mantle.results.quantities import Floats, Samples, Stresses, face_average
+
+if TYPE_CHECKING:
+    from mantle.meshes.gruen import Zones
+
+Zone = dict[str, Any]
+
+# Of a zone's bone, what has less than this part has no numbers of its own: it is what the mesh
+# leaves of cancellous bone between cement and cortex.
+LEAST = 0.01
+
+
+def summary(
+    problem: Problem, stresses: Stresses, samples: Samples | None, zones: Zones
+) -> dict[str, Zone]:
+    """The numbers of each zone, by its own; collective.
+
+    Args:
+        problem: What was solved.
+        stresses: Its stresses.
+        samples: Its contact points, if there are any.
+        zones: Where the zones are.
+
+    Returns:
+        For each: ``strain_energy_density`` [MPa], the mean over the ``volume`` [mm3] of the bone
+        that is in it and that the operation leaves, and ``interfaces``: what those that are in it
+        do. What a zone has nothing of has no entry.
+    """
+    # A region that does not deform has no strain energy; of one that sets it is not known.
+    elastic = {e.region for e in problem.scene.elastic} - set(problem.mechanics.growth)
+    regions = [r for r in zones.regions if r in elastic]
+    sums = {r: _energy_and_volume(problem, stresses, r, zones) for r in regions}
+    result: dict[str, Zone] = {}
+    for zone in zones.numbers:
+        volumes = {r: float(volume[zone]) for r, (_, volume) in sums.items()}
+        volumes = {r: v for r, v in volumes.items() if v > LEAST * sum(volumes.values())}
+        density = {r: float(sums[r][0][zone]) / v for r, v in volumes.items()}
+        numbers = {"strain_energy_density": density, "volume": volumes, "interfaces": {}}
+        result[str(zone)] = numbers
+    if samples is not None:
+        where = zones.at(samples.x)
+        for i, contact in enumerate(problem.scene.contacts):
+            for zone in zones.numbers:
+                at = (samples.interface == i) & (where == zone).any(axis=1)
+                if samples.area[at].any():
+                    result[str(zone)]["interfaces"][contact.name] = _interface(samples, at)
+    return result
+
+
+def _energy_and_volume(
+    problem: Problem, stresses: Stresses, region: str, zones: Zones
+) -> tuple[Floats, Floats]:
+    """Strain energy [N mm] and volume [mm3] of a region by zone, zone 0 for what is in none.
+
+    By the points at which its stress is known: cells may be larger than what parts two zones.
+    """
+    x, volume = stresses.places(region)
+    dx = volume.ravel()
+    zone = zones.at(x) * zones.is_left(x)[:, None]
+    local = np.array(
+        [
+            np.bincount(zone.ravel(), np.repeat(w, 2), minlength=len(zones.numbers) + 1)
+            for w in (stresses.energy_density(region).ravel() * dx, dx)
+        ]
+    )
+    energy, volume = problem.comm.allreduce(local, MPI.SUM)
+    return energy, volume
+
+
+def _interface(s: Samples, at: NDArray[np.bool_]) -> dict[str, float]:
+    """What the marked points of an interface do; means by area."""
+    area, weight = s.area[at], s.weight[at]
+    result: dict[str, float] = {}
+    for name, values in (("gap", np.maximum(s.gap[at], 0.0)), ("slip", s.slip[at])):
+        result[f"{name}_max"] = float(values[area > 0].max())
+        result[f"{name}_mean"] = face_average(values, area)
+    for name, values in (("pressure", s.pressure[at]), ("shear", s.shear[at])):
+        result[f"{name}_max"] = float(values.max())
+        result[f"{name}_mean"] = float(np.average(values, weights=weight))
+    return result | {"area": float(weight.sum())}

@@ -1,0 +1,246 @@
+"""Temperatures as pictures: over time, and in a section when the bone was hottest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.meshes.distribute import TaggedMesh
+from mantle.meshes.picture import AXES, cut, middle_plane
+from mantle.results.necrosis import CELSIUS
+from mantle.scene.bodies import cell_tags
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
+# A run whose last step is this many times as late as its first is drawn on a logarithmic axis.
+_SPAN = 300.0
+# Curves closer than this part of the range of all are drawn as one.
+_SAME = 3e-3
+# Triangles thinner than this part of a section are seen only by what shading makes of them.
+_THIN = 1e-3
+DEADLY = 47.0  # degC
+
+
+def history(path: Path, seconds: Sequence[float], curves: Mapping[str, Floats]) -> None:
+    """Draw temperatures over time; on one rank.
+
+    Args:
+        path: The PNG to write.
+        seconds: Times, the initial one first (n,) [s].
+        curves: Temperatures by label (n,) [degC]; probes, whose labels say so, are dashed.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    t = np.array(seconds)
+    late = t[t > 0]
+    logarithmic = len(late) > 1 and late[-1] / late[0] > _SPAN
+    shown = t > 0 if logarithmic else np.ones(len(t), dtype=bool)
+    figure = Figure(figsize=(8.5, 4.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for k, (label, values) in enumerate(_distinct(curves).items()):
+        axes.plot(
+            t[shown],
+            values[shown],
+            color=COLOURS[k % len(COLOURS)],
+            ls="--" if label.startswith("probe") else "-",
+            marker="." if shown.sum() < 40 else "",
+            lw=1.5,
+            label=label,
+        )
+    low, high = axes.get_ylim()
+    if low < DEADLY < high:
+        axes.axhline(DEADLY, color="0.3", lw=1, ls=(0, (5, 3)))
+        axes.annotate(
+            f"{DEADLY:g} °C",
+            (0.0, DEADLY),
+            xycoords=("axes fraction", "data"),
+            xytext=(4, 3),
+            textcoords="offset points",
+            fontsize=8,
+            color="0.3",
+        )
+    axes.set(xlabel="time (s)", ylabel="temperature (°C)")
+    axes.set_xscale("log" if logarithmic else "linear")
+    axes.grid(True, which="major", color="0.9")
+    axes.set_axisbelow(True)
+    axes.margins(x=0.01)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
+    figure.savefig(path, dpi=130)
+
+
+def _distinct(curves: Mapping[str, Floats]) -> dict[str, Floats]:
+    """The curves without those that would hide one before them."""
+    every = np.concatenate(list(curves.values()))
+    same = _SAME * float(np.ptp(every))
+    found: dict[str, Floats] = {}
+    for label, values in curves.items():
+        if all(np.abs(values - v).max() > same for v in found.values()):
+            found[label] = values
+    return found
+
+
+def section(
+    path: Path,
+    tagged: TaggedMesh,
+    dofs: Ints,
+    body: Mapping[str, int],
+    temperatures: Sequence[Floats],
+    seconds: float,
+    at: Sequence[float],
+) -> None:
+    """Draw the temperature in two planes: y = 0 and the transverse one of a place; collective.
+
+    Args:
+        path: The PNG that rank 0 writes.
+        tagged: The mesh.
+        dofs: Nodes of every cell of this rank (cells, 4), as in ``space.dofmap.list``.
+        body: Thermal body of each region.
+        temperatures: Nodal temperatures of the bodies, ghosts too [K].
+        seconds: The time they belong to [s].
+        at: The place (3,) [mm].
+
+    Raises:
+        OSError: The file cannot be written (on every rank).
+    """
+    comm = tagged.mesh.comm
+    mine = _corners(tagged, dofs, body, temperatures)
+    x = mine[0].reshape(-1, 4)
+    ends = comm.allgather((x.min(0, initial=np.inf), x.max(0, initial=-np.inf)))
+    low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
+    # At the ends a plane may touch no more than a node.
+    inside = 1e-3 * (high[2] - low[2])
+    across = float(np.clip(at[2], low[2] + inside, high[2] - inside))
+    planes = [(1, middle_plane(low[1], high[1])), (2, across)]
+    pieces = [_cut(*mine, axis, level) for axis, level in planes]
+    gathered = comm.gather(pieces)
+    failed = None
+    if gathered is not None:
+        whole = [_join([p[k] for p in gathered]) for k in range(len(planes))]
+        try:
+            _draw(path, planes, whole, seconds, at)
+        except OSError as error:
+            failed = error
+    if (failed := comm.bcast(failed)) is not None:
+        raise failed
+
+
+# Corners (k, 3, 4) of triangles with temperature [degC] behind the coordinates, and outlines of
+# regions as segments (s, 2, 4) with the region on the side they were cut from (s,).
+Piece = tuple[Floats, Floats, Ints]
+
+
+def _corners(
+    tagged: TaggedMesh, dofs: Ints, body: Mapping[str, int], temperatures: Sequence[Floats]
+) -> tuple[Floats, Ints]:
+    """Corners of own cells with temperatures behind (m, 4, 4) [mm, degC], and their regions."""
+    owned = tagged.mesh.topology.index_map(3).size_local
+    tags, geometry = cell_tags(tagged)[:owned], tagged.mesh.geometry
+    x = geometry.x[geometry.dofmap[:owned][:, :4]]
+    T = np.zeros((owned, 4))
+    for region, tag in tagged.regions.items():
+        here = tags == tag
+        T[here] = temperatures[body[region]][dofs[:owned][here]] - CELSIUS
+    return np.concatenate([x, T[:, :, None]], axis=2), tags
+
+
+def _cut(corners: Floats, tags: Ints, axis: int, level: float) -> Piece:
+    """Triangles and edges of cells where a plane cuts them."""
+    cells = np.arange(4 * len(corners)).reshape(-1, 4)
+    triangles: list[Floats] = [np.zeros((0, 3, 4))]
+    edges: list[Floats] = [np.zeros((0, 2, 4))]
+    regions = [tags[:0]]
+    for polygons, cell in cut(corners.reshape(-1, 4), cells, axis, level):
+        n = polygons.shape[1]
+        triangles += [polygons[:, [0, k, k + 1]] for k in range(1, n - 1)]
+        edges += [polygons[:, [k, (k + 1) % n]] for k in range(n)]
+        regions += [tags[cell]] * n
+    return np.concatenate(triangles), np.concatenate(edges), np.concatenate(regions)
+
+
+def _join(pieces: Sequence[Piece]) -> tuple[Floats, Floats]:
+    """Triangles of all ranks, and of their edges those between two regions or at the surface."""
+    triangles, edges, regions = (np.concatenate([p[k] for p in pieces]) for k in range(3))
+    ends = np.round(edges[:, :, :3], 5)
+    swap = np.array([tuple(a) > tuple(b) for a, b in ends], dtype=bool)
+    ends[swap] = ends[swap][:, ::-1]
+    _, edge = np.unique(ends.reshape(len(ends), 6), axis=0, return_inverse=True)
+    edge = edge.ravel()
+    first = np.full(edge.max(initial=-1) + 1, np.iinfo(np.int64).max)
+    last = np.full(len(first), -1)
+    np.minimum.at(first, edge, regions)
+    np.maximum.at(last, edge, regions)
+    outline = (first != last) | (np.bincount(edge, minlength=len(first)) == 1)
+    return triangles, edges[outline[edge]]
+
+
+def _draw(
+    path: Path,
+    planes: Sequence[tuple[int, float]],
+    pieces: Sequence[tuple[Floats, Floats]],
+    seconds: float,
+    at: Sequence[float],
+) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    T = np.concatenate([triangles[:, :, 3].ravel() for triangles, _ in pieces])
+    low, high = float(T.min()), max(float(T.max()), float(T.min()) + 0.1)
+    sizes = [
+        np.ptp(outline[:, :, _others(axis)].reshape(-1, 2), axis=0)
+        for (axis, _), (_, outline) in zip(planes, pieces, strict=True)
+    ]
+    tall = max(size[1] for size in sizes)
+    widths = [max(size[0], 0.25 * tall) for size in sizes]
+    height = 7.0
+    width = float(np.clip(height * sum(widths) / tall + 3.0, 8.0, 16.0))
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, len(planes), width_ratios=widths)
+    for ax, (axis, level), (triangles, outline) in zip(axes, planes, pieces, strict=True):
+        shade = _panel(ax, axis, triangles, outline, (low, high))
+        ax.set_title(f"{AXES[axis]} = {level:.4g} mm")
+    axes[0].axhline(at[2], color="#35c2ff", lw=1, ls=(0, (5, 3)))
+    axes[1].plot(at[0], at[1], "o", mfc="none", mec="#35c2ff", ms=8, mew=1.5)
+    figure.colorbar(shade, ax=list(axes), label="temperature (°C)", shrink=0.8)
+    line = f"; line: {DEADLY:g} °C" if low < DEADLY < high else ""
+    figure.suptitle(f"{seconds:.4g} s, when the ringed place was hottest{line}")
+    figure.savefig(path, dpi=130)
+
+
+def _others(axis: int) -> list[int]:
+    return [i for i in range(3) if i != axis]
+
+
+def _panel(
+    ax: Any, axis: int, triangles: Floats, outline: Floats, limits: tuple[float, float]
+) -> Any:
+    """One section: shaded temperature, the deadly isotherm, outlines of the regions."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.tri import Triangulation
+
+    u, v = _others(axis)
+    a, b = (triangles[:, k, [u, v]] - triangles[:, 0, [u, v]] for k in (1, 2))
+    area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    longest = np.max([np.linalg.norm(e, axis=1) for e in (a, b, b - a)], axis=0)
+    size = np.ptp(outline[:, :, [u, v]].reshape(-1, 2), axis=0).max()
+    points = triangles[area > _THIN * size * longest].reshape(-1, 4)
+    mesh = Triangulation(points[:, u], points[:, v], np.arange(len(points)).reshape(-1, 3))
+    shade = ax.tripcolor(
+        mesh, points[:, 3], shading="gouraud", cmap="inferno", vmin=limits[0], vmax=limits[1]
+    )
+    if points[:, 3].min() < DEADLY < points[:, 3].max():
+        ax.tricontour(mesh, points[:, 3], levels=[DEADLY], colors="white", linewidths=1.2)
+    ax.add_collection(LineCollection(list(outline[:, :, [u, v]]), colors="0.6", linewidths=0.8))
+    ax.set_aspect("equal")
+    ax.set_facecolor("0.95")
+    ax.set_xlabel(f"{AXES[u]} (mm)")
+    ax.set_ylabel(f"{AXES[v]} (mm)")
+    return shade

@@ -1,0 +1,145 @@
+"""How much of a region is hot or dead and how deep: where a level, linear in cells, is positive.
+
+Counting nodes would move in steps of the mesh, of which there are few across what dies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.heat.assembly import HeatForms
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+_FACES = np.array([(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)])
+# Triangles looked at for the distance of a point: those whose centres are nearest.
+_NEAREST = 12
+
+
+class RegionCells:
+    """Cells of a region that this rank owns."""
+
+    def __init__(self, forms: HeatForms, region: str) -> None:
+        """Find them; collective."""
+        self._comm = forms.comm
+        self._dofs = forms.space.dofmap.list[forms.cells(region)].astype(np.int64)
+        self._x = forms.space.tabulate_dof_coordinates()[self._dofs]
+        volume = np.abs(np.linalg.det(self._x[:, 1:] - self._x[:, :1])) / 6
+        flat, true = self._comm.allreduce(
+            np.array([volume.sum(), forms.volumes(region).sum()]), MPI.SUM
+        )
+        # Curved cells have a little more than their corners span.
+        self._volume = volume * (true / flat)
+        self._spread = fem.Function(forms.space)
+
+    def _at_corners(self, dof: Ints, values: Floats, away: float) -> Floats:
+        """Values of own nodes at the corners of the cells (m, 4); collective."""
+        self._spread.x.array[:] = away
+        self._spread.x.array[dof] = values
+        self._spread.x.scatter_forward()
+        return np.asarray(self._spread.x.array[self._dofs])
+
+    def faces(self, dof: Ints) -> Floats:
+        """Faces whose corners are all among some nodes (f, 3, 3) [mm], on every rank; collective.
+
+        Args:
+            dof: Own nodes.
+        """
+        on = self._at_corners(dof, np.ones(len(dof)), 0.0)[:, _FACES].all(axis=2)
+        return np.concatenate(self._comm.allgather(self._x[:, _FACES][on]))
+
+    def volume(self, dof: Ints, level: Floats) -> float:
+        """Volume where a level is not negative [mm3]; collective.
+
+        Args:
+            dof: Own nodes of the region (n,).
+            level: Its values there (n,).
+        """
+        share = positive_share(self._at_corners(dof, level, -1.0))
+        return float(self._comm.allreduce(float(self._volume @ share), MPI.SUM))
+
+    def depth(self, dof: Ints, level: Floats, surface: Floats) -> float:
+        """How far below a surface a level is not negative [mm]; collective.
+
+        Args:
+            dof: Own nodes of the region (n,).
+            level: Its values there (n,).
+            surface: Triangles (f, 3, 3) [mm], at least one.
+        """
+        f = self._at_corners(dof, level, -1.0)
+        depth = 0.0
+        ends, x = f[:, _EDGES], self._x[:, _EDGES]
+        low, high = ends.min(axis=2), ends.max(axis=2)
+        # Where edges leave the volume.
+        cut = (high >= 0) & (low < 0)
+        share = np.divide(high, high - low, out=np.zeros_like(high), where=cut)
+        first = np.take_along_axis(x, np.argmax(ends, axis=2)[:, :, None, None], axis=2)[:, :, 0]
+        second = np.take_along_axis(x, np.argmin(ends, axis=2)[:, :, None, None], axis=2)[:, :, 0]
+        points = (first + share[:, :, None] * (second - first))[cut]
+        points = np.concatenate([points, self._x[f >= 0]])
+        if len(points):
+            depth = float(distance(np.unique(points, axis=0), surface).max())
+        return float(self._comm.allreduce(depth, MPI.MAX))
+
+
+def positive_share(f: Floats) -> Floats:
+    """Part of each tetrahedron where a linear function is not negative (m,).
+
+    Args:
+        f: Its values at the corners (m, 4).
+    """
+    f = -np.sort(-f, axis=1)
+    a, b, c, d = f.T
+    count = (f >= 0).sum(axis=1)
+
+    def cut(high: Floats, low: Floats, here: NDArray[np.bool_]) -> Floats:
+        """Where an edge crosses zero, from its higher end."""
+        return np.divide(high, high - low, out=np.zeros_like(high), where=here & (high > low))
+
+    share = np.where(count == 4, 1.0, 0.0)
+    one, two, three = (count == n for n in (1, 2, 3))
+    share += np.where(one, cut(a, b, one) * cut(a, c, one) * cut(a, d, one), 0.0)
+    ac, ad, bc, bd = cut(a, c, two), cut(a, d, two), cut(b, c, two), cut(b, d, two)
+    share += np.where(two, ac * ad + ac * (1 - ad) * bd + (1 - ac) * bc * bd, 0.0)
+    rest = (1 - cut(a, d, three)) * (1 - cut(b, d, three)) * (1 - cut(c, d, three))
+    return np.asarray(share + np.where(three, 1 - rest, 0.0))
+
+
+def distance(points: Floats, triangles: Floats) -> Floats:
+    """Distance of points from a triangulated surface (n,) [mm].
+
+    Args:
+        points: The points (n, 3) [mm].
+        triangles: Its triangles (f, 3, 3) [mm], not very different in size.
+    """
+    from scipy.spatial import cKDTree  # imported late: few runs need it
+
+    k = min(_NEAREST, len(triangles))
+    near = cKDTree(triangles.mean(axis=1)).query(points, k)[1].reshape(len(points), k)
+    return np.min([_from_triangle(points, triangles[near[:, i]]) for i in range(k)], axis=0)
+
+
+def _from_triangle(p: Floats, t: Floats) -> Floats:
+    """Distance of each point (n, 3) from its triangle (n, 3, 3)."""
+    sides: Sequence[tuple[int, int]] = ((0, 1), (1, 2), (2, 0))
+    found = np.min([_from_segment(p, t[:, i], t[:, j]) for i, j in sides], axis=0)
+    normal = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
+    above = np.ones(len(p), dtype=bool)
+    for i, j in sides:
+        inward = np.cross(normal, t[:, j] - t[:, i])
+        above &= np.einsum("ni,ni->n", inward, p - t[:, i]) >= 0
+    height = np.abs(np.einsum("ni,ni->n", normal, p - t[:, 0])) / np.linalg.norm(normal, axis=1)
+    return np.where(above, height, found)
+
+
+def _from_segment(p: Floats, a: Floats, b: Floats) -> Floats:
+    along = np.einsum("ni,ni->n", p - a, b - a) / np.einsum("ni,ni->n", b - a, b - a)
+    return np.asarray(np.linalg.norm(p - a - np.clip(along, 0, 1)[:, None] * (b - a), axis=1))

@@ -1,0 +1,255 @@
+"""The run directory: fields, history, summary, provenance, and the marker of completion.
+
+Every file is written under another name and renamed; a directory without ``DONE`` is not a result.
+Rank 0 writes; an error there is raised on every rank.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import logging
+import platform
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import cache, partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar
+
+from mpi4py import MPI
+
+from mantle import __version__
+from mantle.errors import StoppedError, everywhere
+from mantle.heat.conduction import Conduction
+from mantle.meshes.distribute import TaggedMesh
+from mantle.numerics.state import State
+from mantle.results import heat_picture
+from mantle.results.field_output import Fields, Layer
+from mantle.results.quantities import Samples
+from mantle.results.thermal_quantities import ThermalRecord
+from mantle.system import identity
+from mantle.system.folders import saved, write_json, write_text
+
+T = TypeVar("T")
+
+UNITS = {
+    "length": "mm",
+    "area": "mm^2",
+    "volume": "mm^3",
+    "force": "N",
+    "stress": "MPa",
+    "energy": "N mm",
+    "angle": "deg",
+    "time": "s",
+    "temperature": "degC",
+    "temperature difference": "K",
+    "heat flux": "W/m^2",
+    "entropy production": "W/(m^2 K)",
+    "thermal dose": "min",
+    "memory": "MB",
+    "memory per unknown": "kB",
+}
+HISTORY, SECTION = "temperature.png", "temperature_section.png"
+# What is written at the end; all that a run directory has.
+ENDS = ("DONE", "summary.json", "provenance.json", HISTORY, SECTION)
+RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
+log = logging.getLogger("mantle")
+
+
+def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
+    """Do something on rank 0; its errors are raised on every rank, so that none waits.
+
+    Args:
+        comm: Communicator.
+        action: What rank 0 does.
+        share: Whether the result goes to the other ranks, else None does.
+    """
+    result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
+    return comm.bcast(result) if share else result
+
+
+@contextmanager
+def _full_disk(what: str) -> Iterator[None]:
+    """Turn a failed write into a stop."""
+    try:
+        yield
+    except OSError as error:
+        raise StoppedError(f"cannot write {what}: {error.strerror or error}") from error
+
+
+def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
+    """Write something on rank 0; a failure stops every rank.
+
+    Raises:
+        StoppedError: The disk is full or the folder cannot be written.
+    """
+
+    def guarded() -> None:
+        with _full_disk(what):
+            action()
+
+    on_root(comm, guarded, share=False)
+
+
+class Writer:
+    """Writes a run directory step by step."""
+
+    def __init__(
+        self,
+        tagged: TaggedMesh,
+        layers: Sequence[Layer],
+        folder: Path,
+        resolved: str,
+        fields: bool,
+        record: Callable[[], dict[str, Any]],
+        again: bool = False,
+    ) -> None:
+        """Create the directory and the field file, or go on with them; collective.
+
+        Args:
+            tagged: The mesh.
+            layers: What the fields are of: the mechanics, if there are any, then the heat.
+            folder: The run directory; exists.
+            resolved: The resolved configuration, as YAML.
+            fields: Whether fields are written.
+            record: Gives the provenance when the run ends.
+            again: Whether `resume` follows: what is there may stay.
+
+        Raises:
+            StoppedError: The directory cannot be written.
+        """
+        self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
+        self._rows: list[dict[str, Any]] = []
+
+        def start() -> None:
+            for name in RESULTS[: len(ENDS) if again else None]:
+                (folder / name).unlink(missing_ok=True)
+            for old in () if again else saved(folder):
+                old.unlink()
+            write_text(folder / "case.yaml", resolved)
+
+        _write(self._comm, start, str(folder))
+        self._grids: tuple[Fields, ...] = (
+            (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
+        )
+        if not again:
+            self._begin()
+
+    def _begin(self) -> None:
+        with _full_disk("fields.vtkhdf"):
+            for grid in self._grids:
+                grid.begin()
+
+    def state(self) -> State:
+        """What has been written; collective."""
+        return {"rows": list(self._rows), "fields": [g.state() for g in self._grids]}
+
+    def resume(self, state: State) -> bool:
+        """Go on with what has been written; collective.
+
+        Returns:
+            Whether the fields of earlier steps are still there, if there are to be any.
+
+        Raises:
+            StoppedError: The directory cannot be written.
+        """
+        self._rows = list(state["rows"])
+        self._table()
+        found = state["fields"]
+        if len(found) == len(self._grids) and all(
+            [g.resume(f) for g, f in zip(self._grids, found, strict=True)]
+        ):
+            return True
+        if self._grids:
+            log.info("no fields.vtkhdf to go on with: it begins here")
+        self._begin()
+        return False
+
+    def fields(self, time: float, samples: Samples | None) -> None:
+        """Append a step to the field file; collective.
+
+        Raises:
+            StoppedError: The disk is full; earlier steps stay readable.
+        """
+        with _full_disk("fields.vtkhdf"):
+            for grid in self._grids:
+                grid.write(time, samples)
+
+    def history(self, row: dict[str, Any]) -> None:
+        """Add a row to history.csv, with what there is to say then; collective."""
+        self._rows.append(row)
+        self._table()
+
+    def _table(self) -> None:
+        """Write history.csv; collective."""
+        text = io.StringIO()
+        names = list(dict.fromkeys(name for row in self._rows for name in row))
+        table = csv.DictWriter(text, fieldnames=names, lineterminator="\n")
+        table.writeheader()
+        table.writerows(self._rows)
+        path = self.folder / "history.csv"
+        _write(self._comm, lambda: write_text(path, text.getvalue()), str(path))
+
+    def pictures(self, conduction: Conduction, record: ThermalRecord) -> None:
+        """Draw temperatures over time, and in a section when the bone was hottest; collective."""
+        path = self.folder / HISTORY
+        draw = partial(heat_picture.history, path, record.seconds, record.curves())
+        _write(self._comm, draw, str(path))
+        with _full_disk(SECTION):
+            heat_picture.section(
+                self.folder / SECTION,
+                conduction.tagged,
+                conduction.space.dofmap.list,
+                conduction.bodies.of_region,
+                record.hottest,
+                record.hottest_time,
+                record.hottest_at,
+            )
+
+    def finish(self, summary: dict[str, Any], done: bool) -> None:
+        """Write summary and provenance, and the marker if the run is complete; collective."""
+
+        def write() -> None:
+            for name, content in (("summary", summary), ("provenance", self._record())):
+                write_json(self.folder / f"{name}.json", content)
+            if done:
+                write_text(self.folder / "DONE", "")
+
+        _write(self._comm, write, str(self.folder))
+
+
+def provenance(
+    ranks: int, case_path: Path, overrides: list[str], mesh_hash: str, started: datetime
+) -> dict[str, Any]:
+    """Where a result comes from."""
+    return {
+        "mantle": __version__,
+        "identity": identity.parts(),
+        "command": sys.argv,
+        "case": str(case_path),
+        "case_sha256": hashlib.sha256(case_path.read_bytes()).hexdigest(),
+        "overrides": overrides,
+        "mesh_sha256": mesh_hash,
+        "ranks": ranks,
+        "host": platform.node(),
+        "python": platform.python_version(),
+        "packages": _packages(),
+        "started": started.isoformat(timespec="seconds"),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+@cache
+def _packages() -> dict[str, str]:
+    """Versions of what the solver stands on."""
+    packages = {}
+    for name in ("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix", "mpi4py", "numpy"):
+        try:
+            packages[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return packages

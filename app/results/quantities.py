@@ -1,0 +1,436 @@
+"""The numbers that people publish: interfaces, stresses by region, motion of the stem.
+
+All functions are collective and return the same plain values on every rank. Percentiles are
+weighted by area or volume; maxima are reported beside them because peaks at edges grow with
+refinement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import basix
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+from ufl import as_vector
+
+from mantle.forms import elasticity
+from mantle.forms.contact import OPEN, SLIP, STICK
+from mantle.mechanics.problem import Problem, Trial
+from mantle.scene.terms import Elastic
+from mantle.system.timing import Timing
+
+Floats = NDArray[np.float64]
+
+PERCENTILE = 0.99
+MICROMOTION = 0.030  # mm: where biology reacts
+# Of a symmetric tensor, as `elasticity.symmetric` has them.
+COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
+
+
+def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) -> float:
+    """Smallest value that at least ``fraction`` of the weight does not exceed; 0 if empty."""
+    if not len(values):
+        return 0.0
+    order = np.argsort(values)
+    cumulative = np.cumsum(weights[order])
+    k = np.searchsorted(cumulative, fraction * cumulative[-1])
+    return float(values[order[min(int(k), len(values) - 1)]])
+
+
+def face_average(values: Floats, area: Floats) -> float:
+    """Mean of what belongs to the faces of points (n, 3), by their areas (n, 3)."""
+    return float(np.average(values[area > 0], weights=area[area > 0]))
+
+
+class Samples:
+    """Contact points of all ranks, in canonical order, on every rank.
+
+    One row per point for vectors, one per point and face for what belongs to a face.
+
+    Attributes:
+        interface: Interface of each point (n,).
+        x: Position (n, 3) [mm].
+        weight: Area (n,) [mm2].
+        area: Area of each face (n, 3) [mm2]; 0 beyond the point's faces.
+        gap: Opening of each face (n, 3) [mm].
+        slip: Tangential part of the jump on each face (n, 3) [mm].
+        accumulated: Sum of slip increments on each face (n, 3) [mm].
+        pressure: Normal force per area, positive in compression (n,) [MPa].
+        shear: Friction per area (n,) [MPa].
+        force: Force of the master on the slave per area (n, 3) [MPa].
+        status: State (n,).
+        jump: Jump with the initial gap (n, 3) [mm].
+        dissipation: Dissipated by friction (n,) [N mm].
+        least: Smallest dissipation of any step, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening (n,) [N mm].
+        found: What `interface` has found of them, by interface.
+    """
+
+    def __init__(self, problem: Problem, trial: Trial) -> None:
+        """Gather a committed state; collective."""
+        self.found: dict[int, dict[str, Any]] = {}
+        (j,) = problem.jumps
+        history = j.history
+        normal = np.einsum("pi,pki->pk", trial.jump, j.normals)
+        tangential = trial.jump[:, None, :] - normal[:, :, None] * j.normals
+        opening = np.einsum("pi,pki->pk", trial.jump + j.gap, j.normals)
+        used = np.arange(3)[None, :] < j.faces[:, None]
+        local = {
+            "row": j.mine,
+            "gap": np.where(used, opening, 0.0),
+            "slip": np.where(used, np.linalg.norm(tangential, axis=2), 0.0),
+            "accumulated": np.where(used, history.accumulated, 0.0),
+            "pressure": np.linalg.norm(
+                np.einsum("pk,pki->pi", trial.law.pressures, j.normals), axis=1
+            ),
+            "shear": np.linalg.norm(history.friction, axis=1),
+            "force": -history.force,
+            "status": np.where(j.faces > 0, trial.law.status, STICK),
+            "jump": trial.jump + j.gap,
+            "dissipation": history.dissipation,
+            "least": history.least,
+            "contact_work": history.contact_work,
+        }
+        pieces = problem.comm.allgather(local)
+        whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
+        order = np.argsort(whole.pop("row"))
+        points = j.points
+        self.points = points
+        self.interface, self.x, self.weight = points.interface, points.x, points.weight
+        faces = np.arange(3)[None, :] < points.faces[:, None]
+        self.area = np.where(faces, points.areas, 0.0)
+        self.gap, self.slip, self.accumulated, self.pressure = (
+            whole[k][order] for k in ("gap", "slip", "accumulated", "pressure")
+        )
+        self.shear, self.force, self.status, self.jump = (
+            whole[k][order] for k in ("shear", "force", "status", "jump")
+        )
+        self.dissipation, self.least, self.contact_work = (
+            whole[k][order] for k in ("dissipation", "least", "contact_work")
+        )
+
+
+def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
+    """What one interface does: motion, tractions, states; found once for each state."""
+    if i not in samples.found:
+        samples.found[i] = _interface(problem, samples, i)
+    return dict(samples.found[i])
+
+
+def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
+    at = s.interface == i
+    area, weight = s.area[at], s.weight[at]
+    total = float(weight.sum())
+    x = np.repeat(s.x[at][:, None, :], 3, axis=1)
+
+    def largest(values: Floats) -> tuple[float, list[float]]:
+        flat = np.where(area > 0, values, -np.inf).ravel()
+        k = int(np.argmax(flat))
+        return float(max(flat[k], 0.0)), [float(c) for c in x.reshape(-1, 3)[k]]
+
+    def p99(values: Floats) -> float:
+        return percentile(values[area > 0], area[area > 0])
+
+    gap, slip = np.maximum(s.gap[at], 0.0), s.slip[at]
+    pressure, shear = s.pressure[at], s.shear[at]
+    gap_max, gap_at = largest(gap)
+    slip_max, slip_at = largest(slip)
+    faces = area > 0
+
+    def fraction(state: int) -> float:
+        return float(weight[s.status[at] == state].sum()) / total
+
+    return {
+        "gap_max": gap_max,
+        "gap_p99": p99(gap),
+        "gap_mean": face_average(gap, area),
+        "gap_max_at": gap_at,
+        "slip_max": slip_max,
+        "slip_p99": p99(slip),
+        "slip_mean": face_average(slip, area),
+        "slip_max_at": slip_at,
+        "slip_accumulated_max": float(s.accumulated[at].max(initial=0.0)),
+        "pressure_max": float(pressure.max(initial=0.0)),
+        "pressure_p99": percentile(pressure, weight),
+        "pressure_mean": float(np.average(pressure, weights=weight)),
+        "shear_max": float(shear.max(initial=0.0)),
+        "shear_p99": percentile(shear, weight),
+        "shear_mean": float(np.average(shear, weights=weight)),
+        "penetration_max": float(np.maximum(-s.gap[at][faces], 0.0).max(initial=0.0)),
+        "penetration_sampled": _sampled_penetration(problem, s, i),
+        "open_fraction": fraction(OPEN),
+        "stick_fraction": fraction(STICK),
+        "slip_fraction": fraction(SLIP),
+        "area": total,
+        "facet_size": problem.jumps[0].edge_lengths[i],
+        "area_slip_over_30um": float(area[faces & (slip > MICROMOTION)].sum()),
+        "area_gap_over_30um": float(area[faces & (gap > MICROMOTION)].sum()),
+        "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],
+        "dissipation": float(s.dissipation[at].sum()),
+        "dissipation_min": float(s.least[at].min()),
+        "contact_work": float(s.contact_work[at].sum()),
+    }
+
+
+def _sampled_penetration(problem: Problem, s: Samples, i: int) -> float:
+    """Largest penetration between the nodes: jump and normal interpolated on the facets [mm]."""
+    triangles = s.points.triangles[i]
+    if not len(triangles):
+        return 0.0
+    x = s.x[triangles]
+    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normals = s.points.normals[triangles]
+    # At each corner the face of the point that this facet belongs to.
+    face = np.argmax(np.abs(np.einsum("fi,fcki->fck", flat, normals)), axis=2)
+    n = np.take_along_axis(normals, face[:, :, None, None], axis=2)[:, :, 0]
+    points = np.asarray(basix.make_quadrature(basix.CellType.triangle, 4)[0])
+    N = np.column_stack([1 - points.sum(axis=1), points])
+    d = np.einsum("qc,fci->fqi", N, s.jump[triangles])
+    n = np.einsum("qc,fci->fqi", N, n)
+    size = np.linalg.norm(n, axis=2)
+    gap = np.einsum("fqi,fqi->fq", d, n) / np.where(size > 0, size, 1.0)
+    return float(np.maximum(-gap, 0.0).max())
+
+
+@dataclass(frozen=True)
+class _Law:
+    """A compiled stress, and what it is of."""
+
+    expression: fem.Expression
+    displacement: fem.Function
+    coefficients: list[fem.Constant]
+    fibre: fem.Constant
+
+    def of(self, e: Elastic, displacement: fem.Function) -> fem.Expression:
+        """The stress of a region in a displacement."""
+        self.displacement.x.array[:] = displacement.x.array
+        for constant, value in zip(self.coefficients, e.coefficients, strict=True):
+            constant.value = value
+        if e.fibre:
+            self.fibre.value = e.fibre
+        return self.expression
+
+
+class Stresses:
+    """Stress at quadrature points of every elastic region, compiled once."""
+
+    def __init__(self, problem: Problem, timing: Timing) -> None:
+        """Compile the stress of each region; collective."""
+        self._problem, self._timing = problem, timing
+        # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
+        degree = 4 * (problem.scene.order - 1)
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        self._points, self._weights = (np.asarray(a) for a in quadrature)
+        elastic, setting = problem.scene.elastic, problem.mechanics.growth
+        self.cells = {e.region: problem.mechanics.region_cells(e.region) for e in elastic}
+        plain = [
+            e for e in elastic if not e.eigenstrains and e.region not in problem.mechanics.swelling
+        ]
+        self._plain = {e.region: e for e in plain if e.region not in setting}
+        kinds = {bool(e.fibre): e for e in self._plain.values()}
+        self._laws = {kind: self._law(e) for kind, e in kinds.items()}
+        self._expressions = {
+            e.region: self._expression(e)
+            for e in elastic
+            if e.region not in setting and e.region not in self._plain
+        }
+        # Where stress is history it is known at the points where it was summed up.
+        self._history = {r: s for s in problem.setting for r in setting}
+
+    def _law(self, e: Elastic) -> _Law:
+        """Stress of any region without free strain that has the same law as this one."""
+        mesh, v = self._problem.tagged.mesh, fem.Function(self._problem.space)
+        coefficients = [fem.Constant(mesh, np.array(c)) for c in e.coefficients]
+        fibre = fem.Constant(mesh, np.array(e.fibre or (0.0, 0.0, 1.0)))
+        σ = elasticity.stress(
+            lambda strain: e.energy(strain, coefficients, fibre), elasticity.strain(v)
+        )
+        with self._timing.phase("compile"):
+            expression = fem.Expression(σ, self._points, comm=self._problem.comm)
+        return _Law(expression, v, coefficients, fibre)
+
+    def _expression(self, e: Elastic) -> fem.Expression:
+        problem, mechanics = self._problem, self._problem.mechanics
+        v = problem.displacements()[problem.bodies.of_region[e.region]]
+        ε = mechanics.elastic_strain(e, v)
+        σ = elasticity.stress(lambda strain: mechanics.energy_density(e, strain), ε)
+        with self._timing.phase("compile"):
+            return fem.Expression(σ, self._points, comm=problem.comm)
+
+    def evaluate(self, region: str) -> Floats:
+        """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
+        if region in self._history:
+            return self._history[region].stress(region)
+        cells = self.cells[region]
+        if not len(cells):
+            return np.zeros((0, len(self._points), 3, 3))
+        if region in self._plain:
+            e, body = self._plain[region], self._problem.bodies.of_region[region]
+            expression = self._laws[bool(e.fibre)].of(e, self._problem.displacements()[body])
+        else:
+            expression = self._expressions[region]
+        values = expression.eval(self._problem.tagged.mesh, cells)
+        return values.reshape(len(cells), len(self._points), 3, 3)
+
+    def at(self, region: str) -> Floats:
+        """Points of a region's cells, in the reference cell (points, 3)."""
+        history = self._history.get(region)
+        return self._points if history is None else history.points
+
+    def shares(self, region: str) -> Floats:
+        """Part of a cell that each of its points stands for (points,)."""
+        history = self._history.get(region)
+        weights = self._weights if history is None else history.weights
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+    def mean(self, region: str) -> Floats:
+        """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
+        share = self.shares(region)
+        return np.asarray(np.einsum("q,cqij->cij", share, self.evaluate(region)))
+
+    def places(self, region: str) -> tuple[Floats, Floats]:
+        """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
+        mesh = self._problem.tagged.mesh
+        (element, *_) = mesh.ufl_domain().ufl_coordinate_element().sub_elements
+        N, *dN = element.tabulate(1, self.at(region))
+        x = mesh.geometry.x[mesh.geometry.dofmap[self.cells[region]]]
+        measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
+        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * self.shares(region)
+
+    def energy_density(self, region: str) -> Floats:
+        r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
+
+        The strain is that which the region's law gives the stress: what is free of stress, such as
+        thermal strain, has no part in it.
+        """
+        (e,) = (e for e in self._problem.scene.elastic if e.region == region)
+        σ = self.evaluate(region)
+        components = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
+        # Each of the last three stands for two entries of the tensors.
+        twice = np.diag([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+        S = twice @ np.linalg.inv(_stiffness(e))
+        return np.einsum("cqi,ij,cqj->cq", components, S, components)
+
+    def region(self, region: str) -> dict[str, Any]:
+        """Published stresses of a region; collective."""
+        σ = self.evaluate(region).reshape(-1, 3, 3)
+        x, volumes = self.places(region)
+        mean = np.trace(σ, axis1=1, axis2=2) / 3
+        deviator = σ - mean[:, None, None] * np.eye(3)
+        eigen = np.linalg.eigvalsh(σ)
+        local = np.column_stack(
+            [
+                np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)),
+                _hoop(σ, x),
+                eigen[:, 2],
+                eigen[:, 0],
+                mean,
+                volumes.ravel(),
+            ]
+        )
+        pieces = self._problem.comm.gather(local)
+        result: dict[str, Any] = {}
+        if pieces is not None:
+            mises, hoop, principal, least, mean, volume = np.concatenate(pieces).T
+            result = {
+                "von_mises_max": float(mises.max()),
+                "von_mises_p99": percentile(mises, volume),
+                "hoop_p99": percentile(hoop, volume),
+                "principal_max": float(principal.max()),
+                "principal_p99": percentile(principal, volume),
+                "principal_min": float(least.min()),
+                "mean_stress_min": float(mean.min()),
+                "mean_stress_max": float(mean.max()),
+                "volume": float(volume.sum()),
+                "volume_over_5_8_10_MPa": [
+                    float(volume[principal > level].sum()) for level in STRESS_LEVELS
+                ],
+            }
+        return dict(self._problem.comm.bcast(result))
+
+
+def _stiffness(e: Elastic) -> Floats:
+    """Stress components (6, 6) of unit strains, in the order of `COMPONENTS` [MPa]."""
+
+    def law(ε: Any) -> Any:
+        return e.energy(ε, e.coefficients, as_vector(e.fibre or (0.0, 0.0, 1.0)))
+
+    columns = []
+    for unit in np.eye(6):
+        σ = elasticity.stress(law, elasticity.symmetric([float(c) for c in unit]))
+        columns.append([float(σ[i, j](())) for i, j in COMPONENTS])
+    return np.array(columns).T
+
+
+def _volumes_and_centres(problem: Problem, cells: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Volume (c,) [mm3] and centroid (c, 3) [mm] of cells, from their vertices."""
+    geometry = problem.tagged.mesh.geometry
+    x = geometry.x[geometry.dofmap[cells][:, :4]]
+    return np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6, x.mean(axis=1)
+
+
+def _hoop(σ: Floats, x: Floats) -> Floats:
+    """Stress around the model's z axis (n,) [MPa]."""
+    r = np.hypot(x[:, 0], x[:, 1])
+    r = np.where(r > 0, r, 1.0)
+    t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, np.zeros(len(x))])
+    return np.einsum("pi,pij,pj->p", t, σ, t)
+
+
+def stem_motion(problem: Problem, implant: Sequence[str], bone: Sequence[str]) -> dict[str, float]:
+    """Rigid motion of the implant against the bone (best fits over their volumes).
+
+    Subsidence [mm] is distal (-z), retroversion [deg] turns the medial side (x) towards posterior
+    (-y), varus [deg] tilts the top of the stem towards medial.
+
+    Args:
+        problem: The problem, solved.
+        implant: Regions of the implant.
+        bone: Regions of bone; without these or those there is no such motion.
+    """
+    if not implant or not bone:
+        return {}
+    stem_t, stem_ω, centre = _rigid_fit(problem, implant)
+    bone_t, bone_ω, bone_centre = _rigid_fit(problem, bone)
+    t = stem_t - bone_t - np.cross(bone_ω, centre - bone_centre)
+    ω = np.rad2deg(stem_ω - bone_ω)
+    return {
+        "subsidence": float(-t[2]),
+        "retroversion": float(-ω[2]),
+        "varus": float(ω[1]),
+    }
+
+
+def _rigid_fit(problem: Problem, regions: Sequence[str]) -> tuple[Floats, Floats, Floats]:
+    """Least-squares rigid motion of regions, weighted by volume: translation, rotation, centre."""
+    comm, displacements = problem.comm, problem.displacements()
+    xs: list[Floats] = []
+    us: list[Floats] = []
+    ws: list[Floats] = []
+    layout = problem.space.dofmap.dof_layout
+    corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
+    for r in regions:
+        cells = problem.mechanics.region_cells(r)
+        volumes, centres = _volumes_and_centres(problem, cells)
+        v = displacements[problem.bodies.of_region[r]].x.array.reshape(-1, 3)
+        us.append(v[problem.space.dofmap.list[cells][:, corner]].mean(axis=1))
+        xs.append(centres)
+        ws.append(volumes)
+    x, u, w = np.concatenate(xs), np.concatenate(us), np.concatenate(ws)
+
+    def total(values: NDArray[np.floating[Any]]) -> Floats:
+        return np.asarray(comm.allreduce(np.einsum("p,p...->...", w, values), MPI.SUM))
+
+    volume = total(np.ones(len(w)))
+    centre, t = total(x) / volume, total(u) / volume
+    ξ, η = x - centre, u - t
+    second = total(np.einsum("pi,pj->pij", ξ, ξ))
+    inertia = np.trace(second) * np.eye(3) - second
+    return t, np.linalg.solve(inertia, total(np.cross(ξ, η))), centre

@@ -1,0 +1,292 @@
+"""Bodies of a scene on its mesh: which regions move together, and where they meet.
+
+A body is a set of regions that no contact interface separates. The functions here read the
+distributed mesh (regions, boundaries, facets between regions); `meshes.interfaces` then works on
+the gathered facets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import basix
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.errors import InputError
+from mantle.meshes.distribute import TaggedMesh
+from mantle.meshes.interfaces import Holds, InterfaceFacets, gather, sorted_facets
+from mantle.scene.terms import Contact, RigidBody, Support, ThermalContact
+
+Ints = NDArray[np.int64]
+
+FACET_VERTICES = basix.topology(basix.CellType.tetrahedron)[2]
+FACET_EDGES = basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2]
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Bodies of a scene.
+
+    Attributes:
+        names: Name of each body: its regions joined by " + ".
+        of_region: Body of each region name.
+        of_tag: Body of each cell tag (length: largest tag + 1), -1 where there is no region.
+    """
+
+    names: tuple[str, ...]
+    of_region: dict[str, int]
+    of_tag: Ints
+
+
+@dataclass(frozen=True)
+class FacetCells:
+    """Facets that this rank owns with their cells (n,) and local numbers in those cells (n,)."""
+
+    facets: Ints
+    cells: Ints
+    local: Ints
+
+
+def cell_tags(tagged: TaggedMesh) -> Ints:
+    """Region tag of every cell of this rank, ghosts included."""
+    index_map = tagged.mesh.topology.index_map(3)
+    tags = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
+    tags[tagged.cell_tags.indices] = tagged.cell_tags.values
+    return tags
+
+
+def bodies_of(
+    tagged: TaggedMesh, contacts: Sequence[Contact | ThermalContact], rigid: Sequence[RigidBody]
+) -> Bodies:
+    """Join regions that touch without a contact interface between them; collective.
+
+    Raises:
+        InputError: The two sides of a contact interface are joined elsewhere.
+    """
+    tags = cell_tags(tagged)
+    names = {tag: name for name, tag in tagged.regions.items()}
+    _, first, second = _interior(tagged)
+    low, high = np.minimum(tags[first], tags[second]), np.maximum(tags[first], tags[second])
+    pairs = {(int(a), int(b)) for a, b in zip(low, high, strict=True) if a != b}
+    pairs = set().union(*tagged.mesh.comm.allgather(pairs))
+    separated = {
+        frozenset((tagged.regions[a], tagged.regions[b]))
+        for c in contacts
+        for a in c.master
+        for b in c.slave
+    }
+    group = {tag: tag for tag in names}
+    for a, b in sorted(pairs):
+        if frozenset((a, b)) in separated:
+            continue
+        old, new = group[b], group[a]
+        group = {t: new if g == old else g for t, g in group.items()}
+    # Where supports hold both sides of a jump the first body is the base: the rigid one, if any.
+    stiff = {group[tagged.regions[r.region]] for r in rigid}
+
+    def place(label: int) -> tuple[bool, int]:
+        return label not in stiff, min(t for t in group if group[t] == label)
+
+    labels = sorted(set(group.values()), key=place)
+    number = {g: k for k, g in enumerate(labels)}
+    of_region = {name: number[group[tag]] for tag, name in sorted(names.items())}
+    for c in contacts:
+        shared = {of_region[r] for r in c.master} & {of_region[r] for r in c.slave}
+        if shared:
+            raise InputError(
+                f"interfaces.{c.name}: its two sides are joined by other regions that are bonded "
+                "to both; allowed: an interface that separates two bodies"
+            )
+    of_tag = np.full(max(names) + 1, -1, dtype=np.int64)
+    for tag, name in names.items():
+        of_tag[tag] = of_region[name]
+    return Bodies(
+        tuple(" + ".join(r for r, b in of_region.items() if b == k) for k in range(len(labels))),
+        of_region,
+        of_tag,
+    )
+
+
+def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
+    """Facets of a named boundary that this rank owns, each with its one cell.
+
+    Raises:
+        InputError: It is none of this mesh: a surface of a file that lies inside, or is empty.
+    """
+    mesh = tagged.mesh
+    if boundary not in tagged.boundaries:
+        raise InputError(
+            f"boundary '{boundary}' is no part of the surface of this mesh; it has "
+            f"{', '.join(tagged.boundaries)}"
+        )
+    facets = np.concatenate([tagged.facet_tags.find(t) for t in tagged.boundaries[boundary]])
+    facets = np.unique(facets[facets < mesh.topology.index_map(2).size_local]).astype(np.int64)
+    link = mesh.topology.connectivity(2, 3)
+    cells = link.array[link.offsets[facets]].astype(np.int64)
+    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells))
+
+
+def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints, Ints]:
+    """Owned facets with two cells, and these cells."""
+    topology = tagged.mesh.topology
+    link = topology.connectivity(2, 3)
+    owned = topology.index_map(2).size_local
+    inside = np.flatnonzero(np.diff(link.offsets)[:owned] == 2)
+    start = link.offsets[inside]
+    return inside, link.array[start].astype(np.int64), link.array[start + 1].astype(np.int64)
+
+
+def _local_numbers(tagged: TaggedMesh, facets: Ints, cells: Ints) -> Ints:
+    """Number of each facet within its cell."""
+    link = tagged.mesh.topology.connectivity(3, 2).array.reshape(-1, 4)
+    return np.argmax(link[cells] == facets[:, None], axis=1) if len(facets) else facets
+
+
+def contact_facets(
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    contacts: Sequence[Contact | ThermalContact],
+    moduli: Mapping[str, float],
+) -> InterfaceFacets:
+    """Facets of all contact interfaces, replicated in canonical order; collective.
+
+    Args:
+        tagged: The mesh.
+        bodies: Its bodies.
+        space: The space of what jumps.
+        contacts: The interfaces.
+        moduli: How stiff regions are: jumps move the softer side. Others count as zero.
+
+    Raises:
+        InputError: An interface has no facets on this mesh.
+    """
+    tags = cell_tags(tagged)
+    facets, first, second = _interior(tagged)
+    side = np.zeros((len(contacts), len(bodies.of_tag)), dtype=np.int64)
+    for i, c in enumerate(contacts):
+        side[i, [tagged.regions[r] for r in c.master]] = 1
+        side[i, [tagged.regions[r] for r in c.slave]] = 2
+    rows: list[tuple[Ints, Ints, Ints, Ints]] = []
+    for i in range(len(contacts)):
+        a, b = side[i, tags[first]], side[i, tags[second]]
+        for on_master, on_slave, pick in (
+            (first, second, (a == 1) & (b == 2)),
+            (second, first, (a == 2) & (b == 1)),
+        ):
+            n = int(pick.sum())
+            rows.append((np.full(n, i), facets[pick], on_master[pick], on_slave[pick]))
+    interface, facet, master, slave = (np.concatenate([r[k] for r in rows]) for k in range(4))
+    counts = tagged.mesh.comm.allreduce(np.bincount(interface, minlength=len(contacts)), MPI.SUM)
+    for c, count in zip(contacts, counts, strict=True):
+        if count == 0:
+            raise InputError(
+                f"interfaces.{c.name}: its two sides share no facet of the mesh; allowed: regions "
+                "that touch on a conforming mesh"
+            )
+    vertices, vertex_dofs, edge_dofs, x, inside = _facet_nodes(
+        tagged, space, FacetCells(facet, slave, _local_numbers(tagged, facet, slave))
+    )
+    stiffness = np.zeros(len(bodies.of_tag))
+    for region, modulus in moduli.items():
+        stiffness[tagged.regions[region]] = modulus
+    return sorted_facets(
+        tagged.mesh.comm,
+        interface,
+        vertices,
+        bodies.of_tag[tags[master]],
+        bodies.of_tag[tags[slave]],
+        vertex_dofs,
+        edge_dofs,
+        x,
+        inside,
+        stiffness[np.stack([tags[master], tags[slave]], axis=1)],
+    )
+
+
+def _facet_nodes(
+    tagged: TaggedMesh, space: fem.FunctionSpace, f: FacetCells
+) -> tuple[Ints, Ints, Ints, NDArray, NDArray]:
+    """Vertex numbers, vertex dofs, edge dofs, coordinates of facets, and a point in their cells."""
+    geometry = tagged.mesh.geometry
+    at = np.array(FACET_VERTICES)[f.local].reshape(-1, 3)
+    nodes = np.take_along_axis(geometry.dofmap[f.cells], at, axis=1)
+    layout = space.dofmap.dof_layout
+    dofs = space.dofmap.list[f.cells]
+    vertex_local = np.array([layout.entity_dofs(0, v)[0] for v in range(4)])
+    vertex_dofs = np.take_along_axis(dofs, vertex_local[at], axis=1)
+    index_map = space.dofmap.index_map
+
+    def globally(local: NDArray) -> Ints:
+        flat = np.ascontiguousarray(local, dtype=np.int32).ravel()
+        return index_map.local_to_global(flat).reshape(local.shape).astype(np.int64)
+
+    edge_dofs: Ints = np.zeros((len(f.cells), 0), dtype=np.int64)
+    if layout.num_entity_dofs(1):
+        edge_local = np.array([layout.entity_dofs(1, e)[0] for e in range(6)])
+        edges = np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
+        edge_dofs = globally(np.take_along_axis(dofs, edge_local[edges], axis=1))
+    x, centre = facet_coordinates(tagged, f)
+    numbers = np.asarray(geometry.input_global_indices)[nodes].astype(np.int64)
+    return numbers, globally(vertex_dofs), edge_dofs, x, centre
+
+
+def facets_between(tagged: TaggedMesh, inside: Sequence[str], outside: Sequence[str]) -> FacetCells:
+    """Facets between regions whose cell inside this rank owns, with that cell."""
+    tags, topology = cell_tags(tagged), tagged.mesh.topology
+    link = topology.connectivity(2, 3)
+    facets = np.flatnonzero(np.diff(link.offsets) == 2)
+    pairs = link.array[link.offsets[facets][:, None] + np.arange(2)].astype(np.int64)
+    mine, other = (
+        np.isin(tags[pairs], [tagged.regions[r] for r in side]) for side in (inside, outside)
+    )
+    found = mine & other[:, ::-1] & (pairs < topology.index_map(3).size_local)
+    rows, side = np.nonzero(found)
+    facets, cells = facets[rows].astype(np.int64), pairs[rows, side]
+    return FacetCells(facets, cells, _local_numbers(tagged, facets, cells))
+
+
+def facet_coordinates(tagged: TaggedMesh, f: FacetCells) -> tuple[NDArray, NDArray]:
+    """Nodes of facets, vertices first (f, 3 or 6, 3), and centres of their cells (f, 3) [mm]."""
+    geometry = tagged.mesh.geometry
+    at: NDArray = np.array(FACET_VERTICES)[f.local].reshape(-1, 3)
+    if geometry.dofmap.shape[1] == 10:
+        middles = 4 + np.array([c[1] for c in FACET_EDGES])[f.local].reshape(-1, 3)
+        at = np.hstack([at, middles])
+    x = geometry.x[np.take_along_axis(geometry.dofmap[f.cells], at, axis=1)]
+    return x, geometry.x[geometry.dofmap[f.cells][:, :4]].mean(axis=1).reshape(-1, 3)
+
+
+def held_vertices(
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    supports: Sequence[Support],
+    vertices: Ints,
+) -> Holds:
+    """Which of the given vertices supports hold, body by body; collective."""
+    none = np.zeros(0, dtype=np.int64)
+    found: list[tuple[Ints, Ints, Ints]] = [(none, none, none)]
+    tags = cell_tags(tagged)
+    for s, support in enumerate(supports):
+        f = boundary_facets(tagged, support.boundary)
+        corners = _facet_nodes(tagged, space, f)[0].ravel()
+        owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)
+        near = np.isin(corners, vertices)
+        found.append((corners[near], owners[near], np.full(int(near.sum()), s)))
+    columns = [np.concatenate([f[k] for f in found]) for k in range(3)]
+    number, body, support_of = gather(tagged.mesh.comm, *columns)
+    keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
+    held = np.full((len(keys), 3), -1, dtype=np.int64)
+    # A support that holds in every stage goes before one that is let go of.
+    for s in sorted(range(len(supports)), key=lambda s: all(supports[s].active)):
+        support = supports[s]
+        here = np.unique(row.reshape(-1)[support_of == s])
+        for c in np.flatnonzero(support.components):
+            held[here, c] = s
+    return Holds(keys[:, 0], keys[:, 1], held)

@@ -1,0 +1,195 @@
+"""From the configuration to the scene: the only place that chooses what is solved.
+
+One ``match`` per choice, each arm returning a tuple of terms; what a case does not contain is an
+empty tuple.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mantle.forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
+from mantle.scene.build_heat import field, heat
+from mantle.scene.terms import (
+    BodyForce,
+    Contact,
+    Eigenstrain,
+    Elastic,
+    Field,
+    Force,
+    Foundation,
+    Load,
+    Pressure,
+    RigidBody,
+    Scene,
+    Stage,
+    Support,
+)
+from mantle.schema import config
+from mantle.schema.shapes import Sides
+
+
+def build(case: config.Case) -> Scene:
+    """Choose the terms of a case."""
+    stages = len(case.stages)
+    elastic = tuple(term for name, r in case.regions.items() for term in _elastic(name, r, stages))
+    moduli = {e.region: e.modulus for e in elastic}
+    sides = {
+        name: _stiffer_first(pair, moduli) for name, pair in case.geometry.interface_sides.items()
+    }
+    return Scene(
+        order=case.mesh.order,
+        elastic=elastic,
+        rigid=tuple(
+            RigidBody(name) for name, r in case.regions.items() if isinstance(r, config.Rigid)
+        ),
+        foundations=tuple(f for s in case.supports.values() for f in _foundation(s)),
+        supports=tuple(
+            term for name, s in case.supports.items() for term in _support(name, s, case.stages)
+        ),
+        loads=tuple(_load(name, load, moduli, stages) for name, load in case.loads.items()),
+        contacts=tuple(
+            term
+            for name, law in case.interfaces.items()
+            for term in _contact(name, law, sides[name], moduli, stages)
+        ),
+        stages=tuple(
+            Stage(s.name, s.increments, s.adaptive, s.max_cut_backs, s.duration or 0.0, s.steady)
+            for s in case.stages
+        ),
+        **heat(case, sides),
+    )
+
+
+def _history(values: tuple[float, ...] | None, stages: int) -> tuple[float, ...]:
+    return values if values is not None else (1.0,) * stages
+
+
+def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ...]:
+    match region:
+        case config.Isotropic():
+            return (
+                Elastic(
+                    name,
+                    isotropic_coefficients(region.youngs_modulus, region.poisson_ratio),
+                    (),
+                    region.youngs_modulus,
+                    _eigenstrains(region.eigenstrains, stages),
+                ),
+            )
+        case config.TransverselyIsotropic():
+            return (
+                Elastic(
+                    name,
+                    transversely_isotropic_coefficients(
+                        region.axial_youngs_modulus,
+                        region.transverse_youngs_modulus,
+                        region.axial_poisson_ratio,
+                        region.transverse_poisson_ratio,
+                        region.axial_shear_modulus,
+                    ),
+                    region.fibre,
+                    max(region.axial_youngs_modulus, region.transverse_youngs_modulus),
+                    _eigenstrains(region.eigenstrains, stages),
+                ),
+            )
+        case _:
+            return ()
+
+
+def _eigenstrains(strains: tuple[config.Eigenstrain, ...], stages: int) -> tuple[Eigenstrain, ...]:
+    return tuple(Eigenstrain(s.strain, _history(s.history, stages)) for s in strains)
+
+
+def _foundation(support: config.Support) -> tuple[Foundation, ...]:
+    match support:
+        case config.Foundation():
+            return (Foundation(support.boundary, support.stiffness),)
+        case _:
+            return ()
+
+
+def _support(
+    name: str, support: config.Support, stages: tuple[config.Stage, ...]
+) -> tuple[Support, ...]:
+    match support:
+        case config.Fixed():
+            given: tuple[float | str | None, ...] = (0.0, 0.0, 0.0)
+            history = None
+        case config.Roller():
+            given = tuple(0.0 if axis == support.axis else None for axis in "xyz")
+            history = None
+        case config.Displacement():
+            given, history = (support.x, support.y, support.z), support.history
+        case _:
+            return ()
+    x, y, z = (value is not None for value in given)
+    values = _vector(f"supports.{name}", dict(zip("xyz", given, strict=True)))
+    held = support.stages
+    active = () if held is None else tuple(stage.name in held for stage in stages)
+    factors = _history(history, len(stages))
+    return (Support(name, support.boundary, (x, y, z), values, factors, active),)
+
+
+def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int) -> Load:
+    history = _history(load.history, stages)
+    match load:
+        case config.Force():
+            return Force(name, load.boundary, load.force, tuple(load.at or ()), history)
+        case config.Pressure():
+            return Pressure(name, load.boundary, load.pressure, history)
+        case config.BodyForce():
+            regions = tuple(moduli) if load.regions is None else tuple(load.regions)
+            density = {f"density[{i}]": value for i, value in enumerate(load.density)}
+            return BodyForce(name, regions, _vector(f"loads.{name}", density), history)
+
+
+def _contact(
+    name: str,
+    law: config.Interface,
+    sides: Sides,
+    moduli: Mapping[str, float],
+    stages: int,
+) -> tuple[Contact, ...]:
+    """A contact term between a master and a slave; a bonded interface is none at all."""
+    match law:
+        case config.Bonded():
+            return ()
+        case config.Contact():
+            augmented, stiffness = True, law.augmentation or 0.0
+        case config.Penalty():
+            augmented, stiffness = False, law.penalty
+    master, slave = sides
+    return (
+        Contact(
+            name=name,
+            master=master,
+            slave=slave,
+            frictional=law.friction_coefficient > 0,
+            friction=law.friction_coefficient,
+            augmented=augmented,
+            stiffness=stiffness,
+            modulus=_stiffness(slave, moduli),
+            gap=field(f"interfaces.{name}.gap", law.gap),
+            history=law.gap_history or (),
+        ),
+    )
+
+
+def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:
+    """Largest modulus on a side of an interface; of a rigid one larger than any."""
+    return max(moduli.get(region, np.inf) for region in side)
+
+
+def _stiffer_first(sides: Sides, moduli: Mapping[str, float]) -> Sides:
+    """Master and slave: the softer side carries the jump."""
+    a, b = (tuple(side) for side in sides)
+    return (a, b) if _stiffness(a, moduli) >= _stiffness(b, moduli) else (b, a)
+
+
+def _vector(key: str, components: Mapping[str, float | str | None]) -> Field:
+    """Three of them as one: shape (n, 3), zero where there is none."""
+    fields = [field(f"{key}.{name}", value or 0.0) for name, value in components.items()]
+    return lambda x: np.stack([component(x) for component in fields], axis=1)

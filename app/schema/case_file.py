@@ -1,0 +1,453 @@
+"""A YAML file as plain data that remembers where each key stood.
+
+YAML 1.2 by ruamel.yaml's parser; the tree is built here, so that every duplicate key is found at
+once, anchors cannot blow up, and each value keeps its line and column.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.composer import Composer
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.reader import ReaderError
+
+from mantle.errors import InputError
+
+Path = tuple[str | int, ...]
+MOST_NODES = 100_000
+DEEPEST = 50
+TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
+LARGEST = 4 << 20
+# The longest value that means anything is an expression (app/schema/expressions.py).
+LONGEST = 10_000
+# What a mapping or list may be marked as: nothing but itself.
+PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
+# A message that begins with a key, and a step of that.
+KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
+STEP = re.compile(r"[\w-]+")
+# Sorting key of what has no place in the file.
+LAST = (1 << 30, 0)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One defect of the input.
+
+    Attributes:
+        path: Keys from the top to the value it concerns.
+        text: What is wrong; what is allowed.
+    """
+
+    path: Path
+    text: str
+
+
+@dataclass
+class CaseFile:
+    """The content of a case file with the overrides applied.
+
+    Attributes:
+        name: The file as the user named it.
+        data: Mappings, lists and scalars.
+        places: Where each path stands: (line, column), counted from 1, or the override's key.
+        complaints: Defects found while reading, each with its sorting key, as lines.
+    """
+
+    name: str
+    data: dict[str, Any] = field(default_factory=dict)
+    places: dict[Path, tuple[int, int] | str] = field(default_factory=dict)
+    complaints: list[tuple[tuple[int, int], str]] = field(default_factory=list)
+
+    def raise_all(self, problems: Sequence[Problem]) -> None:
+        """Raise one error for all problems, in the order of the file.
+
+        Raises:
+            InputError: There is at least one problem, here or found while reading.
+        """
+        lines = [*self.complaints, *(self._locate(p) for p in problems)]
+        if lines:
+            raise InputError(list(dict.fromkeys(printable(text) for _, text in sorted(lines))))
+
+    @contextmanager
+    def placing(self) -> Iterator[None]:
+        """Put the place in the file before errors that begin with one of its keys.
+
+        Raises:
+            InputError: One was raised within.
+        """
+        try:
+            yield
+        except InputError as error:
+            raise InputError([self._placed(m) for m in error.messages]) from error
+
+    def _placed(self, message: str) -> str:
+        """A message with its place, if it begins with a key."""
+        found = KEYED.fullmatch(message)
+        path = tuple(int(i) if i.isdigit() else i for i in STEP.findall(found[1])) if found else ()
+        if found is None or path[0] not in self.data:
+            return message
+        return self._locate(Problem(path, found[2]))[1]
+
+    def _locate(self, problem: Problem) -> tuple[tuple[int, int], str]:
+        """Sorting key and line of a problem: the place of its key, or of the nearest above."""
+        for n in range(len(problem.path), -1, -1):
+            if (place := self.places.get(problem.path[:n])) is not None:
+                break
+        else:
+            place = (1, 1)
+        key = path_text(problem.path)
+        if isinstance(place, str):
+            inner = "" if key == place else f"{key}: "
+            return LAST, f"--set {place}: {inner}{problem.text}"
+        start = f"{self.name}:{place[0]}:{place[1]}: "
+        return place, start + (f"{key}: {problem.text}" if key else problem.text)
+
+
+def printable(text: str) -> str:
+    """A message on one line, without what would steer a terminal, and not endless."""
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return shown if len(shown) <= LONGEST else f"{shown[:LONGEST]} ..."
+
+
+def path_text(path: Path) -> str:
+    """``("stages", 0, "name")`` as ``stages[0].name``."""
+    text = ""
+    for item in path:
+        word = str(item) if len(str(item)) <= 100 else f"{str(item)[:96]}..."
+        text += f"[{word}]" if isinstance(item, int) else f".{word}" if text else word
+    return text
+
+
+def located(message: str, changes: Iterable[str], path: Path) -> Problem | None:
+    """A defect of a value that overrides put into a case, at its key; None if it is of no such.
+
+    Args:
+        message: A message about the case.
+        changes: Keys of the overrides.
+        path: Where they stand in the file.
+    """
+    for key in changes:
+        if message.startswith(start := f"--set {key}: "):
+            return Problem((*path, key), message.removeprefix(start))
+    return None
+
+
+def clashes(overrides: Iterable[str], varied: Mapping[Path, str]) -> list[Problem]:
+    """Options that hold for every case, of keys that vary from case to case: one would be in vain.
+
+    Args:
+        overrides: ``--set`` options.
+        varied: Keys that vary, by where they stand in the file.
+    """
+    return [
+        Problem(place, f"varies, but --set {given} holds for every case; leave one of them out")
+        for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
+        for place, key in varied.items()
+        if all(a == b for a, b in zip(words(given), words(key), strict=False))
+    ]
+
+
+def words(key: str) -> list[str]:
+    """The words of an override key: ``a.b[0].c`` are a, b, 0, c."""
+    return re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
+
+
+def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
+    """Read a case file and apply overrides.
+
+    Args:
+        path: The file.
+        overrides: ``a.b.c=value`` each, the value in YAML.
+
+    Raises:
+        InputError: The file cannot be read or is not YAML.
+    """
+    case = CaseFile(str(path))
+    text = _text(path)
+    try:
+        node = _compose(text)
+        if node is None:
+            raise _BadYaml("the file is empty; expected a mapping with geometry, mesh, regions")
+        if not isinstance(node, MappingNode):
+            raise _BadYaml("expected a mapping with geometry, mesh, regions", _mark(node))
+        case.data = _Builder(case).value(node, ())
+    except _BadYaml as error:
+        line, column = error.place
+        raise InputError([printable(f"{path}:{line}:{column}: {error.text}")]) from error
+    _apply(case, overrides)
+    return case
+
+
+def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
+    """A copy with more overrides applied; the file itself is not read again."""
+    copy = CaseFile(case.name, deepcopy(case.data), dict(case.places))
+    _apply(copy, overrides)
+    return copy
+
+
+def _apply(case: CaseFile, overrides: Sequence[str]) -> None:
+    for override in overrides:
+        try:
+            _override(case, override)
+        except _BadYaml as error:
+            place = f"--set {override.partition('=')[0]}"
+            case.complaints.append((LAST, f"{path_text((place,))}: {error.text}"))
+
+
+class _BadYaml(Exception):
+    """A syntax error and its place."""
+
+    def __init__(self, text: str, place: tuple[int, int] = (1, 1)) -> None:
+        self.text, self.place = text, place
+        super().__init__(text)
+
+
+def _text(path: FilePath) -> str:
+    """The text of a file.
+
+    Raises:
+        InputError: Missing, a folder, unreadable, too large or not UTF-8.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(LARGEST + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; expected a YAML file") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:  # a null character in the name
+        raise InputError(printable(f"{path}: cannot be read: {error}")) from error
+    if len(raw) > LARGEST:
+        raise InputError(f"{path}: is larger than {LARGEST >> 20} MB; no case is")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
+        raise InputError(
+            f"{path}:{line}:{column}: not UTF-8 text (byte 0x{raw[error.start]:02x})"
+        ) from error
+
+
+def _compose(text: str) -> Node | None:
+    """The node tree of a YAML text.
+
+    Raises:
+        _BadYaml: A syntax error.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # an anchor may be set again
+            # Without `pure` ruamel would use libyaml, which knows YAML 1.1 only.
+            yaml = YAML(typ="safe", pure=True)
+            yaml.Composer = _Counting
+            return yaml.compose(io.StringIO(text))
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = (mark.line + 1, mark.column + 1) if mark else (1, 1)
+        problem = " ".join(str(error.problem or error.context).split())
+        line = text.splitlines()[place[0] - 1 : place[0]] if mark else []
+        hint = ""
+        if line and re.search(r":\s*\[[^\]]*\]\s*[A-Za-z]", line[0]):
+            hint = '; a list with one unit needs quotes: "[0, 0, -1800] N"'
+        elif "\\t" in problem:
+            hint = "; indent with spaces"
+        raise _BadYaml(f"not valid YAML: {problem}{hint}", place) from error
+    except ReaderError as error:
+        before = text[: error.position]
+        line_number, column = before.count("\n") + 1, error.position - before.rfind("\n")
+        raise _BadYaml(
+            "not valid YAML: a control character is not allowed", (line_number, column)
+        ) from error
+    except (YAMLError, RecursionError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
+        raise _BadYaml(f"not valid YAML: {reason}") from error
+
+
+class _Counting(Composer):
+    """Stops at a text that is too long to be a case: reading on takes seconds per megabyte."""
+
+    nodes = 0
+
+    def compose_node(self, parent: Node | None, index: int) -> Node | None:
+        """The next node.
+
+        Raises:
+            _BadYaml: There are too many.
+        """
+        self.nodes += 1
+        if self.nodes > MOST_NODES:
+            mark = self.parser.peek_event().start_mark
+            raise _BadYaml(TOO_MANY, (mark.line + 1, mark.column + 1))
+        found: Node | None = super().compose_node(parent, index)
+        return found
+
+
+def _mark(node: Node) -> tuple[int, int]:
+    """Line and column of a node, from 1."""
+    return node.start_mark.line + 1, node.start_mark.column + 1
+
+
+class _Builder:
+    """Turns nodes into data, noting places and duplicate keys, and refusing what no case needs."""
+
+    def __init__(self, case: CaseFile, override: str = "") -> None:
+        self.case, self.override, self.count = case, override, 0
+        self.scalars = YAML(typ="safe", pure=True)
+
+    def place(self, node: Node) -> tuple[int, int] | str:
+        """Where a node stands."""
+        return self.override or _mark(node)
+
+    def value(self, node: Node, path: Path) -> Any:
+        """The data of a node.
+
+        Raises:
+            _BadYaml: Too large, too deep or of a type without meaning here.
+        """
+        here = _mark(node)
+        self._count(len(path), here)
+        self.case.places.setdefault(path, self.place(node))
+        if not isinstance(node, ScalarNode) and str(node.tag) not in PLAIN_TAGS:
+            raise _BadYaml(f"the tag {node.tag} has no meaning here", here)
+        match node:
+            case ScalarNode():
+                return self._scalar(node, here)
+            case SequenceNode():
+                result = []
+                for i, item in enumerate(node.value):
+                    self.case.places.setdefault((*path, i), self.place(item))
+                    result.append(self.value(item, (*path, i)))
+                return result
+            case MappingNode():
+                return self._mapping(node, path)
+        raise _BadYaml("unexpected content", here)
+
+    def _count(self, depth: int, here: tuple[int, int]) -> None:
+        self.count += 1
+        if self.count > MOST_NODES or depth > DEEPEST:
+            raise _BadYaml(TOO_MANY, here)
+
+    def _mapping(self, node: MappingNode, path: Path, merging: int = 0) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        merged: list[Node] = []
+        self._count(merging, _mark(node))
+        for key_node, value_node in node.value:
+            place = self.place(key_node)
+            if not isinstance(key_node, ScalarNode):
+                raise _BadYaml("a key must be a plain word", _mark(key_node))
+            key = self._text(key_node)
+            if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
+                merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
+                continue
+            if key in result:
+                text = f"{path_text((*path, key))}: this key stands here twice; keep one"
+                if isinstance(place, str):
+                    raise _BadYaml(text)
+                line = f"{self.case.name}:{place[0]}:{place[1]}: {text}"
+                self.case.complaints.append((place, line))
+                continue
+            self.case.places.setdefault((*path, key), place)
+            result[key] = self.value(value_node, (*path, key))
+        for other in merged:
+            if not isinstance(other, MappingNode):
+                raise _BadYaml("<< needs a mapping", _mark(other))
+            for key, value in self._mapping(other, path, merging + 1).items():
+                result.setdefault(key, value)
+        return result
+
+    def _scalar(self, node: ScalarNode, here: tuple[int, int]) -> Any:
+        kind = str(node.tag).rpartition(":")[2]
+        if kind in ("str", "timestamp", "value"):
+            return self._text(node)
+        if kind not in ("null", "bool", "int", "float"):
+            raise _BadYaml(f"the tag {node.tag} has no meaning here", here)
+        try:
+            return self.scalars.constructor.construct_object(node)
+        # What is marked as a number or as true may be anything.
+        except (ValueError, LookupError, YAMLError) as error:
+            what = "true or false" if kind == "bool" else "a number"
+            raise _BadYaml(f"'{self._text(node)[:60]}' is not {what}", here) from error
+
+    def _text(self, node: ScalarNode) -> str:
+        """The text of a scalar.
+
+        Raises:
+            _BadYaml: Endless, or half of a character, which no file can hold.
+        """
+        text = str(node.value)
+        if len(text) > LONGEST:
+            raise _BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", _mark(node))
+        if any("\ud800" <= c <= "\udfff" for c in text):
+            raise _BadYaml("a surrogate is no character", _mark(node))
+        return text
+
+
+def _override(case: CaseFile, override: str) -> None:
+    """Apply ``a.b[0].c=value``.
+
+    Raises:
+        _BadYaml: Malformed, or it goes through something that is not a mapping or list.
+    """
+    key, equals, text = override.partition("=")
+    key = key.strip()
+    items = words(key)
+    if not equals or not all(items):
+        raise _BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
+    if len(items) > DEEPEST:
+        raise _BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
+    target: Any = case.data
+    path: Path = ()
+    for n, item in enumerate(items):
+        last = n == len(items) - 1
+        step: str | int = item
+        if isinstance(target, list):
+            if not re.fullmatch("[0-9]{1,6}", item) or int(item) >= len(target):
+                raise _BadYaml(
+                    f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'"
+                )
+            step = int(item)
+        elif not isinstance(target, dict):
+            raise _BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
+        path = (*path, step)
+        if not last:
+            if isinstance(target, dict) and target.get(item) is None:
+                target[item] = [{}] if items[n + 1] == "0" else {}
+                case.places[path] = key
+            target = target[step]
+    for old in [p for p in case.places if p[: len(path)] == path]:
+        del case.places[old]
+    case.places[path] = key
+    try:
+        node = _compose(text)
+    except _BadYaml:
+        # "[0, 0, -1] N" is not YAML without quotes, which the shell has already taken away.
+        if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
+            raise
+        target[step] = text
+    else:
+        target[step] = None if node is None else _Builder(case, key).value(node, path)
+
+
+def written(data: dict[str, Any]) -> str:
+    """Mappings, lists and scalars as YAML that `read` gives back."""
+    yaml: Any = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.width = 1 << 20
+    stream = io.StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()

@@ -1,0 +1,195 @@
+"""Checks of one part of a case against another: names, lengths of histories, what holds the model.
+
+They work on the parts that are valid by themselves, so that an error in one section does not hide
+those of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mantle.errors import Reason
+from mantle.schema import thermal_checks
+from mantle.schema.case_file import Path, Problem
+from mantle.schema.conditions import Bonded
+from mantle.schema.fields import did_you_mean
+from mantle.schema.materials import Conductor, Rigid
+from mantle.schema.study_options import OF_RUN
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The sections of a case; None for one that is missing or invalid by itself.
+
+    Of `time` it matters only whether it is there.
+    """
+
+    geometry: Any
+    regions: Mapping[str, Any] | None
+    interfaces: Mapping[str, Any]
+    supports: Mapping[str, Any] | None
+    loads: Mapping[str, Any]
+    heat: Mapping[str, Any]
+    time: bool
+    output: Any
+    stages: Any
+    study: Any
+
+
+def cross_check(parts: Parts) -> list[Problem]:
+    """Every contradiction between the parts."""
+    return [
+        *_names(parts),
+        *_histories(parts),
+        *_stage_names(parts),
+        *_support_stages(parts),
+        *_rigid(parts),
+        *_held(parts),
+        *thermal_checks.cross_check(parts),
+        *thermal_checks.probe_regions(parts),
+        *quantities(parts.geometry, parts.study),
+    ]
+
+
+def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Problem:
+    known = tuple(known)
+    allowed = f"it has {', '.join(known)}" if known else "it has none"
+    return Problem(
+        path, f"the geometry ({owner}) has no {what} '{name}'; {allowed}{did_you_mean(name, known)}"
+    )
+
+
+def _names(parts: Parts) -> Iterable[Problem]:
+    """Names that the geometry does not have, and regions without material."""
+    geometry = parts.geometry
+    if geometry is None:
+        return
+    kind = geometry.kind
+    regions, boundaries = geometry.region_names, geometry.boundary_names
+    if parts.regions is not None:
+        for name in parts.regions:
+            if name not in regions:
+                yield _unknown(("regions", name), "region", name, regions, kind)
+        if missing := [name for name in regions if name not in parts.regions]:
+            yield Problem(
+                ("regions",), f"no material for {', '.join(missing)}; every region needs one"
+            )
+        for name, region in parts.regions.items():
+            unsaid = name in regions and name not in geometry.tissues
+            if region is not None and region.tissue is None and unsaid:
+                text = "'tissue' is missing; expected bone, cement, implant or other"
+                yield Problem(("regions", name), text)
+    for name in parts.interfaces:
+        if name not in geometry.interface_sides:
+            yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
+    for section in ("supports", "loads", "heat"):
+        for name, entry in (getattr(parts, section) or {}).items():
+            boundary = getattr(entry, "boundary", None)
+            if boundary is not None and boundary not in boundaries:
+                yield _unknown((section, name, "boundary"), "boundary", boundary, boundaries, kind)
+            for i, region in enumerate(getattr(entry, "regions", None) or ()):
+                if region not in regions:
+                    yield _unknown((section, name, "regions", i), "region", region, regions, kind)
+
+
+def _histories(parts: Parts) -> Iterable[Problem]:
+    """Histories of another length than the stages."""
+    if parts.stages is None:
+        return
+    number = len(parts.stages)
+
+    def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Problem]:
+        if history is not None and len(history) != number:
+            names = ", ".join(s.name for s in parts.stages)
+            wanted = f"{number}, one for the end of each stage ({names})"
+            yield Problem(path, f"has {len(history)} values; expected {wanted}")
+
+    for section in ("interfaces", "supports", "loads"):
+        for name, entry in (getattr(parts, section) or {}).items():
+            for key in ("history", "gap_history"):
+                yield from check((section, name, key), getattr(entry, key, None))
+    for name, region in (parts.regions or {}).items():
+        for i, eigenstrain in enumerate(getattr(region, "eigenstrains", ())):
+            yield from check(("regions", name, "eigenstrains", i, "history"), eigenstrain.history)
+
+
+def _stage_names(parts: Parts) -> Iterable[Problem]:
+    """No stages, or two of the same name."""
+    if parts.stages is None:
+        return
+    if not parts.stages:
+        yield Problem(("stages",), "is empty; expected at least one stage")
+    names = [s.name for s in parts.stages]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            yield Problem(
+                ("stages", i, "name"),
+                f"'{name}' is the name of an earlier stage too; expected another",
+            )
+
+
+def _support_stages(parts: Parts) -> Iterable[Problem]:
+    """Supports that hold in stages that there are not."""
+    if parts.stages is None:
+        return
+    known = [stage.name for stage in parts.stages]
+    for name, support in (parts.supports or {}).items():
+        for i, stage in enumerate(getattr(support, "stages", None) or ()):
+            if stage not in known:
+                text = f"'{stage}' is not one of {', '.join(known)}{did_you_mean(stage, known)}"
+                yield Problem(("supports", name, "stages", i), text)
+
+
+def _rigid(parts: Parts) -> Iterable[Problem]:
+    """Rigid regions in contact with each other, and models without any elastic region."""
+    if parts.geometry is None or not parts.regions:
+        return
+    rigid = {name for name, region in parts.regions.items() if isinstance(region, Rigid)}
+    if rigid.issuperset(parts.geometry.region_names):
+        yield Problem(("regions",), "every region is rigid; at least one has to be elastic")
+        return
+    for name, law in parts.interfaces.items():
+        sides = parts.geometry.interface_sides.get(name)
+        if sides is None or law is None or isinstance(law, Bonded):
+            continue
+        if all(rigid & set(side) for side in sides):
+            regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
+            text = f"contact between rigid regions ({regions}); one side has to be elastic"
+            text += f" [{Reason.RIGID_CONTACT}]"
+            yield Problem(("interfaces", name), text)
+
+
+def _held(parts: Parts) -> Iterable[Problem]:
+    """Directions in which nothing keeps the whole model from moving."""
+    if parts.supports is None or any(support is None for support in parts.supports.values()):
+        return
+    if parts.regions and all(isinstance(r, Conductor) for r in parts.regions.values()):
+        return
+    limited = any(getattr(support, "stages", None) for support in parts.supports.values())
+    for stage in [s.name for s in parts.stages or ()] if limited else [""]:
+        held = {
+            axis
+            for support in parts.supports.values()
+            for axis in support.held_axes
+            if not (stages := getattr(support, "stages", None)) or stage in stages
+        }
+        when = f" in stage '{stage}'" if stage else ""
+        if free := [axis for axis in "xyz" if axis not in held]:
+            along = "" if len(free) == 3 else f" along {' and '.join(free)}"
+            allowed = "expected a support: fixed, roller, displacement or foundation"
+            text = f"nothing holds the model{along}{when}; {allowed} [{Reason.LOOSE_BODY}]"
+            yield Problem(("supports",), text)
+
+
+def quantities(geometry: Any, study: Any) -> Iterable[Problem]:
+    """Quantities of interfaces or regions that the geometry does not have."""
+    if geometry is None or study is None:
+        return
+    known = (*geometry.interface_sides, *geometry.region_names)
+    for i, quantity in enumerate(study.quantities):
+        name = quantity.partition(".")[0]
+        if name not in known and quantity not in OF_RUN:
+            path = ("study", "quantities", i)
+            yield _unknown(path, "interface or region", name, known, geometry.kind)

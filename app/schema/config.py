@@ -1,0 +1,412 @@
+"""The configuration of a case: schema, reading, writing.
+
+This is the one front for the rest of the program::
+
+    case = config.load(Path("case.yaml"), ["mesh.size=2 mm"])
+
+Everything downstream takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K,
+rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
+
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+
+from mantle.errors import InputError
+from mantle.schema import case_file, checks, study_options
+from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.conditions import (
+    BodyForce,
+    Bonded,
+    Contact,
+    Displacement,
+    Fixed,
+    Force,
+    Foundation,
+    Interface,
+    Load,
+    Penalty,
+    Pressure,
+    Roller,
+    Support,
+)
+from mantle.schema.expressions import evaluate
+from mantle.schema.fields import ITEMS, MAPPING, TAG, Model, Name, Text, did_you_mean, show
+from mantle.schema.geometries import (
+    Block,
+    Blocks,
+    Cylinders,
+    Femur,
+    Geometry,
+    IntactFemur,
+    MeshFile,
+    MeshOptions,
+)
+from mantle.schema.json_schema import docstrings, json_schema
+from mantle.schema.materials import (
+    Conductor,
+    Eigenstrain,
+    Isotropic,
+    Region,
+    Rigid,
+    TransverselyIsotropic,
+)
+from mantle.schema.run_options import OutputOptions, Probe, SolverOptions, Stage
+from mantle.schema.study_options import Study
+from mantle.schema.thermal_options import (
+    Autocatalytic,
+    Convection,
+    Cure,
+    FixedTemperature,
+    HeatCondition,
+    HeatFlux,
+    HeatSource,
+    Perfusion,
+    Prescribed,
+    PressureConductance,
+    Thermal,
+    TimeOptions,
+)
+from mantle.schema.variation_options import Variations, every, expand
+
+__all__ = [
+    "Autocatalytic",
+    "Block",
+    "Blocks",
+    "BodyForce",
+    "Bonded",
+    "Case",
+    "Conductor",
+    "Contact",
+    "Convection",
+    "Cure",
+    "Cylinders",
+    "Displacement",
+    "Eigenstrain",
+    "Femur",
+    "Fixed",
+    "FixedTemperature",
+    "Force",
+    "Foundation",
+    "Geometry",
+    "HeatCondition",
+    "HeatFlux",
+    "HeatSource",
+    "IntactFemur",
+    "Interface",
+    "Isotropic",
+    "Load",
+    "MeshFile",
+    "MeshOptions",
+    "OutputOptions",
+    "Penalty",
+    "Perfusion",
+    "Prescribed",
+    "Pressure",
+    "PressureConductance",
+    "Probe",
+    "Region",
+    "Rigid",
+    "Roller",
+    "SolverOptions",
+    "Stage",
+    "Study",
+    "Support",
+    "Thermal",
+    "TimeOptions",
+    "TransverselyIsotropic",
+    "Varied",
+    "dump",
+    "evaluate",
+    "load",
+    "plain",
+    "schema",
+    "variations",
+]
+
+
+class Case(Model):
+    """Everything that a run needs to know."""
+
+    title: Text = ""
+    """A line for people."""
+    geometry: Geometry
+    """Bodies, interfaces and boundaries."""
+    mesh: MeshOptions
+    """Mesh size and order."""
+    regions: Annotated[dict[Name, Region], MAPPING]
+    """Material of every region of the geometry."""
+    interfaces: Annotated[dict[Name, Interface], MAPPING] = Field(default_factory=dict)
+    """Law of each interface; those not listed are bonded (and are listed so after `load`)."""
+    supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
+    """What holds the model."""
+    loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
+    """What acts on it."""
+    heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
+    """What brings heat in or takes it away."""
+    stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
+    """The loading history."""
+    time: TimeOptions | None = None
+    """How stages that take time are divided into steps; only where there is heat."""
+    solver: SolverOptions = SolverOptions()
+    """How the equations are solved."""
+    output: OutputOptions = OutputOptions()
+    """What is written."""
+    variations: Variations = Field(default_factory=dict)
+    """Runs of the case on one mesh with one stiffness, by name: overrides as after ``--set``. Of
+    the lists under ``grid`` every combination is one. With it, only these are run."""
+    study: Study | None = None
+    """What `mantle study` varies and measures; a run does not look at it."""
+
+    @property
+    def conducts(self) -> bool:
+        """Whether there is heat in it at all."""
+        return any(region.thermal is not None for region in self.regions.values())
+
+    def of_tissue(self, tissue: str) -> tuple[str, ...]:
+        """Names of the regions of a tissue."""
+        return tuple(name for name, region in self.regions.items() if region.tissue == tissue)
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> Case:
+    """Read, check and resolve a case.
+
+    Args:
+        path: The YAML file.
+        overrides: ``a.b.c=value`` each, applied in order before anything is checked.
+
+    Returns:
+        The case, with every interface of the geometry listed and the tissue of every region.
+
+    Raises:
+        InputError: Anything wrong with the file; every defect at once, one line each.
+    """
+    path = Path(path)
+    return resolve(case_file.read(path, overrides), path.parent)
+
+
+def resolve(file: CaseFile, folder: Path) -> Case:
+    """Check the content of a case file.
+
+    Args:
+        file: The content.
+        folder: What relative paths in it are relative to.
+
+    Raises:
+        InputError: As `load`.
+    """
+    if is_study(file.data):
+        text = f"this is a study of another case, not a case; use mantle study {file.name}"
+        file.raise_all([Problem(("base",), text)])
+    case = _resolved(file, folder)
+    _varied(file, folder, case)
+    return case
+
+
+@dataclass(frozen=True)
+class Varied:
+    """A variation of a case.
+
+    Attributes:
+        name: Its name, and that of its folder.
+        overrides: What makes it out of the case, as after ``--set``.
+        changes: The same, as values.
+        case: The whole of it.
+    """
+
+    name: str
+    overrides: tuple[str, ...]
+    changes: dict[str, Any]
+    case: Case
+
+
+def variations(path: Path, overrides: Sequence[str] = ()) -> list[Varied]:
+    """The variations of a case, in the order of the file.
+
+    Raises:
+        InputError: As `load`.
+    """
+    path = Path(path)
+    file = case_file.read(path, overrides)
+    return _varied(file, path.parent, _resolved(file, path.parent))
+
+
+def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
+    """The variations of a case.
+
+    Raises:
+        InputError: All that is wrong with any of them, each at its place in the section.
+    """
+    found: list[Varied] = []
+    faults: list[Problem] = []
+    for v in expand(case.variations):
+        keys = {full: key for key in v.changes for full in every(key, file.data)}
+        overrides = tuple(study_options.options({k: v.changes[key] for k, key in keys.items()}))
+        copy = case_file.changed(file, overrides)
+        del copy.data["variations"]
+        try:
+            found.append(Varied(v.name, overrides, v.changes, _resolved(copy, folder)))
+        except InputError as error:
+            for message in error.messages:
+                fault = case_file.located(message, keys, ())
+                place = v.places[keys[str(fault.path[0])]] if fault else ()
+                at, text = (place, fault.text) if fault else ((), message)
+                faults.append(Problem(at or ("variations",), text if at else f"{v.name}: {text}"))
+    file.raise_all(faults)
+    return found
+
+
+def _resolved(file: CaseFile, folder: Path) -> Case:
+    """A case by itself, without its variations."""
+    context: dict[str, Any] = {"folder": folder, "points": {}}
+    parts = _parts(file.data, context)
+    try:
+        case = Case.model_validate(file.data, context=context)
+    except ValidationError as error:
+        file.raise_all([*problems(error), *checks.cross_check(parts)])
+        raise  # only if an error could not be told in words
+    file.raise_all(checks.cross_check(parts))
+    bonded = {name: Bonded() for name in case.geometry.interface_sides}
+    interfaces = {name: case.interfaces.get(name, law) for name, law in bonded.items()}
+    tissues = case.geometry.tissues
+    regions = {
+        name: region if region.tissue else region.model_copy(update={"tissue": tissues[name]})
+        for name, region in case.regions.items()
+    }
+    mesh = case.mesh
+    if mesh.curved is None:
+        curved = mesh.order == 2 and case.geometry.has_curved_surfaces
+        mesh = mesh.model_copy(update={"curved": curved})
+    time = (case.time or TimeOptions()) if case.conducts else None
+    return case.model_copy(
+        update={"regions": regions, "interfaces": interfaces, "mesh": mesh, "time": time}
+    )
+
+
+def is_study(data: dict[str, Any]) -> bool:
+    """Whether a file holds a study of another case (`schema.study_file`) instead of a case."""
+    return "base" in data and "geometry" not in data
+
+
+def geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
+    """The geometry in the content of a case file, whatever is wrong with the rest."""
+    found: Geometry | None = _parts(data, {"folder": folder, "points": {}}).geometry
+    return found
+
+
+def plain(case: Case) -> dict[str, Any]:
+    """A case alone, without study and variations, as mappings, lists and scalars."""
+    return case.model_dump(mode="json", exclude_none=True, exclude={"study", "variations"})
+
+
+def dump(case: Case) -> str:
+    """A case alone, as YAML in internal units; without study and variations reads back equal."""
+    return case_file.written(plain(case))
+
+
+def schema() -> dict[str, Any]:
+    """JSON schema of a case file, for editors."""
+    return json_schema(Case)
+
+
+# Making an adapter takes far longer than using it.
+_adapter = lru_cache(TypeAdapter)
+
+
+def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
+    """Every part that is valid by itself, so that the rest can still be checked against it.
+
+    The points that the geometry names are added to the context on the way.
+    """
+
+    def part(kind: Any, value: object) -> Any:
+        try:
+            return _adapter(kind).validate_python(value, context=context)
+        except ValidationError:
+            return None
+
+    def table(key: str, kind: Any) -> dict[str, Any]:
+        values = data.get(key, {})
+        is_table = isinstance(values, dict)
+        return {name: part(kind, value) for name, value in values.items()} if is_table else {}
+
+    geometry = part(Geometry, data["geometry"]) if "geometry" in data else None
+    if (centre := getattr(geometry, "head_centre", None)) is not None:
+        context["points"]["head_centre"] = centre
+    default: tuple[Stage, ...] = Case.model_fields["stages"].default
+    return checks.Parts(
+        geometry=geometry,
+        regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
+        interfaces=table("interfaces", Interface),
+        supports=table("supports", Support) if isinstance(data.get("supports", {}), dict) else None,
+        loads=table("loads", Load),
+        heat=table("heat", HeatCondition),
+        time="time" in data,
+        output=part(OutputOptions, data.get("output", {})),
+        stages=part(Case.model_fields["stages"].annotation, data["stages"])
+        if "stages" in data
+        else default,
+        study=part(Study, data["study"]) if "study" in data else None,
+    )
+
+
+def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Problem]:
+    """Pydantic's errors in the words of the file, which holds a `model`."""
+    found = []
+    for entry in error.errors(include_url=False):
+        location = entry["loc"]
+        path = tuple(
+            i for i in location if not (isinstance(i, str) and (i.startswith(TAG) or i == "[key]"))
+        )
+        key = str(path[-1]) if path else ""
+        match entry["type"]:
+            case "mantle":
+                path += tuple(entry["ctx"]["at"])
+                text = entry["ctx"]["text"]
+            case "missing":
+                path, text = path[:-1], f"'{key}' is missing; {_expected(model, location)}"
+            case "extra_forbidden":
+                allowed = tuple(_model_at(model, location).model_fields)
+                text = f"unknown key; allowed: {', '.join(allowed)}{did_you_mean(key, allowed)}"
+            case "model_type" | "model_attributes_type":
+                keys = ", ".join(_model_at(model, (*location, "")).model_fields)
+                text = f"{show(entry['input'])} is not a mapping; expected keys {keys}"
+            case "literal_error":
+                text = f"{show(entry['input'])} is not {entry['ctx']['expected']}"
+            case _:
+                text = f"{show(entry['input'])}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+        found.append(Problem(path, text))
+    return found
+
+
+def _expected(model: type[BaseModel], location: tuple[str | int, ...]) -> str:
+    """What a missing key stands for: its documentation."""
+    text = docstrings(_model_at(model, location)).get(str(location[-1]), "")
+    return f"expected: {text[:1].lower()}{text[1:].rstrip('.')}" if text else "expected"
+
+
+def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[BaseModel]:
+    """The model whose key the last entry of a pydantic location is."""
+    current: Any = model
+    for item in location[:-1]:
+        if isinstance(item, str) and item.startswith(TAG):
+            current = next(m for m in _models(current) if TAG + m.__name__ == item)
+        elif get_origin(current) in (dict, tuple):
+            current = get_args(current)[1 if get_origin(current) is dict else 0]
+        elif (owner := next(_models(current), None)) is not None:
+            current = owner.model_fields[str(item)].annotation
+    return next(_models(current), model)
+
+
+def _models(annotation: Any) -> Any:
+    """The models within an annotation, in order."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models(argument)

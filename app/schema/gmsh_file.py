@@ -1,0 +1,112 @@
+"""What the header of a gmsh ``.msh`` file, or the text of a ``.geo``, tells without gmsh."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import struct
+from functools import lru_cache
+from pathlib import Path
+
+from mantle import configs
+
+ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
+# The sections before the nodes are short; a file without names is not read to its end.
+HEADER = 4 << 20
+# Scripts: comments go, text in quotes stays.
+COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?\*/""", re.DOTALL)
+GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
+DIMENSIONS = {"Volume": 3, "Surface": 2}
+# Set for this process and all that it starts: the user trusts the scripts of this command.
+ALLOWED = "MANTLE_ALLOW_SCRIPTS"
+
+
+def is_script(path: Path) -> bool:
+    """Whether a file is a ``.geo`` script, still to be meshed."""
+    return path.suffix == ".geo"
+
+
+def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
+    """Names of the physical groups of one dimension.
+
+    Args:
+        path: A ``.msh`` file of format 2.2 or 4.1, ASCII or binary, or a ``.geo`` script.
+        dimension: 3 for volumes, 2 for surfaces.
+
+    Returns:
+        The names, in the order of the file.
+
+    Raises:
+        ValueError: The file is not of this format; the script does not use its parameter, or is
+            not allowed to run; gmsh would run a file of options beside it.
+    """
+    return tuple(name for d, name in _names(path, path.stat().st_mtime_ns) if d == dimension)
+
+
+@lru_cache(maxsize=8)
+def _names(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
+    """(dimension, name) of every physical group; `modified` renews the cache."""
+    if path.suffix not in (".msh", ".geo"):
+        raise ValueError("is neither a .msh file nor a .geo script")
+    if (options := Path(f"{path}.opt")).exists():
+        raise ValueError(
+            f"gmsh would run {options.name} beside it, which may do anything; remove it"
+        )
+    if is_script(path):
+        return _groups(path)
+    with path.open("rb") as file:
+        header = file.read(HEADER)
+    if not header.startswith(b"$MeshFormat"):
+        raise ValueError("not a gmsh .msh file (it does not start with $MeshFormat)")
+    version = header.split(b"\n", 2)[1].split()[:1]
+    if version not in ([b"2.2"], [b"4.1"]):
+        raise ValueError("not of .msh format 2.2 or 4.1; save it again with gmsh")
+    _, found, rest = header.partition(b"$PhysicalNames")
+    if not found:
+        return ()
+    section = rest.partition(b"$EndPhysicalNames")[0]
+    matches = (ENTRY.fullmatch(line) for line in section.split(b"\n"))
+    return tuple((int(m[1]), m[3].decode("utf-8", "replace")) for m in matches if m)
+
+
+def _groups(path: Path) -> tuple[tuple[int, str], ...]:
+    """(dimension, name) of the groups that a script names."""
+    if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
+        raise ValueError(
+            "a gmsh script can run any program and change any file; --allow-scripts runs it"
+        )
+    text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
+    if not re.search(r"\bsize\b", text):
+        raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
+    return tuple(dict.fromkeys((DIMENSIONS[m[1]], m[2]) for m in GROUP.finditer(text)))
+
+
+def content(path: Path) -> str:
+    """Hash of a file, and of the files that a script names (geometry that it merges)."""
+    raw = path.read_bytes()
+    digest = hashlib.sha256(raw)
+    if is_script(path):
+        for name in re.findall(r'"([^"\n]+)"', raw.decode("utf-8", "replace")):
+            other = path.parent / name
+            if other.is_file():
+                digest.update(name.encode() + other.read_bytes())
+    return digest.hexdigest()
+
+
+def counts(path: Path) -> int:
+    """Number of elements of all dimensions that the file announces, or 0 if it cannot be told."""
+    if is_script(path):
+        return 0
+    data = path.read_bytes()
+    _, found, rest = data.partition(b"$Elements\n")
+    try:
+        version, binary = data.split(b"\n", 2)[1].split()[:2]
+        if version == b"4.1" and binary == b"1":
+            return int(struct.unpack_from("<QQ", rest)[1]) if found else 0
+        fields = rest.split(b"\n", 1)[0].split()
+        announced = int(fields[1] if version == b"4.1" else fields[0]) if found else 0
+    except (ValueError, IndexError, struct.error):
+        return 0
+    # Nothing takes less than a byte: what announces more is damaged.
+    return min(max(announced, 0), len(data))

@@ -1,0 +1,138 @@
+"""How a case is run: stages, solver, what is written."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    model_validator,
+)
+from pydantic_core import core_schema
+
+from mantle.schema.conditions import Point
+from mantle.schema.fields import MAPPING, Model, Name, Truth, Word, fail, show
+from mantle.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
+
+USUAL_AUGMENTATION = 0.2
+
+
+class Stage(Model):
+    """A part of the loading history, from multiplier to multiplier."""
+
+    name: Name
+    """Name in the results."""
+    increments: PositiveInteger = 1
+    """Load steps to start with."""
+    adaptive: Truth = True
+    """Whether the step may be cut when it diverges and grow when it is easy."""
+    max_cut_backs: NonNegativeInteger = 6
+    """How often in a row a step may be halved."""
+    duration: PositiveTime | None = None
+    """Time it takes; none by default: temperatures stay as they are."""
+    steady: Truth = False
+    """Whether heat flows until nothing changes, however long that takes."""
+
+    @model_validator(mode="after")
+    def _one_end(self) -> Stage:
+        if self.steady and self.duration is not None:
+            fail("a steady stage takes as long as it takes: no duration", at=("duration",))
+        return self
+
+    @property
+    def takes_time(self) -> bool:
+        """Whether heat flows in it."""
+        return self.steady or self.duration is not None
+
+
+def _petsc(value: object) -> object:
+    """Raw options: names without the leading dash, single values."""
+    if not isinstance(value, dict):
+        fail(f"{show(value)} is not a mapping of PETSc options to values")
+    for name, entry in value.items():
+        if name.startswith("-"):
+            fail(f"write the option without the dash: {name.lstrip('-')}", at=(name,))
+        if name.split() != [name]:
+            fail(f"{show(name)} is not the name of an option", at=(name,))
+        if not isinstance(entry, str | int | float | bool):
+            fail(f"{show(entry)} is not a single value", at=(name,))
+    return value
+
+
+class SolverOptions(Model):
+    """How the equations are solved."""
+
+    tolerance: PositiveNumber = 1e-10
+    """Residual relative to the scale of the forces at which a step has converged."""
+    max_iterations: PositiveInteger = 40
+    """Newton iterations per step."""
+    linear: Annotated[Literal["auto", "direct", "multigrid"], Word()] = "auto"
+    """Linear solver; `auto` is direct for small models."""
+    petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc)] = Field(
+        default_factory=dict
+    )
+    """Raw PETSc options, without the leading dash."""
+    augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
+    """r = factor * (stiffness per area that moving one point alone meets), unless it is given."""
+    coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
+    """How heat and mechanics that need each other are solved: in one, or in turn."""
+
+
+class Probe(Model):
+    """A point whose temperature is recorded."""
+
+    at: Point
+    """Where."""
+    region: Name | None = None
+    """Region it belongs to, where two meet."""
+
+
+class _PointAlone:
+    """Lets a point alone stand for a probe."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Make a probe of it first."""
+
+        def probe(value: object) -> object:
+            return value if isinstance(value, dict | Probe) else {"at": value}
+
+        return core_schema.no_info_before_validator_function(probe, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Either."""
+        return {"anyOf": [handler(schema), {"type": ["array", "string"]}]}
+
+
+class CheckpointOptions(Model):
+    """When the state of a run is saved; at a signal and at `--walltime` it always is."""
+
+    steps: PositiveInteger | None = None
+    """After so many steps."""
+    minutes: PositiveNumber | None = None
+    """After the first step that ends so many minutes after the last time."""
+
+
+class OutputOptions(Model):
+    """What is written."""
+
+    fields: Truth = True
+    """Whether field files are written."""
+    every: PositiveInteger = 1
+    """Steps between two field outputs; the last step is always written."""
+    condition: Truth = False
+    """Whether the condition of the last Jacobian is estimated, which takes factors of it."""
+    error: Truth = False
+    """Whether the error of each number is estimated, by coarser companions of the run."""
+    checkpoint: CheckpointOptions = CheckpointOptions()
+    """When the state is saved, to go on from by `--restart`."""
+    probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(
+        default_factory=dict
+    )
+    """Points whose temperature is recorded over time."""

@@ -1,0 +1,102 @@
+"""What the geometries have in common: mesh options, estimates, the mantle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import model_validator
+
+from mantle.schema.fields import Model, Truth, fail
+from mantle.schema.units import Plain, PositiveLength
+
+if TYPE_CHECKING:
+    from mantle.meshes.gruen import Zones
+
+Sides = tuple[tuple[str, ...], tuple[str, ...]]
+Point3 = tuple[float, float, float]
+
+# The least size of a cell (mm), whose powers are numbers too; and more cells than can be.
+LEAST, COUNTLESS = 1e-8, 1e40
+
+
+@dataclass(frozen=True)
+class Mantle:
+    """The cement between interfaces ``stem_cement`` and ``cement_bone``.
+
+    Attributes:
+        thickness: What it is meant to be (mm).
+        tip: Level of the stem's end (mm); the cement below is a plug, of no thickness. Minus
+            infinity where there is none.
+    """
+
+    thickness: float
+    tip: float
+
+
+class Shape(Model):
+    """Base of the geometries: what only some of them have."""
+
+    @property
+    def mantles(self) -> tuple[Mantle, ...]:
+        """Its mantle of cement; none unless it says so."""
+        return ()
+
+    @property
+    def zones(self) -> tuple[Zones, ...]:
+        """Its Gruen zones; none unless it says so."""
+        return ()
+
+    @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """Regions that are one body wherever they meet; none unless it says so."""
+        return ()
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """What each region is, unless the case says otherwise; none that it does not know."""
+        return {}
+
+
+class MeshOptions(Model):
+    """How fine the mesh is and what the displacement is approximated by."""
+
+    size: PositiveLength
+    """Edge length at the interfaces."""
+    far_size: PositiveLength | None = None
+    """Edge length far from them; four times `size` by default."""
+    order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 2
+    """Polynomial degree of the displacement."""
+    curved: Truth | None = None
+    """Whether the cells are curved (second order) to follow the geometry; by default where it is
+    curved and `order` is 2."""
+
+    @property
+    def far(self) -> float:
+        """Edge length far from the interfaces (mm)."""
+        return 4.0 * self.size if self.far_size is None else self.far_size
+
+    @model_validator(mode="after")
+    def _ordered(self) -> MeshOptions:
+        if self.size < LEAST:
+            fail(f"{self.size:g} mm is less than an atom", at=("size",))
+        if self.far < self.size:
+            fail(f"{self.far:g} mm is finer than size, {self.size:g} mm", at=("far_size",))
+        return self
+
+
+def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
+    """Estimated number of tetrahedra of a mesh that is fine at its interfaces.
+
+    Args:
+        area: Area of all interfaces (mm2).
+        volume: Volume of all regions (mm3).
+        mesh: The sizes.
+
+    Returns:
+        ``a A / h^2 + b V / H^3`` with the constants fitted to measured meshes of the femur; at
+        most the number of cells of a uniform mesh.
+    """
+    uniform = 8.5 * volume / mesh.size**3
+    graded = 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3
+    return max(6, round(min(uniform, graded, COUNTLESS)))

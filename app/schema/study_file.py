@@ -1,0 +1,112 @@
+"""Where a study stands: in its case, or in a file of its own that names the case (`StudyFile`)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from mantle.errors import InputError
+from mantle.schema import case_file, checks, config, study_options
+from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.study_options import Study, StudyFile
+
+
+@dataclass(frozen=True)
+class Source:
+    """A study and what it is of.
+
+    Attributes:
+        study: The study.
+        file: The file that it stands in.
+        case: The case file.
+        overrides: Options that hold for every point.
+        ranks: Number of MPI ranks, where a point does not say it.
+    """
+
+    study: Study
+    file: CaseFile
+    case: Path
+    overrides: tuple[str, ...]
+    ranks: int = 1
+
+
+def read(path: Path, overrides: Sequence[str]) -> Source:
+    """Read and check a study.
+
+    Args:
+        path: A case with a study section, or a study of another case.
+        overrides: ``--set`` options, of the study or of the case: these hold for every point, so
+            not for what varies.
+
+    Raises:
+        InputError: Anything wrong with it or its case, at once.
+    """
+    if config.is_study(case_file.read(path).data):
+        return _of_another(path, overrides)
+    ranks, others = study_options.split_ranks(overrides)
+    file = case_file.read(path, others)
+    study = config.resolve(file, path.parent).study
+    if study is None:
+        raise InputError(f"{path}: has no study section: what varies, what is measured")
+    file.raise_all(_clashes(study, overrides))
+    return Source(study, file, path, tuple(others), ranks or 1)
+
+
+def _clashes(study: Study, overrides: Iterable[str]) -> list[Problem]:
+    """Options of what the lines or the reference say."""
+    lines = {("study", "lines", name): line for name, line in study.lines.items()}
+    lines[("study", "reference", "run")] = study.reference.run or {}
+    varied: dict[case_file.Path, str] = {
+        (*path, key): key for path, line in lines.items() for key in line
+    }
+    return case_file.clashes(overrides, varied)
+
+
+def _of_another(path: Path, overrides: Sequence[str]) -> Source:
+    """A study that names its case."""
+    mine = [o for o in overrides if re.match(r"\s*study\b", o)]
+    others = [o for o in overrides if o not in mine]
+    file = case_file.read(path, mine)
+    problems: list[Problem] = []
+    try:
+        study = StudyFile.model_validate(file.data).study
+    except ValidationError as error:
+        problems += config.problems(error, StudyFile)
+        study = None
+    base, changes = file.data["base"], file.data.get("set", {})
+    ranks, common = study_options.split_ranks([*_options(changes, others), *others])
+    case = path.parent / str(base)
+    if isinstance(base, str):
+        try:
+            content = case_file.read(case, common)
+            problems += checks.quantities(config.geometry(content.data, case.parent), study)
+            config.resolve(content, case.parent)
+        except InputError as error:
+            for message in error.messages:
+                _blame(file, case, message, problems)
+    problems += _clashes(study, others) if study else []
+    file.raise_all(problems)
+    assert study is not None  # or there was a problem
+    return Source(study, file, case, tuple(common), ranks or 1)
+
+
+def _options(changes: Any, others: Iterable[str]) -> list[str]:
+    """The study's own overrides as options, but for those that others replace."""
+    keys = {o.partition("=")[0].strip() for o in others}
+    valid = changes if isinstance(changes, dict) else {}
+    return study_options.options({k: v for k, v in valid.items() if k not in keys})
+
+
+def _blame(file: CaseFile, case: Path, message: str, problems: list[Problem]) -> None:
+    """Note a defect of the case where its cause is: in an override of it, or in itself."""
+    if message.startswith(f"{case}: "):  # it cannot be read
+        problems.append(Problem(("base",), message))
+    elif found := case_file.located(message, file.data.get("set") or {}, ("set",)):
+        problems.append(found)
+    else:
+        file.complaints.append((case_file.LAST, message))

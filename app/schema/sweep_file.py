@@ -1,0 +1,102 @@
+"""A sweep file, read and checked: what each of its cases is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from mantle.errors import InputError
+from mantle.schema import case_file, config, study_options
+from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.sweep_options import Point, Sweep, expand
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A case of a sweep.
+
+    Attributes:
+        point: Its place in the sweep, ``--set`` options among its overrides.
+        base: The case file.
+        overrides: What makes the case out of it, as after ``--set``.
+        ranks: Number of MPI ranks.
+        case: The whole of it.
+    """
+
+    point: Point
+    base: Path
+    overrides: tuple[str, ...]
+    ranks: int
+    case: config.Case
+
+
+def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned]]:
+    """Read a sweep and check every case of it.
+
+    Args:
+        path: The sweep file.
+        overrides: ``--set`` options: they hold for every case, in place of what is under ``set``.
+
+    Raises:
+        InputError: All that is wrong with the file or any case, each at its place.
+    """
+    file = case_file.read(path)
+    for key, what in (("geometry", "case: use mantle run"), ("study", "study: use mantle study")):
+        if key in file.data:
+            raise InputError(f"{path}: this is a {what} {path}")
+    try:
+        sweep = Sweep.model_validate(file.data)
+    except ValidationError as error:
+        file.raise_all(config.problems(error, Sweep))
+        raise  # only if an error could not be told in words
+    planned: list[Planned] = []
+    points = expand(sweep)
+    varied = {_place(p.places[key]): key for p in points for key in p.varied}
+    problems = case_file.clashes(overrides, varied)
+    ranks, others = study_options.split_ranks(overrides)
+    given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
+    for point in points:
+        base = path.parent / point.base
+        own = {k: v for k, v in point.changes.items() if k != "ranks" and k not in given}
+        changes = (*study_options.options(own), "variations={}", *others)
+        try:
+            case = config.load(base, changes)
+        except InputError as error:
+            problems += [_located(point, base, m, own, file) for m in error.messages]
+            continue
+        number = ranks or point.changes.get("ranks", 1)
+        used = replace(point, changes=point.changes | given)
+        planned.append(Planned(used, base, changes, number, case))
+    file.raise_all(problems)
+    return sweep, planned
+
+
+def _place(path: case_file.Path) -> case_file.Path:
+    """Where the key of a value stands that is one of a list."""
+    return path[:-1] if isinstance(path[-1], int) else path
+
+
+def _value(option: str) -> Any:
+    """The value of an option; None if it has none that can be read."""
+    text = option.partition("=")[2]
+    return case_file.changed(CaseFile(""), [f"value={text}"]).data.get("value")
+
+
+def _located(
+    point: Point, base: Path, message: str, own: Mapping[str, Any], file: CaseFile
+) -> Problem:
+    """A defect of a case, where its cause stands in the sweep."""
+    part = ("parts", point.part) if point.part else ()
+    if message.startswith(f"{base}: "):  # it cannot be read
+        at = (*part, "base")
+        return Problem(at if at in file.places else ("base",), message)
+    if found := case_file.located(message, own, ()):
+        return Problem(point.places[str(found.path[0])], found.text)
+    if re.match(r"--set |[^ ]+:\d+:\d+: ", message):
+        return Problem(part, message)
+    return Problem(part, f"{point.name}: {message}")

@@ -1,0 +1,544 @@
+"""Numbers and dimensional quantities as pydantic field types.
+
+A dimensional value is text with a unit (``110 GPa``); after validation it is a float in the
+internal system mm, N, MPa, s, K, tonne, rad. The conversion is done in rational arithmetic and
+rounded once, so that ``0.11 TPa``, ``110 GPa`` and ``110000 MPa`` give the same float.
+
+A field is declared by one of the aliases below, for example ``thickness: PositiveLength``.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import core_schema
+
+from mantle.errors import MantleError
+from mantle.schema.fields import Scalar, did_you_mean, fail, show
+from mantle.system import folders
+
+NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
+NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
+UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
+# Powers of powers and long exponents would cost more than they can mean.
+LONGEST = 60
+# Of a number with its unit; looking for them in endless text takes as long as its square.
+LONGEST_VALUE = 200
+TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
+
+# File of conversions.
+KEPT = "conversions.json"
+
+# Exponents of length, mass, time, temperature.
+DIMENSIONS = {
+    (1, 0, 0, 0): "a length",
+    (2, 0, 0, 0): "an area",
+    (3, 0, 0, 0): "a volume",
+    (0, 1, 0, 0): "a mass",
+    (0, 0, 1, 0): "a time",
+    (0, 0, 0, 1): "a temperature",
+    (1, 1, -2, 0): "a force",
+    (0, 1, -2, 0): "a force per length",
+    (-1, 1, -2, 0): "a stress",
+    (-2, 1, -2, 0): "a stiffness per area",
+    (2, 1, -2, 0): "a moment or an energy",
+    (-3, 1, 0, 0): "a mass per volume",
+    (0, 0, -1, 0): "a rate",
+    (0, 0, 0, -1): "an expansion per temperature",
+    (1, 1, -3, -1): "a conductivity",
+    (2, 0, -2, -1): "a specific heat",
+    (2, 0, -2, 0): "an energy per mass",
+    (2, 1, -3, 0): "a power",
+    (0, 1, -3, 0): "a power per area",
+    (-1, 1, -3, 0): "a power per volume",
+    (0, 1, -3, -1): "a conductance per area",
+    (1, 0, -1, -1): "a conductance per area and pressure",
+}
+SUGGESTIONS = (
+    "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
+    "kg tonne kg/m^3 W/m^2 W/m^3 J/m^3 J/mol 1/K 1/s"
+).split()
+
+
+@lru_cache(maxsize=1)
+def registry() -> Any:
+    """The unit registry: pint's own units, in rational arithmetic."""
+    import pint  # a second with the registry: only for a unit that was never met before
+
+    return pint.UnitRegistry(non_int_type=Fraction, autoconvert_offset_to_baseunit=True)
+
+
+@lru_cache(maxsize=256)
+def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
+    """Slope and offset of the map from a unit to the internal unit of the same dimension.
+
+    Raises:
+        LookupError: The unit is unknown.
+        ValueError: It measures something else; the argument names what.
+    """
+    text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
+    if not UNIT.fullmatch(text) or TOWER.search(text):
+        raise LookupError(unit)
+    key = f"{text} in {internal}"
+    if (known := _known(_kept().get(key))) is None:
+        _keep(key, known := _by_pint(unit, text, internal))
+    return known
+
+
+def _known(entry: object) -> tuple[Fraction, Fraction] | None:
+    """A conversion as the cache has it; None if it has none, or something else."""
+    try:
+        slope, offset = map(Fraction, entry)  # type: ignore[call-overload]
+    except (TypeError, ValueError, ArithmeticError):
+        return None
+    return slope, offset
+
+
+@lru_cache(maxsize=1)
+def _kept() -> dict[str, list[str]]:
+    """Conversions that pint has made before, in the cache."""
+    folder = folders.cache("units")
+    try:
+        found = json.loads((folder / KEPT).read_text()) if folder else {}
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _keep(key: str, conversion: tuple[Fraction, Fraction]) -> None:
+    """Add a conversion to those that are in the cache by now, if there is one."""
+    with suppress(OSError, MantleError):
+        if folder := folders.cache("units"):
+            with (folder / "lock").open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                _kept.cache_clear()
+                _kept()[key] = [str(number) for number in conversion]
+                folders.write_json(folder / KEPT, _kept())
+
+
+def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
+    """Slope and offset as pint finds them."""
+    ureg = registry()
+    try:
+        source = ureg.parse_units(text)
+    except Exception as error:  # pint raises a different class for each way of being malformed
+        raise LookupError(unit) from error
+    target = ureg.parse_units(internal)
+    # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
+    angles = "radian|degree|arc|turn|grade"
+    angle = "radian" in _names(target) and not re.search(angles, _names(source))
+    if source.dimensionality != target.dimensionality or angle:
+        raise ValueError(_dimension(source))
+    offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
+    return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
+
+
+def _names(unit: Any) -> str:
+    """The names in a unit; pint cannot print powers in rational arithmetic (Python 3.13)."""
+    return " ".join(unit._units)
+
+
+def _dimension(unit: Any) -> str:
+    """What a unit measures, in words."""
+    if unit.dimensionless:
+        return "an angle" if re.search("radian|degree|arc|turn", _names(unit)) else "a plain number"
+    exponents = dict(unit.dimensionality)
+    base = ("[length]", "[mass]", "[time]", "[temperature]")
+    known = DIMENSIONS.get(tuple(exponents.pop(name, 0) for name in base))
+    if known and exponents == {"[substance]": -1}:
+        return f"{known} per amount of substance"
+    return known if known and not exponents else "something else"
+
+
+def finite(value: int | float) -> bool:
+    """Whether a number is finite as a float, which a large whole number is not."""
+    try:
+        return math.isfinite(float(value))
+    except OverflowError:
+        return False
+
+
+def outside(
+    value: float,
+    above: float | None,
+    at_least: float | None,
+    at_most: float | None,
+    below: float | None = None,
+) -> str:
+    """What bound a value violates, in words, or nothing."""
+    if below is not None and not value < below:
+        return f"must be below {below:g}"
+    if above is not None and not value > above:
+        return "must be positive" if above == 0 else f"must be above {above:g}"
+    if at_least is not None and value < at_least:
+        return "must not be negative" if at_least == 0 else f"must be at least {at_least:g}"
+    if at_most is not None and value > at_most:
+        return f"must be at most {at_most:g}"
+    return ""
+
+
+@dataclass(frozen=True)
+class Dimension(Scalar):
+    """Marks a float field as dimensional: read from text with a unit, kept in the internal unit.
+
+    Attributes:
+        unit: Internal unit.
+        what: The dimension in words, with its article.
+        example: A value as a user would write it.
+        above: Exclusive lower bound in the internal unit.
+        at_least: Inclusive lower bound in the internal unit.
+        at_most: Inclusive upper bound in the internal unit.
+    """
+
+    unit: str
+    what: str
+    example: str
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+
+    def read(self, value: object) -> float:
+        """The value in the internal unit.
+
+        Raises:
+            PydanticCustomError: Not a number with a unit of this dimension, not finite, out of
+                bounds.
+        """
+        expected = f"expected {self.what} such as '{self.example}'"
+        if not isinstance(value, str):
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                if not finite(value):
+                    fail(f"{show(value)} is not finite; {expected}")
+                fail(f"{value} needs a unit, e.g. '{value} {self.example.split(maxsplit=1)[1]}'")
+            fail(f"{show(value)} is not {self.what}; {expected}")
+        match = NUMBER.fullmatch(value) if len(value) <= LONGEST_VALUE else None
+        if match is None:
+            wrong = "is not finite" if NOT_FINITE.match(value) else f"is not {self.what}"
+            fail(f"{show(value)} {wrong}; {expected}")
+        number, unit = match.groups()
+        if not unit:
+            fail(f"{show(value)} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
+        try:
+            slope, offset = conversion(unit, self.unit)
+        except LookupError:
+            fail(
+                f"{show(value)}: '{unit}' is not a unit; {expected}"
+                + did_you_mean(unit, SUGGESTIONS)
+            )
+        except ValueError as error:
+            fail(f"{show(value)} is {error}; {expected}")
+        if len(number) > LONGEST or not math.isfinite(float(number)):
+            fail(f"{show(value)} is not finite; {expected}")
+        # A number too small for a float is zero; as a fraction it could take gigabytes.
+        exact = Fraction(number) if float(number) != 0.0 else Fraction(0)
+        try:
+            result = float(exact * slope + offset)
+        except OverflowError:
+            fail(f"{show(value)} is not finite in {self.unit}")
+        if bound := outside(result, self.above, self.at_least, self.at_most):
+            fail(
+                f"{show(value)} {bound}"
+                + ("" if bound.endswith(("positive", "negative")) else f" {self.unit}")
+            )
+        return result
+
+    def write(self, value: float) -> str:
+        """The value as text that reads back to the same float."""
+        if self.unit == "rad":
+            degrees = f"{round(math.degrees(value), 9)!r} deg"
+            if self.read(degrees) == value:
+                return degrees
+        return f"{value!r} {self.unit}"
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Text that starts with a number and ends with a unit."""
+        return {
+            "type": "string",
+            "pattern": r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1\s*/\s*)?[A-Za-zµμ°].*$",
+            "description": f"{self.what} with a unit (kept in {self.unit})",
+            "examples": [self.example],
+        }
+
+
+@dataclass(frozen=True)
+class AbsoluteTemperature(Dimension):
+    """Marks a temperature, which degC and K count from different zeros."""
+
+    unit: str = "K"
+    what: str = "a temperature"
+    example: str = "37 degC"
+
+    def read(self, value: object) -> float:
+        """The value in K.
+
+        Raises:
+            PydanticCustomError: As `Dimension.read`; a difference of temperatures; below 0 K.
+        """
+        match = NUMBER.fullmatch(value) if isinstance(value, str) else None
+        if match and match[2] in ("C", "F"):
+            fail(f"{show(value)} is not {self.what}; did you mean '{match[1]} deg{match[2]}'?")
+        if match and "delta" in match[2]:
+            fail(f"{show(value)} is a difference of temperatures; expected one such as 37 degC")
+        result = super().read(value)
+        if result <= 0.0:
+            fail(f"{show(value)} is not above absolute zero, -273.15 degC or 0 K")
+        return result
+
+    def write(self, value: float) -> str:
+        """The value in degC where that reads back to the same float, else in K."""
+        celsius = f"{round(value - 273.15, 9)!r} degC"
+        return celsius if self.read(celsius) == value else super().write(value)
+
+
+@dataclass(frozen=True)
+class TemperatureDifference(Dimension):
+    """Marks a difference of temperatures: 5 K, which is not 5 degC."""
+
+    unit: str = "K"
+    what: str = "a difference of temperatures"
+    example: str = "5 K"
+
+    def read(self, value: object) -> float:
+        """The value in K.
+
+        Raises:
+            PydanticCustomError: As `Dimension.read`; a temperature.
+        """
+        result = super().read(value)
+        match = NUMBER.fullmatch(str(value))
+        if match and conversion(match[2], self.unit)[1] != 0:
+            fail(f"{show(value)} is a temperature; expected {self.what} such as '{match[1]} K'")
+        return result
+
+
+@dataclass(frozen=True)
+class Plain(Scalar):
+    """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool.
+
+    Attributes:
+        integer: Whether only whole numbers are allowed.
+        above: Exclusive lower bound.
+        at_least: Inclusive lower bound.
+        at_most: Inclusive upper bound.
+        below: Exclusive upper bound.
+    """
+
+    integer: bool = False
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    below: float | None = None
+
+    def read(self, value: object) -> float | int:
+        """The value unchanged (as a float unless `integer`).
+
+        Raises:
+            PydanticCustomError: Not a plain finite number, or out of bounds.
+        """
+        kind = "whole number" if self.integer else "number"
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            unit = isinstance(value, str) and (m := NUMBER.fullmatch(value)) and m.group(2)
+            extra = " (this value is dimensionless: no unit)" if unit else " without quotes or unit"
+            fail(f"{show(value)} is not a {kind}; expected a plain {kind}{extra}")
+        if not finite(value):
+            fail(f"{show(value)} is not finite; expected a {kind}")
+        if self.integer and value != int(value):
+            fail(f"{value} is not a {kind}")
+        if bound := outside(value, self.above, self.at_least, self.at_most, self.below):
+            fail(f"{value} {bound}")
+        return int(value) if self.integer else float(value)
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """A number with its bounds."""
+        bounds = {
+            "exclusiveMinimum": self.above,
+            "minimum": self.at_least,
+            "maximum": self.at_most,
+            "exclusiveMaximum": self.below,
+        }
+        kind = {"type": "integer" if self.integer else "number"}
+        return kind | {k: v for k, v in bounds.items() if v is not None}
+
+
+VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
+
+
+def spread_unit(value: object) -> object:
+    """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
+    if isinstance(value, str) and (match := VECTOR.fullmatch(value)):
+        return [f"{entry.strip()} {match[2].strip()}".strip() for entry in _entries(match[1])]
+    return value
+
+
+def _entries(text: str) -> list[str]:
+    """The parts between commas, but for those that divide the arguments of a function."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Marks a field as a list of exactly two.
+
+    Attributes:
+        example: A value as a user would write it.
+    """
+
+    example: str
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Count before the entries are read."""
+
+        def check(value: object) -> object:
+            if not isinstance(value, list | tuple) or len(value) != 2:
+                found = (
+                    f"has {len(value)} values" if isinstance(value, list | tuple) else show(value)
+                )
+                fail(f"{found}; expected a pair such as {self.example}")
+            return value
+
+        return core_schema.no_info_before_validator_function(check, handler(source))
+
+
+@dataclass(frozen=True)
+class Triple:
+    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
+
+    Attributes:
+        example: A value as a user would write it.
+        scalar: Whether a single value stands for three equal ones.
+    """
+
+    example: str
+    scalar: bool = False
+
+    def spread(self, value: object) -> object:
+        """The three entries, unread.
+
+        Raises:
+            PydanticCustomError: Not a list, or not of three entries.
+        """
+        value = spread_unit(value)
+        if not isinstance(value, list | tuple):
+            if self.scalar and value is not None and not isinstance(value, dict):
+                return (value, value, value)
+            fail(f"{show(value)} is not a list of three values; expected e.g. {self.example}")
+        if len(value) != 3:
+            fail(f"has {len(value)} values; expected three, e.g. {self.example}")
+        return value
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Spread before the entries are read."""
+        return core_schema.no_info_before_validator_function(self.spread, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """A list, or text where the entries are text."""
+        result = handler(schema)
+        if result.get("prefixItems", [{}])[0].get("type") != "string":
+            return result
+        return {"anyOf": [result, {"type": "string", "examples": [self.example]}]}
+
+
+_length = ("mm", "a length", "4 mm")
+_stiffness = ("MPa/mm", "a stiffness per area", "100 MPa/mm")
+
+Length = Annotated[float, Dimension(*_length)]
+# Longer than any planet: of what a geometry is made of, volumes are numbers too.
+_longest = 1e10
+PositiveLength = Annotated[float, Dimension(*_length, above=0.0, at_most=_longest)]
+NonNegativeLength = Annotated[float, Dimension(*_length, at_least=0.0, at_most=_longest)]
+Angle = Annotated[float, Dimension("rad", "an angle", "1.5 deg")]
+Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
+Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]
+Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
+PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
+Newton = Annotated[float, Dimension("N", "a force", "1800 N")]
+_time = ("s", "a time", "600 s")
+NonNegativeTime = Annotated[float, Dimension(*_time, at_least=0.0)]
+PositiveTime = Annotated[float, Dimension(*_time, above=0.0)]
+
+Temperature = Annotated[float, AbsoluteTemperature()]
+PositiveDifference = Annotated[float, TemperatureDifference(above=0.0)]
+# The internal unit of each has the size of one in mm, N, s, K, tonne: 1 W/(m K) = 1 N/(s K).
+Conductivity = Annotated[float, Dimension("W/(m*K)", "a conductivity", "0.2 W/(m K)", above=0.0)]
+Density = Annotated[float, Dimension("tonne/mm^3", "a density", "1100 kg/m^3", above=0.0)]
+SpecificHeat = Annotated[
+    float, Dimension("mJ/(tonne*K)", "a specific heat", "1460 J/(kg K)", above=0.0)
+]
+ExpansionCoefficient = Annotated[
+    float, Dimension("1/K", "an expansion per temperature", "80e-6 1/K")
+]
+HeatDensity = Annotated[
+    float, Dimension("J/cm^3", "an energy per volume", "1.55e8 J/m^3", at_least=0.0)
+]
+_conductance = ("mW/(mm^2*K)", "a conductance per area", "300 W/(m^2 K)")
+ConductancePerArea = Annotated[float, Dimension(*_conductance, at_least=0.0)]
+FilmCoefficient = Annotated[float, Dimension(*_conductance, above=0.0)]
+ConductancePerPressure = Annotated[
+    float,
+    Dimension(
+        "mW/(mm^2*K*MPa)",
+        "a conductance per area and pressure",
+        "100 W/(m^2 K MPa)",
+        above=0.0,
+    ),
+]
+PositiveRate = Annotated[float, Dimension("1/s", "a rate", "0.002 1/s", above=0.0)]
+ActivationEnergy = Annotated[
+    float,
+    Dimension("J/mol", "an energy per amount of substance", "62866 J/mol", at_least=0.0),
+]
+
+Number = Annotated[float, Plain()]
+PositiveNumber = Annotated[float, Plain(above=0.0)]
+NonNegativeNumber = Annotated[float, Plain(at_least=0.0)]
+PositiveInteger = Annotated[int, Plain(integer=True, at_least=1)]
+NonNegativeInteger = Annotated[int, Plain(integer=True, at_least=0)]
+
+ForceVector = Annotated[tuple[Newton, Newton, Newton], Triple("[0 N, 0 N, -1800 N]")]
+SizeVector = Annotated[
+    tuple[PositiveLength, PositiveLength, PositiveLength], Triple("[10 mm, 10 mm, 5 mm]")
+]
+
+
+def _normalise(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    """A direction of unit length."""
+    if not any(axis):
+        fail("is the zero vector; expected a direction")
+    # Scaled first, so that neither huge nor tiny entries overflow.
+    largest = max(abs(c) for c in axis)
+    scaled = [c / largest for c in axis]
+    length = math.hypot(*scaled)
+    # Left alone once it is of unit length, so that a saved case reads back unchanged.
+    if abs(largest * length - 1.0) < 1e-12:
+        return axis
+    x, y, z = (c / length for c in scaled)
+    return x, y, z
+
+
+Axis = Annotated[tuple[Number, Number, Number], Triple("[0, 0, 1]"), AfterValidator(_normalise)]

@@ -1,0 +1,473 @@
+"""Checkpoints: the state of a run in a file that is whole or not there, and back.
+
+A checkpoint is one HDF5 file behind a first block of 512 bytes, which holds the digest of the rest.
+Rows are those of all ranks in the order of their keys, so that any number of ranks reads them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import time as clock
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI  # before h5py, which may be built for MPI
+
+import h5py
+import numpy as np
+
+from mantle import __version__
+from mantle.errors import InputError, everywhere
+from mantle.numerics.state import Rows, Share, State
+from mantle.results.output import on_root
+from mantle.schema import config
+from mantle.simulation.model import Model
+from mantle.simulation.recorder import Recorder
+from mantle.system.folders import saved, write_bytes
+
+log = logging.getLogger("mantle")
+
+# Of the layout of the file.
+FORMAT = 2
+# The first block, of a size that HDF5 looks behind.
+BLOCK = 512
+# What stands for rows in the text of a state.
+MARK = "@rows"
+# Checkpoints that are kept.
+KEPT = 2
+# Differences that are told.
+TOLD = 12
+
+
+class DamagedError(Exception):
+    """A file is no checkpoint, or not a whole one."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """One that was read.
+
+    Attributes:
+        path: Its file.
+        header: What it is of.
+        state: What was remembered.
+    """
+
+    path: Path
+    header: Mapping[str, Any]
+    state: State
+
+
+# Files
+
+
+def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: State) -> None:
+    """Write a checkpoint: a new file, flushed to disk and renamed; collective.
+
+    Args:
+        comm: Communicator.
+        path: The file.
+        header: What it is of.
+        state: What to remember, of each rank.
+
+    Raises:
+        OSError: It cannot be written (on every rank); what was there stays.
+    """
+    parts: list[Rows] = []
+    tree = _without_rows(state, parts)
+    pieces = [comm.gather((r.keys, r.values)) for r in parts]
+    failure = None
+    if comm.rank == 0:
+        try:
+            text = json.dumps([dict(header), tree], default=_plain)
+            image = _image(text, [_sorted(p) for p in pieces if p is not None])
+            digest = hashlib.sha256(image).hexdigest()
+            write_bytes(path, digest.encode().ljust(BLOCK) + image)
+        except OSError as error:
+            path.with_name(path.name + ".partial").unlink(missing_ok=True)
+            failure = error
+    failure = comm.bcast(failure)
+    if failure is not None:
+        raise failure
+
+
+def _without_rows(state: Any, parts: list[Rows]) -> Any:
+    """The state with its rows moved to a list."""
+    if isinstance(state, Rows):
+        parts.append(state)
+        return {MARK: len(parts) - 1}
+    if isinstance(state, dict):
+        return {key: _without_rows(value, parts) for key, value in state.items()}
+    if isinstance(state, list | tuple):
+        return [_without_rows(value, parts) for value in state]
+    return state
+
+
+def _with_rows(tree: Any, parts: list[Rows]) -> Any:
+    """The rows in their places again."""
+    if isinstance(tree, dict):
+        if tree.keys() == {MARK}:
+            return parts[tree[MARK]]
+        return {key: _with_rows(value, parts) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_with_rows(value, parts) for value in tree]
+    return tree
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of numpy."""
+    return value.item()
+
+
+def _sorted(pieces: list[tuple[Any, Any]]) -> Rows:
+    """The rows of all ranks, keys rising."""
+    keys = np.concatenate([k for k, _ in pieces])
+    order = np.argsort(keys, kind="stable")
+    # A rank that has none may not know of how many components.
+    values = np.concatenate([v for k, v in pieces if len(k)] or [pieces[0][1]])
+    return Rows(keys[order], values[order])
+
+
+def _image(text: str, parts: list[Rows]) -> bytes:
+    """The HDF5 file."""
+    with h5py.File("checkpoint", "w", driver="core", backing_store=False) as file:
+        file["state"] = np.frombuffer(text.encode(), dtype=np.uint8)
+        for k, r in enumerate(parts):
+            name = "keys/" + hashlib.sha256(r.keys.tobytes()).hexdigest()[:16]
+            if name not in file:
+                file[name] = r.keys
+            file[f"rows/{k}"] = r.values
+            file[f"rows/{k}"].attrs["keys"] = name
+        file.flush()
+        return bytes(file.id.get_file_image())
+
+
+def read(path: Path) -> Checkpoint:
+    """Read a checkpoint; not collective.
+
+    Raises:
+        OSError: It cannot be read.
+        DamagedError: It is not whole, or nothing of this kind.
+    """
+    content = path.read_bytes()
+    image = content[BLOCK:]
+    if content[:BLOCK].strip() != hashlib.sha256(image).hexdigest().encode():
+        raise DamagedError("it is not as it was written")
+    with h5py.File(io.BytesIO(image), "r") as file:
+        header, tree = json.loads(bytes(file["state"][:]))
+        if header["format"] != FORMAT:
+            raise DamagedError(f"it is of mantle {header['mantle']}, in another format")
+        keys = {f"keys/{name}": file["keys"][name][:] for name in file.get("keys", ())}
+        count = len(file.get("rows", ()))
+        parts = [
+            Rows(keys[file[f"rows/{k}"].attrs["keys"]], file[f"rows/{k}"][:]) for k in range(count)
+        ]
+    return Checkpoint(path, header, _with_rows(tree, parts))
+
+
+# Which one
+
+
+def find(
+    comm: MPI.Comm, wanted: str, folder: Path, case: config.Case, force: bool
+) -> Checkpoint | None:
+    """The checkpoint to go on from, if there is one; collective.
+
+    Args:
+        comm: Communicator.
+        wanted: A file, or ``auto``: the newest in the run directory that can be read.
+        folder: The run directory.
+        case: The configuration.
+        force: Whether that of the checkpoint may be another one.
+
+    Raises:
+        InputError: It is of another configuration, or the file cannot be read.
+    """
+    path = on_root(comm, lambda: _choose(wanted, folder, case, force))
+    return None if path is None else everywhere(comm, lambda: _readable(path))
+
+
+def _choose(wanted: str, folder: Path, case: config.Case, force: bool) -> Path | None:
+    """Which file."""
+    if wanted != "auto":
+        found = _readable(Path(wanted))
+        _refuse_another(found, case, force)
+        return found.path
+    paths = saved(folder)
+    for path in paths:
+        try:
+            found = read(path)
+        except (OSError, DamagedError) as error:
+            log.warning("%s cannot be used: %s; looking for the one before", path, error)
+            continue
+        _refuse_another(found, case, force)
+        return path
+    none = "none of the checkpoints can be used" if paths else "there is no checkpoint"
+    log.info("restart: %s in %s; from the beginning", none, folder)
+    return None
+
+
+def _readable(path: Path) -> Checkpoint:
+    """Read a file that was asked for.
+
+    Raises:
+        InputError: It cannot be.
+    """
+    try:
+        return read(path)
+    except OSError as error:
+        why = error.strerror or str(error)
+    except DamagedError as error:
+        why = str(error)
+    raise InputError(f"--restart {path}: cannot be used: {why}")
+
+
+def _refuse_another(found: Checkpoint, case: config.Case, force: bool) -> None:
+    """Refuse a checkpoint of another version or configuration.
+
+    Raises:
+        InputError: It is, with what differs.
+    """
+    if found.header["mantle"] != __version__ and not force:
+        raise InputError(
+            f"--restart: {found.path} is of mantle {found.header['mantle']}, this is "
+            f"{__version__}: its numbers may be others (--force: use it all the same)"
+        )
+    before, now = (dict(_leaves(c)) for c in (found.header["case"], described(case)))
+    absent = "nothing"
+    differ = [
+        f"  {key}: {now.get(key, absent)}; in the checkpoint {before.get(key, absent)}"
+        for key in dict.fromkeys([*now, *before])
+        if now.get(key, absent) != before.get(key, absent)
+    ]
+    if not differ:
+        return
+    more = [f"  and {len(differ) - TOLD} more"] if len(differ) > TOLD else []
+    said = [*differ[:TOLD], *more]
+    if force:
+        log.warning("%s is of another configuration:\n%s", found.path, "\n".join(said))
+        return
+    message = f"--restart: {found.path} is of another configuration (--force: use it all the same)"
+    raise InputError([message, *said])
+
+
+def described(case: config.Case) -> dict[str, Any]:
+    """All of a case that its states depend on."""
+    data = config.plain(case)
+    data.pop("title", None)
+    data["output"] = {"probes": data.get("output", {}).get("probes", {})}
+    return dict(json.loads(json.dumps(data)))
+
+
+def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and their values."""
+    if isinstance(data, dict) and data:
+        for name, value in data.items():
+            yield from _leaves(value, f"{key}.{name}" if key else name)
+    elif isinstance(data, list) and any(isinstance(v, dict | list) for v in data):
+        for k, value in enumerate(data):
+            yield from _leaves(value, f"{key}.{k}")
+    else:
+        yield key, data
+
+
+# A run
+
+
+class Keeper:
+    """Keeps the last state of a run where it may be taken up again, and saves it when it is due."""
+
+    def __init__(
+        self,
+        case: config.Case,
+        model: Model,
+        recorder: Recorder,
+        folder: Path,
+        found: Checkpoint | None,
+    ) -> None:
+        """Begin.
+
+        Args:
+            case: The configuration.
+            model: The model, at rest.
+            recorder: What is recorded of it.
+            folder: The run directory.
+            found: The checkpoint to go on from.
+        """
+        self._case, self._model, self._recorder = case, model, recorder
+        self._folder, self._found = folder, found
+        self._comm = model.tagged.mesh.comm
+        self._options = case.output.checkpoint
+        self._state: State | None = None
+        self._saved, self._when = 0, clock.monotonic()
+
+    def resume(self) -> int:
+        """Take up the checkpoint, if there is one; the stage it is in; collective.
+
+        Raises:
+            InputError: It is of another mesh, or of other unknowns.
+        """
+        if self._found is None:
+            return 0
+        header, state = self._found.header, self._found.state
+        self._refuse_misfits(self._found)
+        k = int(header["stage"])
+        self._model.resume(state["model"], k)
+        self._recorder.resume(state["recorder"])
+        self._saved = int(header["step"])
+        self._state = {"stage": k, "time": header["time"], "state": self._now()}
+        log.info("%s", _told(self._found, self._comm.size))
+        self._found = None
+        return k
+
+    def _refuse_misfits(self, found: Checkpoint) -> None:
+        """Refuse a checkpoint whose rows are not those of the model; collective.
+
+        Raises:
+            InputError: They are not.
+        """
+        stages = len(self._model.scene.stages)
+        where = f"--restart: {found.path}"
+        if found.header["mesh"] != self._model.mesh_hash:
+            raise InputError(
+                f"{where} is of another mesh ({found.header['mesh'][:12]}, here "
+                f"{self._model.mesh_hash[:12]}): its states mean nothing on this one"
+            )
+        if found.header["stage"] >= stages:
+            raise InputError(f"{where} is in a stage that this case, of {stages}, has not")
+        faults = list(_misfits(self._model.state(), found.state["model"], ""))
+        sizes = self._comm.allreduce(np.array([own for _, _, own in faults]))
+        bad = [
+            name
+            for (name, there, _), here in zip(faults, sizes, strict=True)
+            if there is None or here != there
+        ]
+        bad = sorted(set().union(*self._comm.allgather(bad)))
+        if bad:
+            raise InputError(
+                f"{where} is of another model: it has other unknowns or records in "
+                f"{', '.join(bad[:TOLD])}; allowed: cases of the same interfaces, heat and cure"
+            )
+
+    def _now(self) -> State:
+        return {"model": self._model.state(), "recorder": self._recorder.state()}
+
+    def mark(self, k: int) -> None:
+        """Remember the state, which is in a stage, and save it if that is due; collective."""
+        state = self._now()
+        now = state["recorder"]
+        self._state = {"stage": k, "time": now["time"], "state": state}
+        steps, minutes = self._options.steps, self._options.minutes
+        due = bool(steps and now["step"] - self._saved >= steps)
+        if minutes and not due:
+            # By one clock: all ranks save, or none does.
+            waited = clock.monotonic() - self._when
+            due = bool(self._comm.bcast(waited >= 60 * minutes))
+        if due:
+            self.save()
+
+    def save(self) -> Path | None:
+        """Save what was remembered last, unless it is; where it is; collective."""
+        kept = self._state
+        if kept is None:
+            return None
+        recorded = kept["state"]["recorder"]
+        path = self._folder / f"checkpoint-{recorded['step']}.h5"
+        if recorded["step"] == self._saved and on_root(self._comm, path.exists):
+            return path
+        header = {
+            "format": FORMAT,
+            "mantle": __version__,
+            "case": described(self._case),
+            "mesh": self._model.mesh_hash,
+            "ranks": self._comm.size,
+            "stage": kept["stage"],
+            "stage_name": self._model.scene.stages[kept["stage"]].name,
+            "step": recorded["step"],
+            "time": kept["time"],
+            "seconds": recorded["seconds"],
+            "written": datetime.now(UTC).isoformat(timespec="seconds"),
+        }
+        try:
+            write(self._comm, path, header, kept["state"])
+        except OSError as error:
+            log.warning("no checkpoint: %s: %s", path, error.strerror or error)
+            return None
+        on_root(self._comm, lambda: _keep(self._folder, path), share=False)
+        self._saved, self._when = recorded["step"], clock.monotonic()
+        log.debug("     %s", path)
+        return path
+
+
+def _keep(folder: Path, newest: Path) -> None:
+    """Leave the newest checkpoints; what is said to be newer is of another try."""
+    every = saved(folder)
+    place = every.index(newest)
+    for path in [*every[:place], *every[place + KEPT :]]:
+        path.unlink(missing_ok=True)
+
+
+def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None, int]]:
+    """For all rows of a model at rest: name, number in a checkpoint if it has those, own number."""
+    if isinstance(here, Share):
+        return
+    if isinstance(here, Rows):
+        fits = isinstance(there, Rows) and there.has(here.keys)
+        yield name, len(there.keys) if fits else None, len(here.keys)
+    elif isinstance(here, dict):
+        if not isinstance(there, dict) or here.keys() - there.keys():
+            yield name, None, 0
+            return
+        for key, value in here.items():
+            yield from _misfits(value, there[key], f"{name}.{key}" if name else key)
+    elif isinstance(here, list):
+        # What comes with time is not there at rest.
+        parts = name in ("mechanics", "thermal", "motion", "march") or name.endswith("contact")
+        if not isinstance(there, list) or (len(here) != len(there) if parts else False):
+            yield name, None, 0
+            return
+        for a, b in zip(here, there, strict=False):
+            yield from _misfits(a, b, name)
+
+
+def _told(found: Checkpoint, ranks: int) -> str:
+    """What is restored, for people."""
+    header, state = found.header, found.state
+    model, recorded = state["model"], state["recorder"]
+    what = []
+    for m in model["mechanics"]:
+        x = m["solver"]["x"]
+        what.append(f"displacement of {len(x['displacement']['nodes'].keys)} nodes")
+        if "jump" in x:
+            what.append(f"jump, friction and slip of {len(x['jump'].keys)} contact points")
+        if m["problem"]["setting"]:
+            what.append("stress of what sets")
+    for t in model["thermal"]:
+        heating = t["heating"]
+        what.append(
+            f"temperature of {len(heating['state']['parts'][0].keys)} nodes at "
+            f"{heating['seconds']:.6g} s, with peaks and doses"
+        )
+        if heating["strains"]:
+            what.append("cure")
+    for h in model["march"]:
+        if h["controller"]:
+            what.append(f"next time step {h['controller']['next']:.4g} s")
+    for m in model["motion"]:
+        if m["way"]:
+            what.append(f"next load step {m['way']['step']:.4g} of the stage")
+    writer = recorded["writer"]
+    what.append(f"{len(writer['rows'])} rows of history.csv")
+    what += [f"{f['steps']} steps of fields" for f in writer["fields"]]
+    by = "" if header["ranks"] == ranks else f" by {header['ranks']} rank(s)"
+    return (
+        f"restart from {found.path}, written {header['written']}{by}: step {header['step']}, "
+        f"time {header['time']:.6g} in stage '{header['stage_name']}', "
+        f"{header['seconds']:.1f} s of work\n     restored: {'; '.join(what)}"
+    )

@@ -1,0 +1,499 @@
+"""A case made ready to be solved: mesh, mechanics, heat, and what is published of its states."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle import meshes
+from mantle.heat.conduction import Conduction
+from mantle.heat.nodes import Probe
+from mantle.heat.system import HeatSystem
+from mantle.mechanics.neighbours import Neighbours
+from mantle.mechanics.prediction import Predictor
+from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.systems import Contact, System, mechanical
+from mantle.meshes.data import MeshData
+from mantle.meshes.distribute import TaggedMesh, distribute
+from mantle.meshes.parts import Parts
+from mantle.numerics.newton import Solver
+from mantle.numerics.state import State
+from mantle.results import gruen, quantities
+from mantle.results.balance import Balance
+from mantle.results.bond_strength import Bond, bonds
+from mantle.results.cure_quantities import CureRecord
+from mantle.results.field_output import HeatFields, Layer, MechanicalFields
+from mantle.results.heat_balance import HeatBalance
+from mantle.results.output import on_root
+from mantle.results.quantities import Samples, Stresses
+from mantle.results.thermal_quantities import ThermalRecord, exchange
+from mantle.scene import build
+from mantle.scene.terms import Scene, Stage
+from mantle.schema import config
+from mantle.soundness import case_on_mesh
+from mantle.stepping import stages as stepping
+from mantle.stepping.coupling import ContactHeat, Coupled, Staggered
+from mantle.stepping.heat_steps import Accepted, Heating
+from mantle.stepping.load_steps import Motion, OnStep, Step, Summary
+from mantle.stepping.nested_start import Nested, coarser
+from mantle.stepping.stages import Companion, Following, Joint, March, OnHeat
+from mantle.system import folders
+from mantle.system.timing import Timing
+
+log = logging.getLogger("mantle")
+
+# Heat below so many times what rounding leaves of it in a step is none.
+NOTHING = 1e7
+
+
+class Mechanical:
+    """The mechanics of a model, or of one after another that differ in loads and laws alone.
+
+    Attributes:
+        problem: What is solved.
+        solver: By what.
+        stresses: Its stresses.
+        bonds: Bonded interfaces that heat or cure loads.
+        neighbours: States of the models before.
+    """
+
+    def __init__(self, problem: Problem, solver: Solver, timing: Timing) -> None:
+        """Compile what is evaluated; collective."""
+        self.problem, self.solver = problem, solver
+        self.stresses = Stresses(problem, timing)
+        self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
+        self.neighbours = Neighbours(problem, solver)
+        self._balance: list[Balance] = []
+
+    def begin(self, build: Scene, augmentation_factor: float) -> None:
+        """Begin another model, at rest; collective."""
+        self.problem.begin(build, augmentation_factor)
+        self.solver.begin()
+        self.neighbours.begin()
+
+    def balance(self, about: NDArray[np.float64]) -> Balance:
+        """Balances of the model at rest; collective.
+
+        Args:
+            about: Point that moments are taken about (3,) [mm], always the same.
+        """
+        if self._balance:
+            self._balance[0].begin()
+        else:
+            self._balance.append(Balance(self.problem, about))
+        return self._balance[0]
+
+
+class Thermal:
+    """The heat of a model, and what is kept of it.
+
+    Attributes:
+        conduction: The operators.
+        heating: Its state.
+        record: Temperatures as far as they are reported.
+        cure: Degrees of cure, if anything sets.
+        balance: What came in, is stored and left.
+    """
+
+    def __init__(self, case: config.Case, heating: Heating) -> None:
+        """Begin with the initial state; collective."""
+        conduction = heating.conduction
+        self.conduction, self.heating = conduction, heating
+        self._capacities = {c.region: c.capacity for c in conduction.scene.conductors}
+        self._names = [c.name for c in conduction.scene.thermal_contacts]
+        shares = {f.interface: f.slave_share for f in conduction.scene.friction_heat}
+        self._shares = np.array([shares.get(name, 0.0) for name in self._names])
+        self.record = ThermalRecord(
+            conduction.tagged,
+            conduction.forms,
+            conduction.bodies.of_region,
+            case.geometry.interface_sides,
+            case.of_tissue("bone"),
+            [Probe(name, p.at, p.region or "") for name, p in case.output.probes.items()],
+        )
+        self.record.start(conduction.temperatures(heating.vectors()))
+        self.cure: tuple[CureRecord, ...] = tuple(
+            CureRecord(conduction.comm, heating.degrees()) for _ in conduction.cures
+        )
+        self.balance = HeatBalance(conduction.stored(heating.vectors()), {})
+
+    def update(self, accepted: Accepted) -> None:
+        """Take in a step; collective."""
+        heating, conduction = self.heating, self.conduction
+        x = heating.vectors()
+        temperatures = conduction.temperatures(x)
+        exchanges = [
+            exchange(self._names, j, temperatures, τ.array, j.friction, self._shares[j.interface])
+            for j, τ in zip(conduction.jumps, x[1:], strict=True)
+        ]
+        highest = conduction.bounds(x).high
+        rates = heating.slopes() if heating.begins_at_event(accepted) else ()
+        self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
+        for cure in self.cure:
+            cure.update(accepted.seconds, heating.degrees(), heating.rates())
+        stored = conduction.stored(x)
+        rounding = conduction.measure(x, conduction.vectors()).rounding
+        if accepted.dt == 0.0:
+            # A model of one temperature lets nothing through but rounding.
+            self.balance.steady(accepted.flows, stored, 1e2 * rounding)
+            return
+        moved = self.record.moved(self._capacities)
+        # Nor does one that waits for its first heat, such as that of friction.
+        least = NOTHING * rounding * accepted.dt
+        self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved, least)
+
+    def state(self) -> State:
+        """All that is history; collective."""
+        return {
+            "heating": self.heating.memory(),
+            "record": self.record.state(),
+            "cure": [c.state(self._keys()) for c in self.cure],
+            "balance": self.balance.state(),
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; collective."""
+        self.heating.resume(state["heating"])
+        self.record.resume(state["record"])
+        for cure, found in zip(self.cure, state["cure"], strict=True):
+            cure.resume(found, self._keys())
+        self.balance.resume(state["balance"])
+
+    def _keys(self) -> dict[str, NDArray[np.int64]]:
+        """Keys of the nodes of each region that sets."""
+        nodes = self.conduction.nodes
+        return {n.region: nodes[n.dof] for c in self.conduction.cures for n in c.nodes}
+
+    def row(self) -> dict[str, float]:
+        """Columns of history.csv."""
+        row = self.record.row()
+        for cure in self.cure:
+            row |= cure.row()
+        return row | {"heat balance [-]": self.balance.heat}
+
+
+class Model:
+    """A case made ready to be solved.
+
+    Attributes:
+        scene: What is solved.
+        tagged: On what mesh.
+        mesh_hash: Digest of that mesh.
+        parts: What that mesh consists of, on rank 0.
+        mechanics: Its mechanics, if it has any.
+        thermal: Its heat, if it has any.
+    """
+
+    def __init__(
+        self,
+        case: config.Case,
+        comm: MPI.Comm,
+        options: dict[str, str],
+        timing: Timing,
+        stop: Callable[[], str],
+        kin: list[Model] | None = None,
+    ) -> None:
+        """Mesh, assemble and set the solvers up; collective.
+
+        Args:
+            case: The configuration.
+            comm: Communicator.
+            options: Raw PETSc options from the command line.
+            timing: Where the seconds go.
+            stop: Names a signal that asks this rank to stop, or gives an empty text.
+            kin: Models before it, with the same options, of which it takes over what it can: their
+                meshes, and their mechanics, after which they are of no use. It joins them.
+        """
+        self._case, self._timing = case, timing
+        self.options, self.stop = options, stop
+        self._kin = [] if kin is None else kin
+        with timing.phase("mesh"):
+            self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
+        with timing.phase("assemble"):
+            self.scene: Scene = build.build(case)
+            self.mechanics = self._mechanics()
+            self._common, heatings = self._heat()
+            self.thermal = tuple(Thermal(case, h) for h in heatings)
+        self._kin[:] = [m for m in self._kin if not self.deforms_like(m._case)] + [self]
+
+    def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
+        """The mesh, its digest, and what it consists of, on rank 0; collective."""
+        case = self._case
+        for model in self._kin:
+            if (model._case.geometry, model._case.mesh) == (case.geometry, case.mesh):
+                return model.tagged, model.mesh_hash, model.parts
+        data = on_root(
+            comm,
+            lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
+            share=False,
+        )
+        found = case_on_mesh.look(case, data) if data is not None else None
+        digest = comm.bcast(_mesh_hash(data) if data is not None else "")
+        return distribute(data, comm), digest, found
+
+    def judge(self) -> list[str]:
+        """What is suspicious about the case on its mesh; collective.
+
+        Raises:
+            InputError: It cannot be solved.
+        """
+        found = self.parts
+        notes = on_root(
+            self.tagged.mesh.comm,
+            lambda: case_on_mesh.judge(self._case, found) if found is not None else [],
+        )
+        return notes or []
+
+    def deforms_like(self, case: config.Case) -> bool:
+        """Whether a case has the matrices of this one, its contacts, and loads in its places."""
+        return _matrices(self._case) == _matrices(case)
+
+    def _solver(self, system: System) -> Solver:
+        chosen = self._case.solver
+        options = dict(chosen.petsc) | self.options
+        return Solver(
+            system,
+            chosen.tolerance,
+            chosen.max_iterations,
+            chosen.linear,
+            options,
+            self._timing,
+            self.stop,
+        )
+
+    def _mechanics(self) -> tuple[Mechanical, ...]:
+        """Problem and solver, where anything deforms."""
+        if not self.scene.elastic:
+            return ()
+        factor = self._case.solver.augmentation_factor
+        like: list[Problem] = []
+        for model in self._kin if not self.scene.cures else ():
+            if model.deforms_like(self._case):
+                (m,) = model.mechanics
+                m.begin(self.scene, factor)
+                return (m,)
+            if _stiffness(model._case) == _stiffness(self._case):
+                like += [m.problem for m in model.mechanics]
+        if any(support.active for support in self.scene.supports):
+            like.clear()
+        timing = self._timing
+        problem = Problem(self.scene, self.tagged, factor, timing, *like[:1])
+        return (Mechanical(problem, self._solver(mechanical(problem)), self._timing),)
+
+    def _heat(self) -> tuple[tuple[Coupled | Staggered, ...], tuple[Heating, ...]]:
+        """Heat and what solves it, where anything conducts."""
+        if not self.scene.conductors:
+            return (), ()
+        conduction = Conduction(self.scene, self.tagged, self._timing)
+        heat = HeatSystem(conduction)
+        match self.scene.coupling:
+            case ("monolithic",):
+                (m,) = self.mechanics
+                system = Coupled(self.scene, conduction, m.problem, heat, Contact(m.problem))
+                return (system,), (Heating(self.scene, conduction, self._solver(system)),)
+            case ("staggered",):
+                (m,) = self.mechanics
+                contact = ContactHeat(self.scene, m.problem, conduction)
+                both = Staggered(contact, conduction, m.problem, self._solver(heat), m.solver)
+                return (both,), (Heating(self.scene, conduction, both),)
+            case _:
+                return (), (Heating(self.scene, conduction, self._solver(heat)),)
+
+    def sizes(self) -> dict[str, int]:
+        """Unknowns by block."""
+        parts = [t.heating.solver.block_sizes for t in self.thermal]
+        parts += [m.solver.block_sizes for m in self.mechanics]
+        return {name: size for part in parts for name, size in part.items()}
+
+    def layers(self) -> list[Layer]:
+        """What the fields are of."""
+        sides = self._case.geometry.interface_sides
+        return [
+            *(MechanicalFields(m.problem, m.stresses) for m in self.mechanics),
+            *(HeatFields(t.heating, t.record, sides) for t in self.thermal),
+        ]
+
+    def go(
+        self,
+        on_step: OnStep,
+        on_heat: OnHeat,
+        on_trouble: Callable[[str], None],
+        begin: Callable[[Stage], None] = lambda stage: None,
+        mark: Callable[[int], None] = lambda k: None,
+        resume: Callable[[], int] = lambda: 0,
+    ) -> Summary:
+        """Solve all stages.
+
+        Args:
+            on_step: Called after each step of the mechanics.
+            on_heat: Called after each step of the heat, the mechanics having followed.
+            on_trouble: Told what is tried when a step fails.
+            begin: Called before each stage.
+            mark: Called with the number of the stage wherever `state` may be asked for.
+            resume: Called first: may take up a state, and gives the stage that it is in.
+
+        Returns:
+            What it took.
+
+        Raises:
+            ConvergenceError: As `stepping.run`.
+        """
+
+        def heated(step: Step, accepted: Accepted) -> None:
+            for t in self.thermal:
+                t.update(accepted)
+            on_heat(step, accepted)
+
+        motion = tuple(
+            Motion(m.problem, m.solver, on_step, on_trouble, (m.neighbours, *self._nested(m)))
+            for m in self.mechanics
+        )
+        march = tuple(
+            March(t.heating, self._companions(t, motion), heated, on_trouble) for t in self.thermal
+        )
+        self._walk = motion, march
+        stepping.run(self.scene.stages, motion, march, begin, mark, resume())
+        total = Summary()
+        for part in (*(m.total for m in motion), *(m.total for m in march)):
+            total.add(part)
+        return total
+
+    # What a run remembers
+
+    def state(self) -> State:
+        """All that the steps to come depend on, where a step has just ended; collective."""
+        motion, march = self._walk
+        return {
+            "mechanics": [
+                {"problem": m.problem.state(), "solver": m.solver.state()} for m in self.mechanics
+            ],
+            "thermal": [t.state() for t in self.thermal],
+            "motion": [m.state() for m in motion],
+            "march": [m.state() for m in march],
+        }
+
+    def resume(self, state: State, k: int) -> None:
+        """Take up a state in a stage; the model is at rest; collective."""
+        motion, march = self._walk
+        for m, found in zip(self.mechanics, state["mechanics"], strict=True):
+            m.problem.resume(found["problem"])
+            m.solver.resume(found["solver"])
+        for t, found in zip(self.thermal, state["thermal"], strict=True):
+            t.resume(found)
+        for h, found in zip(march, state["march"], strict=True):
+            h.resume(found, k, self.scene.stages[k])
+        for m, found in zip(self.mechanics, state["mechanics"], strict=True):
+            m.problem.settle(found["problem"], *m.solver.parts())
+        for p, found in zip(motion, state["motion"], strict=True):
+            p.resume(found)
+
+    def _nested(self, m: Mechanical) -> tuple[Nested, ...]:
+        """A start from a coarser mesh, if that pays."""
+        if not m.problem.jumps or self.scene.conductors:
+            return ()
+        case = coarser(self._case, m.solver.block_sizes)
+        return () if case is None else (Nested(m.problem, m.solver, lambda: self._coarse(case)),)
+
+    def _coarse(self, case: config.Case) -> Motion:
+        """The mechanics of a coarser model on their way; collective."""
+        comm = self.tagged.mesh.comm
+        other = Model(case, comm, self.options, self._timing, self.stop, self._kin)
+        (m,) = other.mechanics
+        predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))
+        return Motion(m.problem, m.solver, lambda step, trial: None, log.debug, predictors)
+
+    def _companions(self, thermal: Thermal, motion: tuple[Motion, ...]) -> tuple[Companion, ...]:
+        """The mechanics beside the heat: in one system with it, or after it."""
+        heating = thermal.heating
+        if self._common:
+            (system,) = self._common
+            return tuple(Joint(m, heating, system) for m in motion)
+        return tuple(Following(m, heating, heating.options.mechanical_step) for m in motion)
+
+    # What is published of the state last committed
+
+    def numbers(self, samples: Samples | None) -> dict[str, Any]:
+        """All numbers; collective.
+
+        Args:
+            samples: Of the contact points, if there are any.
+        """
+        numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
+        for m in self.mechanics:
+            elastic = m.problem.scene.elastic
+            numbers["interfaces"] = self.interfaces(samples)
+            numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
+            if m.bonds:
+                numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
+            implant, bone = (self._case.of_tissue(t) for t in ("implant", "bone"))
+            numbers["stem"] = quantities.stem_motion(m.problem, implant, bone)
+        for t in self.thermal:
+            numbers["thermal"] = t.record.summary()
+            for cure in t.cure:
+                numbers["cure"] = cure.summary()
+        return numbers
+
+    def places(self, samples: Samples | None) -> dict[str, Any]:
+        """What only some geometries have: mantle, layers, Gruen zones; collective."""
+        notes = self.tagged.notes
+        found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
+        for m in self.mechanics:
+            for zones in self._case.geometry.zones:
+                found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
+        return found
+
+    def interfaces(self, samples: Samples | None) -> dict[str, dict[str, Any]]:
+        """What is published of the contact interfaces; collective."""
+        if samples is None:
+            return {}
+        (m,) = self.mechanics
+        return {
+            c.name: quantities.interface(m.problem, samples, i)
+            for i, c in enumerate(self.scene.contacts)
+        }
+
+    def relative(self, case: config.Case) -> dict[str, Any]:
+        """Solve another case in the same way; collective."""
+        other = Model(case, self.tagged.mesh.comm, self.options, Timing(), self.stop, self._kin)
+        last: list[Samples | None] = [None]
+
+        def keep(step: Step, trial: Trial | None) -> None:
+            if step.time == len(other.scene.stages) and trial is not None:
+                last[0] = Samples(other.mechanics[0].problem, trial)
+
+        def trouble(text: str) -> None:
+            log.debug("     %s", text)
+
+        other.go(keep, lambda step, accepted: None, trouble)
+        return other.numbers(last[0])
+
+
+def _stiffness(case: config.Case) -> tuple[Any, ...]:
+    """All of a case that the stiffness of the bonded model and its solver depend on."""
+    solver = case.solver.model_copy(update={"augmentation_factor": 1.0})
+    stages = [stage.name for stage in case.stages]
+    return case.geometry, case.mesh, case.regions, case.supports, solver, stages
+
+
+def _matrices(case: config.Case) -> tuple[Any, ...]:
+    """All of a case that its matrices and its compiled forms depend on."""
+    loads = [
+        (name, load.kind, getattr(load, "boundary", None), getattr(load, "regions", None))
+        for name, load in case.loads.items()
+    ]
+    contacts = [name for name, law in case.interfaces.items() if law.kind != "bonded"]
+    return *_stiffness(case), loads, contacts
+
+
+def _mesh_hash(data: MeshData) -> str:
+    digest = hashlib.sha256()
+    for array in (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,297 @@
+"""What becomes of the steps of a run: lines, rows, fields and the summary."""
+
+from __future__ import annotations
+
+import logging
+import time as clock
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from mantle.errors import StoppedError
+from mantle.forms.contact import OPEN, SLIP
+from mantle.mechanics.problem import Trial
+from mantle.numerics.state import State
+from mantle.results import log as text
+from mantle.results.balance import Balance
+from mantle.results.output import UNITS, Writer
+from mantle.results.quantities import Samples
+from mantle.scene.terms import Stage
+from mantle.schema import config
+from mantle.simulation.model import Mechanical, Model
+from mantle.soundness import uniqueness
+from mantle.stepping.heat_steps import Accepted
+from mantle.stepping.load_steps import Step, Summary
+from mantle.system.timing import Timing, peak_memory
+
+log = logging.getLogger("mantle")
+
+# Columns of history.csv for each contact interface, with their units.
+COLUMNS = {
+    "gap_max": "mm",
+    "gap_p99": "mm",
+    "slip_max": "mm",
+    "slip_p99": "mm",
+    "pressure_max": "MPa",
+    "pressure_p99": "MPa",
+    "shear_max": "MPa",
+    "shear_p99": "MPa",
+    "penetration_max": "mm",
+    "open_fraction": "-",
+    "stick_fraction": "-",
+    "slip_fraction": "-",
+    "dissipation": "N mm",
+    "dissipation_min": "N mm",
+    "contact_work": "N mm",
+}
+
+
+class Recorder:
+    """Turns converged steps into lines, rows, fields and the summary."""
+
+    def __init__(
+        self, case: config.Case, model: Model, writer: Writer, timing: Timing, begin: float
+    ) -> None:
+        """Begin; collective.
+
+        Args:
+            case: The configuration.
+            model: The model, at rest.
+            writer: Where it goes.
+            timing: Where the seconds go.
+            begin: When the run began, by `time.perf_counter`.
+        """
+        self._case, self._model, self._writer = case, model, writer
+        self._timing, self._begin = timing, begin
+        about = np.array(getattr(case.geometry, "head_centre", (0.0, 0.0, 0.0)))
+        with timing.phase("assemble"):
+            self._balances = [m.balance(about) for m in model.mechanics]
+            self._critical = [uniqueness.check(m.problem) for m in model.mechanics]
+        self._samples: Samples | None = None
+        self._trials: tuple[Trial, ...] = ()
+        self._time = 0.0
+        self._rows = self._written = self._frames = 0
+        self._total = Summary()
+        self._takes_time = False
+        self._mechanical: dict[str, Any] = {}
+
+    def state(self) -> State:
+        """What has been recorded; collective."""
+        contact = [
+            {"pressures": j.rows(t.law.pressures), "status": j.rows(t.law.status)}
+            for t in self._trials
+            for m in self._model.mechanics
+            for j in m.problem.jumps
+        ]
+        return {
+            "step": self._rows,
+            "time": self._time,
+            "frames": self._frames,
+            "written": self._written,
+            "total": asdict(self._total),
+            "mechanical": dict(self._mechanical),
+            "balances": [b.state() for b in self._balances],
+            "contact": contact,
+            "writer": self._writer.state(),
+            "seconds": clock.perf_counter() - self._begin,
+            "timing": dict(self._timing.seconds),
+        }
+
+    def resume(self, state: State) -> None:
+        """Go on from there, the model being there; collective."""
+        self._rows, self._time = state["step"], state["time"]
+        self._frames, self._written = state["frames"], state["written"]
+        self._total = Summary(**state["total"])
+        self._mechanical = dict(state["mechanical"])
+        for m, balance, found in zip(
+            self._model.mechanics, self._balances, state["balances"], strict=True
+        ):
+            u, q = m.solver.parts()
+            trial = m.problem.trial(u, q) if q is not None else None
+            balance.resume(found, u, trial)
+            for j, law in zip(m.problem.jumps, state["contact"], strict=False):
+                assert trial is not None
+                pressures, status = (law[k].of(j.mine) for k in ("pressures", "status"))
+                then = replace(trial.law, pressures=pressures, status=status.ravel())
+                self._trials = (replace(trial, law=then),)
+                self._samples = Samples(m.problem, *self._trials)
+        if not self._writer.resume(state["writer"]):
+            self._written = 0
+        self._begin -= state["seconds"]
+        for phase, seconds in state["timing"].items():
+            self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds
+
+    def stage(self, stage: Stage) -> None:
+        """A stage begins."""
+        self._takes_time = stage.duration > 0 or stage.steady
+        log.info("%s", text.heat_header() if self._takes_time else text.step_header())
+
+    def step(self, step: Step, trial: Trial | None) -> None:
+        """Record a step of the mechanics; collective."""
+        with self._timing.phase("output"):
+            (m,), (balance,) = self._model.mechanics, self._balances
+            balance.update(m.solver.parts()[0], trial)
+            self._trials = (trial,) if trial is not None else ()
+            self._samples = Samples(m.problem, trial) if trial is not None else None
+            self._total.count(step.outcome)
+            self._mechanical = self._row_of(step, balance)
+            # The steps of heat, which come more often, have the rows of stages that take time.
+            if not self._takes_time:
+                self._line(step)
+                self._row(step)
+
+    def heat(self, step: Step, accepted: Accepted) -> None:
+        """Record a step of the heat, which the mechanics have followed; collective."""
+        with self._timing.phase("output"):
+            self._total.count(accepted.outcome)
+            wall = clock.perf_counter() - self._begin
+            for t in self._model.thermal:
+                log.info("%s", text.heat_line(step.number, accepted, t.row(), wall))
+            self._row(step)
+
+    def _line(self, step: Step) -> None:
+        interfaces = self._model.interfaces(self._samples)
+        rate = (len(self._model.scene.stages) - step.time) / step.time
+        solved = self._timing.seconds.get("solve", 0.0)
+        log.info(
+            "%s",
+            text.step_line(
+                step.number,
+                step.time,
+                step.outcome.iterations,
+                step.outcome.linear_iterations,
+                step.outcome.residuals[-1],
+                self._fraction(OPEN),
+                self._fraction(SLIP),
+                max((q["penetration_max"] for q in interfaces.values()), default=0.0),
+                clock.perf_counter() - self._begin,
+                solved * rate,
+            ),
+        )
+
+    def _row_of(self, step: Step, balance: Balance) -> dict[str, Any]:
+        """Columns of the mechanics."""
+        row: dict[str, Any] = {
+            "newton [-]": step.outcome.iterations,
+            "krylov [-]": step.outcome.linear_iterations,
+            "residual [-]": step.outcome.residuals[-1],
+            "step [s]": round(step.seconds, 3),
+            "augmentation [-]": step.augmentation,
+            "force balance [-]": balance.force,
+            "moment balance [-]": balance.moment,
+            "energy balance [-]": balance.energy,
+        }
+        for name, q in self._model.interfaces(self._samples).items():
+            row |= {f"{name} {key} [{unit}]": q[key] for key, unit in COLUMNS.items()}
+        return row
+
+    def _row(self, step: Step) -> None:
+        """A row of history.csv, and fields where they are due."""
+        self._time = step.time
+        self._rows += 1
+        row: dict[str, Any] = {"step": self._rows, "time [-]": step.time} | self._mechanical
+        for t in self._model.thermal:
+            row |= t.row()
+        wall = clock.perf_counter() - self._begin
+        self._writer.history(row | {"wall [s]": round(wall, 3)})
+        if step.whole:
+            self._frames += 1
+            if self._frames % self._case.output.every == 0:
+                self._fields()
+
+    def _fraction(self, status: int) -> float:
+        s = self._samples
+        if s is None:
+            return 0.0
+        return float(s.weight[s.status == status].sum() / s.weight.sum())
+
+    def _fields(self) -> None:
+        self._written = self._rows  # a step that does not fit the disk is not tried again
+        self._writer.fields(self._time, self._samples)
+
+    def flush(self) -> None:
+        """Write the fields of the last step, unless they are, and the pictures."""
+        if self._written < self._rows:
+            self._fields()
+        for t in self._model.thermal:
+            self._writer.pictures(t.conduction, t.record)
+
+    def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
+        """The summary of the state last committed; collective."""
+        model, counted = self._model, total or self._total
+        sizes = model.sizes()
+        balance: dict[str, float] = {}
+        for b in self._balances:
+            balance |= {"force": b.force, "moment": b.moment, "energy": b.energy}
+        for t in model.thermal:
+            balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature}
+        result = {
+            "status": status,
+            "title": self._case.title,
+            "units": UNITS,
+            "time": self._time,
+            **model.numbers(self._samples),
+            **model.places(self._samples),
+            "balance": balance,
+            "solver": {
+                "dofs": sum(sizes.values()),
+                "blocks": sizes,
+                "steps": self._rows,
+                "newton_iterations": counted.newton_iterations,
+                "linear_iterations": counted.linear_iterations,
+                "rejected_steps": total.rejected if total else None,
+                "augmentation": _augmentation(model.mechanics),
+                "ranks": model.tagged.mesh.comm.size,
+            },
+        }
+        for critical in self._critical:
+            for name, value in critical.items():
+                if name in result["interfaces"]:
+                    result["interfaces"][name]["critical_friction"] = value
+        comm = model.tagged.mesh.comm
+        cpu = comm.allgather(self._timing.cpu)
+        memory = comm.allreduce(peak_memory())
+        result["timing"] = self.seconds()
+        result["cpu"] = {k: round(sum(c.get(k, 0.0) for c in cpu), 3) for k in cpu[0]}
+        result["memory"] = {
+            "peak": round(memory, 1),
+            "per_unknown": round(1e3 * memory / sum(sizes.values()), 2),
+        }
+        return result
+
+    def seconds(self) -> dict[str, float]:
+        """Wall seconds so far, by phase."""
+        seconds = {k: 0.0 for k in ("mesh", "compile", "assemble", "solve", "output")}
+        seconds |= self._timing.seconds
+        seconds["total"] = clock.perf_counter() - self._begin
+        return {k: round(v, 3) for k, v in seconds.items()}
+
+    def close(self, status: str) -> None:
+        """Leave the last converged state on disk, as far as the disk allows; collective."""
+        if not self._rows:
+            return
+        for m in self._model.mechanics:
+            # The loads of the step that failed are not this state's.
+            m.problem.set_time(self._time)
+        for write in (
+            self.flush,
+            lambda: self._writer.finish(self.summary(status, None), done=False),
+        ):
+            try:
+                write()
+            except StoppedError as error:
+                log.warning("%s", error)
+
+    def last_state(self) -> str:
+        """Where the last converged state is."""
+        if not self._rows:
+            return "no step has converged: nothing is on disk"
+        return (
+            f"last converged state: time {self._time:.4g} (step {self._rows}) "
+            f"in {self._writer.folder}"
+        )
+
+
+def _augmentation(mechanics: tuple[Mechanical, ...]) -> dict[str, float]:
+    return {k: v for m in mechanics for k, v in m.problem.augmentation().items()}

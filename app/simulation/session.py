@@ -1,0 +1,339 @@
+"""One run, from a configuration to a run directory: the straight line through the program."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time as clock
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mpi4py import MPI
+
+from mantle.errors import (
+    ConvergenceError,
+    EnvironmentProblem,
+    GeometryError,
+    StoppedError,
+    agree,
+)
+from mantle.results import error
+from mantle.results import log as text
+from mantle.results.output import Writer, on_root, provenance
+from mantle.schema import config
+from mantle.simulation import checkpoint, keep_finished, variations
+from mantle.simulation.checkpoint import Keeper
+from mantle.simulation.model import Model
+from mantle.simulation.recorder import Recorder
+from mantle.soundness import case_on_mesh, preview
+from mantle.system import blas_check, ranks, stopping
+from mantle.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
+from mantle.system.timing import Timing
+
+log = logging.getLogger("mantle")
+
+
+def run(
+    case: config.Case,
+    case_path: Path,
+    output: Path,
+    petsc_options: list[str],
+    overrides: list[str],
+    keep: bool = False,
+    restart: str = "",
+    force: bool = False,
+    walltime: float | None = None,
+) -> int:
+    """Solve a case and write its run directory; collective.
+
+    Args:
+        case: The configuration.
+        case_path: Where it came from, for the record.
+        output: The run directory.
+        petsc_options: Raw PETSc options from the command line.
+        overrides: ``--set`` options, for the record.
+        keep: Whether variations that are finished stay.
+        restart: A checkpoint to go on from, ``auto`` or nothing.
+        force: Whether it may be of another configuration.
+        walltime: How long the run may take [s].
+
+    Returns:
+        0.
+
+    Raises:
+        MantleError: With the last converged state on disk where there is one.
+    """
+    comm, started, begin = MPI.COMM_WORLD, datetime.now(UTC), clock.perf_counter()
+    expected = ranks.world_size()
+    if expected and expected != comm.size:
+        raise EnvironmentProblem(
+            f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
+            "another MPI; use this one's, or mantle run -n"
+        )
+    blas_check.check(comm)
+    here = os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", "")
+    if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
+        log.warning("note: %s", crowd)
+    signalled = stopping.signals()
+    late = str if walltime is None else stopping.WallTime(begin, walltime)
+    session = Session(
+        comm,
+        case_path,
+        raw_options(petsc_options),
+        lambda: signalled() or late(),
+        begin,
+        started,
+        partial(checkpoint.find, comm, restart, force=force) if restart else None,
+    )
+    session.note(preview.warnings(case))
+    with _claimed(comm, output):
+        if not case.variations:
+            summary = session.solve(case, overrides, output)
+            log.info("%s", text.closing_table(summary))
+        else:
+            session.vary(case, overrides, output, keep)
+    log.info("results in %s", output)
+    return 0
+
+
+class Session:
+    """One case, or its variations one after another."""
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        case_path: Path,
+        options: dict[str, str],
+        stop: Callable[[], str],
+        begin: float,
+        started: datetime,
+        restart: Callable[..., checkpoint.Checkpoint | None] | None = None,
+    ) -> None:
+        """Begin.
+
+        Args:
+            comm: Communicator.
+            case_path: Where the case came from, for the record.
+            options: Raw PETSc options.
+            stop: Names a signal that asks this rank to stop, or gives an empty text.
+            begin: When the run began, by `time.perf_counter`.
+            started: The same, by the clock.
+            restart: Finds the checkpoint of a run directory (``folder``) and case, if wanted.
+        """
+        self._comm, self._case_path, self._options, self._stop = comm, case_path, options, stop
+        self._begin, self._started, self._restart = begin, started, restart
+        self._timing = Timing()
+        self._models: list[Model] = []
+        self._noted: set[str] = set()
+
+    def note(self, messages: Sequence[str]) -> None:
+        """Tell what is suspicious, each thing once."""
+        for message in messages:
+            if message not in self._noted:
+                log.warning("note: %s", message)
+        self._noted.update(messages)
+
+    def vary(self, case: config.Case, overrides: Sequence[str], output: Path, keep: bool) -> None:
+        """Solve the variations of a case, each in a folder of its own; collective.
+
+        Args:
+            case: The case.
+            overrides: ``--set`` options, for the record.
+            output: The folder above theirs.
+            keep: Whether those that are finished stay.
+
+        Raises:
+            ConvergenceError: Some did not converge; the others are done.
+            StoppedError: Those before are done.
+        """
+        varied = config.variations(self._case_path, overrides)
+        chain = variations.order(case, varied)
+        mark = output / "DONE"
+        on_root(self._comm, lambda: mark.unlink(missing_ok=True), share=False)
+        rows: dict[int, variations.Row] = {}
+        failed: dict[str, str] = {}
+        if keep:
+            finished = on_root(self._comm, lambda: keep_finished.summaries(output, varied)) or {}
+            for i, old in finished.items():
+                rows[i] = variations.row(varied[i], old, "converged", old["timing"]["total"])
+            log.info("%d of %d variations are finished already", len(rows), len(chain))
+        for number, i in enumerate(chain):
+            if i in rows:
+                continue
+            v, folder = varied[i], output / varied[i].name
+            log.info("variation %d of %d: %s", number + 1, len(chain), v.name)
+            on_root(self._comm, partial(_prepare, folder), share=False)
+            status = "converged"
+            summary: dict[str, Any] = {}
+            try:
+                summary = self.solve(v.case, [*overrides, *v.overrides], folder)
+                log.info("%s", text.verdict(summary))
+            except ConvergenceError as failure:
+                status, failed[v.name] = "not converged", str(failure)
+                log.warning("%s: %s", v.name, failure)
+                why = partial(write_text, folder / FAILED, f"{failure}\n")
+                on_root(self._comm, why, share=False)
+            except StoppedError as stop:
+                text_ = f"variation {v.name} (number {number + 1} of {len(chain)}): {stop}"
+                raise StoppedError(text_) from stop
+            rows[i] = variations.row(v, summary, status, clock.perf_counter() - self._begin)
+            table = partial(variations.write, [rows[k] for k in sorted(rows)], output)
+            on_root(self._comm, table, share=False)
+            self._begin, self._started = clock.perf_counter(), datetime.now(UTC)
+            self._timing.clear()
+        done = [rows[k] for k in sorted(rows)]
+        on_root(self._comm, partial(variations.write, done, output), share=False)
+        log.info("%s", variations.table(done))
+        if failed:
+            names = ", ".join(failed)
+            raise ConvergenceError(
+                f"{len(failed)} of {len(chain)} variations did not converge: {names} (in {output})"
+            )
+        on_root(self._comm, partial(write_text, mark, ""), share=False)
+
+    def solve(self, case: config.Case, overrides: Sequence[str], output: Path) -> dict[str, Any]:
+        """Solve a case and write its run directory; collective.
+
+        Returns:
+            Its summary.
+
+        Raises:
+            MantleError: With the last converged state on disk where there is one.
+        """
+        comm, timing = self._comm, self._timing
+        found = self._restart(folder=output, case=case) if self._restart else None
+        model = Model(case, comm, self._options, timing, self._stop, self._models)
+        self.note(model.judge())
+        log.info(
+            "%s: %d cells, unknowns %s, %d rank(s)",
+            case.title or self._case_path.stem,
+            model.tagged.mesh.topology.index_map(3).size_global,
+            ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
+            comm.size,
+        )
+        started = self._started
+        writer = Writer(
+            model.tagged,
+            model.layers(),
+            output,
+            config.dump(case),
+            case.output.fields,
+            lambda: provenance(
+                comm.size, self._case_path, list(overrides), model.mesh_hash, started
+            ),
+            found is not None,
+        )
+        recorder = Recorder(case, model, writer, timing, self._begin)
+        keeper = Keeper(case, model, recorder, output, found)
+        try:
+            total = model.go(
+                recorder.step,
+                recorder.heat,
+                lambda s: log.info("     %s", s),
+                recorder.stage,
+                keeper.mark,
+                keeper.resume,
+            )
+        except ConvergenceError as failure:
+            agree(comm, failure)
+            recorder.close("not converged")
+            raise ConvergenceError(f"{failure}\n{recorder.last_state()}") from failure
+        except StoppedError as failure:
+            agree(comm, failure)
+            where = _saved(keeper)
+            recorder.close("stopped")
+            raise StoppedError(f"{failure}\n{recorder.last_state()}{where}") from failure
+        blas_check.check(comm)  # once more: what has converged by wrong sums is no result
+        recorder.flush()
+        summary = recorder.summary("converged", total)
+        self.note(case_on_mesh.doubts(case, summary["regions"]))
+        if case.output.condition:
+            for m in model.mechanics:
+                summary["solver"]["condition"] = m.solver.condition()
+        if companions := error.companions(case):
+            # The numbers are safe before their errors are looked for.
+            writer.finish(summary, done=False)
+            try:
+                with timing.phase("error"):
+                    summary["error"] = _errors(companions, model, summary, case.mesh.order)
+            except StoppedError as failure:
+                agree(comm, failure)
+                raise StoppedError(f"{failure}, in its companions{_saved(keeper)}") from failure
+            summary["timing"] = recorder.seconds()
+        writer.finish(summary, done=True)
+        if not case.output.checkpoint.model_fields_set:
+            # Those of interruptions are of no more use.
+            on_root(comm, partial(remove, saved(output)), share=False)
+        return summary
+
+
+@contextmanager
+def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
+    """Keep other runs out of a folder meanwhile; collective.
+
+    Raises:
+        InputError: Another run has it.
+    """
+    held = on_root(comm, partial(claim, output), share=False)
+    try:
+        yield
+    finally:
+        if held is not None:
+            os.close(held)
+
+
+def _saved(keeper: Keeper) -> str:
+    """Save the state; where it is, as the end of a message; collective."""
+    path = keeper.save()
+    return f"\nstate saved in {path}: --restart auto goes on from there" if path else ""
+
+
+def _prepare(folder: Path) -> None:
+    """Make the folder of a variation; that it failed once says nothing now.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    prepare_run(folder, force=True)
+    (folder / FAILED).unlink(missing_ok=True)
+
+
+def _errors(
+    companions: Sequence[error.Companion], model: Model, summary: dict[str, Any], order: int
+) -> dict[str, Any]:
+    """Solve the companions of a run and put the errors of its numbers into its summary."""
+    solved, failed = [], []
+    for companion in companions:
+        begin = clock.perf_counter()
+        try:
+            numbers = model.relative(companion.case)
+        except (ConvergenceError, GeometryError) as failure:
+            agree(model.tagged.mesh.comm, failure)
+            log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
+            failed.append(str(companion))
+            continue
+        solved.append((companion, numbers))
+        seconds = clock.perf_counter() - begin
+        log.info("     error: companion on %s in %.1f s", companion, seconds)
+    return {
+        "companions": [str(c) for c, _ in solved],
+        "failed": failed,
+        "unsettled": error.estimate(summary, order, solved),
+    }
+
+
+def raw_options(arguments: list[str]) -> dict[str, str]:
+    """PETSc options from the command line: ``-name value`` or ``-name``."""
+    options: dict[str, str] = {}
+    key = ""
+    for word in arguments:
+        if word.startswith("-") and not word[1:2].isdigit():
+            key = word.lstrip("-")
+            options[key] = ""
+        elif key:
+            options[key], key = word, ""
+    return options

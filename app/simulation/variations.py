@@ -1,0 +1,180 @@
+"""The runs of a ``variations`` section: in which order, and their common table."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mantle.schema import study_options
+from mantle.schema.config import Case, Varied
+from mantle.system.folders import write_json, write_text
+
+# Distance of two runs per step of a key: loads may merely scale, interfaces of other kinds share
+# little.
+LOAD, OTHER = 0.1, 100.0
+# What a row of the table has of the summary.
+OF_INTERFACES = (
+    *("gap_p99", "slip_p99", "pressure_p99", "shear_p99"),
+    *("open_fraction", "slip_fraction", "penetration_max"),
+)
+OF_HEATED_INTERFACES = ("temperature_max_first", "temperature_max_second")
+OF_REGIONS = ("von_mises_p99",)
+OF_HEATED_REGIONS = ("temperature_max",)
+
+Row = dict[str, Any]
+
+
+def order(case: Case, varied: Sequence[Varied]) -> list[int]:
+    """A chain through all variations, from the nearest to the case and each time to the nearest.
+
+    Args:
+        case: The case without its variations.
+        varied: They.
+    """
+    keys = [k for k in dict.fromkeys(k for v in varied for k in v.changes) if k != "title"]
+    cases = [c.model_dump(mode="json") for c in (*(v.case for v in varied), case)]
+    places = np.array([_ranks([_at(c, key) for c in cases]) for key in keys])
+    weights = [LOAD if key.startswith("loads.") else 1.0 for key in keys]
+    chain: list[int] = []
+    last = len(varied)
+    nearest = np.full(len(varied), np.inf)
+    for _ in varied:
+        # Only the last can have come nearer to those that are left.
+        steps = (
+            w * np.minimum(np.abs(p[:-1] - p[last]), OTHER)
+            for w, p in zip(weights, places, strict=True)
+        )
+        nearest = np.minimum(nearest, sum(steps, np.zeros(len(varied))))
+        nearest[chain] = np.inf
+        last = int(nearest.argmin())
+        chain.append(last)
+    return chain
+
+
+def _ranks(values: Sequence[Any]) -> list[float]:
+    """Place of each value among the numbers there are, or far from all others."""
+    numbers = [_numbers(v) for v in values]
+    texts = [str(v) for v in values]
+    known = {n: i for i, n in enumerate(sorted({n for n in numbers if n}))}
+    unlike = dict.fromkeys(t for t, n in zip(texts, numbers, strict=True) if not n)
+    others = {t: OTHER * (1 + i) for i, t in enumerate(unlike)}
+    return [float(known[n]) if n else others[t] for t, n in zip(texts, numbers, strict=True)]
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    """The numbers of a value with units, or of a list of such; empty if there is anything else."""
+    found: list[float] = []
+    for item in value if isinstance(value, list | tuple) else [value]:
+        try:
+            found.append(float(str(item).partition(" ")[0]))
+        except ValueError:
+            return ()
+    return tuple(found)
+
+
+def _at(case: Mapping[str, Any], key: str) -> Any:
+    """What stands at a key of a case, or None; a history that is not given is that of ones.
+
+    Of ``*`` the first is taken, of an interface its kind: what else differs has keys of its own.
+    """
+    data: Any = case
+    for item in re.sub(r"\[(\d+)\]", r".\1", key).split("."):
+        if isinstance(data, list | tuple):
+            data = data[int(item)] if item.isdigit() and int(item) < len(data) else None
+        else:
+            found = data if isinstance(data, Mapping) else {}
+            data = next(iter(found.values()), None) if item == "*" else found.get(item)
+    if isinstance(data, Mapping):
+        return data.get("kind")
+    return [1.0] * len(case["stages"]) if data is None and key.endswith("history") else data
+
+
+def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
+    """What a run says in the table.
+
+    Args:
+        v: Its variation.
+        summary: Its summary; empty if it has none.
+        status: converged, not converged or stopped.
+        seconds: Wall time.
+    """
+    solver = summary.get("solver", {})
+    return {
+        "name": v.name,
+        "overrides": v.changes,
+        "status": status,
+        "numbers": headlines(summary),
+        "newton_iterations": solver.get("newton_iterations"),
+        "linear_iterations": solver.get("linear_iterations"),
+        "seconds": round(seconds, 3),
+    }
+
+
+def headlines(summary: Mapping[str, Any]) -> dict[str, float]:
+    """The numbers that runs are compared by, as a study names them."""
+    tables = [
+        (summary.get("interfaces", {}), OF_INTERFACES),
+        (summary.get("regions", {}), OF_REGIONS),
+        ({"stem": summary.get("stem", {})}, tuple(study_options.STEM_UNITS)),
+        (summary.get("thermal", {}).get("regions", {}), OF_HEATED_REGIONS),
+        (summary.get("thermal", {}).get("interfaces", {}), OF_HEATED_INTERFACES),
+    ]
+    return {
+        f"{name}.{key}": numbers[key]
+        for table, keys in tables
+        for name, numbers in table.items()
+        for key in keys
+        if key in numbers
+    }
+
+
+def write(rows: Sequence[Row], folder: Path) -> None:
+    """Write the table as ``variations.json`` and ``variations.csv``."""
+    write_json(folder / "variations.json", list(rows))
+    flat = [
+        {
+            "name": r["name"],
+            **r["overrides"],
+            "status": r["status"],
+            **{f"{key} [{study_options.unit(key)}]": n for key, n in r["numbers"].items()},
+            "newton [-]": r["newton_iterations"],
+            "krylov [-]": r["linear_iterations"],
+            "wall [s]": r["seconds"],
+        }
+        for r in rows
+    ]
+    text = io.StringIO()
+    table = csv.DictWriter(
+        text, fieldnames=list(dict.fromkeys(k for r in flat for k in r)), lineterminator="\n"
+    )
+    table.writeheader()
+    table.writerows(flat)
+    write_text(folder / "variations.csv", text.getvalue())
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The table for people: what all have in common of the numbers, a line per run."""
+    wide = max(len(r["name"]) for r in rows)
+    lines = [f"{'variation':<{wide}} {'newton':>6} {'krylov':>6} {'wall':>8}  most"]
+    for r in rows:
+        counts = [r[f"{kind}_iterations"] for kind in ("newton", "linear")]
+        newton, krylov = ("-" if n is None else n for n in counts)
+        said = most(r["numbers"]) if r["status"] == "converged" else r["status"]
+        lines.append(f"{r['name']:<{wide}} {newton:>6} {krylov:>6} {r['seconds']:>6.1f} s  {said}")
+    return "\n".join(lines)
+
+
+def most(numbers: Mapping[str, float]) -> str:
+    """The largest slip of a run, or its highest temperature."""
+    for key, scale, words in (("slip_p99", 1e3, "um slip on"), ("temperature_max", 1, "degC in")):
+        found = {k: n for k, n in numbers.items() if k.endswith(f".{key}")}
+        if found:
+            name = max(found, key=lambda k: found[k])
+            return f"{scale * found[name]:.1f} {words} {name.partition('.')[0]}"
+    return ""

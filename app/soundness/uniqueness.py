@@ -1,0 +1,153 @@
+r"""Friction coefficients beyond which a contact point alone may have several equilibria.
+
+A point that may open, stick or slip on a body of stiffness K under a load b: with q the jump and r
+the reaction,
+
+.. math:: K q = b + r, \qquad q_n \ge 0, \quad r_n \ge 0, \quad q_n r_n = 0, \qquad
+          |r_T| \le μ r_n, \quad r_T |q_T| = -μ r_n q_T .
+
+Klarbring (1990) solves it for a particle in the plane, K = [[k_T, w], [w, k_N]]. While the particle
+slips along ±t by s, eliminating r_n = ±w s - b_n leaves (k_T ± μ w) s = ±b_T + μ b_n: the load
+grows with the slip, as it does in the other states, if and only if μ |w| < k_T. Otherwise some
+loads have three solutions: open, stick and slip.
+
+In space, let n be the normal and t a unit vector of the tangent plane, A the tangential block of K
+and w its row K_nT (the normal force that a slip takes). A state that slips is (s, p, t): slip s t,
+pressure p = r_n. Its load is
+
+.. math:: b_T = s A t + μ p t, \qquad b_n = s\, w·t - p .
+
+The map from states to loads is continuous, piecewise smooth and homogeneous of degree one. If its
+Jacobian has one sign throughout, it is one to one near every state but 0 (two pieces of one
+orientation join to a homeomorphism), hence a covering of the loads without 0, which are simply
+connected, hence one to one. The sign is that of det K > 0 where the point is open and that of 1
+where it sticks. Where it slips, with t' across t and B = A + μ t w^T,
+
+.. math:: \det[Bt,\; s B t' + μ p t'] = s \det B + μ p\; t·Bt .
+
+Both terms have to be positive for all t: t·At + μ w·t > 0 (incipient slip), and det B > 0 (about to
+open). The first implies the second: if B x = 0 with |x| = 1, then x·Ax = -μ (x·t)(w·x) <= μ |w·x|,
+against the first for t = x or -x. Where the first fails, stick and slip fold onto each other and
+loads near b = (μ t, -1) have both. Hence
+
+.. math:: μ_c = \min_{|t| = 1} \frac{t·At}{|w·t|},
+
+which in the plane is Klarbring's k_T / |w|. With t = (cos θ, sin θ) in axes along and across w,
+[[a, b], [b, c]] the symmetric part of A and τ = tan θ, this is the least value of
+(a + 2 b τ + c τ²) / (|w| sqrt(1 + τ²)), stationary where c τ³ + (2 c - a) τ + 2 b = 0.
+
+A. Klarbring, Examples of non-uniqueness and non-existence of solutions to quasistatic contact
+problems with friction, Ingenieur-Archiv 60 (1990) 529-541. P. Hild, Non-unique slipping in the
+Coulomb friction model in two-dimensional linear elasticity, Q. J. Mech. Appl. Math. 57 (2004).
+"""
+
+from __future__ import annotations
+
+import logging
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.errors import Reason
+from mantle.mechanics.jumps import Jumps
+from mantle.mechanics.problem import Problem
+
+Floats = NDArray[np.float64]
+log = logging.getLogger("mantle")
+
+
+def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
+    """Friction coefficient at which each point stops having one equilibrium for every load.
+
+    Args:
+        stiffness: Stiffness that a jump meets at each point, positive definite (n, 3, 3).
+        normals: Unit normals (n, 3).
+
+    Returns:
+        Critical coefficients (n,); infinite where slip takes no normal force.
+    """
+    n = normals
+    row = np.einsum("pi,pij->pj", n, stiffness)
+    w = row - np.einsum("pi,pi->p", row, n)[:, None] * n
+    size = np.linalg.norm(w, axis=1)
+    bound = np.linalg.norm(row, axis=1)
+    coupled = size > np.finfo(float).eps * bound
+    critical = np.full(len(n), np.inf)
+    K, n, w, size = stiffness[coupled], n[coupled], w[coupled], size[coupled]
+    along = w / size[:, None]
+    across = np.cross(n, along)
+    a = np.einsum("pi,pij,pj->p", along, K, along)
+    b = np.einsum("pi,pij,pj->p", along, (K + K.transpose(0, 2, 1)) / 2, across)
+    c = np.einsum("pi,pij,pj->p", across, K, across)
+    companion = np.zeros((len(n), 3, 3))
+    companion[:, 1, 0] = companion[:, 2, 1] = 1
+    companion[:, 0, 2] = -2 * b / c
+    companion[:, 1, 2] = -(2 * c - a) / c
+    # Of a complex root the real part is just one more direction, of no smaller value.
+    τ = np.linalg.eigvals(companion).real
+    value = (a[:, None] + 2 * b[:, None] * τ + c[:, None] * τ**2) / np.sqrt(1 + τ**2)
+    critical[coupled] = value.min(axis=1) / size
+    return critical
+
+
+def critical_friction_of_points(j: Jumps) -> Floats:
+    """Least critical coefficient of the faces of each own point, all else held (n,).
+
+    An estimate, local and on the safe side. With the stiffness that a point meets while the bodies
+    give way around it and its neighbours stick, friction below the critical would be necessary for
+    uniqueness (not sufficient), but each point takes a solve: on the shipped cases, coarsened, the
+    least such value is 20 to 85 % above the least found here.
+    """
+    stiffness = j.local_stiffness()
+    # A point does not move where supports hold it: nothing couples there, and it is stiff.
+    stiffness[j.held[:, :, None] | j.held[:, None, :]] = 0
+    total = np.trace(stiffness, axis1=1, axis2=2)[:, None]
+    stiffness += np.where(j.held, total, 0.0)[:, :, None] * np.eye(3)
+    critical = np.full(len(j.mine), np.inf)
+    for k in range(j.normals.shape[1]):
+        on = j.faces > k
+        critical[on] = np.minimum(critical[on], critical_friction(stiffness[on], j.normals[on, k]))
+    return critical
+
+
+def check(problem: Problem) -> dict[str, float]:
+    """Least critical coefficient of each frictional interface; collective.
+
+    Warns of interfaces whose friction coefficient exceeds it.
+    """
+    found, sentences = _look(problem)
+    for sentence in sentences:
+        log.warning("%s", sentence)
+    return found
+
+
+def beyond(problem: Problem) -> list[str]:
+    """Sentences on interfaces whose friction coefficient exceeds the critical one; collective."""
+    return _look(problem)[1]
+
+
+def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
+    """Least critical coefficient of each frictional interface, and what there is to say."""
+    found, sentences = {}, []
+    for j in problem.jumps:
+        critical = critical_friction_of_points(j)
+        for i, contact in enumerate(problem.scene.contacts):
+            on = np.flatnonzero(j.interface == i)
+            k = on[np.argmin(critical[on])] if len(on) else 0
+            here = (float(critical[k]), tuple(j.points.x[j.mine[k]])) if len(on) else (np.inf, ())
+            least, x = min(problem.comm.allgather(here))
+            over = int((critical[on] < contact.friction).sum())
+            over = problem.comm.allreduce(over, MPI.SUM)
+            if not contact.frictional or not np.isfinite(least):
+                continue
+            found[contact.name] = least
+            if over:
+                place = "({:.2f}, {:.2f}, {:.2f}) mm".format(*x)
+                sentences.append(
+                    f"interface '{contact.name}': friction coefficient {contact.friction:g} "
+                    f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
+                    f"{place}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
+                )
+    return found, sentences

@@ -1,0 +1,418 @@
+"""Heat on its way through time: the state, a time step of it, what it has released so far.
+
+A time step is that of `numerics.integrator`; each of its stages is one solve of the system of heat,
+or of heat and mechanics together where heat depends on contact (`stepping.coupling`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Protocol
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from mantle.heat.conduction import Conduction
+from mantle.heat.curing import FreeStrain, as_temperature, since_gelation
+from mantle.mechanics.problem import Problem
+from mantle.numerics import integrator
+from mantle.numerics.integrator import METHODS, Method, State
+from mantle.numerics.newton import Outcome
+from mantle.numerics.state import State as SavedState
+from mantle.numerics.state import keyed
+from mantle.scene.terms import Expansion, Scene
+from mantle.stepping.load_steps import Summary
+
+Floats = NDArray[np.float64]
+
+
+# First step of a stage, as a part of an increment, where the rate of change is not known.
+FIRST = 1e-3
+# Times are equal up to this part of them.
+SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A heat step that is history.
+
+    Attributes:
+        seconds: Time at its end, since the start of the run [s].
+        dt: Its length [s]; 0 for a steady state.
+        heats: Heat that entered the model by condition, as the integration sums it [N mm].
+        flows: Heat that enters at its end by condition [N mm/s].
+        outcome: What the solver said at its last stage.
+    """
+
+    seconds: float
+    dt: float
+    heats: dict[str, float]
+    flows: dict[str, float]
+    outcome: Outcome
+
+
+class Beside(Protocol):
+    """What else is in the system of the heat."""
+
+    def place(self, seconds: float) -> None:
+        """Set it to the time of a stage [s]."""
+
+
+class Partner(Protocol):
+    """What solves the heat, alone or with what else is in its system."""
+
+    def named(self) -> dict[str, PETSc.Vec]:
+        """Blocks of the current state."""
+
+    def solve(self) -> Outcome:
+        """Solve from the current state."""
+
+    def state(self) -> SavedState:
+        """All that the next solve depends on."""
+
+    def resume(self, state: SavedState) -> None:
+        """Read it back; collective."""
+
+    @property
+    def block_sizes(self) -> dict[str, int]:
+        """Unknowns by block."""
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """What the mechanics have to know of a state of the heat.
+
+    Attributes:
+        temperatures: Of the nodes of each thermal body, ghosts included [K].
+        degrees: Of cure, of the nodes of each region that sets, ghosts included.
+        strains: Its free strain since gelation.
+    """
+
+    temperatures: list[Floats]
+    degrees: list[Floats]
+    strains: list[Floats]
+
+
+class Heating:
+    """Temperatures, jumps and degrees of cure in time.
+
+    Attributes:
+        conduction: The operators.
+        solver: What solves a stage.
+        beside: What else is in its system, if anything.
+        outcome: What the solver said last.
+        state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
+        seconds: Time since the start of the run [s].
+        total: What it took so far.
+    """
+
+    def __init__(self, scene: Scene, conduction: Conduction, solver: Partner) -> None:
+        """Begin at the initial temperatures; collective.
+
+        Args:
+            scene: The scene.
+            conduction: Its heat.
+            solver: Solver of its heat, or of heat and mechanics.
+        """
+        (self.options,) = scene.time
+        self.conduction, self.solver = conduction, solver
+        self.beside: tuple[Beside, ...] = ()
+        self.outcome = Outcome(False, 0, 0, (), (), False)
+        self.method = METHODS[self.options.method]
+        self.seconds = 0.0
+        self.total = Summary()
+        self.state = self._state(conduction.initial())
+        self._slope: State = [np.zeros_like(part) for part in self.state]
+        self._stages: list[dict[str, float]] = []
+        self.put(self.state)
+        # What the mechanics are told: temperatures of bodies, cure and free strain of regions.
+        n = len(conduction.bodies.names)
+        self._temperatures = [fem.Function(conduction.space) for _ in range(n)]
+        self._curing = [node for cure in conduction.cures for node in cure.nodes]
+        self._degrees = [fem.Function(conduction.space) for _ in self._curing]
+        self._strains = [fem.Function(conduction.space) for _ in self._curing]
+        expansion = {x.region: x for x in scene.expansions}
+        self._free = [
+            FreeStrain(conduction.comm, c, expansion.get(c.region, Expansion(c.region, 0, 0)), n)
+            for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
+        ]
+
+    # What a run remembers
+
+    def memory(self) -> SavedState:
+        """All that is history; collective."""
+        conduction = self.conduction
+        return {
+            "seconds": self.seconds,
+            "converged": self.outcome.converged,
+            "total": asdict(self.total),
+            "state": conduction.pack(self.state),
+            "slope": conduction.pack(self._slope),
+            "strains": [keyed(conduction.nodes, self._own(f.x.array)) for f in self._strains],
+            "conduction": conduction.state(),
+            "solver": self.solver.state(),
+        }
+
+    def resume(self, found: SavedState) -> None:
+        """Read it back; collective."""
+        self.seconds = found["seconds"]
+        self.outcome = replace(self.outcome, converged=found["converged"])
+        self.total = Summary(**found["total"])
+        self.state = self.conduction.unpack(found["state"])
+        self._slope = self.conduction.unpack(found["slope"])
+        for function, values in zip(self._strains, found["strains"], strict=True):
+            self._put(function, values.of(self.conduction.nodes))
+        self.conduction.resume(found["conduction"])
+        self.solver.resume(found["solver"])
+        self.put(self.state)
+
+    def _own(self, values: Floats) -> Floats:
+        return values[: self.conduction.owned]
+
+    def _put(self, function: fem.Function, own: Floats) -> None:
+        """Own values of a function, and those of ghosts; collective."""
+        function.x.array[: self.conduction.owned] = own
+        function.x.scatter_forward()
+
+    def pack(self, warmth: Warmth) -> SavedState:
+        """What the mechanics know, as it is kept."""
+        keys = self.conduction.nodes
+        return {
+            f.name: [keyed(keys, self._own(values)) for values in getattr(warmth, f.name)]
+            for f in fields(Warmth)
+        }
+
+    def unpack(self, found: SavedState) -> Warmth:
+        """Read it back; collective."""
+        function = fem.Function(self.conduction.space)
+        parts: dict[str, list[Floats]] = {name: [] for name in found}
+        for name, several in found.items():
+            for values in several:
+                self._put(function, values.of(self.conduction.nodes))
+                parts[name].append(function.x.array.copy())
+        return Warmth(**parts)
+
+    # Between lists of arrays and the vectors of the solver
+
+    def vectors(self) -> list[PETSc.Vec]:
+        """Temperatures and jumps as the solver has them."""
+        named = self.solver.named()
+        return [named[n] for n in ("temperature", "temperature_jump") if n in named]
+
+    def _state(self, x: Sequence[PETSc.Vec]) -> State:
+        return [*(v.array.copy() for v in x), *(a.copy() for a in self.conduction.degrees(x))]
+
+    def put(self, state: State) -> None:
+        """Put temperatures and jumps into the solver."""
+        for v, values in zip(self.vectors(), state, strict=False):
+            v.array[:] = values
+
+    # A time step
+
+    def norm(self, error: State) -> float:
+        """Largest error over its tolerance, of cure as the temperature it releases; collective."""
+        n = len(self.vectors())
+        errors = list(error[:n])
+        for degree, e, rise in zip(
+            self.state[n:], error[n:], self.conduction.adiabatic_rises, strict=True
+        ):
+            errors.append(as_temperature(degree, e, rise))
+        local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
+        return float(self.conduction.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
+
+    def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
+        """One stage."""
+        n = len(self.vectors())
+        if not self.conduction.begin(start[:n], start[n:], h, seconds):
+            return None
+        self.put(guess)
+        for other in self.beside:
+            other.place(seconds)
+        self.outcome = self.solver.solve()
+        self.total.count(self.outcome)
+        if not self.outcome.converged:
+            return None
+        self._stages.append(self.conduction.flows(self.vectors()))
+        return self._state(self.vectors())
+
+    def start(self, longest: float) -> float:
+        """Find the rate of change at the start of a stage, and a first step for it [s].
+
+        Where mechanics are in the system a step that is short beside everything would ask for slips
+        that are lost to rounding: nothing is known of the rate then.
+        """
+        first = FIRST * longest
+        if not self.beside:
+            shortest = 1e-6 * min(longest, 1.0)
+            slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
+            self._slope = slope or self._slope
+            first = integrator.first_step(self._slope, self.norm, longest)
+        return self.options.first_step or first
+
+    def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.Step, Method] | None:
+        """Solve a time step; None where a stage does not converge.
+
+        A step that may not be shorter is done by backward Euler then.
+
+        A step that leaves the extremes of the data is done again: where the mesh makes it, with the
+        edges that do (`heat.monotone`), else by backward Euler.
+        """
+        for name in dict.fromkeys((self.method.name, "backward_euler")):
+            method = METHODS[name]
+            while True:
+                self._stages = []
+                found = integrator.step(
+                    method, self.state, self._slope, dt, self.seconds, self._solve
+                )
+                if found is None or not self.conduction.outside(self.vectors()):
+                    break
+                if not self.conduction.correct(self.vectors()):
+                    break
+            if found is None and fixed:
+                continue
+            if found is None or not self.conduction.outside(self.vectors()):
+                break
+        return None if found is None else (found, method)
+
+    def accept(self, found: integrator.Step, method: Method, dt: float) -> Accepted:
+        """Make a step history."""
+        heats = {
+            name: dt
+            * sum(b * flows[name] for b, flows in zip(method.a[-1], self._stages, strict=True))
+            for name in self._stages[-1]
+        }
+        self._strain(found.state)
+        self.conduction.settle(self.vectors())
+        self.state, self._slope = found.state, found.slope
+        self.seconds += dt
+        self.total.steps += 1
+        return Accepted(self.seconds, dt, heats, self._stages[-1], self.outcome)
+
+    def rest(self) -> Accepted | None:
+        """Go to the steady state; None if it does not converge."""
+        self._stages = []
+        found = self._solve(self.state, np.inf, self.seconds, self.state)
+        if found is None:
+            return None
+        self.state, self._slope = found, [np.zeros_like(part) for part in found]
+        self.total.steps += 1
+        return Accepted(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
+
+    # What others ask of the state
+
+    @property
+    def sets(self) -> bool:
+        """Whether anything cures."""
+        return bool(self._curing)
+
+    @property
+    def events(self) -> tuple[float, ...]:
+        """Times that no step may cross [s]."""
+        scene = self.conduction.scene
+        courses = [t for c in scene.heat for t, _ in getattr(c, "course", ())]
+        curing = [t for cure in self.conduction.cures for t in cure.curing.events]
+        return tuple(sorted({*courses, *curing}))
+
+    def begins_at_event(self, accepted: Accepted) -> bool:
+        """Whether a step begins where the one before had to end."""
+        begin = accepted.seconds - accepted.dt
+        return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
+
+    def slopes(self) -> list[Floats]:
+        """Rates of change of temperature at own nodes of each body [K/s]."""
+        return self._nodal(self._slope)
+
+    def degrees(self) -> dict[str, Floats]:
+        """Degrees of cure of own nodes of each region that sets."""
+        n = len(self.vectors())
+        return {c.region: a for c, a in zip(self._curing, self.state[n:], strict=True)}
+
+    def rates(self) -> dict[str, Floats]:
+        """Their rates [1/s]."""
+        n = len(self.vectors())
+        return {c.region: a for c, a in zip(self._curing, self._slope[n:], strict=True)}
+
+    def _nodal(self, state: State) -> list[Floats]:
+        """Temperatures of own nodes of each body in a state [K]."""
+        x = self.conduction.vectors()
+        for v, values in zip(x, state, strict=False):
+            v.array[:] = values
+        return self.conduction.nodal(x)
+
+    def _strain(self, after: State) -> None:
+        """Add the free strain of a step."""
+        if not self._curing:
+            return
+        n = len(self.vectors())
+        T_old, T = self._nodal(self.state), self._nodal(after)
+        for k, c in enumerate(self._curing):
+            self._strains[k].x.array[c.dof] += self._free[k].increment(
+                self.state[n + k], T_old[c.body][c.dof], after[n + k], T[c.body][c.dof]
+            )
+            self._strains[k].x.scatter_forward()
+
+    def warmth(self) -> Warmth:
+        """What the mechanics have to know of the state."""
+        owned = self.conduction.owned
+        for function, values in zip(self._temperatures, self._nodal(self.state), strict=True):
+            function.x.array[:owned] = values
+            function.x.scatter_forward()
+        n = len(self.vectors())
+        for function, c, values in zip(self._degrees, self._curing, self.state[n:], strict=True):
+            function.x.array[c.dof] = values
+            function.x.scatter_forward()
+        return Warmth(
+            *(
+                [f.x.array.copy() for f in functions]
+                for functions in (self._temperatures, self._degrees, self._strains)
+            )
+        )
+
+    def distance(self, a: Warmth, b: Warmth) -> float:
+        """Largest difference [K], of cure as the temperature it releases; collective."""
+        rises = self.conduction.adiabatic_rises
+        sizes = [
+            float(np.abs(s - t).max()) for s, t in zip(a.temperatures, b.temperatures, strict=True)
+        ]
+        sizes += [
+            rise * float(np.abs(s - t).max())
+            for rise, s, t in zip(rises, a.degrees, b.degrees, strict=True)
+        ]
+        return float(self.conduction.comm.allreduce(max(sizes), MPI.MAX))
+
+    def followed(self, a: Warmth, b: Warmth) -> float:
+        """Largest step of the mechanics between two states, as a part of the way; collective."""
+        return 1.0 / max(math.ceil(self.distance(a, b) / self.options.mechanical_step - SAME), 1)
+
+    def warm(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
+        """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.
+
+        Free strain grows from gelation on, temperature and cure all the way.
+        """
+        strains = [f.x.array.copy() for f in self._strains]
+        for functions, before, after in (
+            (self._temperatures, a.temperatures, b.temperatures),
+            (self._degrees, a.degrees, b.degrees),
+        ):
+            for function, x, y in zip(functions, before, after, strict=True):
+                function.x.array[:] = (1 - s) * x + s * y
+        for k, cure in enumerate(self.conduction.scene.cures):
+            share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
+            self._strains[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
+        of_region = self.conduction.bodies.of_region
+        expanding = [x.region for x in self.conduction.scene.expansions]
+        problem.set_temperature({r: self._temperatures[of_region[r]] for r in expanding})
+        names = [c.region for c in self._curing]
+        problem.set_cure(
+            dict(zip(names, self._degrees, strict=True)),
+            dict(zip(names, self._strains, strict=True)),
+        )
+        # The sum of the free strain goes on from where the heat is.
+        for function, values in zip(self._strains, strains, strict=True):
+            function.x.array[:] = values

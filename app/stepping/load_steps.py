@@ -1,0 +1,261 @@
+"""Load steps: along a path, cutting back where a step does not converge.
+
+A step is committed only when it has converged. When it has not, for all that the solver tried, it
+is halved; an easy step lets a shortened one grow back to the increments the stage asks for.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+
+from mantle.errors import ConvergenceError, Reason
+from mantle.mechanics.prediction import Extrapolation, Predictor, same
+from mantle.mechanics.problem import Problem, Trial
+from mantle.numerics.newton import Outcome, Solver
+from mantle.numerics.state import State
+from mantle.scene.terms import Stage
+from mantle.soundness.diagnosis import explain, runaway
+from mantle.soundness.facet_support import held_by_facets
+
+EASY_ITERATIONS = 8
+GROWTH = 2.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """A committed step of the mechanics or of the heat.
+
+    Attributes:
+        number: 1 for the first.
+        stage: Name of its stage.
+        time: Time at its end: stage k runs from k to k + 1.
+        outcome: What the solver said.
+        augmentation: Multiple of the default augmentation that it converged with.
+        seconds: Wall time, failed attempts included.
+        whole: Whether it ends an increment of its stage: what is worth a picture.
+    """
+
+    number: int
+    stage: str
+    time: float
+    outcome: Outcome
+    augmentation: float
+    seconds: float
+    whole: bool
+
+
+@dataclass
+class Summary:
+    """What a whole loading took, so far."""
+
+    steps: int = 0
+    newton_iterations: int = 0
+    linear_iterations: int = 0
+    rejected: int = 0
+    augmentation: float = 1.0
+
+    def add(self, other: Summary) -> None:
+        """Add what another part took."""
+        self.steps += other.steps
+        self.newton_iterations += other.newton_iterations
+        self.linear_iterations += other.linear_iterations
+        self.rejected += other.rejected
+        self.augmentation = min(self.augmentation, other.augmentation)
+
+    def count(self, outcome: Outcome) -> None:
+        """Add the iterations of a solve."""
+        self.newton_iterations += outcome.iterations
+        self.linear_iterations += outcome.linear_iterations
+
+
+OnStep = Callable[[Step, Trial | None], None]
+# Called where a run may be taken up again.
+Mark = Callable[[], None]
+
+
+def unmarked() -> None:
+    """Nothing is kept."""
+
+
+@dataclass
+class Way:
+    """How far a path of loads has been gone.
+
+    Attributes:
+        step: Next step, as a part of the path.
+        done: What is behind.
+        cuts: How often the step was halved, less how often it has grown since.
+    """
+
+    step: float
+    done: float = 0.0
+    cuts: int = 0
+
+
+@dataclass
+class Motion:
+    """The mechanics of a scene on their way through the stages.
+
+    Attributes:
+        problem: What is solved.
+        solver: Its solver.
+        on_step: Called after each converged step, once it is history.
+        on_trouble: Told in plain words what is tried when a step fails.
+        predictors: What may know a better start for a step than the line through those before it.
+        total: What it took so far.
+    """
+
+    problem: Problem
+    solver: Solver
+    on_step: OnStep
+    on_trouble: Callable[[str], None]
+    predictors: tuple[Predictor, ...] = ()
+    total: Summary = field(default_factory=Summary)
+
+    def __post_init__(self) -> None:
+        """The line through the last states comes first."""
+        self._line = Extrapolation(self.solver)
+        self.predictors = (self._line, *self.predictors)
+        self._way: Way | None = None
+
+    def state(self) -> State:
+        """Where it is, and what it knows of the states before."""
+        return {
+            "way": self._way and asdict(self._way),
+            "total": asdict(self.total),
+            "predictors": [p.state() for p in self.predictors],
+        }
+
+    def resume(self, state: State) -> None:
+        """Read it back; `load` goes on from there."""
+        self._way = state["way"] and Way(**state["way"])
+        self.total = Summary(**state["total"])
+        for p, found in zip(self.predictors, state["predictors"], strict=False):
+            p.resume(found)
+
+    def load(self, k: int, stage: Stage, mark: Mark = unmarked) -> None:
+        """Load steps through a stage that takes no time."""
+        whole = 1.0 / stage.increments
+        self._way = self._way or Way(whole)
+        self.advance(
+            stage, whole, lambda s: self.problem.set_time(k + s), k, k + 1, self._way, mark
+        )
+        self._way = None
+
+    def advance(
+        self,
+        stage: Stage,
+        whole: float,
+        place: Callable[[float], None],
+        begin: float,
+        end: float,
+        way: Way | None = None,
+        mark: Mark = unmarked,
+    ) -> None:
+        """Go along a path of loads, temperatures and supports.
+
+        Args:
+            stage: What may be cut, and how often.
+            whole: Largest step, as a part of the path.
+            place: Sets the problem to a point of the path, 0 to 1.
+            begin: Time at its begin.
+            end: Time at its end.
+            way: How far it has been gone already; kept up to date.
+            mark: Called after each step.
+
+        Raises:
+            ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
+        """
+        problem, solver = self.problem, self.solver
+        way = way or Way(whole)
+        self._line.begin(begin)
+        while way.done < 1.0:
+            started = clock.perf_counter()
+            # Where the increment under way ends, which a shortened step does not go beyond.
+            goal = (math.floor(way.done / whole + 1e-9) + 1) * whole
+            goal = 1.0 if goal > 1.0 - 1e-9 else goal
+            reach = goal if way.done + 1.001 * way.step > goal else way.done + way.step
+            start, predictors = solver.x.copy(), self.predictors
+            halved: list[float] = []
+            while True:
+                place(reach)
+                problem.restiffen()
+                for p in predictors:
+                    p.predict(begin + reach * (end - begin))
+                led = predictors and not same(start, solver.x)
+                outcome = solver.solve()
+                self.total.count(outcome)
+                if outcome.converged:
+                    break
+                self.total.rejected += 1
+                start.copy(solver.x)
+                predictors = ()
+                why = explain(problem, solver, outcome)
+                if led:
+                    self.on_trouble(f"{why.short}; again from the state before the step")
+                    continue
+                # A smaller step does not hold a body that nothing holds: one is tried, no more.
+                hopeless = bool(why.free) and way.cuts > 0
+                if not stage.adaptive or way.cuts == stage.max_cut_backs or hopeless:
+                    at = begin + reach * (end - begin)
+                    raise ConvergenceError(why.text(stage.name, at - int(begin), halved))
+                way.cuts += 1
+                way.step = (reach - way.done) / 2
+                halved.append(way.step)
+                reach = way.done + way.step
+                words = f"step halved to {way.step:.4g} of stage '{stage.name}'"
+                self.on_trouble(f"{why.short}; {words}")
+            at = begin + reach * (end - begin)
+            self.commit(stage, at, outcome, started, reach == goal)
+            way.done = reach
+            if outcome.iterations <= EASY_ITERATIONS and way.step < whole:
+                way.step, way.cuts = min(GROWTH * way.step, whole), max(way.cuts - 1, 0)
+            mark()
+
+    def commit(
+        self, stage: Stage, time: float, outcome: Outcome, started: float, whole: bool
+    ) -> None:
+        """Make the state of the solver history, and tell of it; collective.
+
+        Args:
+            stage: Under way.
+            time: At the end of the step.
+            outcome: What the solver said.
+            started: When the step began.
+            whole: Whether it ends an increment.
+
+        Raises:
+            ConvergenceError: A body runs away.
+        """
+        problem = self.problem
+        u, q = self.solver.parts()
+        trial = problem.trial(u, q) if q is not None else None
+        if trial is not None and (
+            away := held_by_facets(problem, trial) or runaway(problem, trial)
+        ):
+            part = 100 * (time - int(time)) or 100
+            raise ConvergenceError(
+                f"stage '{stage.name}' at {part:.3g} % of it: {away} [{Reason.LOOSE_BODY}]\n"
+                "  what to change: hold the body (a support, friction, an elastic foundation)"
+            )
+        problem.spread(u, q)
+        problem.commit(trial)
+        for p in self.predictors:
+            p.commit(time)
+        self.total.steps += 1
+        self.total.augmentation = outcome.augmentation
+        self.on_step(
+            Step(
+                self.total.steps,
+                stage.name,
+                time,
+                outcome,
+                outcome.augmentation,
+                clock.perf_counter() - started,
+                whole,
+            ),
+            trial,
+        )

@@ -1,0 +1,248 @@
+r"""Nested start: a fine mesh starts from the jumps of a coarse one.
+
+The case is solved on a mesh three times as coarse too, load step by load step before the run, and
+that one from a still coarser mesh where it is large itself. The jumps are interpolated on the
+interface and the displacement follows from them, K u = f - C q, roughly: what Newton is left with
+is the state of single points, and not the way the loads take through the model.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.errors import MantleError, StoppedError
+from mantle.mechanics.jumps import Jumps
+from mantle.mechanics.prediction import imbalance, take_better
+from mantle.mechanics.problem import Problem
+from mantle.meshes.interfaces import ContactPoints
+from mantle.numerics.newton import Solver
+from mantle.numerics.state import State
+from mantle.schema import config
+from mantle.stepping.load_steps import Motion
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+log = logging.getLogger("mantle")
+
+# Unknowns from which a coarser mesh pays, and the part of them that may be jumps: where most of a
+# mesh is interface, as in a thin mantle, what is left to find is what points do that the coarse
+# mesh does not have.
+LARGE, SHARE = 40_000, 0.25
+# Mesh size of the coarser one over that of the run, and what it takes at least to be worth it.
+COARSER, LEAST = 3.0, 2.5
+# Residual of a coarse solve over scale: far below what the mesh gets wrong.
+TOLERANCE = 1e-4
+# Residual of the displacement that follows from interpolated jumps.
+ROUGH = 1e-2
+# Imbalance over that of no start at all below which the start that is there is good enough.
+GOOD = 0.1
+# Triangles among which the nearest to a point is looked for, by their centres.
+NEAREST = 8
+
+
+def coarser(case: config.Case, unknowns: Mapping[str, int]) -> config.Case | None:
+    """The case on a coarser mesh, if it is large and its geometry can be meshed so.
+
+    Args:
+        case: A case.
+        unknowns: Of its mechanics, by block.
+    """
+    coarsening = min(COARSER, case.geometry.coarsest_size / case.mesh.size)
+    size = sum(unknowns.values())
+    if size < LARGE or unknowns["jump"] > SHARE * size or coarsening < LEAST:
+        return None
+    sizes = {"size": coarsening * case.mesh.size, "far_size": coarsening * case.mesh.far}
+    solver = {"tolerance": max(TOLERANCE, case.solver.tolerance)}
+    return case.model_copy(
+        update={
+            "mesh": case.mesh.model_copy(update=sizes),
+            "solver": case.solver.model_copy(update=solver),
+        }
+    )
+
+
+class Nested:
+    """The jumps of a coarser mesh as starts of this one."""
+
+    def __init__(self, problem: Problem, solver: Solver, make: Callable[[], Motion]) -> None:
+        """Begin with nothing: the coarse model is made when it is asked for the first time.
+
+        Args:
+            problem: What is solved.
+            solver: Its solver.
+            make: Makes the coarse model, at rest; collective.
+        """
+        self._problem, self._solver, self._make = problem, solver, make
+        self._coarse: Motion | None = None
+        self._failed = False
+        self._past: list[float] = []
+        self._way: list[float] = []
+        self._known: list[tuple[float, Floats]] = []
+
+    def predict(self, time: float) -> None:
+        """Start from the coarse jumps, unless there is a good start already."""
+        if self._failed or self._good():
+            return
+        try:
+            jump = self._jump(time)
+        except StoppedError:
+            raise
+        except MantleError as error:
+            self._failed = True
+            log.info("     no start from a coarser mesh: %s", str(error).splitlines()[0])
+            return
+        take_better(self._solver, self._state(jump))
+
+    def commit(self, time: float) -> None:
+        """The coarse model has to go through it too, when it is asked again."""
+        self._past.append(time)
+
+    def state(self) -> State:
+        """Where the coarse model has been and has to go: it goes there again."""
+        return {"way": [*self._way, *self._past], "failed": self._failed}
+
+    def resume(self, state: State) -> None:
+        """Read it back."""
+        self._past, self._failed = state["way"], state["failed"]
+
+    def _good(self) -> bool:
+        """Whether others have found a start that is good enough."""
+        solver, nothing = self._solver, self._solver.vector()
+        here = imbalance(solver, solver.x.copy())
+        return here <= GOOD * imbalance(solver, nothing)
+
+    def _jump(self, time: float) -> Floats:
+        """Jumps of own points at a time, interpolated from the coarse ones (n, 3) [mm]."""
+        (j,) = self._problem.jumps
+        if self._coarse is None:
+            self._coarse = self._make()
+            (source,) = self._coarse.problem.jumps
+            self._weights = interpolation(source.points, j.points, j.mine)
+            self._known = [(0.0, np.zeros((len(j.mine), 3)))]
+        for then in [*self._past, time]:
+            if then > self._known[-1][0]:
+                self._advance(self._coarse, then)
+        self._past = []
+        return between(self._known, time)
+
+    def _advance(self, coarse: Motion, time: float) -> None:
+        """Take the coarse model to a time; it must not be stopped on the way by a failed step."""
+        begin = self._known[-1][0]
+        k = math.ceil(time) - 1
+        problem = coarse.problem
+        problem.set_stage(k, coarse.solver.parts()[0])
+
+        def place(s: float) -> None:
+            problem.set_time(begin + s * (time - begin))
+
+        # A start that takes many steps to find is not worth it.
+        stage = replace(problem.scene.stages[k], adaptive=False)
+        coarse.advance(stage, 1.0, place, begin, time)
+        self._way.append(time)
+        (source,) = problem.jumps
+        self._known = [*self._known[-1:], (time, self._weights @ replicated(source))]
+
+    def _state(self, jump: Floats) -> PETSc.Vec:
+        """A state with given jumps: the displacement in rough equilibrium with them."""
+        problem, solver = self._problem, self._solver
+        x = solver.x.copy()
+        named = solver.named(x)
+        u, q = named["displacement"], named["jump"]
+        (j,) = problem.jumps
+        q.array[:] = np.where(j.held, j.given, jump).ravel()
+        problem.impose(u)
+        r, du = u.duplicate(), u.duplicate()
+        problem.residual_u(u, q, r)
+        du.zeroEntries()
+        problem.inverse.solve(r, du, ROUGH)
+        u.axpy(-1.0, du)
+        return x
+
+
+def between(known: list[tuple[float, Floats]], time: float) -> Floats:
+    """Values at a time, on the line through the last two of those known."""
+    (t1, after) = known[-1]
+    if time == t1 or len(known) == 1:
+        return after
+    t0, before = known[-2]
+    s = (time - t0) / (t1 - t0)
+    return (1 - s) * before + s * after
+
+
+def replicated(jumps: Jumps) -> Floats:
+    """Committed jumps of all points, on every rank (n, 3) [mm]; collective."""
+    every = np.zeros((len(jumps.points.weight), 3))
+    for rows, values in jumps.comm.allgather((jumps.mine, jumps.history.jump)):
+        every[rows] = values
+    return every
+
+
+def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> csr_array:
+    """Weights that interpolate between meshes of the same interfaces; no communication.
+
+    Linear on the source's triangles: a point takes the nearest point of the nearest triangle.
+
+    Args:
+        source: Points with values.
+        target: Points without.
+        mine: Those of them that are wanted (n,).
+
+    Returns:
+        Matrix with a row for each wanted point and a column for each source point.
+    """
+    none = np.zeros(0, dtype=np.int64)
+    entries: list[tuple[Ints, Ints, Floats]] = [(none, none, np.zeros(0))]
+    for i, triangles in enumerate(source.triangles):
+        here = np.flatnonzero(target.interface[mine] == i)
+        if len(here) and len(triangles):
+            nearest, weights = _nearest(source.x[triangles], target.x[mine[here]])
+            entries.append((np.repeat(here, 3), triangles[nearest].ravel(), weights.ravel()))
+    rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+    from scipy.sparse import csr_array  # imported late: few runs need it
+
+    return csr_array((values, (rows, columns)), shape=(len(mine), len(source.weight)))
+
+
+def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
+    """Nearest triangle of each point and the barycentric coordinates there (n,), (n, 3).
+
+    Args:
+        corners: Triangles (t, 3, 3).
+        x: Points (n, 3).
+    """
+    k = min(NEAREST, len(corners))
+    from scipy.spatial import cKDTree  # imported late, too
+
+    _, candidates = cKDTree(corners.mean(axis=1)).query(x, k=k)
+    candidates = candidates.reshape(len(x), k)
+    t = corners[candidates]
+    a, b = t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0]
+    d = x[:, None] - t[:, :, 0]
+    aa, ab, bb = ((p * q).sum(axis=2) for p, q in ((a, a), (a, b), (b, b)))
+    da, db = (d * a).sum(axis=2), (d * b).sum(axis=2)
+    v, w = (bb * da - ab * db), (aa * db - ab * da)
+    foot = np.stack([aa * bb - ab**2 - v - w, v, w], axis=2)
+    inside = np.asarray((foot >= 0).all(axis=2))
+    foot /= foot.sum(axis=2, keepdims=True)
+    # Outside the nearest point is on an edge.
+    edges = np.roll(t, -1, axis=2) - t
+    s = ((x[:, None, None] - t) * edges).sum(axis=3) / (edges**2).sum(axis=3)
+    s = np.clip(s, 0.0, 1.0)[..., None]
+    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
+    weights = np.where(inside[:, :, None, None], foot[:, :, None], on_edges)
+    off = np.linalg.norm(np.einsum("nkec,nkci->nkei", weights, t) - x[:, None, None], axis=3)
+    rows = np.arange(len(x))
+    best, edge = np.unravel_index(off.reshape(len(x), -1).argmin(axis=1), off.shape[1:])
+    return candidates[rows, best], weights[rows, best, edge]

@@ -1,0 +1,127 @@
+"""Whether the BLAS of this machine computes what it should: a few milliseconds at each start.
+
+A wrong kernel (there are some for single models of processors) or a broken installation would be
+found by nothing else where it makes residuals small.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from mantle.errors import EnvironmentProblem, everywhere
+from mantle.system import doctor
+
+# Larger than the blocks of usual kernels, and no multiple of them.
+SIZE = 131
+ROUNDING = 1e-10
+
+
+def check(comm: MPI.Comm) -> None:
+    """Compute what is known; collective.
+
+    Args:
+        comm: Communicator.
+
+    Raises:
+        EnvironmentProblem: It came out wrong, on any rank.
+    """
+
+    def here() -> None:
+        if (found := problem()) is not None:
+            raise found
+
+    everywhere(comm, here)
+
+
+def problem() -> EnvironmentProblem | None:
+    """What is wrong on this rank."""
+    wrong = [name for name, error in _errors() if not error <= ROUNDING]
+    if not wrong:
+        return None
+    return EnvironmentProblem(
+        f"the BLAS of this machine ({', '.join(doctor.loaded_blas()) or 'unknown'}) computes "
+        f"wrong numbers: {', '.join(wrong)}\nchoose another (update-alternatives --config "
+        "libblas.so.3-x86_64-linux-gnu), or of OpenBLAS other kernels, e.g. "
+        "OPENBLAS_CORETYPE=Haswell"
+    )
+
+
+def _errors() -> Iterator[tuple[str, float]]:
+    """What is computed, as PETSc and its solvers do, and by how much that is wrong."""
+    n = SIZE
+    # Small whole numbers, of which every sum is exact; numpy multiplies them without BLAS.
+    i = np.arange(n * n, dtype=np.int64).reshape(n, n) * 7919 % 11 - 5
+    a, b = i[0], i[1]
+    x, y = (PETSc.Vec().createWithArray(v.astype(float), comm=PETSc.COMM_SELF) for v in (a, b))
+    yield "scalar product (ddot)", abs(x.dot(y) - a @ b)
+    yield "norm of a vector", abs(x.norm() - np.sqrt(float(a @ a)))
+    y.axpy(3.0, x)
+    yield "sum of vectors (daxpy)", _most(y.array - (b + 3 * a))
+    y.scale(-2.0)
+    yield "multiple of a vector (dscal)", _most(y.array + 2 * (b + 3 * a))
+    A = PETSc.Mat().createDense((n, n), array=i.astype(float), comm=PETSc.COMM_SELF)
+    A.assemble()
+    A.mult(x, y)
+    yield "matrix times vector (dgemv)", _most(y.array - i @ a)
+    product = A.matMult(A)
+    yield "matrix times matrix (dgemm)", _most(product.getDenseArray() - i @ i)
+    f = i.astype(float)
+    yield "matrix times matrix of numpy", _most(f @ f - i @ i)
+    yield "factors of a matrix (dpotrf)", _factored(i.T @ i + n * np.eye(n, dtype=np.int64), a)
+    yield "eigenvalues of LAPACK (dnrm2)", _eigenvalues(i[:20, :20])
+
+
+def _eigenvalues(A: np.ndarray) -> float:
+    """By how much the sums of eigenvalues and of their squares are wrong, to the largest."""
+    try:
+        λ = np.linalg.eigvals(A.astype(float))
+    except np.linalg.LinAlgError:
+        return np.inf
+    sums = np.array([λ.sum() - np.trace(A), (λ**2).sum() - np.trace(A @ A)])
+    return _most(sums / np.array([_most(λ), _most(λ) ** 2]))
+
+
+def _factored(definite: np.ndarray, b: np.ndarray) -> float:
+    """The residual of a system solved by factors, summed without BLAS, to the largest entry."""
+    n = len(b)
+    K = PETSc.Mat().createDense((n, n), array=definite.astype(float), comm=PETSc.COMM_SELF)
+    K.assemble()
+    pc = PETSc.PC().create(PETSc.COMM_SELF)
+    pc.setType("cholesky")
+    pc.setOperators(K)
+    x, y = (PETSc.Vec().createWithArray(v.astype(float), comm=PETSc.COMM_SELF) for v in (b, 0 * b))
+    try:
+        pc.setUp()
+        pc.apply(x, y)
+    except PETSc.Error:  # it is definite
+        return np.inf
+    return _most((definite * y.array).sum(axis=1) - b) / _most(definite)
+
+
+def _most(values: np.ndarray) -> float:
+    """The largest size of any value; NaN if any is."""
+    return float(np.abs(values).max())
+
+
+def crowd(ranks: int, environ: Mapping[str, str] = os.environ) -> str:
+    """What to say of more threads than there are cores on this machine; empty if there are not.
+
+    Args:
+        ranks: How many run here.
+        environ: The environment variables.
+    """
+    found = (environ.get(f"{name}_NUM_THREADS", "") for name in ("OPENBLAS", "OMP"))
+    threads = next((int(n) for n in found if n.isdigit()), 1)
+    cores = len(os.sched_getaffinity(0))
+    if threads < 2 or ranks * threads <= cores:
+        return ""
+    return (
+        f"{ranks} rank(s) of {threads} threads on {cores} core(s) wait for each other: "
+        "OMP_NUM_THREADS=1 is fastest"
+    )

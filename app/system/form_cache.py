@@ -1,0 +1,186 @@
+"""The cache of compiled forms: what a killed run or damage has left there, and why compiling fails.
+
+dolfinx trusts it: it waits for a compilation that was killed, for ten seconds and no longer for one
+that goes on, and a module cut short takes the whole process down when it is loaded.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import logging
+import os
+import re
+import shutil
+import struct
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import Any
+
+from mantle.errors import EnvironmentProblem
+from mantle.system.doctor import form_cache
+
+log = logging.getLogger("mantle")
+
+LOCK, COMPILING = "mantle.lock", "compiling.lock"
+# Where the compiler puts what it needs for a moment, and stays if it is killed.
+SCRATCH = "compiling"
+# What is begun and not finished: of cffi (its own copy, the object), of ffcx.
+UNFINISHED = re.compile(r"\.c\.~\d+$|\.c\.failed$")
+POLL = 0.1  # s
+SOURCES = ("ffcx/codegeneration/jit.py", "dolfinx/jit.py")
+# Of a 64-bit ELF file: where its last table begins (offset 40), its entries' size and number (58).
+HEADER, TABLE, ENTRIES = 64, 40, 58
+_held: list[int] = []  # open while this process runs
+_compiling: list[int] = []  # open while it compiles
+
+
+def mend() -> None:
+    """Remove modules that cannot be loaded; for one rank, before anything is compiled.
+
+    Compilations that nobody is at work on any more are removed too, if no other run uses the cache.
+    """
+    folder = form_cache()
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        _held.append(lock)
+        with suppress(OSError):
+            os.chmod(lock, 0o666)  # an image's cache is used by whoever runs it
+        looked, now = os.stat(lock), time.time()
+        alone = True
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            alone = False
+        if alone:
+            shutil.rmtree(folder / SCRATCH, ignore_errors=True)
+        names = {entry.name: entry for entry in os.scandir(folder)}
+        for name in names if alone else ():
+            if UNFINISHED.search(name):
+                (folder / name).unlink(missing_ok=True)
+        sources = [n for n in names if n.endswith(".c") or n.endswith(".c.cached")]
+        for source in sorted({name.removesuffix(".cached") for name in sources}):
+            if source not in names:
+                # Of two that compiled the same: whoever compiles it next must not find the mark.
+                (folder / f"{source}.cached").unlink(missing_ok=True)
+                continue
+            if f"{source}.cached" not in names:
+                if alone:
+                    _remove(folder, source)
+                continue
+            module = names.get(source.removesuffix(".c") + EXTENSION_SUFFIXES[0])
+            # What was whole when it was looked at last, and has not been written to, still is.
+            # Where that was in the future the clock has been set: nothing is known.
+            known = looked.st_size and looked.st_mtime <= now
+            if module is None or (
+                (not known or module.stat().st_mtime >= looked.st_mtime - 1.0)
+                and not whole(Path(module.path))
+            ):
+                _remove(folder, source)
+        os.pwrite(lock, b"1", 0)
+        os.utime(lock, (now, now))
+        fcntl.flock(lock, fcntl.LOCK_SH)
+
+
+def share() -> None:
+    """Have compilations that others are at work on waited for as long as they take, and no longer.
+
+    Whoever compiles a module holds one byte of a file locked, which ends with its process.
+    """
+    from ffcx.codegeneration import jit
+
+    if isinstance(jit.get_cached_module, partial):
+        return
+    jit.get_cached_module = partial(_wait, jit.get_cached_module)
+    for name in ("compile_forms", "compile_expressions"):
+        setattr(jit, name, partial(_let_go, getattr(jit, name)))
+
+
+def _wait(
+    get: Callable[..., Any], name: str, objects: list[str], folder: Path, timeout: int
+) -> Any:
+    """`ffcx.codegeneration.jit.get_cached_module`, when nobody compiles the module any more."""
+    source = Path(folder) / f"{name}.c"
+    ready = source.with_suffix(".c.cached")
+    if not ready.exists():
+        with suppress(OSError):  # a file system without locks, or a folder that cannot be written
+            source.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(source.parent / COMPILING, os.O_RDWR | os.O_CREAT, 0o666)
+            _compiling.append(file)
+            with suppress(OSError):
+                os.fchmod(file, 0o666)
+            at, told = int(hashlib.sha256(name.encode()).hexdigest()[:12], 16), False
+            while not _locked(file, at):
+                if not told:
+                    log.info("another run compiles the same form: waiting for it")
+                told = True
+                time.sleep(POLL)
+            # What was begun and is not ready now was left by one that was killed.
+            if not ready.exists():
+                _remove(source.parent, source.name)
+    return get(name, objects, folder, timeout)
+
+
+def _locked(file: int, at: int) -> bool:
+    """Lock a byte of a file, unless somebody has."""
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, at)
+    except (BlockingIOError, PermissionError):
+        return False
+    return True
+
+
+def _let_go(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Compile, and let go of what `_wait` has locked for it."""
+    before, scratch = os.environ.get("TMPDIR"), form_cache() / SCRATCH
+    with suppress(OSError):
+        scratch.mkdir(exist_ok=True)
+        os.environ["TMPDIR"] = str(scratch)
+    try:
+        return compile(*arguments, **options)
+    finally:
+        os.environ.pop("TMPDIR", None)
+        os.environ |= {} if before is None else {"TMPDIR": before}
+        while _compiling:
+            os.close(_compiling.pop())
+
+
+def whole(path: Path) -> bool:
+    """Whether a module has all its bytes: the header of an ELF file tells where its last are."""
+    with path.open("rb") as file:
+        head = file.read(HEADER)
+    if len(head) < HEADER or head[:5] != b"\x7fELF\x02":
+        return False
+    (begin,) = struct.unpack_from("<Q", head, TABLE)
+    size, number = struct.unpack_from("<HH", head, ENTRIES)
+    return bool(begin + size * number <= path.stat().st_size)
+
+
+def _remove(folder: Path, source: str) -> None:
+    """Remove a module and all that belongs to it."""
+    for suffix in (".c.cached", EXTENSION_SUFFIXES[0], ".o", ".c"):
+        with suppress(OSError):
+            (folder / (source.removesuffix(".c") + suffix)).unlink(missing_ok=True)
+
+
+def explain(error: BaseException) -> EnvironmentProblem | None:
+    """What to say of an error met while a form was compiled or loaded; None for any other."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if not any(frame.filename.endswith(SOURCES) for frame in frames):
+        return None
+    folder = form_cache()
+    reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    free = ""
+    with suppress(OSError):
+        free = f", with {shutil.disk_usage(folder).free / 1e6:.0f} MB free"
+    return EnvironmentProblem(
+        f"a form cannot be compiled: {reason}\n"
+        f"mantle doctor tells whether there is a C compiler; compiled forms are kept in {folder}"
+        f"{free} (XDG_CACHE_HOME names another place; what is there can be deleted)"
+    )

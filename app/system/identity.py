@@ -1,0 +1,112 @@
+"""What the numbers of a run depend on beside its input: the sources of mantle, and the stack below.
+
+Nothing of the stack is imported for it: who asks for many runs does without MPI.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import importlib.util
+import json
+import os
+import re
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+
+from mantle import __version__
+
+# Modules that no number of a run depends on: changing them leaves finished runs valid.
+OUTSIDE = re.compile(
+    r"(cli|(campaigns|report|verification)/.*|results/(reading|unrolled)"
+    r"|schema/(study|sweep)_\w+|system/doctor)\.py"
+)
+MISSING = "missing"
+
+
+def text() -> str:
+    """All of it as one text."""
+    return json.dumps(parts(), sort_keys=True)
+
+
+@lru_cache(maxsize=1)
+def parts() -> dict[str, str]:
+    """Versions of mantle (with a hash of its sources), dolfinx, PETSc, gmsh, BLAS with its kernel.
+
+    Of what is not installed: missing.
+    """
+    petsc = _petsc()
+    return {
+        "mantle": program(),
+        "dolfinx": _version("fenics-dolfinx"),
+        "petsc": _version_of(petsc) if petsc else MISSING,
+        "gmsh": _version("gmsh"),
+        "blas": _blas(petsc) if petsc else MISSING,
+    }
+
+
+@lru_cache(maxsize=1)
+def program() -> str:
+    """The version and a hash of the sources, which change more often."""
+    digest = hashlib.sha256()
+    for name, path in sorted(sources().items()):
+        if not OUTSIDE.fullmatch(name):
+            digest.update(f"{name}\0".encode() + path.read_bytes())
+    return f"{__version__} {digest.hexdigest()}"
+
+
+def sources() -> dict[str, Path]:
+    """Files of the program by their place in the package ``mantle``, wherever their folders lie."""
+    found = {}
+    for package in ("", "forms/", "meshes/"):
+        spec = importlib.util.find_spec(f"mantle.{package}".strip("./"))
+        folder = Path(str(spec and spec.origin)).resolve().parent
+        found |= {package + p.relative_to(folder).as_posix(): p for p in folder.rglob("*.py")}
+    return found
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return MISSING
+
+
+def _petsc() -> ctypes.CDLL | None:
+    """PETSc and what it is linked to, loaded but not started, or None."""
+    spec = importlib.util.find_spec("petsc4py")
+    folders = spec.submodule_search_locations or () if spec else ()
+    found = sorted(p for folder in folders for p in Path(folder).glob("lib/**/PETSc*.so"))
+    return ctypes.CDLL(str(found[0])) if found else None
+
+
+def _version_of(petsc: ctypes.CDLL) -> str:
+    """The version of the library, which may be newer than that of petsc4py."""
+    numbers = [ctypes.c_int() for _ in range(4)]
+    petsc.PetscGetVersionNumber(*map(ctypes.byref, numbers))
+    return ".".join(str(n.value) for n in numbers[:3])
+
+
+def _blas(petsc: ctypes.CDLL) -> str:
+    """What OpenBLAS says of its version and kernel; of another BLAS the file it is in."""
+    try:
+        tell = petsc.openblas_get_config
+    except AttributeError:
+        place = _Place()
+        function = ctypes.cast(petsc.dgemm_, ctypes.c_void_p)
+        ctypes.CDLL(None).dladdr(function, ctypes.byref(place))
+        return str(Path(os.fsdecode(place.file or b"")).resolve())
+    tell.restype = ctypes.c_char_p
+    return str(tell().decode())
+
+
+class _Place(ctypes.Structure):
+    """Where a function is, as ``dladdr`` tells."""
+
+    _fields_ = (
+        ("file", ctypes.c_char_p),
+        ("start", ctypes.c_void_p),
+        ("name", ctypes.c_char_p),
+        ("address", ctypes.c_void_p),
+    )

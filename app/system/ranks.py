@@ -1,0 +1,290 @@
+"""Starting several MPI ranks of the application: ``-n N`` on the command line.
+
+Only the standard library is used, so that it starts at once. Inside an existing ``mpirun`` or Slurm
+step nothing is started: the ranks are there already.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import math
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, MutableMapping, Sequence
+from pathlib import Path
+from typing import IO
+
+import mantle
+from mantle.errors import EnvironmentProblem, InputError, StoppedError
+from mantle.system import scratch
+
+# Where the number of ranks is found, by the process manager that started this process.
+_WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
+_WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
+_SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
+# On one node only shared memory is needed; looking for a network fails audibly.
+ONE_NODE = {
+    "OMPI_MCA_btl": "self,sm",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+}
+_RULE = b"-" * 74
+_PR_SET_PDEATHSIG = 1
+_CRASHED = 59  # how PETSc leaves after a signal such as SIGSEGV, of which it has told
+SAME_SIGNAL = 1.0  # s
+# The folder that holds the package: not resolved, for in a checkout it is made of links.
+_FOLDER = str(Path(str(mantle.__file__)).parents[1])
+
+
+def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
+    """Take ``-n N``, ``-nN`` or ``-n=N`` out of the arguments.
+
+    Args:
+        arguments: Command line; what follows a bare ``--`` are PETSc's options and stays.
+
+    Returns:
+        The number of ranks asked for, ``None`` if none was, and the other arguments in order.
+
+    Raises:
+        InputError: N is missing or not a positive whole number.
+    """
+    ranks: int | None = None
+    rest: list[str] = []
+    queue = list(arguments)
+    while queue:
+        argument = queue.pop(0)
+        if argument == "--":
+            return ranks, [*rest, argument, *queue]
+        if not argument.startswith("-n"):
+            rest.append(argument)
+            continue
+        value = argument[2:].removeprefix("=")
+        if argument == "-n" and queue:
+            value = queue.pop(0)
+        if not re.fullmatch(r"[0-9]{1,6}", value) or int(value) == 0:
+            raise InputError(f"-n: '{value}' is not a number of ranks; allowed: 1, 2, 3, ...")
+        ranks = int(value)
+    return ranks, rest
+
+
+def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
+    """Tell how many ranks the surrounding ``mpirun`` or Slurm step has.
+
+    Args:
+        environ: The environment variables.
+
+    Returns:
+        The number, 0 where it is not told, ``None`` outside of any.
+    """
+    if not any(mark in environ for mark in _WORLD_MARKS):
+        return None
+    for name in _WORLD_SIZES:
+        if environ.get(name, "").isdigit():
+            return int(environ[name])
+    return 0
+
+
+def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """Give the environment of the ranks: one thread each, and no noise from Open MPI.
+
+    Args:
+        environ: The environment variables; what is set in them stays.
+    """
+    defaults = {"OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    if not any(name in environ for name in _SCHEDULERS):
+        defaults |= ONE_NODE
+    if os.geteuid() == 0:
+        defaults |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    return {**defaults, **environ}
+
+
+def keep_quiet(environ: MutableMapping[str, str] = os.environ) -> None:
+    """Keep Open MPI from looking for a network, audibly, where all ranks are on this node.
+
+    To be called before MPI is initialised, for ranks that were started by a plain ``mpirun``.
+
+    Args:
+        environ: The environment variables; a choice of transport in them stays.
+    """
+    size = environ.get("OMPI_COMM_WORLD_SIZE")
+    if size is not None and environ.get("OMPI_COMM_WORLD_LOCAL_SIZE") == size:
+        environ.setdefault("OMPI_MCA_btl", "self,sm")
+
+
+def find_program(environ: MutableMapping[str, str] = os.environ) -> None:
+    """Have all that this process starts import mantle, and nothing from the current folder.
+
+    Python looks there first: an ``app.py`` or a ``numpy.py`` of the user's would come instead.
+
+    Args:
+        environ: The environment variables; folders in PYTHONPATH stay, behind the program's.
+    """
+    folders = [f for f in environ.get("PYTHONPATH", "").split(os.pathsep) if f and f != _FOLDER]
+    environ["PYTHONPATH"] = os.pathsep.join([_FOLDER, *folders])
+    environ["PYTHONSAFEPATH"] = "1"
+
+
+def end_with_parent(environ: Mapping[str, str] = os.environ) -> None:
+    """End this rank when ``mpirun`` is killed: the others would wait for each other for ever.
+
+    Args:
+        environ: The environment variables.
+    """
+    if "OMPI_COMM_WORLD_SIZE" in environ:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def launch(ranks: int, command: Sequence[str]) -> int:
+    """Run a command on several ranks and wait for it.
+
+    The ranks get SIGUSR1, the one signal that mpirun passes on without ending them, for the first
+    SIGINT (Ctrl-C), SIGTERM, SIGHUP or SIGUSR1 received here: they have the time they need to save
+    their state and leave. A second one, a second later or more, ends them at once.
+
+    Args:
+        ranks: How many, at least 1.
+        command: The program and its arguments.
+
+    Returns:
+        The exit code of the first rank that failed, 0 if none did; 5 where they were stopped before
+        they listened to signals, 130 where they were ended by a second one, 70 where one crashed.
+
+    Raises:
+        EnvironmentProblem: There is no mpirun.
+    """
+    mpirun = shutil.which("mpirun")
+    if mpirun is None:
+        raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
+    received: list[int] = []
+    first = math.inf
+    child: subprocess.Popen[bytes] | None = None
+
+    def stop(number: int, _frame: object) -> None:
+        nonlocal first
+        # One Ctrl-C may arrive twice: from the terminal and passed on by whatever started this.
+        if received and time.monotonic() < first + SAME_SIGNAL:
+            return
+        received.append(number)
+        first = min(first, time.monotonic())
+        if child is None:
+            return
+        if len(received) == 1:
+            child.send_signal(signal.SIGUSR1)
+            tell("stopping; the state is saved first (once more: stop at once)")
+        else:
+            child.send_signal(signal.SIGTERM if len(received) < 4 else signal.SIGKILL)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+        signal.signal(number, stop)
+    libc = ctypes.CDLL(None)
+    folder, held = _scratch()
+    child = subprocess.Popen(
+        [mpirun, "-n", str(ranks), *command],
+        env=environment() | (scratch.variables(folder) if folder else {}),
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        # The terminal sends Ctrl-C to the whole process group; mpirun would end the ranks at once.
+        start_new_session=True,
+        # Should this process be killed, mpirun and the ranks go too.
+        preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
+    )
+    if received:
+        child.send_signal(signal.SIGUSR1)
+    assert child.stderr is not None
+    relay = threading.Thread(
+        target=filter_messages, args=(child.stderr, sys.stderr.buffer, received), daemon=True
+    )
+    relay.start()
+    code = child.wait()
+    relay.join(timeout=2.0)
+    if folder:
+        scratch.remove(folder, held)
+    if received and (code < 0 or code == 1 or code > 128):
+        # The ranks did not listen yet, and there was nothing to save; or they were not let.
+        tell("stopped" if len(received) == 1 else "stopped before the state was saved")
+        return StoppedError.exit_code if len(received) == 1 else 130
+    # 128 + a signal: a rank crashed or was killed, which mpirun has told.
+    return 70 if code < 0 or code > 128 or code == _CRASHED else code
+
+
+def alone() -> None:
+    """Give MPI a folder of its own where there is but one rank, until this process ends."""
+    folder, held = _scratch()
+    if folder:
+        os.environ |= scratch.variables(folder)
+        atexit.register(scratch.remove, folder, held)
+
+
+def _scratch() -> tuple[Path | None, int]:
+    """A folder for this node; under a scheduler, whose ranks may be elsewhere, its own is used."""
+    if any(name in os.environ for name in _SCHEDULERS):
+        return None, -1
+    try:
+        return scratch.make()
+    except OSError:
+        return None, -1
+
+
+def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int] = ()) -> None:
+    """Copy what the ranks and mpirun say, less the banners that repeat the application's own words.
+
+    mpirun takes ten lines to say that a rank left with a code; the application has said why in one.
+    What mpirun says about crashes stays.
+
+    Args:
+        source: Standard error of mpirun, read to its end.
+        target: Where it goes.
+        received: Signals received so far; after one the end of a rank by a signal is no news.
+    """
+    block: list[bytes] = []
+    closing = False  # mpirun has begun to end the job; its banners leave blanks behind
+    while line := source.readline():
+        is_rule = line.rstrip() == _RULE
+        if not block:
+            if is_rule:
+                block = [line]
+            elif not (closing and not line.strip(b" \n\0")) and not _is_noise(line):
+                _write(target, line)
+            continue
+        block.append(line)
+        if len(block) == 2 and not line.startswith((b"prterun ", b"mpirun ", b"MPI_ABORT ")):
+            _write(target, b"".join(block))  # a table of the application's
+            block = []
+        elif is_rule:
+            if _repeats(b"".join(block), bool(received)):
+                closing = True
+            else:
+                _write(target, b"".join(block))
+            block = []
+    _write(target, b"".join(block))
+
+
+def _is_noise(line: bytes) -> bool:
+    """Tell the messages of a job manager that is interrupted while it closes down."""
+    return b"PMIX ERROR: PMIX_ERR_UNREACH" in line or line.startswith(b"Abort is in progress")
+
+
+def _repeats(banner: bytes, stopped: bool) -> bool:
+    if b"exited with non-zero status" in banner or b"MPI_ABORT was invoked" in banner:
+        return True
+    if b'calling\n"abort"' in banner:
+        return True
+    return stopped and (b"exited on\nsignal" in banner or b"exited on signal" in banner)
+
+
+def _write(target: IO[bytes], text: bytes) -> None:
+    with contextlib.suppress(BrokenPipeError):
+        target.write(text)
+        target.flush()
+
+
+def tell(message: str) -> None:
+    """Say something on standard error, if anybody listens."""
+    _write(sys.stderr.buffer, f"mantle: {message}\n".encode())

@@ -1,0 +1,96 @@
+"""What ends a run before its end: signals, and the time it was given."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time as clock
+from collections.abc import Callable
+from types import FrameType
+
+from mantle.errors import InputError
+from mantle.system import ranks
+
+# Part of the time that is left for saving, and the most of it that is [s].
+LEFT, MOST = 0.05, 60.0
+FORMS = "H:MM:SS, MM:SS or D-H:MM:SS"
+
+
+def seconds(text: str) -> float:
+    """A span of time as batch systems have it, in seconds.
+
+    Args:
+        text: ``[D-]H:MM:SS`` or ``MM:SS``.
+
+    Raises:
+        InputError: It is none.
+    """
+    found = re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip())
+    if found is None or not (
+        total := sum(
+            int(part or 0) * unit
+            for part, unit in zip(found.groups(), (86400, 3600, 60, 1), strict=True)
+        )
+    ):
+        raise InputError(f"--walltime {text}: is no span of time; allowed: {FORMS}, e.g. 2:00:00")
+    return float(total)
+
+
+def signals() -> Callable[[], str]:
+    """Note signals that ask the run to stop; they are looked at between Newton iterations.
+
+    A Ctrl-C after that, a second later or more, ends a rank that is alone at once.
+
+    Returns:
+        A function that names the signal received so far, or gives an empty text.
+    """
+    received: list[str] = []
+    alone, first = ranks.world_size() is None, 0.0
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal first
+        now = clock.monotonic()
+        received.append(signal.Signals(number).name)
+        if len(received) == 1:
+            first = now
+            if alone:
+                ranks.tell("stopping; the state is saved first (once more: stop at once)")
+        elif alone and number == signal.SIGINT and now > first + ranks.SAME_SIGNAL:
+            ranks.tell("stopped before the state was saved")
+            os._exit(130)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(number, note)
+    # A reader that has left is an error where something is said, and no crash, as PETSc has it.
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    return lambda: received[0] if received else ""
+
+
+class WallTime:
+    """Asks a run to stop while there is time to save its state.
+
+    It is asked between Newton iterations: one of them, or what is written between two steps, may
+    come before it is asked again, and takes as long as the longest so far.
+    """
+
+    def __init__(self, begin: float, limit: float) -> None:
+        """Begin.
+
+        Args:
+            begin: When the run began, by `time.perf_counter`.
+            limit: How long it may take [s].
+        """
+        self._limit = limit
+        self._end = begin + limit - min(LEFT * limit, MOST)
+        self._last: float | None = None
+        self._longest = 0.0
+
+    def __call__(self) -> str:
+        """Why to stop now, or an empty text."""
+        now = clock.perf_counter()
+        if self._last is not None:
+            self._longest = max(self._longest, now - self._last)
+        self._last = now
+        late = now + self._longest >= self._end
+        return f"the end of its wall time, {self._limit:.0f} s" if late else ""

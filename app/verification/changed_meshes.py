@@ -1,0 +1,116 @@
+"""Meshes changed on purpose: turned, scaled, mirrored, badly shaped; for ``mantle stress``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mantle import meshes
+from mantle.meshes.data import MeshData
+from mantle.meshes.quality import BAD, sicn
+from mantle.schema import config
+from mantle.system import folders
+
+# About (1, 2, 3) by 40 degrees: no axis goes to an axis.
+_AXIS, _ANGLE = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), np.radians(40.0)
+_CROSS = np.cross(np.eye(3), _AXIS).T
+ROTATION = np.eye(3) + np.sin(_ANGLE) * _CROSS + (1 - np.cos(_ANGLE)) * _CROSS @ _CROSS
+ROUNDS = 8
+
+
+def turned(data: MeshData) -> MeshData:
+    """The mesh turned about a skew axis."""
+    return replace(data, points=data.points @ ROTATION.T)
+
+
+def scaled(data: MeshData, factor: float) -> MeshData:
+    """The mesh with all lengths multiplied."""
+    return replace(data, points=factor * data.points)
+
+
+def flattened(data: MeshData, worst: float) -> MeshData:
+    """Nodes moved at random in the planes that they lie in, wherever that makes cells worse.
+
+    Args:
+        data: A stack of blocks.
+        worst: Quality that cells may have in the end (signed inverse condition number).
+    """
+    random = np.random.default_rng(1)
+    x = data.points.copy()
+    free = np.ones(x.shape, dtype=bool)
+    low, high = x.min(axis=0), x.max(axis=0)
+    free[np.isclose(x, low) | np.isclose(x, high)] = False
+    of = [np.unique(data.cells[data.cell_tags == tag]) for tag in data.regions.values()]
+    shared = np.bincount(np.concatenate(of), minlength=len(x)) > 1
+    free[shared, 2] = False
+    size = np.cbrt(6 * np.sqrt(2) * np.prod(high - low) / len(data.cells))
+    touching: list[list[int]] = [[] for _ in x]
+    for (c, _), n in np.ndenumerate(data.cells):
+        touching[n].append(c)
+    for n in np.tile(np.flatnonzero(free.any(axis=1)), ROUNDS):
+        cells, old = data.cells[touching[n]], x[n].copy()
+        before = sicn(x, cells).min()
+        x[n] += 0.5 * size * random.standard_normal(3) * free[n]
+        if not worst <= sicn(x, cells).min() < before:
+            x[n] = old
+    return replace(data, points=x)
+
+
+def mirrored(data: MeshData) -> MeshData:
+    """The whole of a quarter, by mirroring it about x = 0 and y = 0."""
+    x, cells = data.points, data.cells
+    tags, facets, marks = data.cell_tags, data.facets, data.facet_tags
+    planes = {data.boundaries[f"symmetry_{a}"][0]: i for i, a in enumerate("xy")}
+    for axis in (0, 1):
+        other = x * np.where(np.arange(3) == axis, -1.0, 1.0)
+        on = np.abs(x[:, axis]) < 1e-9
+        number = np.where(on, np.arange(len(x)), len(x) + np.cumsum(~on) - 1)
+        x = np.concatenate([x, other[~on]])
+        cells = np.concatenate([cells, number[cells][:, [1, 0, 2, 3]]])
+        facets = np.concatenate([facets, number[facets][:, [1, 0, 2]]])
+        tags, marks = np.tile(tags, 2), np.tile(marks, 2)
+    keep = ~np.isin(marks, list(planes))
+    boundaries = {n: t for n, t in data.boundaries.items() if not n.startswith("symmetry")}
+    return replace(
+        data,
+        points=x,
+        cells=cells,
+        cell_tags=tags,
+        facets=facets[keep],
+        facet_tags=marks[keep],
+        boundaries=boundaries,
+    )
+
+
+CHANGES: dict[str, Callable[[MeshData], MeshData]] = {
+    "turned": turned,
+    "mirrored": mirrored,
+    "bad": lambda data: flattened(data, 0.1),
+    "worst": lambda data: flattened(data, 1.2 * BAD),
+    "metres": lambda data: scaled(data, 1e-3),
+    "micrometres": lambda data: scaled(data, 1e3),
+}
+
+
+def change(case: config.Case, name: str, folder: Path) -> tuple[str, ...]:
+    """Write the changed mesh of a case.
+
+    Args:
+        case: The case.
+        name: The change, of `CHANGES`.
+        folder: Where the ``.msh`` file goes.
+
+    Returns:
+        The overrides that make it the geometry of the case.
+    """
+    data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{data.notes['quality']['cells']}_{name}.msh"
+    meshes.write_msh(CHANGES[name](data), path)
+    sides: dict[str, Any] = {n: [list(a), list(b)] for n, (a, b) in data.interfaces.items()}
+    geometry = f"geometry={{kind: file, path: {path.resolve()}, interfaces: {sides}}}"
+    return geometry, *(f"regions.{n}.tissue={r.tissue}" for n, r in case.regions.items())

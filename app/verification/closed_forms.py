@@ -1,0 +1,377 @@
+r"""What the verification problems are compared with: closed forms, each with its source.
+
+Nothing here comes from the code under test. Lengths in mm, stresses and moduli in MPa, forces in N;
+Young's modulus and Poisson's ratio travel as a pair (E, ν). Positions are arrays (n, 3).
+
+The problems are those of `configs/verification`; `verification` measures how far they are off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Elastic = tuple[float, float]
+VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+
+
+# Elasticity
+
+
+@dataclass(frozen=True)
+class Fibrous:
+    """A transversely isotropic material: moduli [MPa] and ratios along and across the fibre.
+
+    ``nu_l`` is minus the transverse over the axial strain under axial stress.
+    """
+
+    E_l: float
+    E_t: float
+    nu_l: float
+    nu_t: float
+    mu_l: float
+
+    def compliance(self) -> Floats:
+        """Compliance (6, 6) [1/MPa] for engineering strains 11, 22, 33, 23, 13, 12, fibre along 3.
+
+        Written down from uniaxial and shear tests, one column each (Lekhnitskii, Theory of
+        Elasticity of an Anisotropic Body, section 4); nothing of eq. 50 enters.
+        """
+        S = np.zeros((6, 6))
+        S[:3, 0] = [1 / self.E_t, -self.nu_t / self.E_t, -self.nu_l / self.E_l]
+        S[:3, 1] = [-self.nu_t / self.E_t, 1 / self.E_t, -self.nu_l / self.E_l]
+        S[:3, 2] = [-self.nu_l / self.E_l, -self.nu_l / self.E_l, 1 / self.E_l]
+        S[3, 3] = S[4, 4] = 1 / self.mu_l
+        S[5, 5] = 2 * (1 + self.nu_t) / self.E_t
+        return S
+
+    def stress(self, strain: Floats, fibre: Sequence[float]) -> Floats:
+        """Stress (3, 3) [MPa] of a tensor strain (3, 3), the fibre along a direction (3,)."""
+        C = np.zeros((3, 3, 3, 3))
+        stiffness = np.linalg.inv(self.compliance())
+        for a, (i, j) in enumerate(VOIGT):
+            for b, (k, m) in enumerate(VOIGT):
+                C[i, j, k, m] = C[j, i, k, m] = C[i, j, m, k] = C[j, i, m, k] = stiffness[a, b]
+        R = _frame(fibre)
+        return np.asarray(R @ np.einsum("ijkl,kl->ij", C, R.T @ strain @ R) @ R.T)
+
+
+def _frame(axis: Sequence[float]) -> Floats:
+    """A rotation (3, 3) whose third column is the direction of an axis."""
+    c = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    a = np.cross(np.eye(3)[np.argmin(np.abs(c))], c)
+    a /= np.linalg.norm(a)
+    return np.column_stack([a, np.cross(c, a), c])
+
+
+def sine(x: Floats, amplitude: float, side: float) -> Floats:
+    """Displacement (n, 3): amplitude sin(πx/L) sin(πy/L) sin(πz/L) along x, zero on a cube."""
+    u = np.zeros_like(x)
+    u[:, 0] = amplitude * np.sin(math.pi * x / side).prod(axis=1)
+    return u
+
+
+# Press fits
+
+
+def lame_pressure(δ: float, b: float, c: float, core: Elastic, ring: Elastic) -> float:
+    """Pressure of a core of radius b in a ring b < r < c too small by δ, plane strain [MPa].
+
+    Timoshenko & Goodier, Theory of Elasticity, section 28, with E/(1-ν²) and ν/(1-ν).
+    """
+    return lame_pressure_free(δ, b, c, _plane_strain(core), _plane_strain(ring))
+
+
+def lame_pressure_free(δ: float, b: float, c: float, core: Elastic, ring: Elastic) -> float:
+    """The same with free ends (plane stress) [MPa]."""
+    (E_i, ν_i), (E_o, ν_o) = core, ring
+    return δ / b / (((c * c + b * b) / (c * c - b * b) + ν_o) / E_o + (1 - ν_i) / E_i)
+
+
+def compound_pressures(
+    δ: float, radii: Sequence[float], materials: Sequence[Elastic]
+) -> tuple[float, float]:
+    """Pressures at a and b of a core r < a, too large by δ, in rings a < r < b < r < c [MPa].
+
+    Plane strain, no friction; Lamé's solution in each (Timoshenko & Goodier, section 28).
+
+    Args:
+        δ: Interference at a [mm].
+        radii: a, b, c [mm].
+        materials: Of the core, of the inner and of the outer ring.
+    """
+    a, b, c = radii
+    (E_1, ν_1), (E_2, ν_2), (E_3, ν_3) = materials
+
+    def ring(r: float, inner: float, outer: float, p: float, q: float) -> float:
+        """E / (1 + ν) times the displacement, in two parts, of pressures p inside and q outside."""
+        return (1 - 2 * ν_2) * (p * inner**2 - q * outer**2) * r + (p - q) * (
+            inner * outer
+        ) ** 2 / r
+
+    f_2, f_3 = (1 + ν_2) / E_2 / (b * b - a * a), (1 + ν_3) / E_3 / (c * c - b * b)
+    core = -(1 + ν_1) * (1 - 2 * ν_1) / E_1 * a
+    outer = f_3 * ((1 - 2 * ν_3) * b**3 + c * c * b)
+    A = np.array(
+        [
+            [f_2 * ring(a, a, b, 1, 0) - core, f_2 * ring(a, a, b, 0, 1)],
+            [f_2 * ring(b, a, b, 1, 0), f_2 * ring(b, a, b, 0, 1) - outer],
+        ]
+    )
+    p, q = np.linalg.solve(A, [δ, 0.0])
+    return float(p), float(q)
+
+
+def _plane_strain(material: Elastic) -> Elastic:
+    E, ν = material
+    return E / (1 - ν * ν), ν / (1 - ν)
+
+
+@dataclass(frozen=True)
+class OvalFit:
+    """A press fit whose interference varies: δ₀ + δ₂ cos 2θ at r = b; no friction, plane strain.
+
+    The even part is Lamé's. The rest is Michell's solution of order 2 (Barber, Elasticity, table
+    9.1): φ = (A r² + B r⁴) cos 2θ in the core, (A r² + B r⁴ + C r⁻² + D) cos 2θ in the ring, with
+    no shear on r = b, no traction on r = c, equal normal traction and the given jump on r = b.
+
+    Attributes:
+        b: Radius of the interface [mm].
+        c: Outer radius [mm].
+        core: Material of the core.
+        ring: Material of the ring.
+        δ0: Mean interference [mm].
+        δ2: Amplitude of its cos 2θ [mm].
+    """
+
+    b: float
+    c: float
+    core: Elastic
+    ring: Elastic
+    δ0: float
+    δ2: float
+
+    def pressure(self, x: Floats) -> Floats:
+        """Pressure (n,) at points of the interface [MPa]."""
+        p0 = lame_pressure(self.δ0, self.b, self.c, self.core, self.ring)
+        A = self._michell()[0]
+        θ = np.arctan2(x[:, 1], x[:, 0])
+        return np.asarray(p0 + 2 * A * np.cos(2 * θ))  # σ_rr of A r² is -2 A
+
+    def displacement(self, x: Floats, in_core: bool) -> Floats:
+        """Displacement (n, 3) [mm]; each body's formula holds beyond it too."""
+        r, θ = np.hypot(x[:, 0], x[:, 1]), np.arctan2(x[:, 1], x[:, 0])
+        E, ν = self.core if in_core else self.ring
+        κ, two_μ = 3 - 4 * ν, E / (1 + ν)
+        p0 = lame_pressure(self.δ0, self.b, self.c, self.core, self.ring)
+        b2, c2 = self.b**2, self.c**2
+        if in_core:
+            u_r = -p0 * (1 - 2 * ν) / two_μ * r
+        else:
+            u_r = p0 * b2 / (c2 - b2) / two_μ * ((1 - 2 * ν) * r + c2 / r)
+        constants = self._michell()
+        terms = constants[:2] if in_core else constants[2:]
+        radial = (-2 * r, (κ - 3) * r**3, 2 / r**3, (κ + 1) / r)
+        hoop = (2 * r, (κ + 3) * r**3, 2 / r**3, (1 - κ) / r)
+        u_θ = 0 * r
+        for k, f, g in zip(terms, radial, hoop, strict=False):  # the core has two terms
+            u_r = u_r + k / two_μ * f * np.cos(2 * θ)
+            u_θ = u_θ + k / two_μ * g * np.sin(2 * θ)
+        cos, sin = np.cos(θ), np.sin(θ)
+        return np.column_stack([u_r * cos - u_θ * sin, u_r * sin + u_θ * cos, 0 * r])
+
+    def _michell(self) -> Floats:
+        """A, B of the core and A, B, C, D of the ring."""
+        b, c = self.b, self.c
+
+        def normal(r: float) -> list[float]:
+            """σ_rr of the four terms over cos 2θ."""
+            return [-2.0, 0.0, -6 / r**4, -4 / r**2]
+
+        def shear(r: float) -> list[float]:
+            """σ_rθ of the four terms over sin 2θ."""
+            return [2.0, 6 * r**2, -6 / r**4, -2 / r**2]
+
+        def radial(material: Elastic) -> list[float]:
+            """u_r at b of the four terms over cos 2θ."""
+            E, ν = material
+            κ = 3 - 4 * ν
+            u = [-2 * b, (κ - 3) * b**3, 2 / b**3, (κ + 1) / b]
+            return [value * (1 + ν) / E for value in u]
+
+        rows = [
+            shear(b)[:2] + 4 * [0.0],
+            2 * [0.0] + shear(b),
+            2 * [0.0] + normal(c),
+            2 * [0.0] + shear(c),
+            [-value for value in normal(b)[:2]] + normal(b),
+            [-value for value in radial(self.core)[:2]] + radial(self.ring),
+        ]
+        return np.linalg.solve(np.array(rows), [0, 0, 0, 0, 0, self.δ2])
+
+
+# Contact of curved bodies
+
+
+def contact_modulus(*materials: Elastic) -> float:
+    """1 / E* = Σ (1 - ν²) / E over the elastic bodies (one against a rigid body) [MPa]."""
+    return 1 / sum((1 - ν * ν) / E for E, ν in materials)
+
+
+@dataclass(frozen=True)
+class Hertz:
+    """Half-width or radius a [mm], peak pressure p0 [MPa] and approach δ [mm] (nan for a line)."""
+
+    a: float
+    p0: float
+    approach: float
+
+
+def hertz_line(load: float, radius: float, modulus: float) -> Hertz:
+    """A cylinder under a load per length [N/mm] (Johnson, Contact Mechanics, section 4.2c)."""
+    a = math.sqrt(4 * load * radius / (math.pi * modulus))
+    return Hertz(a, 2 * load / (math.pi * a), math.nan)
+
+
+def hertz_point(load: float, radius: float, modulus: float) -> Hertz:
+    """A ball under a load [N] (Johnson, Contact Mechanics, section 4.2a)."""
+    a = (3 * load * radius / (4 * modulus)) ** (1 / 3)
+    return Hertz(a, 3 * load / (2 * math.pi * a * a), a * a / radius)
+
+
+def flamant(x: Floats, load: float, material: Elastic) -> Floats:
+    """Displacement (n, 3) of the half-plane z < 0 under a line load [N/mm] at 0 along -z [mm].
+
+    Plane strain, zero of u_z at r = 1 mm below the load (Johnson, Contact Mechanics, section 2.2).
+    """
+    E, ν = material
+    depth = -x[:, 2]
+    r, θ = np.hypot(x[:, 0], depth), np.arctan2(x[:, 0], depth)
+    k = load * (1 + ν) / (math.pi * E)
+    u_r = -2 * k * (1 - ν) * np.cos(θ) * np.log(r) - k * (1 - 2 * ν) * θ * np.sin(θ)
+    u_θ = 2 * k * (1 - ν) * np.sin(θ) * np.log(r) - k * (1 - 2 * ν) * θ * np.cos(θ) + k * np.sin(θ)
+    down = u_r * np.cos(θ) - u_θ * np.sin(θ)
+    across = u_r * np.sin(θ) + u_θ * np.cos(θ)
+    return np.column_stack([across, 0 * r, -down])
+
+
+def boussinesq(x: Floats, load: float, material: Elastic) -> Floats:
+    """Displacement (n, 3) of the half-space z < 0 under a force [N] at 0 along -z [mm].
+
+    Johnson, Contact Mechanics, section 3.2.
+    """
+    E, ν = material
+    depth = -x[:, 2]
+    ρ = np.linalg.norm(x, axis=1)
+    k = load * (1 + ν) / (2 * math.pi * E)
+    side = k * (depth / ρ**3 - (1 - 2 * ν) / (ρ * (ρ + depth)))
+    down = k * (depth**2 / ρ**3 + 2 * (1 - ν) / ρ)
+    return np.column_stack([side * x[:, 0], side * x[:, 1], -down])
+
+
+def stick_half_width(a: float, shear: float, pressure: float, friction: float) -> float:
+    """Half-width of the strip that sticks in a line contact, Q after P, Q < μP [mm].
+
+    Cattaneo 1938, Mindlin 1949 (Johnson, Contact Mechanics, section 7.2).
+    """
+    return a * math.sqrt(1 - shear / (friction * pressure))
+
+
+# Friction
+
+
+@dataclass(frozen=True)
+class FoundationBar:
+    """A bar on a bed with friction f [N/mm], pulled at its end by F [N]; stiffness EA [N].
+
+    Where the bar slips its force falls by f per length: an ordinary integral of f x / EA.
+    Unloading slips back over half that length with twice the friction.
+    """
+
+    force: float
+    friction: float
+    stiffness: float
+
+    @property
+    def end(self) -> float:
+        """End displacement under the first load [mm]."""
+        return self.force**2 / (2 * self.stiffness * self.friction)
+
+    @property
+    def residual(self) -> float:
+        """End displacement after unloading [mm]."""
+        return self.end / 2
+
+    @property
+    def cycle(self) -> float:
+        """Work lost per cycle of unloading and loading [N mm]."""
+        return self.force**3 / (12 * self.stiffness * self.friction)
+
+
+def push_up(slope: float, friction: float) -> float:
+    """Horizontal force over weight that slides a block up a slope of the given tangent."""
+    return (slope + friction) / (1 - friction * slope)
+
+
+def penalty_penetration(stiffness: float, motion: float, penalty: float) -> float:
+    """Penetration of a bar in series with a penalty spring [mm]; both stiffnesses per area."""
+    return stiffness * motion / (stiffness + penalty)
+
+
+def particle_solutions(k_T: float, k_N: float, w: float, friction: float) -> int:
+    """Most solutions that Klarbring's particle has under any one load.
+
+    A particle on springs [[k_T, w], [w, k_N]] rests on a rigid line with Coulomb friction
+    (Klarbring, Ingenieur-Archiv 60, 1990). It is open, stuck, or slipping either way; each state
+    takes a cone of loads (f_T, f_N) and is tried by itself. The number of states that hold changes
+    only at the edges of the cones, so that one load between each two neighbouring edges says all.
+    """
+    edges = np.array([[k_T, w], [-k_T, -w], [friction, -1.0], [-friction, -1.0]])
+    angles = np.sort(np.arctan2(edges[:, 1], edges[:, 0]))
+    between = (angles + np.append(angles[1:], angles[0] + 2 * math.pi)) / 2
+    loads = np.column_stack([np.cos(between), np.sin(between)])
+    return max(_states(f, np.array([[k_T, w], [w, k_N]]), friction) for f in loads)
+
+
+def _states(f: Floats, K: Floats, μ: float) -> int:
+    """Number of states with K u = f + (t, n), u_N >= 0 <= n, |t| <= μ n under a load f (2,)."""
+    is_open = np.linalg.solve(K, f)[1] > 0
+    sticks = f[1] <= 0 and abs(f[0]) <= -μ * f[1]
+    slips = 0
+    for way in (1.0, -1.0):  # u_N = 0, t = -way μ n; singular just where slip is indifferent
+        A = np.array([[K[0, 0], way * μ], [K[1, 0], -1.0]])
+        u, n = np.linalg.solve(A, f) if np.linalg.det(A) else (0.0, -1.0)
+        slips += way * u > 0 and n >= 0
+    return int(is_open) + int(sticks) + slips
+
+
+def particle_friction(k_T: float, k_N: float, w: float) -> float:
+    """Friction beyond which Klarbring's particle has several solutions under some load."""
+    low, high = 0.0, 1.0
+    while particle_solutions(k_T, k_N, w, high) == 1:
+        high *= 2
+    while high - low > 1e-12 * high:
+        middle = (low + high) / 2
+        low, high = (
+            (middle, high) if particle_solutions(k_T, k_N, w, middle) == 1 else (low, middle)
+        )
+    return high
+
+
+# Cook's membrane
+
+# Displacement (across, up) [mm] of the corner (48, 60) of the membrane (0, 0) (48, 44) (48, 60)
+# (0, 44), plane strain, E = 250 MPa, F = 100 N per mm of thickness along y over the right edge:
+# tests/reference/cook_taylor_hood.py.
+COOK = {
+    0.3: (-6.88970, 9.22266),
+    0.45: (-6.00846, 8.22283),
+    0.49: (-5.70232, 7.86599),
+    0.499: (-5.62897, 7.78000),
+    0.4999: (-5.62155, 7.77128),
+}

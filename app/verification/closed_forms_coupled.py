@@ -1,0 +1,265 @@
+r"""What the verification problems of heated elastic bodies are compared with: closed forms.
+
+Nothing here comes from the code under test. Units and pairs as in `closed_forms_heat`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.verification.closed_forms import Elastic, lame_pressure
+from mantle.verification.closed_forms_heat import two_bars
+
+Floats = NDArray[np.float64]
+
+
+def hot_fit_pressure(
+    radii: tuple[float, float],
+    core: tuple[Elastic, float],
+    ring: tuple[Elastic, float],
+    conductivity: float,
+    conductance: float,
+    temperatures: tuple[float, float, float],
+) -> float:
+    """Pressure of a core at one temperature in a ring cooled from outside, plane strain [MPa].
+
+    The bore of a free ring grows by (1 + ν) a b times its mean change of temperature (Timoshenko &
+    Goodier, section 151), the core by the same with its own; what is left is Lamé's interference.
+
+    Args:
+        radii: b of the interface, c of the outer surface [mm].
+        core: Elastic material and coefficient of expansion [1/K].
+        ring: The same.
+        conductivity: Of the ring.
+        conductance: Of the interface.
+        temperatures: Of the core, of the outer surface, and without strain.
+    """
+    (b, c), (hot, cold, free) = radii, temperatures
+    wall = math.log(c / b) * b / conductivity
+    inner = cold + (hot - cold) * wall / (wall + 1 / conductance)
+    # The mean over the section of T = cold + (inner - cold) ln(c/r) / ln(c/b).
+    part = 1 / (2 * math.log(c / b)) - b * b / (c * c - b * b)
+    mean = cold + (inner - cold) * part
+    (E_i, ν_i), a_i = core
+    (E_o, ν_o), a_o = ring
+    δ = b * ((1 + ν_i) * a_i * (hot - free) - (1 + ν_o) * a_o * (mean - free))
+    return lame_pressure(δ, b, c, (E_i, ν_i), (E_o, ν_o))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A ring, or a core if its inner radius is 0, in plane strain.
+
+    Attributes:
+        inner: Radius [mm].
+        outer: Radius [mm].
+        material: Elastic.
+        free_strain: Stress-free strain, the same in all directions.
+    """
+
+    inner: float
+    outer: float
+    material: Elastic
+    free_strain: float = 0.0
+
+    @property
+    def _lame(self) -> tuple[float, float]:
+        E, ν = self.material
+        return E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+
+    def motion(self, r: float) -> list[float]:
+        """u_r = A r + B / r: its coefficients."""
+        return [r, 1 / r if self.inner else 0.0]
+
+    def traction(self, r: float, hoop: bool = False) -> list[float]:
+        """σ_rr, or the hoop stress: its coefficients of A and B [MPa]."""
+        λ, μ = self._lame
+        sign = 1.0 if hoop else -1.0
+        return [2 * (λ + μ), sign * 2 * μ / r**2 if self.inner else 0.0]
+
+    @property
+    def relief(self) -> float:
+        """What the free strain takes off the normal stresses [MPa]."""
+        λ, μ = self._lame
+        return (3 * λ + 2 * μ) * self.free_strain
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Concentric layers without load, from inside to outside.
+
+    Attributes:
+        layers: Core and rings; each starts where the last ends.
+        joined: For each pair of neighbours, whether they move together and pull each other;
+            otherwise there is no traction between them.
+    """
+
+    layers: tuple[Layer, ...]
+    joined: tuple[bool, ...]
+
+    def constants(self) -> Floats:
+        """A and B of each layer (n, 2)."""
+        n = len(self.layers)
+        M, f = np.zeros((2 * n, 2 * n)), np.zeros(2 * n)
+        M[0, 1] = 1.0  # a core has no B; a first ring is not foreseen
+        row = 1
+        for i, (a, b) in enumerate(zip(self.layers[:-1], self.layers[1:], strict=True)):
+            r, one, two = a.outer, slice(2 * i, 2 * i + 2), slice(2 * i + 2, 2 * i + 4)
+            M[row, one], f[row] = a.traction(r), a.relief
+            if self.joined[i]:
+                M[row, two] = [-s for s in b.traction(r)]
+                f[row] -= b.relief
+                M[row + 1, one] = a.motion(r)
+                M[row + 1, two] = [-s for s in b.motion(r)]
+            else:
+                M[row + 1, two], f[row + 1] = b.traction(r), b.relief
+            row += 2
+        last = self.layers[-1]
+        M[row, -2:], f[row] = last.traction(last.outer), last.relief
+        return np.asarray(np.linalg.solve(M, f).reshape(n, 2))
+
+    def radial(self, i: int, r: float) -> float:
+        """Radial stress of layer i at r [MPa]."""
+        layer = self.layers[i]
+        return float(np.dot(layer.traction(r), self.constants()[i]) - layer.relief)
+
+    def hoop(self, i: int, r: float) -> float:
+        """Hoop stress of layer i at r [MPa]."""
+        layer = self.layers[i]
+        return float(np.dot(layer.traction(r, hoop=True), self.constants()[i]) - layer.relief)
+
+    def gap(self, i: int) -> float:
+        """Gap between layers i and i + 1 [mm]."""
+        a, b = self.layers[i], self.layers[i + 1]
+        A = self.constants()
+        return float(np.dot(b.motion(b.inner), A[i + 1]) - np.dot(a.motion(a.outer), A[i]))
+
+
+# Conductance that depends on pressure
+
+
+@dataclass(frozen=True)
+class Wall:
+    """One state of `HeatedWalls`: pressure [MPa], heat flux, temperatures of the two sides."""
+
+    pressure: float
+    flux: float
+    first: float
+    second: float
+
+
+@dataclass(frozen=True)
+class HeatedWalls:
+    """Two bars between fixed walls, pressed together by their own expansion; ν = 0.
+
+    The conductance between them is h₀ + h₁ p. More pressure lets more heat pass, which cools the
+    hot bar and warms the cold one: where the cold bar expands more, several states can hold, one
+    of them open (Barber, Dundurs & Comninou, J. Appl. Mech. 47, 1980).
+
+    Attributes:
+        lengths: Of the bars [mm].
+        moduli: Young's moduli [MPa].
+        expansions: [1/K].
+        conductivities: Of the bars.
+        open: h₀.
+        per_pressure: h₁ [N/(mm s K) per MPa].
+        gap: Between the bars at their reference temperature [mm].
+        temperatures: Of the hot wall, which holds the first bar, of the cold one, and without
+            strain.
+    """
+
+    lengths: tuple[float, float]
+    moduli: tuple[float, float]
+    expansions: tuple[float, float]
+    conductivities: tuple[float, float]
+    open: float
+    per_pressure: float
+    gap: float
+    temperatures: tuple[float, float, float]
+
+    def state(self, p: float) -> Wall:
+        """The thermal state under a pressure."""
+        hot, cold, _ = self.temperatures
+        resistances = tuple(L / k for L, k in zip(self.lengths, self.conductivities, strict=True))
+        h = self.open + self.per_pressure * p
+        return Wall(p, *two_bars(hot, cold, (resistances[0], resistances[1]), h))
+
+    def excess(self, p: float) -> float:
+        """Length of both bars under a pressure, free to expand, over the room they have [mm]."""
+        hot, cold, free = self.temperatures
+        state = self.state(p)
+        means = ((hot + state.first) / 2 - free, (cold + state.second) / 2 - free)
+        each = zip(self.lengths, self.moduli, self.expansions, means, strict=True)
+        return sum(L * (a * mean - p / E) for L, E, a, mean in each) - self.gap
+
+    def states(self) -> tuple[Wall, ...]:
+        """All states that hold, by pressure; the excess times 1 + R h is quadratic in it."""
+        R = sum(L / k for L, k in zip(self.lengths, self.conductivities, strict=True))
+        p = np.array([0.0, 1.0, 2.0])
+        values = [self.excess(s) * (1 + R * (self.open + self.per_pressure * s)) for s in p]
+        roots = np.roots(np.polyfit(p, values, 2))
+        closed = sorted(float(s.real) for s in roots if abs(s.imag) < 1e-12 and s.real > 0)
+        return tuple(map(self.state, [0.0, *closed] if self.excess(0.0) <= 0 else closed))
+
+
+@dataclass(frozen=True)
+class WavyContact:
+    """Two blocks, 0 < z < H and H < z < 2 H, that touch with a pressure that varies along x.
+
+    With p = p₀ + p₁ cos κx, κ = π / L, and the conductance h₀ + h₁ p the temperature jumps by g
+    everywhere, the heat flux q = g (h₀ + h₁ p) varies, and
+
+        T = T_m + g (below only) - q (z - H) / k,     u = (0, 0, f(x) (z - H)),
+        (λ + 2 μ) f = -p + (3 λ + 2 μ) a (T_i - T_ref),   T_i = T_m + g below, T_m above,
+
+    so that neither shear nor motion is on z = H, and nothing but sliding on x = 0 and x = L.
+
+    Attributes:
+        length: L [mm].
+        height: H [mm].
+        pressure: p₀ and p₁ [MPa].
+        conductance: h₀ and h₁.
+        jump: g [K].
+        mean: T_m.
+        reference: T_ref.
+        conductivities: Below and above.
+        materials: Elastic, below and above.
+        expansions: [1/K], below and above.
+    """
+
+    length: float
+    height: float
+    pressure: tuple[float, float]
+    conductance: tuple[float, float]
+    jump: float
+    mean: float
+    reference: float
+    conductivities: tuple[float, float]
+    materials: tuple[Elastic, Elastic]
+    expansions: tuple[float, float]
+
+    def pressures(self, x: Floats) -> Floats:
+        """Pressure (n,) at points (n, 3)."""
+        return np.asarray(
+            self.pressure[0] + self.pressure[1] * np.cos(math.pi * x[:, 0] / self.length)
+        )
+
+    def temperature(self, x: Floats, upper: bool) -> Floats:
+        """Temperature (n,) at points (n, 3) of one block."""
+        q = self.jump * (self.conductance[0] + self.conductance[1] * self.pressures(x))
+        base = self.mean + (0.0 if upper else self.jump)
+        return np.asarray(base - q * (x[:, 2] - self.height) / self.conductivities[upper])
+
+    def displacement(self, x: Floats, upper: bool) -> Floats:
+        """Displacement (n, 3) at points (n, 3) of one block [mm]."""
+        E, ν = self.materials[upper]
+        λ, μ = E * ν / ((1 + ν) * (1 - 2 * ν)), E / (2 * (1 + ν))
+        T = self.mean + (0.0 if upper else self.jump) - self.reference
+        f = (-self.pressures(x) + (3 * λ + 2 * μ) * self.expansions[upper] * T) / (λ + 2 * μ)
+        u = np.zeros_like(x)
+        u[:, 2] = f * (x[:, 2] - self.height)
+        return u

@@ -1,0 +1,330 @@
+"""How far the thermal runs of ``mantle verify`` are off: one small function per quantity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.results.reading import Run
+from mantle.verification import closed_forms_coupled as coupled
+from mantle.verification import closed_forms_heat as exact
+from mantle.verification.measures import Sample, relative
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Conductivity [N/(s K)] and capacity [N/(mm2 K)] of the cases.
+CEMENT, BONE = (0.2, 1.74), (0.58, 2.331)
+KELVIN = 273.15
+# Temperature (n,) [degC] at points (n, 3) of a region, counted from 1, at a time [s].
+Field = Callable[[Floats, int, float], Floats]
+
+
+def temperatures(
+    run: Run, field: Field, scale: float, ends: Sequence[float] = (), since: float = 0.0
+) -> Sample:
+    """The node whose temperature is furthest off at any written step.
+
+    Args:
+        run: The run.
+        field: Exact temperatures.
+        scale: What the error is relative to [K].
+        ends: Seconds at the start and at the end of each stage; empty for a steady state.
+        since: Seconds before which nothing is compared.
+    """
+    samples = []
+    for step, seconds in _written(run, ends):
+        if seconds < since:
+            continue
+        T = run.temperature(step)
+        for region in np.unique(run.region):
+            nodes = run.nodes_of(region)
+            should = field(run.points[nodes], int(region), seconds)
+            off = np.abs(T[nodes] - should) / scale
+            at = int(np.argmax(off))
+            samples.append(Sample(float(T[nodes[at]]), float(should[at]), float(off[at])))
+    return worst(samples)
+
+
+def mean_square(run: Run, field: Field, zero: float, ends: Sequence[float] = ()) -> Sample:
+    """Temperatures over one of them, relative in L2, at the worst written step.
+
+    Args:
+        run: The run.
+        field: Exact temperatures.
+        zero: The temperature that they are compared over.
+        ends: As above.
+    """
+    samples = []
+    for step, seconds in _written(run, ends):
+        error, norm, reference = run.norms(
+            partial(_by_region, field=field, zero=zero, seconds=seconds),
+            run.temperature(step)[:, None] - zero,
+        )
+        samples.append(Sample(norm, reference, error / reference))
+    return worst(samples)
+
+
+def _by_region(x: Floats, region: Ints, field: Field, zero: float, seconds: float) -> Floats:
+    """A field (n, 1) over a temperature at points of several regions."""
+    T = np.zeros(len(x))
+    for k in np.unique(region):
+        T[region == k] = field(x[region == k], int(k), seconds) - zero
+    return T[:, None]
+
+
+def _written(run: Run, ends: Sequence[float]) -> list[tuple[int, float]]:
+    """Written steps of stages that take time, and their seconds; the last of a steady state."""
+    if not ends:
+        return [(len(run.times) - 1, math.inf)]
+    seconds = np.interp(run.times, np.arange(len(ends)), ends)
+    return [(k, float(s)) for k, s in enumerate(seconds) if s > 0]
+
+
+def worst(samples: Sequence[Sample]) -> Sample:
+    """The sample with the largest error."""
+    return max(samples, key=lambda s: math.inf if math.isnan(s.error) else s.error)
+
+
+def bars(run: Run, conductance: float) -> Sample:
+    """Temperatures of two_bars.yaml over 63 K, and its flux."""
+    q, hot, cold = exact.two_bars(100, 37, (5 / CEMENT[0], 5 / BONE[0]), conductance)
+
+    def field(x: Floats, region: int, t: float) -> Floats:
+        if region == 1:
+            return 100 + (hot - 100) * x[:, 2] / 5
+        return 37 + (cold - 37) * (10 - x[:, 2]) / 5
+
+    flux = run.summary["thermal"]["interfaces"]["cement_bone"]["heat_flux_max"]
+    return worst([temperatures(run, field, 63.0), relative(flux, 1e3 * q)])
+
+
+def rings(run: Run) -> Sample:
+    """Temperatures of two_rings.yaml over 37 degC, relative in L2."""
+    _, hot, cold = exact.two_rings(100, 37, (10, 14, 18), (CEMENT[0], BONE[0]), 0.5)
+
+    def field(x: Floats, region: int, t: float) -> Floats:
+        r = np.hypot(x[:, 0], x[:, 1])
+        if region == 1:
+            return np.full(len(x), 100.0)
+        if region == 2:
+            return np.asarray(100 + (hot - 100) * np.log(r / 10) / math.log(14 / 10), dtype=float)
+        return np.asarray(37 + (cold - 37) * np.log(18 / r) / math.log(18 / 14), dtype=float)
+
+    return mean_square(run, field, 37.0)
+
+
+def slab(run: Run) -> Sample:
+    """Temperatures of perfused_slab.yaml over 20 degC, relative in L2."""
+    law = exact.Slab(10.0, 0.5, 0.02, 37.0, 0.1, 0.6, 0.05, 20.0)
+    return mean_square(run, lambda x, region, t: law.temperature(x[:, 2]), 20.0)
+
+
+def in_fibre(run: Run) -> Sample:
+    """Temperature of fibre_heat.yaml over 310 K, relative in L2."""
+    zero = 310 - KELVIN
+    return mean_square(run, lambda x, region, t: zero + x[:, 0] ** 2 + 2 * x[:, 0] * x[:, 1], zero)
+
+
+def cylinder(run: Run) -> Sample:
+    """Temperatures of cooling_cylinder.yaml over 37 degC, relative in L2."""
+
+    def field(x: Floats, region: int, t: float) -> Floats:
+        return exact.cooling_cylinder(np.hypot(x[:, 0], x[:, 1]), t, 10, CEMENT, 100, 37)
+
+    return mean_square(run, field, 37.0, (0, 60, 100, 300))
+
+
+def half_spaces(run: Run, conductance: float) -> Sample:
+    """Temperatures of half_spaces.yaml over 63 K."""
+    law = exact.HalfSpaces(CEMENT, BONE, (100, 37), conductance)
+
+    def field(x: Floats, region: int, t: float) -> Floats:
+        return law.temperature(x[:, 2] - 8, t, region == 1)
+
+    return temperatures(run, field, 63.0, (0, 10))
+
+
+def rubbed(run: Run, share: float) -> Sample:
+    """Temperatures of rubbing.yaml over the rise of the hotter surface; part into the cement."""
+    flux = {1: 75 * share, 2: 75 * (1 - share)}
+    materials = {1: CEMENT, 2: BONE}
+
+    def rise(x: Floats, region: int, t: float) -> Floats:
+        return exact.heated_half_space(x, t, flux[region], materials[region])
+
+    def field(x: Floats, region: int, t: float) -> Floats:
+        return 37 + rise(x[:, 2] - 8, region, t)
+
+    most = max(float(rise(np.zeros(1), region, 10)[0]) for region in (1, 2))
+    return temperatures(run, field, most, (0, 0, 10), since=2.5)
+
+
+def rubbing_heat(run: Run) -> Sample:
+    """Heat stored in rubbing.yaml against the work lost by friction [N mm]."""
+    capacity = np.array([CEMENT[1], BONE[1]])[run.region - 1]
+    rise = (run.temperature() - 37)[run.cells[:, :4]].mean(axis=1)
+    stored = float((capacity * rise * run.volumes()).sum())
+    return relative(stored, run.summary["interfaces"]["cement_bone"]["dissipation"])
+
+
+def setting_time(run: Run, reference: float) -> Sample:
+    """When exotherm.yaml is half set [s]."""
+    return relative(run.summary["cure"]["cube"]["time_50"], reference)
+
+
+def degree(run: Run, reference: float) -> Sample:
+    """Degree of cure of exotherm.yaml at its end, the same everywhere."""
+    q = run.summary["cure"]["cube"]
+    return worst([relative(q[key], reference) for key in ("degree_min", "degree_max")])
+
+
+def heat_of_cure(run: Run) -> Sample:
+    """Final temperature of exotherm.yaml, by the heat of what has set [degC]."""
+    q = run.summary["cure"]["cube"]
+    rise = 155 / 1.74 * (q["degree_max"] - 1e-3)
+    value = run.summary["thermal"]["regions"]["cube"]["temperature_max"]
+    return Sample(value, 37 + rise, abs(value - 37 - rise) / rise)
+
+
+def layers_stress(run: Run, joined: tuple[bool, bool]) -> Sample:
+    """Radial and hoop stress of the cement of cooled_layers.yaml at its surfaces [MPa].
+
+    Both are of the form A + B / r²: fitted to the cells' means, taken at 6 and 10 mm.
+    """
+    law = _layers(joined)
+    cells = run.region == 2
+    x = run.points[run.cells[cells, :4]].mean(axis=1)
+    r = np.hypot(x[:, 0], x[:, 1])
+    n = x[:, :2] / r[:, None]
+    σ = run.stress()[cells][:, :2, :2]
+    radial = np.einsum("ci,cij,cj->c", n, σ, n)
+    hoop = σ[:, 0, 0] + σ[:, 1, 1] - radial
+    weights = np.sqrt(run.volumes()[cells])
+    rows = np.column_stack([np.ones(len(r)), r**-2.0]) * weights[:, None]
+    samples = []
+    for values, should in ((radial, law.radial), (hoop, law.hoop)):
+        A, B = np.linalg.lstsq(rows, values * weights, rcond=None)[0]
+        for at in (6.0, 10.0):
+            value, reference = float(A + B / at**2), should(1, at)
+            scale = abs(law.hoop(1, 6.0))
+            samples.append(Sample(value, reference, abs(value - reference) / scale))
+    return worst(samples)
+
+
+def layers_contact(run: Run) -> Sample:
+    """Grip on the stem [MPa] and gap at the bone [mm] of cooled_layers.yaml without tension."""
+    law, sides = _layers((True, False)), run.summary["interfaces"]
+    return worst(
+        [
+            relative(sides["stem_cement"]["pressure_mean"], -law.radial(1, 6.0)),
+            relative(sides["cement_bone"]["gap_p99"], law.gap(1)),
+        ]
+    )
+
+
+def _layers(joined: tuple[bool, bool]) -> coupled.Layers:
+    return coupled.Layers(
+        (
+            coupled.Layer(0, 6, (200e3, 0.3)),
+            coupled.Layer(6, 10, (2200.0, 0.3), -80e-6 * 40),
+            coupled.Layer(10, 15, (17e3, 0.3)),
+        ),
+        joined,
+    )
+
+
+def hot_fit(run: Run) -> Sample:
+    """Mean pressure of hot_fit.yaml [MPa]."""
+    core, ring = ((200e3, 0.3), 14e-6), ((2200.0, 0.3), 10e-6)
+    reference = coupled.hot_fit_pressure((7, 10), core, ring, 0.4, 0.3, (80, 37, 37))
+    return relative(run.summary["interfaces"]["stem_cement"]["pressure_mean"], reference)
+
+
+WALLS = coupled.HeatedWalls(
+    (5, 5), (110e3, 2200), (9e-6, 80e-6), (6.7, 0.2), 0.01, 0.3, 0.005, (80, 37, 37)
+)
+
+
+def walls(run: Run, closed: bool) -> Sample:
+    """Temperatures over 43 K and pressure of heated_walls.yaml, in one of its stable states."""
+    state = WALLS.states()[-1 if closed else 0]
+
+    def field(x: Floats, region: int, t: float) -> Floats:
+        if region == 1:
+            return 80 + (state.first - 80) * x[:, 2] / 5
+        return 37 + (state.second - 37) * (10 - x[:, 2]) / 5
+
+    pressure = run.summary["interfaces"]["metal_cement"]["pressure_mean"]
+    off = abs(pressure - state.pressure) / WALLS.states()[-1].pressure
+    return worst([temperatures(run, field, 43.0), Sample(pressure, state.pressure, off)])
+
+
+WAVY = coupled.WavyContact(
+    length=2.0,
+    height=1.0,
+    pressure=(2.0, 1.0),
+    conductance=(0.1, 0.1),
+    jump=10.0,
+    mean=50.0,
+    reference=37.0,
+    conductivities=(0.2, 0.58),
+    materials=((2200.0, 0.3), (17e3, 0.3)),
+    expansions=(80e-6, 27.5e-6),
+)
+
+
+def wavy_temperature(run: Run) -> Sample:
+    """Temperature of wavy_contact.yaml over 37 degC, relative in L2."""
+    return mean_square(run, lambda x, region, t: WAVY.temperature(x, upper=region == 2), 37.0)
+
+
+def wavy_displacement(run: Run) -> Sample:
+    """Displacement of the same."""
+
+    def field(x: Floats, region: Ints) -> Floats:
+        below, above = WAVY.displacement(x, upper=False), WAVY.displacement(x, upper=True)
+        return np.where((region == 1)[:, None], below, above)
+
+    error, norm, reference = run.norms(field)
+    return Sample(norm, reference, error / reference)
+
+
+def endured(run: Run, low: float, high: float) -> Sample:
+    """What a stiff case must keep, whatever else it does.
+
+    The error is the largest of: heat lost, over all heat that moved; temperatures [degC] beyond the
+    bounds, over their distance; degrees of cure beyond 0 and 1.
+
+    Args:
+        run: The run.
+        low: Lowest temperature of the data.
+        high: Highest; infinite if there is a source of heat.
+    """
+    summary = run.summary
+    regions: list[dict[str, Any]] = list(summary["thermal"]["regions"].values())
+    balance = float(summary["balance"]["heat"])
+    span = high - low if math.isfinite(high) else 100.0
+    coldest = min(r["temperature_min"] for r in regions)
+    hottest = max(r["temperature_max"] for r in regions)
+    degrees = [
+        q[key] for q in summary.get("cure", {}).values() for key in ("degree_min", "degree_max")
+    ]
+    beyond = [
+        (low - coldest) / span,
+        (hottest - high) / span,
+        *(-a for a in degrees),
+        *(a - 1 for a in degrees),
+    ]
+    solver = summary["solver"]
+    steps = f"steps {solver['steps']}, rejected {solver['rejected_steps']}"
+    note = f"{steps}, balance {balance:.0e}, {coldest:.2f} to {hottest:.2f} degC"
+    off = max(0.0, *beyond)
+    sample = worst([Sample(balance, 0.0, abs(balance)), Sample(hottest, high, off)])
+    return replace(sample, note=note)

@@ -1,0 +1,381 @@
+"""Judges of ``mantle stress``: an answer against a reference, an invariance, a balance.
+
+Each takes the runs of a case, the one in question first, and says how far off it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.campaigns.work_precision import fitted_order
+from mantle.errors import Reason
+from mantle.results.reading import Run
+from mantle.verification import closed_forms as exact
+from mantle.verification.extremes_case import Judged
+from mantle.verification.measures import corner
+from mantle.verification.problem import Point
+
+Floats = NDArray[np.float64]
+
+OPEN, STICK = 0, 1
+# A share of what friction may bear that still counts as nothing.
+NOTHING = 1e-6
+
+
+def _off(values: Floats, reference: Floats, scale: float | None = None) -> float:
+    """Largest difference over the largest value of the reference; over nothing it is itself."""
+    largest = float(np.abs(reference).max(initial=0.0)) if scale is None else scale
+    return float(np.abs(values - reference).max(initial=0.0)) / (largest or 1.0)
+
+
+def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
+    """The node of another run at each point (n, 3) in the same region (n,).
+
+    Raises:
+        ValueError: Some have none: the meshes differ.
+    """
+    from scipy.spatial import cKDTree
+
+    def labelled(r: Run, x: Floats) -> Floats:
+        # The two sides of an interface are at one place and in different regions, which a mesh
+        # file may number in another order: they are told by how many cells they have.
+        cells = np.bincount(r.region)[r.region].astype(float)
+        first = np.full(len(x), len(r.cells) + 1.0)
+        np.minimum.at(first, r.cells, np.repeat(cells[:, None], r.cells.shape[1], axis=1))
+        return np.column_stack([x, first * 10 * np.ptp(other.points)])
+
+    distance, found = cKDTree(labelled(other, other.points)).query(labelled(run, points))
+    if distance.max() > 1e-6 * np.ptp(other.points):
+        raise ValueError("the meshes are not the same")
+    return np.asarray(found, dtype=np.int64)
+
+
+def same(
+    runs: Sequence[Run],
+    lengths: float = 1.0,
+    stresses: float = 1.0,
+    points: float = 1.0,
+    turn: Floats | None = None,
+) -> Judged:
+    """Every field after every step is that of the second run, times a factor.
+
+    Args:
+        runs: The run and its reference.
+        lengths: What displacements, gaps and slips are multiplied by.
+        stresses: What tractions are multiplied by.
+        points: What the mesh is.
+        turn: Rotation (3, 3) of the model; none by default.
+    """
+    run, other = runs
+    R = np.eye(3) if turn is None else turn
+    if len(run.times) != len(other.times) or not np.allclose(run.times, other.times):
+        return Judged(np.inf, f"{len(run.times)} steps instead of {len(other.times)}")
+    k = _partners(run, np.asarray(run.points @ R / points, dtype=float), other)
+    worst, where = 0.0, ""
+
+    def note(value: float, what: str) -> None:
+        nonlocal worst, where
+        if not value <= worst:
+            worst, where = value, what
+
+    for step, time in enumerate(run.times):
+        u = other.displacement(step)[k] @ R.T * lengths
+        note(_off(run.displacement(step), u), f"displacement at time {time:g}")
+        for name in run.contacts:
+            pressure = other.at_interface(name, "pressure", step)[k] * stresses
+            # Gap and slip are one vector. One that is nothing but rounding has no scale of its own.
+            sizes = [float(other.at_interface(name, q, step).max()) for q in ("gap", "slip")]
+            jump = max(*(lengths * x for x in sizes), NOTHING * float(np.abs(u).max()))
+            for quantity, factor in (
+                ("gap", lengths),
+                ("slip", lengths),
+                ("pressure", stresses),
+                ("shear", stresses),
+            ):
+                reference = other.at_interface(name, quantity, step)[k] * factor
+                scale = jump if quantity in ("gap", "slip") else float(pressure.max())
+                value = run.at_interface(name, quantity, step)
+                note(_off(value, reference, scale), f"{quantity} of {name} at time {time:g}")
+    return Judged(worst, where)
+
+
+def augmented(runs: Sequence[Run], factor: float) -> Judged:
+    """The same as with the default augmentation; tells what was used of it."""
+    run, other = runs
+    judged = same(runs)
+    used, usual = (r.summary["solver"]["augmentation"] for r in (run, other))
+    multiple = ", ".join(sorted({f"{used[name] / usual[name]:.3g}" for name in used}))
+    q = run.summary["solver"]
+    return Judged(
+        judged.deviation,
+        f"asked for {factor:g} r, used {multiple} r, {q['newton_iterations']} Newton iterations "
+        f"({other.summary['solver']['newton_iterations']} by default); {judged.note}",
+    )
+
+
+def lawful(runs: Sequence[Run]) -> Judged:
+    """Balances close; no tension, no penetration, no more friction than Coulomb's, none created."""
+    run = runs[0]
+    balance = run.summary["balance"]
+    worst = {f"balance of {key}": float(abs(balance[key])) for key in balance}
+    for name, q in run.summary["interfaces"].items():
+        law = _friction(run, name)
+        p, t = run.at_interface(name, "pressure"), run.at_interface(name, "shear")
+        gap = run.at_interface(name, "gap")
+        moved = float(np.abs(run.displacement()).max())
+        peak = float(p.max())
+        if not peak:
+            continue
+        worst[f"friction of {name}"] = float((t - law * p).max()) / peak
+        worst[f"pressure across a gap of {name}"] = float((p * gap).max()) / (peak * moved)
+        worst[f"penetration of {name}"] = q["penetration_max"] / moved
+        lost = abs(q["dissipation"]) or 1.0
+        worst[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
+    what = max(worst, key=lambda key: worst[key])
+    beyond = _beyond(run)
+    if beyond and Reason.NOT_UNIQUE not in Reason.within(run.log):
+        return Judged(np.inf, f"friction beyond the critical one of {beyond} and no warning")
+    warned = f"; warns that {beyond} may have several solutions" if beyond else ""
+    return Judged(max(worst[what], 0.0), what + warned)
+
+
+def _friction(run: Run, name: str) -> float:
+    """Friction coefficient of an interface."""
+    from mantle.schema import config
+
+    law = config.load(run.folder / "case.yaml").interfaces[name]
+    if isinstance(law, config.Bonded):
+        raise ValueError(f"interface '{name}' is bonded")
+    return law.friction_coefficient
+
+
+def _beyond(run: Run) -> str:
+    """Interfaces whose friction exceeds the critical one."""
+    return ", ".join(
+        name
+        for name, q in run.summary["interfaces"].items()
+        if _friction(run, name) > q.get("critical_friction", np.inf)
+    )
+
+
+def nothing_moves(runs: Sequence[Run]) -> Judged:
+    """Without load: no displacement [mm], no pressure [MPa]."""
+    run = runs[0]
+    u = float(np.abs(run.displacement()).max())
+    p = max(float(np.abs(run.at_interface(name, "pressure")).max()) for name in run.contacts)
+    return Judged(max(u, p), "displacement and pressure")
+
+
+def mirrored(runs: Sequence[Run]) -> Judged:
+    """A load the other way gives the displacement along it the other way."""
+    ours, theirs = (np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs)
+    return Judged(_off(ours, -theirs), "displacement along the load")
+
+
+# Closed forms
+
+
+def stack(runs: Sequence[Run], moduli: Sequence[float], ratios: Sequence[float]) -> Judged:
+    """Blocks of 5 mm in a smooth box under 2 MPa: displacement and pressure are exact."""
+    run = runs[0]
+    p, h = 2.0, 5.0
+    strains = [
+        p * (1 + ν) * (1 - 2 * ν) / (E * (1 - ν)) for E, ν in zip(moduli, ratios, strict=True)
+    ]
+    levels = np.arange(len(moduli) + 1) * h
+    falls = -np.concatenate([[0.0], np.cumsum(strains)]) * h
+    u = run.displacement()
+    should = np.zeros_like(u)
+    should[:, 2] = np.interp(run.points[:, 2], levels, falls)
+    worst = {"displacement": _off(u, should)}
+    for name in run.contacts:
+        on = run.on_interface(name)
+        worst[f"pressure of {name}"] = _off(
+            run.at_interface(name, "pressure")[on], np.full(on.sum(), p)
+        )
+    what = max(worst, key=lambda key: worst[key])
+    return Judged(worst[what], what)
+
+
+def shrink_fit(
+    runs: Sequence[Run],
+    interference: float,
+    radii: Sequence[float],
+    materials: Sequence[exact.Elastic],
+) -> Judged:
+    """Mean pressures of a core in a mantle in a ring [MPa]; the outer where it is in contact."""
+    numbers = runs[0].summary["interfaces"]
+    should = exact.compound_pressures(interference, radii, materials)
+    worst, notes = 0.0, []
+    for name, p in zip(("stem_cement", "cement_bone"), should, strict=True):
+        if name in numbers:
+            value = numbers[name]["pressure_mean"]
+            worst = max(worst, abs(value / p - 1))
+            notes.append(f"{name} {value:.5g} MPa, exact {p:.5g}")
+    return Judged(worst, "; ".join(notes))
+
+
+def bar(runs: Sequence[Run], force: float, friction: float) -> Judged:
+    """End of the bar on a frictional bed after loading, and what it keeps after unloading."""
+    run = runs[0]
+    law = exact.FoundationBar(force, friction, 1.1e6)
+    end = np.isclose(run.points[:, 0], 110)
+    end &= np.isclose(run.points[:, 2], run.points[:, 2].max())
+    values = [
+        float(run.displacement(int(np.argmin(np.abs(run.times - t))))[end, 0].mean())
+        for t in (2.0, 3.0)
+    ]
+    errors = [abs(v / r - 1) for v, r in zip(values, (law.end, law.residual), strict=True)]
+    return Judged(max(errors), f"end {values[0]:.6g} mm, left {values[1]:.6g} mm")
+
+
+def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Judged:
+    """Work lost in each cycle of the bar against F^3 / (12 EA f); its end comes back each time."""
+    run = runs[0]
+    law = exact.FoundationBar(force, friction, 1.1e6)
+    ends = np.arange(count + 1) * 2 + 3.0  # unloaded
+    times, work = run.history["time [-]"], run.history["base_bar dissipation [N mm]"]
+    lost = np.diff(np.interp(ends, times, work))
+    at = np.isclose(run.points[:, 0], 110) & np.isclose(run.points[:, 2], 2)
+    left = np.array(
+        [run.displacement(int(np.argmin(np.abs(run.times - t))))[at, 0].mean() for t in ends]
+    )
+    creep = float(np.abs(np.diff(left)).max()) / law.end
+    return Judged(
+        max(float(np.abs(lost / law.cycle - 1).max()), creep),
+        f"{count} cycles, {lost[0]:.5g} to {lost[-1]:.5g} N mm each, exact {law.cycle:.5g}; "
+        f"the end creeps by {creep:.1e} of its stroke in a cycle",
+    )
+
+
+def shakedown(runs: Sequence[Run], count: int) -> Judged:
+    """What a taper sinks in each cycle, the last over the first: it comes to rest."""
+    run = runs[0]
+    top = run.points[:, 2] > run.points[:, 2].max() - 1e-6
+    top &= np.hypot(run.points[:, 0], run.points[:, 1]) < 1.0
+    steps = [int(np.argmin(np.abs(run.times - t))) for t in np.arange(count + 1) * 2 + 1.0]
+    down = np.array([-run.displacement(k)[top, 2].mean() for k in steps])
+    sunk = np.diff(down)
+    times, work = run.history["time [-]"], run.history["stem_cement dissipation [N mm]"]
+    lost = np.diff(np.interp(np.arange(count + 1) * 2 + 1.0, times, work))
+    share = abs(sunk[-1]) / down[0]
+    words = f"sinks {1e3 * down[0]:.4g} um, then {1e3 * sunk[0]:.2e} .. {1e3 * sunk[-1]:.2e} um"
+    return Judged(share, f"{words} in a cycle; loses {lost[0]:.3g} .. {lost[-1]:.3g} N mm")
+
+
+def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) -> Judged:
+    """Force over integral of pressure of a cone pushed in by 100 N, then let go to a part.
+
+    Where it slides it is sin a +- m cos a; where friction holds it, the law of friction and the
+    balances hold and pressure stays.
+
+    Args:
+        runs: The run.
+        half_angle: Of the cone [rad].
+        friction: Its coefficient.
+        left: Part of the force that is left.
+    """
+    run = runs[0]
+    s, c = np.sin(half_angle), np.cos(half_angle)
+    area = run.areas("stem_cement")
+    at_push = int(np.argmin(np.abs(run.times - 1.0)))
+    pushed, now = (
+        float((area * run.at_interface("stem_cement", "pressure", k)).sum()) for k in (at_push, -1)
+    )
+    into = abs(100 / (pushed * (s + friction * c)) - 1)
+    words = f"{100 * now / pushed:.0f} % of the pressure stays; sliding in off by {into:.1e}"
+    if friction <= s / c:
+        out = abs(100 * left / (now * (s - friction * c)) - 1)
+        return Judged(max(into, out), f"{words}, sliding out by {out:.1e}")
+    held = lawful(runs)
+    return Judged(held.deviation if now > 0.1 * pushed else np.inf, f"held; {words}")
+
+
+def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> Judged:
+    """Penetration and error of a penalty against the augmented Lagrangian: of order -1 in it."""
+    *penalized, other = runs
+    reference = other.summary["interfaces"][name]["pressure_mean"]
+    errors = [
+        abs(r.summary["interfaces"][name]["pressure_mean"] / reference - 1) for r in penalized
+    ]
+    depths = [r.summary["interfaces"][name]["penetration_max"] for r in penalized]
+    orders = [fitted_order(penalties, values) for values in (errors, depths)]
+    return Judged(
+        max(abs(p + 1) for p in orders),
+        f"order of the pressure's error {orders[0]:.3f}, of the penetration {orders[1]:.3f}",
+    )
+
+
+def penetrates(runs: Sequence[Run], stiffness: float, motion: float, penalty: float) -> Judged:
+    """Penetration of the bar into the wall is that of springs in series."""
+    value = runs[0].summary["interfaces"]["wall_bar"]["penetration_max"]
+    should = exact.penalty_penetration(stiffness, motion, penalty)
+    return Judged(abs(value / should - 1), f"{value:.4g} mm, exact {should:.4g}")
+
+
+# Steps and paths
+
+
+def _final(run: Run) -> Floats:
+    """Displacement and slips at the end, as one vector."""
+    slips = [run.at_interface(name, "slip") for name in run.contacts]
+    return np.concatenate([run.displacement().ravel(), *slips])
+
+
+def first_order(runs: Sequence[Run], counts: Sequence[int]) -> Judged:
+    """The answer goes to that of the finest steps with the first power of their length."""
+    *coarse, finest = map(_final, runs)
+    scale = float(np.linalg.norm(finest))
+    errors = [float(np.linalg.norm(x - finest)) / scale for x in coarse]
+    # The finest has an error of its own: h - h_finest is what the differences measure.
+    sizes = [1 / n - 1 / counts[-1] for n in counts[:-1]]
+    order = fitted_order(sizes, errors)
+    tail = f"{errors[0]:.1e} with {counts[0]}, {errors[-1]:.1e} with {counts[-2]}"
+    return Judged(max(0.0, 1.0 - order), f"order {order:.2f}; error {tail} increments")
+
+
+def path_matters(runs: Sequence[Run]) -> Judged:
+    """Two orders of the same loads end apart, by more than the steps are wrong.
+
+    Runs: one order with fine and coarse steps, the other with fine steps.
+    """
+    one, coarse, other = map(_final, runs)
+    apart, wrong = np.linalg.norm(one - other), np.linalg.norm(one - coarse)
+    words = f"{apart / np.linalg.norm(one):.1e} apart, steps wrong by"
+    return Judged(float(wrong / apart), f"{words} {wrong / np.linalg.norm(one):.1e}")
+
+
+def close(runs: Sequence[Run], factor: float = 1.0) -> Judged:
+    """Numbers of each interface are those of the second run, forces so many times those."""
+    run, other = runs
+    worst, where = 0.0, ""
+    for name, q in other.summary["interfaces"].items():
+        mine = run.summary["interfaces"][name]
+        for key in ("slip_mean", "pressure_mean", "shear_mean"):
+            off = abs(mine[key] - q[key]) / (abs(q[key]) or 1.0)
+            worst, where = max((worst, where), (off, f"{key} of {name}"))
+        off = abs(mine["force"][2] / (factor * q["force"][2]) - 1)
+        worst, where = max((worst, where), (off, f"force of {name}"))
+    return Judged(worst, where)
+
+
+def verified(runs: Sequence[Run], point: Point) -> Judged:
+    """As `mantle verify` measures it."""
+    sample = point.measure(runs[0])
+    return Judged(sample.error, sample.note)
+
+
+def cook(runs: Sequence[Run], ratio: float) -> Judged:
+    """Rise of the corner of Cook's membrane."""
+    sample = corner(runs[0], ratio)
+    return Judged(sample.error, f"{sample.value:.5g} mm, exact {sample.reference:.5g}")
+
+
+def incline(runs: Sequence[Run], friction: float) -> Judged:
+    """Horizontal force over weight of the block pushed up a slope."""
+    value = abs(runs[0].summary["interfaces"]["slope_block"]["force"][0]) / (0.01 * 800)
+    should = exact.push_up(0.1, friction)
+    return Judged(abs(value / should - 1), f"{value:.6g}, exact {should:.6g}")

@@ -1,0 +1,187 @@
+"""How far the runs of ``mantle verify`` are off: one small function per quantity."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.results.reading import Run
+from mantle.verification import closed_forms as exact
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Materials of the cases (MPa, -).
+CEMENT, TITANIUM = (2200.0, 0.3), (110e3, 0.3)
+BONE = exact.Fibrous(E_l=17000, E_t=11500, nu_l=0.31, nu_t=0.51, mu_l=3280)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a run gave, what it should have, and its error in the problem's own measure.
+
+    What else is to be told of it is the ``note``.
+    """
+
+    value: float
+    reference: float
+    error: float
+    note: str = ""
+
+
+Measure = Callable[[Run], Sample]
+
+
+def relative(value: float, reference: float) -> Sample:
+    """A value whose error is relative to its reference."""
+    return Sample(value, reference, abs(value / reference - 1))
+
+
+def in_l2(run: Run, field: Callable[[Floats, Ints], Floats]) -> Sample:
+    """Displacement against an exact field, relative in L2."""
+    error, norm, reference = run.norms(field)
+    return Sample(norm, reference, error / reference)
+
+
+def patch_stress(run: Run, fibre: Sequence[float]) -> Sample:
+    """Stress under the affine displacement of patch.yaml: its worst component [MPa]."""
+    G = 1e-3 * np.array([[1, 0.4, -0.2], [0.2, -0.5, 0.6], [0.3, -0.1, 0.8]])
+    σ = BONE.stress((G + G.T) / 2, fibre)
+    off = np.abs(run.stress() - σ)
+    cell, i, j = np.unravel_index(int(np.argmax(off)), off.shape)
+    error = float(off.max() / np.abs(σ).max())
+    return Sample(float(run.stress()[cell, i, j]), float(σ[i, j]), error)
+
+
+def strains(run: Run, along_axes: Floats) -> Sample:
+    """Displacement of a block strained along the axes; the value is the strain along z."""
+    u = run.displacement()
+    off = np.abs(u - along_axes * run.points).max() / run.points.max()
+    top = int(np.argmax(run.points[:, 2]))
+    value = float(u[top, 2] / run.points[top, 2])
+    return Sample(value, float(along_axes[2]), float(off / np.abs(along_axes).max()))
+
+
+def mean_pressure(run: Run, reference: float) -> Sample:
+    """Mean pressure of a shrink fit [MPa]."""
+    return relative(run.summary["interfaces"]["stem_cement"]["pressure_mean"], reference)
+
+
+def oval_displacement(run: Run, fit: exact.OvalFit) -> Sample:
+    """Displacement of a press fit of varying interference."""
+
+    def field(x: Floats, region: Ints) -> Floats:
+        core = fit.displacement(x, in_core=True)
+        return np.where((region == 1)[:, None], core, fit.displacement(x, in_core=False))
+
+    return in_l2(run, field)
+
+
+def oval_pressure(run: Run, fit: exact.OvalFit) -> Sample:
+    """Pressure at the contact points of the same, relative in L2 [MPa]."""
+    w = run.areas("stem_cement")
+    w = w / w.sum()
+    p, should = run.at_interface("stem_cement", "pressure"), fit.pressure(run.points)
+
+    def norm(values: Floats) -> float:
+        return float(np.sqrt((w * values**2).sum()))
+
+    return Sample(norm(p), norm(should), norm(p - should) / norm(should))
+
+
+def sine(run: Run) -> Sample:
+    """Displacement of the manufactured solution."""
+    return in_l2(run, lambda x, region: exact.sine(x, 0.01, 2.0))
+
+
+def peak_pressure(run: Run, reference: float) -> Sample:
+    """Peak pressure of a contact [MPa]."""
+    return relative(run.summary["interfaces"]["contact"]["pressure_max"], reference)
+
+
+def contact_width(run: Run, reference: float, axes: int, size: float) -> Sample:
+    """Distance of the furthest point under pressure from 0 along x, or in the plane [mm].
+
+    The error is in cells.
+    """
+    touching = run.at_interface("contact", "pressure") > 0
+    value = float(np.linalg.norm(run.points[touching, :axes], axis=1).max(initial=0.0))
+    return Sample(value, reference, abs(value - reference) / size)
+
+
+def approach(run: Run, reference: float) -> Sample:
+    """How far the plate, the second region, goes down [mm]."""
+    plate = np.unique(run.cells[run.region == 2])
+    return relative(float(-run.displacement()[plate, 2].mean()), reference)
+
+
+def stick_width(run: Run, size: float) -> Sample:
+    """Half-width of the strip of cattaneo.yaml that sticks [mm]; the error is in cells."""
+    thickness, friction = 0.2, 0.3
+    shear, _, pressure = np.abs(run.summary["interfaces"]["contact"]["force"]) / thickness
+    a = exact.hertz_line(pressure, 10.0, exact.contact_modulus(CEMENT, CEMENT)).a
+    reference = exact.stick_half_width(a, shear, pressure, friction)
+    sticking = run.at_interface("contact", "status") == 1
+    value = float(np.abs(run.points[sticking, 0]).max(initial=0.0))
+    return Sample(value, reference, abs(value - reference) / size)
+
+
+def bar_end(run: Run, time: float, reference: float) -> Sample:
+    """End displacement of the bar on a frictional foundation [mm]."""
+    step = int(np.argmin(np.abs(run.times - time)))
+    end = np.isclose(run.points[:, 0], 110) & np.isclose(run.points[:, 2], 2)
+    return relative(float(run.displacement(step)[end, 0].mean()), reference)
+
+
+def bar_cycle(run: Run, reference: float) -> Sample:
+    """Work that the bar loses from time 3 to time 5 [N mm]."""
+    times, work = run.history["time [-]"], run.history["base_bar dissipation [N mm]"]
+    begin, end = np.interp([3.0, 5.0], times, work)
+    return relative(float(end - begin), reference)
+
+
+def push(run: Run) -> Sample:
+    """Horizontal force over weight of the block on a slope."""
+    weight = 0.01 * 800
+    force = run.summary["interfaces"]["slope_block"]["force"][0]
+    return relative(abs(force) / weight, exact.push_up(0.1, 0.3))
+
+
+def wall_force(run: Run) -> Sample:
+    """Force of the bar on the wall [N]; what it penetrates of its motion is error too."""
+    q = run.summary["interfaces"]["wall_bar"]
+    force = relative(abs(q["force"][2]), 220 * 0.01 * 4)
+    return Sample(force.value, force.reference, max(force.error, q["penetration_max"] / 0.01))
+
+
+def penetration(run: Run, penalty: float) -> Sample:
+    """Penetration of the bar into the wall [mm]."""
+    value = run.summary["interfaces"]["wall_bar"]["penetration_max"]
+    return relative(value, exact.penalty_penetration(220, 0.01, penalty))
+
+
+def corner(run: Run, poisson_ratio: float) -> Sample:
+    """Rise of the corner (48, 60) of Cook's membrane [mm]."""
+    at = int(np.argmin(np.linalg.norm(run.points[:, :2] - (48, 60), axis=1)))
+    return relative(float(run.displacement()[at, 1]), exact.COOK[poisson_ratio][1])
+
+
+def locking(run: Run, poisson_ratio: float) -> Sample:
+    """Whether a run that locks says so: error 0 if its log does, else 1."""
+    rise = corner(run, poisson_ratio)
+    warned = rise.error > 0.1 and re.search(r"\block", run.log)
+    return Sample(rise.value, rise.reference, 0.0 if warned else 1.0)
+
+
+def klarbring() -> Sample:
+    """Friction beyond which Klarbring's particle has several equilibria."""
+    from mantle.soundness.uniqueness import critical_friction  # brings the whole solver
+
+    K = np.diag([1.0, 1.0, 2.0])
+    K[0, 2] = K[2, 0] = 0.8
+    value = critical_friction(K[None], np.array([[0.0, 0.0, 1.0]]))[0]
+    return relative(float(value), exact.particle_friction(1.0, 2.0, 0.8))
