@@ -58,7 +58,7 @@ def program() -> str:
 
 def sources() -> dict[str, Path]:
     """Files of the program by their place in the package ``mantle``, wherever their folders lie."""
-    found = {}
+    found: dict[str, Path] = {}
     for package in ("", "forms/", "meshes/"):
         spec = importlib.util.find_spec(f"mantle.{package}".strip("./"))
         folder = Path(str(spec and spec.origin)).resolve().parent
