@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mantle.mechanics.problem import Trial
 from mantle.numerics.newton import Solver
-from mantle.scene import build as scene
+from mantle.scene.build import build_scene
 from mantle.scene.terms import Scene
 from mantle.simulation import model
 from mantle.simulation.model import Model
@@ -109,9 +109,8 @@ def solve(
         text: The case.
         change: Changes its scene before it is solved.
     """
-    build = scene.build
     with monkeypatch.context() as patch:
-        patch.setattr(model.scene, "build", lambda case: change(build(case)))
+        patch.setattr(model, "build_scene", lambda case: change(build_scene(case)))
         case = support.case(text, *overrides)
         made = Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
     steps: list[Accepted] = []

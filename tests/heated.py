@@ -14,7 +14,7 @@ from mantle.mechanics.systems import mechanical
 from mantle.numerics.newton import Solver
 from mantle.results.balance import Balance
 from mantle.results.quantities import Samples, Stresses
-from mantle.scene import build
+from mantle.scene.build import build_scene
 from mantle.scene.terms import Expansion, Scene
 from mantle.system.timing import Timing
 from tests import support
@@ -37,7 +37,7 @@ class Heated:
         """A case, its scene changed."""
         case = support.case(text, *overrides)
         timing = Timing()
-        problem = Problem(change(build.build(case)), support.mesh(case), 1.0, timing)
+        problem = Problem(change(build_scene(case)), support.mesh(case), 1.0, timing)
         solver = Solver(mechanical(problem), 1e-12, 50, "direct", {}, timing)
         return cls(problem, solver, Stresses(problem, timing), Balance(problem, np.zeros(3)))
 

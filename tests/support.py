@@ -26,10 +26,10 @@ from mantle.numerics.newton import Solver
 from mantle.results import quantities
 from mantle.results.balance import Balance
 from mantle.results.quantities import Samples, Stresses
-from mantle.scene import build
+from mantle.scene.build import build_scene
 from mantle.schema import config
-from mantle.stepping import stages
 from mantle.stepping.load_steps import Motion, Step
+from mantle.stepping.stages import run_stages
 from mantle.system import form_cache, ranks
 from mantle.system.timing import Timing
 
@@ -113,7 +113,7 @@ def mesh(case: config.Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
 def assemble(case: config.Case, tagged: TaggedMesh | None = None) -> tuple[Problem, Solver]:
     """Problem and solver of a case, at rest."""
     timing, options = Timing(), case.solver
-    problem = Problem(build.build(case), tagged or mesh(case), options.augmentation_factor, timing)
+    problem = Problem(build_scene(case), tagged or mesh(case), options.augmentation_factor, timing)
     solver = Solver(
         mechanical(problem),
         options.tolerance,
@@ -157,7 +157,7 @@ def solve(
             balance.update(solver.parts()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
-    stages.run(problem.scene.stages, (Motion(problem, solver, on_step, print),), ())
+    run_stages(problem.scene.stages, (Motion(problem, solver, on_step, print),), ())
     interfaces = {
         c.name: quantities.interface(problem, samples[-1], i)
         for i, c in enumerate(problem.scene.contacts)

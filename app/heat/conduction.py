@@ -30,9 +30,9 @@ from mantle.heat.loads import FixedTemperatures, FrictionHeating, HeatLoads
 from mantle.heat.matrices import HeatMatrices, with_diagonal
 from mantle.heat.monotone import Bounds, Extremes, Monotone
 from mantle.heat.temperature_jumps import TemperatureJumps, cut_off
-from mantle.mechanics.systems import Measure
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import State, keyed, node_keys
+from mantle.numerics.system import Measure
 from mantle.scene.bodies import Bodies, bodies_of
 from mantle.scene.terms import Scene, multiplier
 from mantle.system.timing import Timing

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.numerics.linear import FACTORED, configure, on_one_rank
+from mantle.numerics.preconditioners import FACTORED, configure, on_one_rank
 from mantle.numerics.sparse import entries
 from mantle.numerics.state import State
 

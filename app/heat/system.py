@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from petsc4py import PETSc
 
 from mantle.heat.conduction import Conduction
-from mantle.mechanics.systems import Measure
 from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.linear import INTERFACE, MULTIGRID, Inverse, Options, is_direct
+from mantle.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
 from mantle.numerics.state import State
+from mantle.numerics.system import Measure, System
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
 # balance, and temperatures are kept between their bounds to 1e-9 of the range.
@@ -22,11 +21,10 @@ KEPT_FACTORS: Options = {
 }
 
 
-class HeatSystem:
-    """A `mechanics.systems.System`: the implicit solve that ``conduction.begin`` prepared."""
+class HeatSystem(System):
+    """The implicit solve that ``conduction.begin`` prepared."""
 
     prefix = "mantle_heat_"
-    inverses: Mapping[str, Inverse] = {}
     # Nearly linear: two iterations do if the first is solved well.
     newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-5}  # noqa: RUF012
 
@@ -72,33 +70,10 @@ class HeatSystem:
         """Complete the matrices."""
         self._conduction.jacobian(x)
 
-    def motions(self) -> None:
-        """Nothing moves."""
-
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat that is lacking, beside that stored, brought in and let through [N mm/s]."""
         m = self._conduction.measure(x, f)
         return [replace(m, scale=STRICTER * m.scale)]
-
-    def soften(self, factor: float) -> bool:
-        """No augmentation."""
-        return False
-
-    def augmentation(self) -> dict[str, float]:
-        """No augmentation."""
-        return {}
-
-    def usual_augmentation(self) -> float:
-        """No augmentation."""
-        return 1.0
-
-    def lessen_friction(self, share: float) -> bool:
-        """No friction."""
-        return False
-
-    def tie(self, on: bool) -> bool:
-        """No mechanical interface."""
-        return False
 
     def pack(self, x: list[PETSc.Vec]) -> State:
         """Temperatures, and temperature jumps."""
@@ -108,10 +83,3 @@ class HeatSystem:
         """Read them back."""
         for v, values in zip(x, self._conduction.unpack(state), strict=True):
             v.array[:] = values
-
-    def state(self) -> State:
-        """Nothing that the next solve would not find again."""
-        return {}
-
-    def resume(self, state: State) -> None:
-        """Nothing moves."""

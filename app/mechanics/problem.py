@@ -25,7 +25,7 @@ from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.points import PointForces
 from mantle.mechanics.reduction import holds, near_null_space, reduction_of, support_of_dofs
 from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.linear import Inverse, stiffness_options
+from mantle.numerics.preconditioners import Inverse, stiffness_options
 from mantle.numerics.state import State, keyed, node_keys
 from mantle.scene.bodies import bodies_of, boundary_facets, cell_tags
 from mantle.scene.terms import Scene, amplitude

@@ -1,122 +1,20 @@
-"""Systems of equations as the solver sees them: blocks of unknowns, residual, Jacobian.
-
-A system knows its own linear algebra: which blocks there are, how they are preconditioned, and how
-large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
-"""
+"""The systems of mechanics: displacement alone, or displacement and jumps."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
-
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.mechanics.deflation import Motions
+from mantle.mechanics.coarse_space import SlidingMotions
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.problem import Problem, Trial
 from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.linear import SWEEP, Inverse, Options, stiffness_options
+from mantle.numerics.preconditioners import SWEEP, Options, stiffness_options
 from mantle.numerics.sparse import block_diagonal, fill
 from mantle.numerics.state import State
-
-
-@dataclass(frozen=True)
-class Measure:
-    """How large a part of a residual is.
-
-    Attributes:
-        norm: Its norm.
-        scale: The size of what it balances.
-        rounding: What rounding leaves of it.
-        lasting: Whether the scale of a state that converged holds for those after it: forces that
-            have acted do, the heat that flowed in the first instant of a contact does not.
-    """
-
-    norm: float
-    scale: float
-    rounding: float
-    lasting: bool = True
-
-
-class System(Protocol):
-    """What the solver asks of a system."""
-
-    comm: MPI.Comm
-    prefix: str
-    # States of its contact points at the last Jacobians.
-    active: ActiveSet
-    # PETSc options of its Newton iteration that differ from the solver's.
-    newton: Options
-
-    @property
-    def inverses(self) -> Mapping[str, Inverse]:
-        """Inverses of diagonal blocks that others use too, by block."""
-
-    @property
-    def version(self) -> int:
-        """Counts changes of the matrices that outdate their preconditioners."""
-
-    def blocks(self) -> dict[str, PETSc.Vec]:
-        """A new vector for each block, in the order of the preconditioner."""
-
-    def matrices(self) -> list[list[PETSc.Mat | None]]:
-        """The blocks of the Jacobian; None where it is zero."""
-
-    def options(self, linear: str) -> dict[str, Options]:
-        """PETSc options of each block's preconditioner; ``linear`` is direct, multigrid or auto."""
-
-    def impose(self, x: list[PETSc.Vec]) -> None:
-        """Put given values into a state."""
-
-    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
-        """The residual of a state."""
-
-    def jacobian(self, x: list[PETSc.Vec]) -> None:
-        """Set the blocks of the Jacobian to a state."""
-
-    def motions(self) -> Motions | None:
-        """Motions that the last Jacobian hardly resists, of displacement and jumps, if any."""
-
-    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
-        """How large the residual f of a state x is, by part; collective."""
-
-    def soften(self, factor: float) -> bool:
-        """Solve with this multiple of the augmentation in force, if there is one to change."""
-
-    def augmentation(self) -> dict[str, float]:
-        """Augmentation in force on each interface [MPa/mm]; collective."""
-
-    def usual_augmentation(self) -> float:
-        """Multiple of the augmentation asked for that would be chosen; collective."""
-
-    def lessen_friction(self, share: float) -> bool:
-        """Solve with this share of all friction coefficients, if there is friction."""
-
-    def tie(self, on: bool) -> bool:
-        """Solve with interfaces tied that were open everywhere so far, if there are any."""
-
-    def pack(self, x: list[PETSc.Vec]) -> State:
-        """A state of the unknowns, as it is kept."""
-
-    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Read it back."""
-
-    def state(self) -> State:
-        """What it remembers of Jacobians before."""
-
-    def resume(self, state: State) -> Motions | None:
-        """Read it back, with the Jacobian in which motions were let go last; collective."""
-
-
-def size(vectors: list[PETSc.Vec]) -> float:
-    """Norm of a state or residual in several blocks; collective."""
-    return math.sqrt(sum(v.norm() ** 2 for v in vectors))
+from mantle.numerics.system import Measure, System, size
 
 
 def mechanical(problem: Problem) -> Bonded | Contact:
@@ -129,7 +27,7 @@ def _stiffness(linear: str, problem: Problem) -> Options:
     return stiffness_options(linear, problem.K, problem.scene.order)
 
 
-class Bonded:
+class Bonded(System):
     """Displacement alone: no interface can move."""
 
     prefix = "mantle_"
@@ -167,36 +65,10 @@ class Bonded:
         """K u - f."""
         self._problem.residual_u(x[0], None, f[0])
 
-    def jacobian(self, x: list[PETSc.Vec]) -> None:
-        """Nothing to do: the stiffness is constant."""
-
-    def motions(self) -> None:
-        """Nothing moves but what supports leave."""
-
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
         problem, u = self._problem, x[0]
         return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
-
-    def soften(self, factor: float) -> bool:
-        """No augmentation."""
-        return False
-
-    def augmentation(self) -> dict[str, float]:
-        """No augmentation."""
-        return {}
-
-    def usual_augmentation(self) -> float:
-        """No augmentation."""
-        return 1.0
-
-    def lessen_friction(self, share: float) -> bool:
-        """No friction."""
-        return False
-
-    def tie(self, on: bool) -> bool:
-        """No interface."""
-        return False
 
     def pack(self, x: list[PETSc.Vec]) -> State:
         """The displacement."""
@@ -206,15 +78,8 @@ class Bonded:
         """Read it back."""
         self._problem.unpack(state, x[0], None)
 
-    def state(self) -> State:
-        """Nothing."""
-        return {}
 
-    def resume(self, state: State) -> None:
-        """Nothing moves."""
-
-
-class Contact:
+class Contact(System):
     """Displacement and jumps.
 
     Attributes:
@@ -224,7 +89,6 @@ class Contact:
     trial: Trial
 
     prefix = "mantle_"
-    newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
         """Set up the blocks of the Jacobian."""
@@ -298,10 +162,10 @@ class Contact:
         self._rows.matMult(self._jumps.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
-    def motions(self) -> Motions:
+    def motions(self) -> SlidingMotions:
         """Bodies that slide, lift off or bend away."""
         if self._motions_of != self.version:
-            self._motions, self._motions_of = Motions(self._problem), self.version
+            self._motions, self._motions_of = SlidingMotions(self._problem), self.version
         before = self._motions.version
         self._motions.follow(self.trial.law.jacobian)
         if self._motions.version != before:
@@ -356,7 +220,7 @@ class Contact:
         values = {"motions": self._motions.known, "times": times, "added": added}
         return {name: self._jumps.rows(v) for name, v in values.items()}
 
-    def resume(self, state: State) -> Motions | None:
+    def resume(self, state: State) -> SlidingMotions | None:
         """Let them go again; collective."""
         if not state:
             return None
@@ -364,6 +228,6 @@ class Contact:
         known, times, added = (state[k].of(self._jumps.mine) for k in ("motions", "times", "added"))
         self._set_rows(times, added)
         self._then = self._factors
-        self._motions, self._motions_of = Motions(self._problem), self.version
+        self._motions, self._motions_of = SlidingMotions(self._problem), self.version
         self._motions.let_go(known)
         return self._motions

@@ -1,7 +1,7 @@
 """The bridge to PETSc SNES: one nonlinear solve of a system at its current time.
 
 Newton is semismooth, with the generalized Jacobian of the system; its linear solver is that of
-`numerics.linear`.
+`numerics.krylov`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from petsc4py import PETSc
 import numpy as np
 
 from mantle.errors import StoppedError
-from mantle.mechanics.systems import Measure, System
 from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.linear import INTERFACE, Linear, Options, configure
+from mantle.numerics.krylov import Linear
+from mantle.numerics.preconditioners import INTERFACE, Options, configure
 from mantle.numerics.state import State
+from mantle.numerics.system import Measure, System
 from mantle.system.timing import Timing
 
 log = logging.getLogger("mantle")

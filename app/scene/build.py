@@ -31,7 +31,7 @@ from mantle.schema import config
 from mantle.schema.shapes import Sides
 
 
-def build(case: config.Case) -> Scene:
+def build_scene(case: config.Case) -> Scene:
     """Choose the terms of a case."""
     stages = len(case.stages)
     elastic = tuple(term for name, r in case.regions.items() for term in _elastic(name, r, stages))

@@ -19,12 +19,13 @@ from mantle.heat.system import HeatSystem
 from mantle.mechanics.neighbours import Neighbours
 from mantle.mechanics.prediction import Predictor
 from mantle.mechanics.problem import Problem, Trial
-from mantle.mechanics.systems import Contact, System, mechanical
+from mantle.mechanics.systems import Contact, mechanical
 from mantle.meshes.data import MeshData
 from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.meshes.parts import Parts
 from mantle.numerics.newton import Solver
 from mantle.numerics.state import State
+from mantle.numerics.system import System
 from mantle.results import gruen, quantities
 from mantle.results.balance import Balance
 from mantle.results.bond_strength import Bond, bonds
@@ -34,16 +35,15 @@ from mantle.results.heat_balance import HeatBalance
 from mantle.results.output import on_root
 from mantle.results.quantities import Samples, Stresses
 from mantle.results.thermal_quantities import ThermalRecord, exchange
-from mantle.scene import build
+from mantle.scene.build import build_scene
 from mantle.scene.terms import Scene, Stage
 from mantle.schema import config
 from mantle.soundness import case_on_mesh
-from mantle.stepping import stages as stepping
 from mantle.stepping.coupling import ContactHeat, Coupled, Staggered
 from mantle.stepping.heat_steps import Accepted, Heating
 from mantle.stepping.load_steps import Motion, OnStep, Step, Summary
 from mantle.stepping.nested_start import Nested, coarser
-from mantle.stepping.stages import Companion, Following, Joint, March, OnHeat
+from mantle.stepping.stages import Companion, Following, Joint, March, OnHeat, run_stages
 from mantle.system import folders
 from mantle.system.timing import Timing
 
@@ -217,7 +217,7 @@ class Model:
         with timing.phase("mesh"):
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
         with timing.phase("assemble"):
-            self.scene: Scene = build.build(case)
+            self.scene: Scene = build_scene(case)
             self.mechanics = self._mechanics()
             self._common, heatings = self._heat()
             self.thermal = tuple(Thermal(case, h) for h in heatings)
@@ -343,7 +343,7 @@ class Model:
             What it took.
 
         Raises:
-            ConvergenceError: As `stepping.run`.
+            ConvergenceError: As `run_stages`.
         """
 
         def heated(step: Step, accepted: Accepted) -> None:
@@ -359,7 +359,7 @@ class Model:
             March(t.heating, self._companions(t, motion), heated, on_trouble) for t in self.thermal
         )
         self._walk = motion, march
-        stepping.run(self.scene.stages, motion, march, begin, mark, resume())
+        run_stages(self.scene.stages, motion, march, begin, mark, resume())
         total = Summary()
         for part in (*(m.total for m in motion), *(m.total for m in march)):
             total.add(part)

@@ -27,14 +27,15 @@ from numpy.typing import NDArray
 from mantle.forms import interface_heat
 from mantle.heat.conduction import Conduction
 from mantle.heat.system import HeatSystem
-from mantle.mechanics.deflation import Motions
 from mantle.mechanics.points import PointForces
 from mantle.mechanics.problem import ROUNDING, Problem, Trial
-from mantle.mechanics.systems import Contact, Measure
-from mantle.numerics.linear import INTERFACE, Options
+from mantle.mechanics.systems import Contact
+from mantle.numerics.deflation import CoarseSpace
 from mantle.numerics.newton import Outcome, Solver
+from mantle.numerics.preconditioners import INTERFACE, Options
 from mantle.numerics.sparse import from_triplets, matrix_sum, owners
 from mantle.numerics.state import State
+from mantle.numerics.system import Measure, System
 from mantle.scene.bodies import contact_facets
 from mantle.scene.terms import FrictionHeat, Scene
 
@@ -161,8 +162,8 @@ class ContactHeat:
         return Rows(by_e, j.stiffness[:, None] * by_trial_force)
 
 
-class Coupled:
-    """One `mechanics.systems.System` of heat and mechanics.
+class Coupled(System):
+    """Heat and mechanics as one system.
 
     Attributes:
         elapsed: Time since the last committed state of the mechanics [s], set from outside.
@@ -251,7 +252,7 @@ class Coupled:
                 S.axpy(1.0, B, structure=SUBSET)
         _copy(self._from_heat(), self._down)
 
-    def motions(self) -> Motions:
+    def motions(self) -> CoarseSpace:
         """Those of the mechanics, the heat as it is."""
         return self._motion.motions()
 
@@ -298,7 +299,7 @@ class Coupled:
         """What the mechanics remember."""
         return self._motion.state()
 
-    def resume(self, state: State) -> Motions | None:
+    def resume(self, state: State) -> CoarseSpace | None:
         """Read it back; collective."""
         return self._motion.resume(state)
 

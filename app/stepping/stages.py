@@ -46,7 +46,7 @@ class Companion(Protocol):
         """Read it back within a stage, heat and mechanics being there; collective."""
 
 
-def run(
+def run_stages(
     stages: Sequence[Stage],
     motion: tuple[Motion, ...],
     march: tuple[March, ...],

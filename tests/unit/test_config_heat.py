@@ -10,8 +10,8 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from mantle.errors import InputError
-from mantle.scene import build as scene
 from mantle.scene import terms
+from mantle.scene.build import build_scene
 from mantle.scene.terms import multiplier
 from mantle.schema import config, units
 from tests import support
@@ -89,7 +89,7 @@ stages:
 
 
 def build(*overrides: str) -> terms.Scene:
-    return scene.build(support.case(CASE, *overrides))
+    return build_scene(support.case(CASE, *overrides))
 
 
 def read(kind: object, text: str) -> float:
@@ -304,7 +304,7 @@ COLD = [
 @pytest.mark.parametrize("path", COLD, ids=lambda p: p.stem)
 def test_a_scene_without_heat_has_none_of_its_terms(path: Path) -> None:
     case = config.load(path)
-    found = scene.build(case)
+    found = build_scene(case)
     heat = (*found.conductors, *found.heat, *found.thermal_contacts, *found.friction_heat)
     assert heat + found.expansions + found.cures + found.time == ()
     assert all(s.duration == 0 and not s.steady for s in found.stages)
@@ -322,7 +322,7 @@ def test_the_hot_case_is_that_of_the_paper() -> None:
     assert initial == pytest.approx(
         {"stem": 37, "cement": 100, "cortical_bone": 37, "cancellous_bone": 37}
     )
-    found = scene.build(case)
+    found = build_scene(case)
     assert {c.friction for c in found.contacts} == {1.0}
     assert [c.open for c in found.thermal_contacts] == [0.3, 0.3]
     assert found.time[0].mechanical_step > 0
@@ -333,7 +333,7 @@ def test_the_hot_case_is_that_of_the_paper() -> None:
 def test_cases_of_cure_agree_on_their_materials() -> None:
     """And with the reference values of verification: an adiabatic rise of 89.0805 K."""
     cure, residual, hot = (
-        scene.build(config.load(support.CONFIGS / f"{n}.yaml"))
+        build_scene(config.load(support.CONFIGS / f"{n}.yaml"))
         for n in ("cure", "residual", "thermal_100C")
     )
     for found in (cure, residual):

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from mantle.errors import ConvergenceError
-from mantle.mechanics.deflation import Boxes, Deflated, Motions, free_directions
-from mantle.numerics.linear import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
+from mantle.mechanics.coarse_space import Boxes, SlidingMotions, free_directions
+from mantle.numerics.deflation import Deflated
+from mantle.numerics.preconditioners import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
 from mantle.numerics.sparse import from_rows
 from tests import support
 
@@ -111,7 +112,7 @@ def sparse(values: np.ndarray) -> PETSc.Mat:
     return from_rows(MPI.COMM_SELF, (rows, columns), start, numbers, values.ravel())
 
 
-class Given(Motions):
+class Given(SlidingMotions):
     """Motions of given rows."""
 
     def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
@@ -210,10 +211,10 @@ def test_interfaces_are_factored_first_and_the_stiffness_next(
 
 
 def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mantle.mechanics.deflation.STALE", 0.2)
+    monkeypatch.setattr("mantle.mechanics.coarse_space.STALE", 0.2)
     problem, _ = support.assemble(support.case(PUSHED))
     (j,) = problem.jumps
-    motions = Motions(problem)
+    motions = SlidingMotions(problem)
     n = len(j.mine)
     assert motions.version == 0
     # Six at least for each of the two bodies; sticking points stick.

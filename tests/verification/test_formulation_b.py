@@ -20,10 +20,10 @@ from mantle.mechanics.problem import Problem, Trial
 from mantle.mechanics.systems import mechanical
 from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.numerics.newton import Solver
-from mantle.scene import build
+from mantle.scene.build import build_scene
 from mantle.schema import config
-from mantle.stepping import stages
 from mantle.stepping.load_steps import Motion, Step
+from mantle.stepping.stages import run_stages
 from mantle.system.timing import Timing
 from tests.reference import formulation_b
 from tests.reference.formulation_b import InterfaceState, State
@@ -164,7 +164,7 @@ CLAMPED_STEM = HALF_STEM.replace(
 
 def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[State], Jumps]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
-    terms = build.build(case)
+    terms = build_scene(case)
     options, timing = case.solver, Timing()
     problem = Problem(terms, tagged, options.augmentation_factor, timing)
     solver = Solver(
@@ -207,7 +207,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    stages.run(terms.stages, (Motion(problem, solver, on_step, print),), ())
+    run_stages(terms.stages, (Motion(problem, solver, on_step, print),), ())
     return times, states, jumps
 
 

@@ -1,4 +1,4 @@
-"""Linear algebra of a nonlinear solve: Krylov method, preconditioners, and when they are made.
+"""The linear solver inside Newton's method: Krylov method, and when preconditioners are made.
 
 The Krylov method is preconditioned by block Gauss-Seidel (PCFIELDSPLIT, multiplicative, in the
 order of the blocks). Preconditioners of the large blocks are set up once and kept while they are
@@ -10,50 +10,22 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.mechanics.deflation import Deflated, Motions
+from mantle.numerics.deflation import CoarseSpace, Deflated
+from mantle.numerics.preconditioners import INTERFACE, SWEEP, Inverse, Options
 from mantle.numerics.sparse import entries, put_entries
 from mantle.numerics.state import Ints, Share, State
+from mantle.numerics.system import System
 from mantle.system.timing import Timing
-
-if TYPE_CHECKING:
-    from mantle.mechanics.systems import System
 
 log = logging.getLogger("mantle")
 
-Options = Mapping[str, str | int | float | bool]
-
-# Unknowns above which a block of nodal unknowns is solved by algebraic multigrid. With MUMPS, which
-# several ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns, 7.1 against
-# 6.2 at 35 000. CHOLMOD solves twice as fast, and multigrid is slower on second order: 6.5 against
-# 5.3 at 38 000 of first order, 7.1 against 9.6 at 38 000 and 24 against 26 at 92 000 of second,
-# where the factors take twice the memory.
-DIRECT_LIMIT = 25_000
-SERIAL_LIMITS = {1: DIRECT_LIMIT, 2: 60_000}
-FACTORED: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "mumps"}
-FACTORED_SERIALLY: Options = {"pc_type": "cholesky", "pc_factor_mat_solver_type": "cholmod"}
-MULTIGRID: Options = {
-    "pc_type": "gamg",
-    "pc_gamg_agg_nsmooths": 1,
-    "pc_gamg_threshold": 0.01,
-    "pc_gamg_aggressive_coarsening": 1,
-    "pc_gamg_coarse_eq_limit": 1000,
-    "mg_coarse_pc_type": "cholesky",
-    "mg_levels_ksp_type": "richardson",
-    "mg_levels_ksp_max_it": 1,
-    "mg_levels_pc_type": "sor",
-}
-# A block of interface unknowns: one symmetric sweep over the points does what factors do, in a
-# fifth of the time; where conductance lets temperatures jump, factors are needed.
-SWEEP: Options = {"pc_type": "sor"}
-INTERFACE: Options = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 KRYLOV: Options = {"ksp_type": "fgmres", "ksp_max_it": 300, "ksp_gmres_restart": 100}
 SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
 # Of several blocks: Gauss-Seidel. A block's preconditioner stays until it has to be made again.
@@ -62,8 +34,6 @@ SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative
 KEPT = ("displacement", "temperature")
 # Krylov iterations that making them again is worth, and usual ones for a digit of the residual.
 PRICE, USUAL = 30, 8
-# Unknowns up to which a matrix can be factored after all where multigrid fails.
-FACTORABLE = 300_000
 # Bits of the numbers of a rank's entries.
 RANK = 40
 # How the log calls the methods.
@@ -76,169 +46,6 @@ WORDS = {
     "lu": "factored",
     "sor": "swept",
 }
-
-
-def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
-    """Whether a block is factored; ``linear`` is direct, multigrid or auto (by size)."""
-    return linear == "direct" or (linear == "auto" and size <= limit)
-
-
-def stiffness_options(linear: str, K: PETSc.Mat, order: int) -> Options:
-    """Options for a stiffness of displacements of an order; ``linear`` as above."""
-    serial = K.comm.size == 1
-    limit = SERIAL_LIMITS[order] if serial else DIRECT_LIMIT
-    return factors(K) if is_direct(linear, K.getSize()[0], limit) else MULTIGRID
-
-
-def factors(matrix: PETSc.Mat) -> Options:
-    """Options that factor a symmetric positive definite matrix."""
-    if matrix.comm.size > 1 and matrix.getSize()[0] > DIRECT_LIMIT:
-        return FACTORED
-    return on_one_rank(FACTORED_SERIALLY, matrix.comm.size)
-
-
-def on_one_rank(options: Options, ranks: int) -> Options:
-    """A preconditioner as one rank makes it for all.
-
-    What several of them factor together depends in its rounding on which message comes first; up to
-    the size at which matrices are factored at all, one rank takes no more time (measured: 16 000
-    unknowns on two ranks, 13 CPU s of solving against 19).
-    """
-    if ranks == 1:
-        return options
-    inner = {f"telescope_{key}": value for key, value in options.items()}
-    outer: Options = {
-        "pc_type": "telescope",
-        "pc_telescope_reduction_factor": ranks,
-        "telescope_ksp_type": "preonly",
-    }
-    return {**outer, **inner}
-
-
-class Inverse:
-    """An approximate inverse of a symmetric positive definite matrix, made on first use.
-
-    Attributes:
-        pc: It, as a preconditioner: made once, and again only where `refresh` says so.
-    """
-
-    def __init__(
-        self,
-        matrix: PETSc.Mat,
-        version: Callable[[], int],
-        options: Options,
-        shape: Callable[[], State] = dict,
-    ) -> None:
-        """Take the matrix as it is.
-
-        Args:
-            matrix: The matrix, which may change in place.
-            version: Counts how often it has changed.
-            options: PETSc options of the preconditioner, until others are asked for.
-            shape: What the matrix depends on.
-        """
-        self._matrix, self._version, self._shape = matrix, version, shape
-        self._fell = False
-        self._options = dict(options)
-        self._made: int | None = None
-        self.pc = PETSc.PC().create(matrix.comm)
-        self._krylov = PETSc.KSP().create(matrix.comm)
-        self._krylov.setType("cg")
-        self._krylov.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
-        self._krylov.setInitialGuessNonzero(True)
-
-    @property
-    def size(self) -> int:
-        """Unknowns."""
-        return int(self._matrix.getSize()[0])
-
-    @property
-    def outdated(self) -> bool:
-        """Whether the matrix has changed since it was made."""
-        return self._made != self._version()
-
-    def use(self, options: Options) -> None:
-        """Choose PETSc options; what was made with others is made again."""
-        if dict(options) != self._options:
-            self._options, self._made = dict(options), None
-
-    def make(self) -> None:
-        """Set up, unless that was done; collective."""
-        if self._made is None:
-            self.pc.reset()
-            self.refresh()
-
-    def refresh(self) -> None:
-        """Set up for the matrix as it is; collective."""
-        pc = self.pc
-        pc.setReusePreconditioner(False)
-        pc.setOperators(self._matrix)
-        if self._made is None:
-            pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
-            configure(pc, self._options)
-        else:
-            pc.setUp()
-        if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
-            raise MemoryError(f"the factors of {self.size} unknowns")
-        pc.setReusePreconditioner(True)
-        self._made, self._of = self._version(), self._shape()
-
-    def state(self) -> State:
-        """What it was made of, and whether it is factored after all."""
-        return {"of": self._of, "fell": self._fell}
-
-    def resume(self, state: State, reshape: Callable[[State], bool]) -> None:
-        """Make it of the same again; collective.
-
-        Args:
-            state: What was said then.
-            reshape: Makes the matrix one of another shape; says whether it is another one then.
-        """
-        if state["fell"]:
-            self.fall_back()
-        if reshape(state["of"]):
-            self.refresh()
-
-    def fall_back(self) -> bool:
-        """Factor the matrix instead of approximating its inverse, if it is not too large."""
-        if self._options.get("pc_type") != MULTIGRID["pc_type"] or self.size > FACTORABLE:
-            return False
-        self.use(factors(self._matrix))
-        self.make()
-        self._fell = True
-        return True
-
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> int:
-        """Solve with the matrix by conjugate gradients; collective.
-
-        Args:
-            b: Right-hand side.
-            x: Initial guess, then the solution.
-            rtol: Residual relative to that of ``b`` at which to stop.
-
-        Returns:
-            Iterations.
-        """
-        self.make()
-        if self.outdated:
-            self.refresh()
-        self._krylov.setPC(self.pc)
-        self._krylov.setOperators(self._matrix)
-        self._krylov.setTolerances(rtol=rtol)
-        self._krylov.solve(b, x)
-        return int(self._krylov.getIterationNumber())
-
-
-def configure(pc: PETSc.PC, options: Options) -> None:
-    """Set a preconditioner up by PETSc options that nobody else sees."""
-    database = PETSc.Options(pc.getOptionsPrefix())
-    for key, value in options.items():
-        database[key] = value
-    pc.setFromOptions()
-    # Inner solvers read their options when they are set up: that has to be now.
-    pc.setUp()
-    for key in options:
-        database.delValue(key)
 
 
 class Own:
@@ -438,7 +245,7 @@ class Linear:
             "own": [own.state() for own in self._own],
         }
 
-    def resume(self, state: State, motions: Motions | None) -> None:
+    def resume(self, state: State, motions: CoarseSpace | None) -> None:
         """Read it back, with motions that were let go; collective.
 
         The preconditioners that others share are theirs to make.

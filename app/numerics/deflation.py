@@ -1,0 +1,157 @@
+r"""Deflation: a preconditioner that solves for a coarse space of motions exactly.
+
+A body that slides on its interfaces, or bends away from them, meets little resistance, and a
+preconditioner that treats displacement and jumps in turn leaves such motions almost as they were:
+Krylov methods stall until they have found each of them. With Z the motions and A the Jacobian, a
+preconditioner M becomes (A-DEF1, Tang et al. 2009, https://doi.org/10.1007/s10915-009-9272-6)
+
+.. math:: Q + M (1 - A Q), \qquad Q = Z (Z^T A Z)^{-1} Z^T.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.numerics.sparse import from_rows, matrix_sum
+
+Floats = NDArray[np.float64]
+
+# Motions that this part of the strongest resistance holds are left to the Krylov method; others are
+# made stiffer by a part, for small boxes may hold motions that are the same.
+NOTHING, STIFFER = 1e-10, 1e-8
+
+
+class CoarseSpace(Protocol):
+    """Motions of displacement and jumps that a Jacobian hardly resists: the columns of Z.
+
+    Attributes:
+        displacement: The rows of the displacement.
+        jump: Those of the jumps, as of `version`.
+        version: Counts changes; 0 as long as there are no motions.
+    """
+
+    displacement: PETSc.Mat
+    jump: PETSc.Mat
+    version: int
+
+    def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
+        """Work of forces on displacement and jumps in each motion: Z^T r."""
+
+    def moved(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
+        """Displacement and jumps of motions together: Z w."""
+
+
+class Deflated:
+    """Context of a PCPYTHON on matrices of blocks: another preconditioner, deflated.
+
+    Attributes:
+        inner: The other preconditioner.
+    """
+
+    def __init__(
+        self, inner: PETSc.PC, blocks: Sequence[str], motions: Callable[[], CoarseSpace | None]
+    ) -> None:
+        """Take what is to be deflated.
+
+        Args:
+            inner: The preconditioner.
+            blocks: Names of the blocks, "displacement" and "jump" among them; others rest.
+            motions: Gives the motions at the current Jacobian, if there are any.
+        """
+        self.inner, self._follow = inner, motions
+        self._u, self._q = blocks.index("displacement"), blocks.index("jump")
+        self._made = 0
+        self._motions: CoarseSpace | None = None
+        self._moved: PETSc.Vec | None = None
+
+    def setUp(self, pc: PETSc.PC) -> None:
+        """Take in a Jacobian; collective."""
+        self._A = pc.getOperators()[0]
+        self.inner.setOperators(self._A)
+        self.inner.setUp()
+        motions = self._follow()
+        if motions is not None:
+            self.take(motions)
+
+    def take(self, motions: CoarseSpace) -> None:
+        """Take in motions with the Jacobian as it is, if they are others than before; collective.
+
+        Args:
+            motions: The motions.
+        """
+        if motions is not self._motions:
+            self._motions, self._made = motions, 0
+            self._weights = motions.displacement.createVecRight()
+            self._part = self._weights.duplicate()
+            self._products: dict[str, PETSc.Mat] = defaultdict(PETSc.Mat)
+            self._sum: PETSc.Mat | None = None
+            self._factors = PETSc.PC().create(self._A.comm)
+            self._factors.setType("lu")
+            self._factors.setFactorSolverType("mumps")
+        if motions.version != self._made:
+            self._galerkin(motions)
+            self._made = motions.version
+
+    def _galerkin(self, motions: CoarseSpace) -> None:
+        """Factor Z^T A Z."""
+        A, u, q, made = self._A, self._u, self._q, self._products
+        Zu, Zq = motions.displacement, motions.jump
+        if self._sum is None:
+            Zut, self._Zqt = (Z.transpose(PETSc.Mat()) for Z in (Zu, Zq))
+            made["uu"] = Zut.matMult(A.getNestSubMatrix(u, u).matMult(Zu))
+            made["Zu C"] = Zut.matMult(A.getNestSubMatrix(u, q))
+        Zq.transpose(self._Zqt)
+        A.getNestSubMatrix(q, u).matMult(Zu, result=made["A Zu"])
+        A.getNestSubMatrix(q, q).matMult(Zq, result=made["A Zq"])
+        made["Zu C"].matMult(Zq, result=made["uq"])
+        self._Zqt.matMult(made["A Zu"], result=made["qu"])
+        self._Zqt.matMult(made["A Zq"], result=made["qq"])
+        parts = [made[name] for name in ("uu", "uq", "qu", "qq")]
+        shift = np.abs(sum(P.getDiagonal().array for P in parts))
+        largest = A.comm.tompi4py().allreduce(shift.max(initial=0.0), MPI.MAX)
+        # CoarseSpace without resistance stay where they are.
+        shift = np.where(shift <= NOTHING * largest, largest or 1.0, STIFFER * shift)
+        if self._sum is None:
+            self._sum = matrix_sum([*parts, _diagonal(A.comm, shift)])
+        else:
+            self._sum.zeroEntries()
+            for part in (*parts, _diagonal(A.comm, shift)):
+                self._sum.axpy(1.0, part, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
+        self._factors.setOperators(self._sum)
+        self._factors.setUp()
+
+    def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
+        """The motions first, then the other preconditioner on what they leave."""
+        motions = self._motions
+        if motions is None or not self._made:
+            self.inner.apply(r, z)
+            return
+        if self._moved is None:
+            self._moved, self._rest = r.duplicate(), r.duplicate()
+            for block in self._moved.getNestSubVecs():
+                block.zeroEntries()
+        given, moved = r.getNestSubVecs(), self._moved.getNestSubVecs()
+        motions.work(given[self._u], given[self._q], self._part)
+        self._factors.apply(self._part, self._weights)
+        motions.moved(self._weights, moved[self._u], moved[self._q])
+        self._moved.stateIncrease()
+        self._A.mult(self._moved, self._rest)
+        self._rest.aypx(-1.0, r)
+        self.inner.apply(self._rest, z)
+        z.axpy(1.0, self._moved)
+
+
+def _diagonal(comm: PETSc.Comm, values: Floats) -> PETSc.Mat:
+    """Diagonal matrix of own values."""
+    n = len(values)
+    start = comm.tompi4py().exscan(n) or 0
+    columns = start + np.arange(n)
+    return from_rows(comm.tompi4py(), (n, n), np.arange(n + 1), columns, values)

@@ -1,0 +1,132 @@
+"""Systems of equations as the solver sees them: blocks of unknowns, residual, Jacobian.
+
+A system knows its own linear algebra: which blocks there are, how they are preconditioned, and how
+large a residual may be. Block order is that of the Gauss-Seidel preconditioner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from mantle.numerics.active_set import ActiveSet
+from mantle.numerics.deflation import CoarseSpace
+from mantle.numerics.preconditioners import Inverse, Options
+from mantle.numerics.state import State
+
+
+@dataclass(frozen=True)
+class Measure:
+    """How large a part of a residual is.
+
+    Attributes:
+        norm: Its norm.
+        scale: The size of what it balances.
+        rounding: What rounding leaves of it.
+        lasting: Whether the scale of a state that converged holds for those after it: forces that
+            have acted do, the heat that flowed in the first instant of a contact does not.
+    """
+
+    norm: float
+    scale: float
+    rounding: float
+    lasting: bool = True
+
+
+class System(Protocol):
+    """What the solver asks of a system of equations.
+
+    The answers given here are those of a system without contact; systems inherit them.
+    """
+
+    comm: MPI.Comm
+    prefix: str
+    # States of its contact points at the last Jacobians.
+    active: ActiveSet
+    # PETSc options of its Newton iteration that differ from the solver's.
+    newton: Options = {}  # noqa: RUF012
+    # Inverses of diagonal blocks that others use too, by block.
+    inverses: Mapping[str, Inverse] = {}
+
+    @property
+    def version(self) -> int:
+        """Counts changes of the matrices that outdate their preconditioners."""
+        raise NotImplementedError
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """A new vector for each block, in the order of the preconditioner."""
+        raise NotImplementedError
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """The blocks of the Jacobian; None where it is zero."""
+        raise NotImplementedError
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """PETSc options of each block's preconditioner; ``linear`` is direct, multigrid or auto."""
+        raise NotImplementedError
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given values into a state."""
+        raise NotImplementedError
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """The residual of a state."""
+        raise NotImplementedError
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """Set the blocks of the Jacobian to a state, unless they are constant."""
+        return None
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """How large the residual f of a state x is, by part; collective."""
+        raise NotImplementedError
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """A state of the unknowns, as it is kept."""
+        raise NotImplementedError
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Read it back."""
+        raise NotImplementedError
+
+    def motions(self) -> CoarseSpace | None:
+        """Motions that the last Jacobian hardly resists, of displacement and jumps, if any."""
+        return None
+
+    def soften(self, factor: float) -> bool:
+        """Solve with this multiple of the augmentation in force; whether there is any."""
+        return False
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
+        return {}
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen; collective."""
+        return 1.0
+
+    def lessen_friction(self, share: float) -> bool:
+        """Solve with this share of all friction coefficients; whether there is friction."""
+        return False
+
+    def tie(self, on: bool) -> bool:
+        """Solve with interfaces tied that were open everywhere so far; whether there are any."""
+        return False
+
+    def state(self) -> State:
+        """What the next solve depends on beside the unknowns."""
+        return {}
+
+    def resume(self, state: State) -> CoarseSpace | None:
+        """Read it back, with the Jacobian in which motions were let go last; collective."""
+        return None
+
+
+def size(vectors: list[PETSc.Vec]) -> float:
+    """Norm of a state or residual in several blocks; collective."""
+    return math.sqrt(sum(v.norm() ** 2 for v in vectors))
