@@ -15,7 +15,7 @@ import numpy as np
 from . import femur_bone, layers, swept
 from .data import Floats, Ints, MeshData, facet_areas
 from .femur_bone import PATCH_RADIUS
-from .femur_surfaces import Femur
+from .femur_surfaces import FemurSurfaces
 from .tags import assemble, number
 
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
@@ -41,7 +41,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
             does not go with the neck cut.
     """
     size, times = swept.steps(mesh.size)
-    surfaces = Femur(geometry, size, mesh.far * size / mesh.size)
+    surfaces = FemurSurfaces(geometry, size, mesh.far * size / mesh.size)
     made = swept.mesh(surfaces, times, mesh.curved)
     regions = number(REGIONS)
     tags = _regions(made, surfaces, regions)
@@ -70,7 +70,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     return replace(data, notes=notes, behind=made.partner.reshape(-1, 4) // 4)
 
 
-def _regions(made: layers.Swept, surfaces: Femur, regions: dict[str, int]) -> Any:
+def _regions(made: layers.Swept, surfaces: FemurSurfaces, regions: dict[str, int]) -> Any:
     """Region of each cell, by its layer and its slab."""
     mantle, tip = surfaces.mantle[0], surfaces.tip
     cement = (made.layer <= 1) & (made.slab >= mantle)

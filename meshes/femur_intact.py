@@ -20,7 +20,7 @@ import numpy as np
 from . import layers, swept
 from .data import Floats, MeshData
 from .femur import patches
-from .femur_surfaces import CLEAR, SPREAD, Femur
+from .femur_surfaces import CLEAR, SPREAD, FemurSurfaces
 from .layers import Lines
 from .tags import assemble, number
 
@@ -33,7 +33,7 @@ CORE = 0.35  # of sections of neck and head: where the innermost surface is
 CAP = math.radians(50.0)  # half the opening of the cap that closes the head
 
 
-class Intact(Femur):
+class Intact(FemurSurfaces):
     """Surfaces of the whole bone, as `layers.Surfaces` wants them.
 
     Attributes:

@@ -93,7 +93,7 @@ class Neck:
         return np.asarray(centre + radius[:, None] * across)
 
 
-class Femur:
+class FemurSurfaces:
     """Surfaces of the operated femur, as `layers.Surfaces` wants them.
 
     Attributes:
@@ -223,7 +223,7 @@ class Femur:
         way = end - start
 
         def within(part: Floats, k: Ints) -> Floats:
-            return Femur._within(radius, start[k] + part[:, None] * way[k])
+            return FemurSurfaces._within(radius, start[k] + part[:, None] * way[k])
 
         return root(within, np.ones(len(start)))
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mantle.mechanics.problem import Trial
+from mantle.mechanics.problem import TrialState
 from mantle.numerics.newton import Solver
 from mantle.scene.build import build_scene
 from mantle.scene.terms import Scene
 from mantle.simulation import model
 from mantle.simulation.model import Model
-from mantle.stepping.heat_steps import Accepted
-from mantle.stepping.load_steps import Step, Summary
+from mantle.stepping.heat_steps import HeatStep
+from mantle.stepping.load_steps import LoadStep, Summary
 from mantle.system.timing import Timing
 from tests import support
 
@@ -77,7 +77,7 @@ class Coupled:
 
     model: Model
     total: Summary
-    steps: tuple[Accepted, ...]
+    steps: tuple[HeatStep, ...]
     before: float
     dissipated: tuple[float, ...]
 
@@ -113,7 +113,7 @@ def solve(
         patch.setattr(model, "build_scene", lambda case: change(build_scene(case)))
         case = support.case(text, *overrides)
         made = Model(case, support.MPI.COMM_WORLD, {}, Timing(), str)
-    steps: list[Accepted] = []
+    steps: list[HeatStep] = []
     dissipated: list[float] = []
     before = [0.0]
 
@@ -121,11 +121,11 @@ def solve(
         jumps = [j for m in made.mechanics for j in m.problem.jumps]
         return sum(float(j.history.dissipation.sum()) for j in jumps)
 
-    def on_heat(step: Step, accepted: Accepted) -> None:
+    def on_heat(step: LoadStep, accepted: HeatStep) -> None:
         steps.append(accepted)
         dissipated.append(so_far())
 
-    def on_step(step: Step, trial: Trial | None) -> None:
+    def on_step(step: LoadStep, trial: TrialState | None) -> None:
         if not steps and step.stage == made.scene.stages[0].name:
             before[0] = so_far()
 

@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 import mantle
 from mantle import meshes
-from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.problem import Problem, TrialState
 from mantle.mechanics.systems import mechanical
 from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.numerics.newton import Solver
@@ -28,7 +28,7 @@ from mantle.results.balance import Balance
 from mantle.results.quantities import Samples, Stresses
 from mantle.scene.build import build_scene
 from mantle.schema import config
-from mantle.stepping.load_steps import Motion, Step
+from mantle.stepping.load_steps import LoadStep, LoadStepper
 from mantle.stepping.stages import run_stages
 from mantle.system import form_cache, ranks
 from mantle.system.timing import Timing
@@ -64,7 +64,7 @@ class Solved:
     tagged: TaggedMesh
     problem: Problem
     solver: Solver
-    steps: tuple[Step, ...]
+    steps: tuple[LoadStep, ...]
     samples: tuple[Samples, ...]
     interfaces: dict[str, dict[str, Any]]
     balances: Floats
@@ -145,11 +145,11 @@ def solve(
     this = text if isinstance(text, config.Case) else case(text, *overrides)
     problem, solver = assemble(this, tagged)
     balance = Balance(problem, np.zeros(3)) if balances else None
-    steps: list[Step] = []
+    steps: list[LoadStep] = []
     samples: list[Samples] = []
     sums: list[tuple[float, float, float]] = []
 
-    def on_step(step: Step, trial: Trial | None) -> None:
+    def on_step(step: LoadStep, trial: TrialState | None) -> None:
         steps.append(step)
         if trial is not None:
             samples.append(Samples(problem, trial))
@@ -157,7 +157,7 @@ def solve(
             balance.update(solver.parts()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
-    run_stages(problem.scene.stages, (Motion(problem, solver, on_step, print),), ())
+    run_stages(problem.scene.stages, (LoadStepper(problem, solver, on_step, print),), ())
     interfaces = {
         c.name: quantities.interface(problem, samples[-1], i)
         for i, c in enumerate(problem.scene.contacts)

@@ -14,10 +14,10 @@ from typing import Any
 from mantle.campaigns import batch, study_report
 from mantle.campaigns import work_precision as wp
 from mantle.campaigns.batch import Job, Result
-from mantle.campaigns.study_report import Measured, Report, Run
+from mantle.campaigns.study_report import Measured, Report, StudyRun
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, config, study_file, study_options
-from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.study_file import Source
 from mantle.schema.study_options import OF_RUN, STEM_UNITS, Study
 
@@ -58,7 +58,7 @@ def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedRun:
     """A point of a line or of the reference's ladder.
 
     Attributes:
@@ -82,25 +82,25 @@ class Planned:
         return f"#{self.index + 1}" if isinstance(value, dict | list) else str(value)
 
 
-def plan(study: Study) -> list[Planned]:
+def plan(study: Study) -> list[PlannedRun]:
     """Every point of a study, in the order of the file; the reference's come last."""
     lines = [(("study", "lines", name), name, line) for name, line in study.lines.items()]
     if study.reference.run is not None:
         lines.append((("study", "reference", "run"), "", study.reference.run))
     return [
-        Planned(path, name, i, changes, (*study_options.varying(line), "")[0])
+        PlannedRun(path, name, i, changes, (*study_options.varying(line), "")[0])
         for path, name, line in lines
         for i, changes in enumerate(study_options.steps(line))
     ]
 
 
-def _overrides(point: Planned, common: Sequence[str]) -> list[str]:
+def _overrides(point: PlannedRun, common: Sequence[str]) -> list[str]:
     """The options that make a case the point's."""
     own = {key: value for key, value in point.changes.items() if key != "ranks"}
     return [*common, *study_options.options(own)]
 
 
-def _job(point: Planned, source: Source) -> Job:
+def _job(point: PlannedRun, source: Source) -> Job:
     name = "-".join(filter(None, (point.line or "reference", point.label)))
     return Job(
         name=name.replace(" ", ""),
@@ -111,14 +111,14 @@ def _job(point: Planned, source: Source) -> Job:
     )
 
 
-def _resolve(points: Sequence[Planned], source: Source) -> list[config.Case]:
+def _resolve(points: Sequence[PlannedRun], source: Source) -> list[config.Case]:
     """The configuration of each point.
 
     Raises:
         InputError: All that is wrong with any of them, each located at its value in the study.
     """
     cases: list[config.Case] = []
-    problems: list[Problem] = []
+    problems: list[Fault] = []
     for point in points:
         try:
             cases.append(config.load(source.case, _overrides(point, source.overrides)))
@@ -127,27 +127,27 @@ def _resolve(points: Sequence[Planned], source: Source) -> list[config.Case]:
     condition = "solver.condition"
     if condition in source.study.quantities and not all(c.output.condition for c in cases):
         at = ("study", "quantities", source.study.quantities.index(condition))
-        problems.append(Problem(at, "needs output.condition: true"))
+        problems.append(Fault(at, "needs output.condition: true"))
     source.file.raise_all(problems)
     return cases
 
 
-def _located(point: Planned, message: str, file: CaseFile) -> Problem:
+def _located(point: PlannedRun, message: str, file: CaseFile) -> Fault:
     """A defect of a point, where its cause stands in the study."""
     if found := case_file.located(message, point.changes, point.path):
         item = (*found.path, point.index)
-        return Problem(item, found.text) if item in file.places else found
+        return Fault(item, found.text) if item in file.places else found
     at = f"with {point.key} = {point.label}: " if point.key else ""
-    return Problem(point.path, at + message)
+    return Fault(point.path, at + message)
 
 
-def _run(point: Planned, case: config.Case, result: Result) -> Run:
+def _run(point: PlannedRun, case: config.Case, result: Result) -> StudyRun:
     """What a point gave."""
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")
     time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
     x, unit = _number(case, point)
-    return Run(
+    return StudyRun(
         line=point.line,
         key=point.key,
         label=point.label,
@@ -160,7 +160,7 @@ def _run(point: Planned, case: config.Case, result: Result) -> Run:
     )
 
 
-def _number(case: config.Case, point: Planned) -> tuple[float | None, str]:
+def _number(case: config.Case, point: PlannedRun) -> tuple[float | None, str]:
     """The value of the point's key as a positive number, if it is one, and its internal unit."""
     value: Any = point.changes if point.key == "ranks" else case.model_dump(mode="json")
     for item in re.sub(r"\[(\d+)\]", r".\1", point.key).split("."):
@@ -207,7 +207,7 @@ def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | No
     return None
 
 
-def evaluate(study: Study, runs: Sequence[Run]) -> Report:
+def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     """Errors, orders, fronts and advice from the runs of a study."""
     curve = [r for r in runs if r.line]
     ladder = [r for r in runs if not r.line]
@@ -223,7 +223,7 @@ def evaluate(study: Study, runs: Sequence[Run]) -> Report:
     )
 
 
-def _measure(study: Study, name: str, curve: list[Run], ladder: list[Run]) -> Measured:
+def _measure(study: Study, name: str, curve: list[StudyRun], ladder: list[StudyRun]) -> Measured:
     """One quantity over all runs."""
     compared = study.compares(name)
     reference = _reference(study, name, ladder) if compared else None
@@ -249,14 +249,14 @@ def _measure(study: Study, name: str, curve: list[Run], ladder: list[Run]) -> Me
     )
 
 
-def _reference(study: Study, name: str, ladder: list[Run]) -> wp.Reference | None:
+def _reference(study: Study, name: str, ladder: list[StudyRun]) -> wp.ReferenceValue | None:
     """What a quantity is compared with; None if the ladder failed."""
     values = study.reference.values
     if values is not None:
-        return wp.Reference(study_options.known_value(name, values[name]), 0.0, None, "given")
+        return wp.ReferenceValue(study_options.known_value(name, values[name]), 0.0, None, "given")
     found = [(r, v) for r in ladder if (v := quantity(r.result.summary, name)) is not None]
     if found and len(ladder) == 1:
-        return wp.Reference(found[0][1], 0.0, None, "of one run")
+        return wp.ReferenceValue(found[0][1], 0.0, None, "of one run")
     if len(found) < 2:
         return None
     x = [r.x for r, _ in found if r.x is not None]
@@ -268,9 +268,9 @@ def _reference(study: Study, name: str, ladder: list[Run]) -> wp.Reference | Non
 def _advice(
     target: float,
     name: str,
-    curve: list[Run],
+    curve: list[StudyRun],
     errors: list[float | None],
-    reference: wp.Reference | None,
+    reference: wp.ReferenceValue | None,
 ) -> str:
     """What to use for one quantity."""
     if reference is None or reference.value == 0.0:
@@ -284,7 +284,7 @@ def _advice(
     return _sentence(target, name, curve, errors)
 
 
-def _advice_on_all(target: float, curve: list[Run], measured: list[Measured]) -> str:
+def _advice_on_all(target: float, curve: list[StudyRun], measured: list[Measured]) -> str:
     """What to use for all quantities together, of those that have a reference good enough."""
     compared = [m for m in measured if m.compared]
     good = [
@@ -303,7 +303,9 @@ def _advice_on_all(target: float, curve: list[Run], measured: list[Measured]) ->
     return _sentence(target, what, curve, worst)
 
 
-def _sentence(target: float, what: str, curve: list[Run], errors: Sequence[float | None]) -> str:
+def _sentence(
+    target: float, what: str, curve: list[StudyRun], errors: Sequence[float | None]
+) -> str:
     wanted = study_report.percent(target)
     i, reached = wp.best([r.time for r in curve], errors, target)
     if i is None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from mantle import __version__
 from mantle.campaigns.batch import Result, duration
-from mantle.campaigns.work_precision import USEFUL, Effectivity, Point, Reference
+from mantle.campaigns.work_precision import USEFUL, Effectivity, Point, ReferenceValue
 from mantle.errors import StoppedError
 from mantle.schema.study_file import Source
 from mantle.system.folders import remove, write_json, write_text
@@ -24,7 +24,7 @@ SHOWN = {"mm": (1e3, " um"), "-": (1.0, "")}
 
 
 @dataclass(frozen=True)
-class Run:
+class StudyRun:
     """A point of a line, or of the reference's ladder, and what became of it.
 
     Attributes:
@@ -76,7 +76,7 @@ class Measured:
     name: str
     unit: str
     compared: bool
-    reference: Reference | None
+    reference: ReferenceValue | None
     points: Sequence[Point]
     exponents: dict[str, float | None]
     front: list[int]
@@ -98,8 +98,8 @@ class Report:
     """
 
     target: float
-    runs: Sequence[Run]
-    ladder: Sequence[Run]
+    runs: Sequence[StudyRun]
+    ladder: Sequence[StudyRun]
     quantities: Sequence[Measured]
     advice: str
     effectivity: Effectivity
@@ -124,7 +124,7 @@ def error_text(m: Measured, i: int) -> str:
     return percent(error) if m.points[i].trusted or not error else f"< {percent(error)}"
 
 
-def describe(reference: Reference | None, unit: str) -> str:
+def describe(reference: ReferenceValue | None, unit: str) -> str:
     """The reference in words."""
     if reference is None:
         return "no reference: its runs failed or do not have it"
@@ -255,7 +255,7 @@ def _record(report: Report) -> dict[str, Any]:
     }
 
 
-def _run_record(r: Run) -> dict[str, Any]:
+def _run_record(r: StudyRun) -> dict[str, Any]:
     return {
         "line": r.line,
         "overrides": r.changes,

@@ -25,7 +25,7 @@ from mantle.campaigns.batch import Job, Result
 from mantle.campaigns.study import quantity
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, study_options, sweep_file
-from mantle.schema.sweep_file import Planned
+from mantle.schema.sweep_file import SweptRun
 from mantle.schema.sweep_options import Sweep, samples
 from mantle.simulation import variations
 from mantle.soundness import preview
@@ -122,7 +122,7 @@ def _spent(folder: Path) -> float:
     return 0.0
 
 
-def _job(p: Planned) -> Job:
+def _job(p: SweptRun) -> Job:
     return Job(p.point.name, p.base, p.overrides, p.ranks, share=True)
 
 
@@ -130,7 +130,7 @@ def _write(
     sweep: Sweep,
     path: Path,
     overrides: Sequence[str],
-    planned: Sequence[Planned],
+    planned: Sequence[SweptRun],
     results: Sequence[Result],
     folder: Path,
     cores: int,
@@ -162,7 +162,7 @@ def _write(
     return rows
 
 
-def _row(p: Planned, result: Result, folder: Path) -> dict[str, Any]:
+def _row(p: SweptRun, result: Result, folder: Path) -> dict[str, Any]:
     """A case as the tables have it."""
     summary = result.summary
     numbers = variations.headlines(summary)

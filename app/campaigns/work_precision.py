@@ -17,7 +17,7 @@ ALGEBRAIC_FACTOR, REFERENCE_FACTOR = 10.0, 3.0
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceValue:
     """The value that others are compared with.
 
     Attributes:
@@ -82,7 +82,7 @@ class Point:
         return self.estimate / self.deviation
 
 
-def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> Reference:
+def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> ReferenceValue:
     """The limit of a ladder of runs by Richardson's extrapolation from the last three.
 
     The error is taken as c h^p with the p that the three values show. Where they show none between
@@ -99,14 +99,16 @@ def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> Reference:
     f, h = list(values[-3:]), list(sizes[-3:])
     last = abs(f[-1] - f[-2])
     if len(f) < 3 or len(h) < 3:
-        return Reference(f[-1], last, None, "finest of two" if len(f) < 3 else "finest")
+        return ReferenceValue(f[-1], last, None, "finest of two" if len(f) < 3 else "finest")
     first = abs(f[1] - f[0])
     order = _observed_order(h, f)
     if order is None:
         fast = (f[1] - f[0]) * (f[2] - f[1]) >= 0 and last < 0.5 * first
-        return Reference(f[-1], last if fast else max(last, first), None, "finest, no clear order")
+        return ReferenceValue(
+            f[-1], last if fast else max(last, first), None, "finest, no clear order"
+        )
     correction = (f[2] - f[1]) * h[2] ** order / (h[1] ** order - h[2] ** order)
-    return Reference(f[2] + correction, abs(correction), order, "extrapolated")
+    return ReferenceValue(f[2] + correction, abs(correction), order, "extrapolated")
 
 
 def _observed_order(h: Sequence[float], f: Sequence[float]) -> float | None:
@@ -127,7 +129,7 @@ def _observed_order(h: Sequence[float], f: Sequence[float]) -> float | None:
     return 0.5 * (low + high)
 
 
-def compare(point: Point, reference: Reference | None) -> Point:
+def compare(point: Point, reference: ReferenceValue | None) -> Point:
     """The point with its error."""
     if reference is None or point.value is None or reference.value == 0.0:
         return point

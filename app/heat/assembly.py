@@ -24,7 +24,13 @@ from mantle.errors import everywhere
 from mantle.forms import heat
 from mantle.meshes.distribute import TaggedMesh
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags
-from mantle.scene.terms import Conductor, Convection, Field, FixedTemperature, Perfusion
+from mantle.scene.terms import (
+    ConductorTerm,
+    ConvectionTerm,
+    Field,
+    FixedTemperatureTerm,
+    PerfusionTerm,
+)
 from mantle.system.timing import Timing
 
 Floats = NDArray[np.float64]
@@ -75,7 +81,7 @@ class HeatForms:
         present = set().union(*self.comm.allgather({int(b) for b in np.unique(body)}))
         return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
 
-    def held_nodes(self, condition: FixedTemperature) -> dict[int, Ints]:
+    def held_nodes(self, condition: FixedTemperatureTerm) -> dict[int, Ints]:
         """Own nodes that a given temperature holds, by body; collective."""
         found: dict[int, list[NDArray[np.int32]]] = {}
         if condition.boundary:
@@ -120,7 +126,7 @@ class HeatForms:
 
     # Forms
 
-    def conduction(self, conductor: Conductor) -> PETSc.Mat:
+    def conduction(self, conductor: ConductorTerm) -> PETSc.Mat:
         """Conduction matrix of a region [N mm/(s K)]."""
         θ = fem.Function(self.space)
         k = [self._constant(value) for value in conductor.conductivity]
@@ -135,7 +141,7 @@ class HeatForms:
         matrix.assemble()
         return matrix
 
-    def exchange(self, condition: Convection | Perfusion) -> dict[int, Floats]:
+    def exchange(self, condition: ConvectionTerm | PerfusionTerm) -> dict[int, Floats]:
         """Heat per kelvin that own nodes exchange with surroundings, by body [N mm/(s K)]."""
         θ, one = fem.Function(self.space), fem.Function(self.space)
         one.x.array[:] = 1
@@ -147,9 +153,9 @@ class HeatForms:
             parts[b] = parts.get(b, 0.0) + rows
         return parts
 
-    def _places(self, condition: Convection | Perfusion) -> list[tuple[int, ufl.Measure]]:
+    def _places(self, condition: ConvectionTerm | PerfusionTerm) -> list[tuple[int, ufl.Measure]]:
         """Where surroundings are in touch with which body."""
-        if isinstance(condition, Convection):
+        if isinstance(condition, ConvectionTerm):
             return list(self._ds(condition.boundary).items())
         return [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
 

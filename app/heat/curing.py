@@ -21,7 +21,7 @@ from ufl.core.expr import Expr
 
 from mantle.forms import cure as forms
 from mantle.numerics.pointwise import Pointwise
-from mantle.scene.terms import Autocatalytic, Cure, Expansion, Prescribed, multiplier
+from mantle.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure, multiplier
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -72,7 +72,7 @@ class Kinetics(Protocol):
 class Curing:
     """The degrees of cure of all regions that set, on the nodes of this rank."""
 
-    def __init__(self, comm: MPI.Comm, cures: Sequence[Cure], nodes: Sequence[int]) -> None:
+    def __init__(self, comm: MPI.Comm, cures: Sequence[CureTerm], nodes: Sequence[int]) -> None:
         """Compile the rates; collective.
 
         Args:
@@ -129,19 +129,19 @@ class Curing:
         ]
 
 
-def kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
+def kinetics(comm: MPI.Comm, cure: CureTerm, nodes: int) -> Kinetics:
     """The compiled kinetics of a region."""
     match cure.kinetics:
-        case Autocatalytic():
+        case AutocatalyticCure():
             return _Autocatalytic(comm, cure.kinetics, nodes)
-        case Prescribed():
+        case PrescribedCure():
             return _Clock(cure.kinetics, cure.initial, nodes)
 
 
 class _Clock:
     """Cure that follows a clock, whatever the temperature."""
 
-    def __init__(self, terms: Prescribed, initial: float, nodes: int) -> None:
+    def __init__(self, terms: PrescribedCure, initial: float, nodes: int) -> None:
         self.memory: Floats = np.zeros((0, nodes))
         self._course = terms.rate
         self._initial = initial
@@ -165,7 +165,7 @@ class _Autocatalytic:
 
     events: tuple[float, ...] = ()
 
-    def __init__(self, comm: MPI.Comm, terms: Autocatalytic, nodes: int) -> None:
+    def __init__(self, comm: MPI.Comm, terms: AutocatalyticCure, nodes: int) -> None:
         pairs = range(len(terms.limit))
         names = ["k0", "Ea", "m", "n"]
         values = [terms.rate_constant, terms.activation_energy, terms.m, terms.n]
@@ -318,7 +318,7 @@ def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
 class FreeStrain:
     """What curing and warming strain without stress, at the nodes of one region."""
 
-    def __init__(self, comm: MPI.Comm, cure: Cure, expansion: Expansion, nodes: int) -> None:
+    def __init__(self, comm: MPI.Comm, cure: CureTerm, expansion: Expansion, nodes: int) -> None:
         """Compile the increment; collective.
 
         Args:

@@ -11,13 +11,13 @@ from mantle.heat.assembly import HeatForms
 from mantle.heat.temperature_jumps import TemperatureJumps
 from mantle.scene.bodies import Bodies
 from mantle.scene.terms import (
-    Convection,
+    ConvectionTerm,
     Course,
     Field,
-    FixedTemperature,
-    HeatFlux,
-    HeatSource,
-    Perfusion,
+    FixedTemperatureTerm,
+    HeatFluxTerm,
+    HeatSourceTerm,
+    PerfusionTerm,
     Scene,
     multiplier,
 )
@@ -27,7 +27,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Heating:
+class HeatInput:
     """Heat that comes in whatever the temperature: into own nodes of bodies [N mm/s]."""
 
     name: str
@@ -36,7 +36,7 @@ class Heating:
 
 
 @dataclass(frozen=True)
-class Exchange:
+class SurfaceExchange:
     """Exchange with surroundings at a temperature [K]: of own nodes of bodies [N mm/(s K)]."""
 
     name: str
@@ -72,19 +72,19 @@ class HeatLoads:
             InputError: A boundary is not there, or a field cannot be evaluated.
         """
         self._forms = forms
-        self.heating: list[Heating] = []
-        self.exchange: list[Exchange] = []
+        self.heating: list[HeatInput] = []
+        self.exchange: list[SurfaceExchange] = []
         for c in scene.heat:
             match c:
-                case HeatFlux():
+                case HeatFluxTerm():
                     self._heat(c.name, c.course, c.flux, list(forms.areas(c.boundary).items()))
-                case HeatSource():
+                case HeatSourceTerm():
                     parts = [(bodies.of_region[r], forms.volumes(r)) for r in c.regions]
                     self._heat(c.name, c.course, c.density, parts)
-                case Convection():
-                    self.exchange.append(Exchange(c.name, c.ambient, forms.exchange(c)))
-                case Perfusion():
-                    self.exchange.append(Exchange(c.name, c.temperature, forms.exchange(c)))
+                case ConvectionTerm():
+                    self.exchange.append(SurfaceExchange(c.name, c.ambient, forms.exchange(c)))
+                case PerfusionTerm():
+                    self.exchange.append(SurfaceExchange(c.name, c.temperature, forms.exchange(c)))
 
     def _heat(
         self, name: str, course: Course, density: Field, shares: list[tuple[int, Floats]]
@@ -94,7 +94,7 @@ class HeatLoads:
         for b, share in shares:
             heat = share * self._forms.values(density, np.flatnonzero(share > 0))
             nodal[b] = nodal.get(b, 0.0) + heat
-        self.heating.append(Heating(name, course, nodal))
+        self.heating.append(HeatInput(name, course, nodal))
 
     def heats(self, seconds: float) -> list[Floats]:
         """Heat into own nodes of each body at a time [N mm/s]."""
@@ -133,7 +133,7 @@ class FixedTemperatures:
         Raises:
             InputError: A boundary is not there, or a field cannot be evaluated.
         """
-        self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperature)]
+        self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperatureTerm)]
         self.of_body: dict[int, Ints] = {}
         self._values: list[Floats] = []
         for s, c in enumerate(self.conditions):

@@ -28,7 +28,7 @@ _OUTSIDE = 0.1
 
 
 @dataclass(frozen=True)
-class Nodes:
+class ThermalNodes:
     """Nodes of a region that this rank owns.
 
     Attributes:
@@ -60,7 +60,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Pair:
+class NodePairs:
     """Nodes of an interface with the body on either side (n,)."""
 
     dof: Ints
@@ -76,7 +76,7 @@ class Pair:
 
 def region_nodes(
     forms: HeatForms, regions: Sequence[str], of_region: Mapping[str, int]
-) -> dict[str, Nodes]:
+) -> dict[str, ThermalNodes]:
     """Nodes of regions; collective.
 
     Args:
@@ -89,12 +89,12 @@ def region_nodes(
     for region in regions:
         volume = forms.volumes(region)
         dof = np.flatnonzero(volume > 0)
-        found[region] = Nodes(of_region[region], dof, x[dof], volume[dof])
+        found[region] = ThermalNodes(of_region[region], dof, x[dof], volume[dof])
     return found
 
 
 def sides_of(
-    nodes: Mapping[str, Nodes], interface: tuple[Sequence[str], Sequence[str]]
+    nodes: Mapping[str, ThermalNodes], interface: tuple[Sequence[str], Sequence[str]]
 ) -> tuple[Side, Side]:
     """The nodes that the regions of the two sides of an interface share, seen from either."""
     on = [np.unique(np.concatenate([nodes[r].dof for r in side])) for side in interface]
@@ -105,18 +105,20 @@ def sides_of(
     return first, second
 
 
-def pairs_of(nodes: Mapping[str, Nodes], interface: tuple[Sequence[str], Sequence[str]]) -> Pair:
+def pairs_of(
+    nodes: Mapping[str, ThermalNodes], interface: tuple[Sequence[str], Sequence[str]]
+) -> NodePairs:
     """The same nodes, once, with the bodies on either side."""
     bodies: list[dict[int, int]] = [
         {int(d): nodes[r].body for r in side for d in nodes[r].dof} for side in interface
     ]
     dof = sorted(bodies[0].keys() & bodies[1].keys())
     first, second = (np.array([b[d] for d in dof], dtype=np.int64) for b in bodies)
-    return Pair(np.array(dof, dtype=np.int64), first, second)
+    return NodePairs(np.array(dof, dtype=np.int64), first, second)
 
 
 @dataclass(frozen=True)
-class Probe:
+class ProbedPoint:
     """A named point [mm] in a region; without a region in any that holds it."""
 
     name: str
@@ -132,7 +134,7 @@ class Probes:
         tagged: TaggedMesh,
         space: fem.FunctionSpace,
         of_region: Mapping[str, int],
-        probes: Sequence[Probe],
+        probes: Sequence[ProbedPoint],
     ) -> None:
         """Find the cells; collective.
 

@@ -30,7 +30,7 @@ from mantle.forms import elasticity, loads
 from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.interfaces import shape_functions, surface
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
-from mantle.scene.terms import BodyForce, Elastic, Force, Load, Pressure, Scene
+from mantle.scene.terms import BodyForceTerm, Elastic, ForceTerm, Load, PressureTerm, Scene
 from mantle.system.timing import Timing
 
 Floats = NDArray[np.float64]
@@ -90,7 +90,7 @@ class Mechanics:
             for x in scene.expansions
             if x.region not in self.growth
         }
-        pushed = dict.fromkeys(load.boundary for load in scene.loads if isinstance(load, Force))
+        pushed = dict.fromkeys(load.boundary for load in scene.loads if isinstance(load, ForceTerm))
         self.patches = {boundary: self._measure_patch(boundary) for boundary in pushed}
 
     @cached_property
@@ -104,7 +104,7 @@ class Mechanics:
         """Measure with one subdomain per boundary name in use and body."""
         scene = self._scene
         used = {t.boundary for t in scene.foundations}
-        used |= {t.boundary for t in scene.loads if isinstance(t, Force | Pressure)}
+        used |= {t.boundary for t in scene.loads if isinstance(t, ForceTerm | PressureTerm)}
         domains = self._facets
         for name in sorted(used):
             f = boundary_facets(self._tagged, name)
@@ -235,7 +235,7 @@ class Mechanics:
     def load_work(self, load: Load, body: int, v: Any, dx: ufl.Measure) -> Any:
         """Work of a load at full amplitude on one body in a displacement v [N mm]; 0 if none."""
         match load:
-            case Force():
+            case ForceTerm():
                 ds = self.ds(load.boundary, body)
                 if ds is None:
                     return 0
@@ -247,20 +247,20 @@ class Mechanics:
                 ω = self._constant(np.linalg.solve(patch.moments, moment))
                 x = ufl.SpatialCoordinate(self.mesh)
                 return loads.linear_traction_work(t, ω, x, self._constant(patch.centroid), v) * ds
-            case Pressure():
+            case PressureTerm():
                 ds = self.ds(load.boundary, body)
                 if ds is None:
                     return 0
                 n = ufl.FacetNormal(self.mesh)
                 return loads.pressure_work(self._constant(load.pressure), n, v) * ds
-            case BodyForce():
+            case BodyForceTerm():
                 tags = [self.tag(r) for r in load.regions if self._bodies.of_region[r] == body]
                 if not tags:
                     return 0
                 b, degree = self._density(load, tags)
                 return sum(loads.body_force_work(b, v) * dx(t, degree=degree) for t in tags)
 
-    def _density(self, load: BodyForce, tags: list[int]) -> tuple[fem.Function, int]:
+    def _density(self, load: BodyForceTerm, tags: list[int]) -> tuple[fem.Function, int]:
         """Force density at the quadrature points of regions, and their degree.
 
         A function of points and not an expression in UFL: all densities share one compiled form.

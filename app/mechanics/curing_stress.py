@@ -36,7 +36,7 @@ from mantle.mechanics.assembly import Mechanics
 from mantle.numerics.pointwise import Pointwise
 from mantle.numerics.state import State, keyed
 from mantle.scene.bodies import Bodies
-from mantle.scene.terms import Cure, Elastic, Scene
+from mantle.scene.terms import CureTerm, Elastic, Scene
 from mantle.system.timing import Timing
 
 Floats = NDArray[np.float64]
@@ -47,7 +47,7 @@ ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])
 SAME = 1e-12
 
 
-class Setting:
+class CuringStress:
     """Stress history of all regions that set.
 
     Attributes:
@@ -212,7 +212,7 @@ class Setting:
         self._old = dict(self._new)
 
 
-def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
+def _growth(comm: MPI.Comm, terms: CureTerm, nodes: int) -> Pointwise:
     """Modulus over the final one by degree of cure, at every vertex of this rank."""
     constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
     law = Pointwise(

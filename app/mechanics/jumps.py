@@ -38,7 +38,7 @@ from mantle.meshes.interfaces import ContactPoints, Entries, Holds, InterfaceFac
 from mantle.numerics.sparse import from_triplets, matrix_sum, owners
 from mantle.numerics.state import Rows, State, keyed
 from mantle.scene.bodies import Bodies, contact_facets, held_vertices
-from mantle.scene.terms import Contact, Scene, Support, amplitude, gap_at
+from mantle.scene.terms import ContactTerm, Scene, Support, amplitude, gap_at
 from mantle.schema.run_options import USUAL_AUGMENTATION
 from mantle.system.timing import Timing
 
@@ -134,7 +134,7 @@ class Jumps:
         self._timing = timing
         self.begin(scene.contacts, augmentation_factor)
 
-    def begin(self, contacts: Sequence[Contact], augmentation_factor: float) -> None:
+    def begin(self, contacts: Sequence[ContactTerm], augmentation_factor: float) -> None:
         """Begin at rest with laws of the same interfaces; collective.
 
         Args:
@@ -160,7 +160,7 @@ class Jumps:
 
     # Construction
 
-    def _law_of(self, contacts: Sequence[Contact]) -> PointLaw:
+    def _law_of(self, contacts: Sequence[ContactTerm]) -> PointLaw:
         """The law of all points, compiled once for the same kinds of friction."""
         friction = np.array([c.friction for c in contacts])[self.interface]
         self._frictional = np.array([c.frictional for c in contacts])[self.interface]

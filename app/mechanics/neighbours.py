@@ -40,7 +40,7 @@ LITTLE = 1e-3
 
 
 @dataclass(frozen=True)
-class State:
+class Neighbour:
     """A converged state and what it belongs to, on this rank.
 
     Attributes:
@@ -62,8 +62,8 @@ class Neighbours:
     def __init__(self, problem: Problem, solver: Solver) -> None:
         """Begin with nothing known."""
         self._problem, self._solver = problem, solver
-        self._past: list[dict[float, State]] = []
-        self._now: dict[float, State] = {}
+        self._past: list[dict[float, Neighbour]] = []
+        self._now: dict[float, Neighbour] = {}
         self._start: PETSc.Vec | None = None
         self._new = False
         self._last = 0.0
@@ -126,7 +126,7 @@ class Neighbours:
         self._now = dict(self._unpacked(*s) for s in found["now"])
         self._new, self._last = found["new"], found["last"]
 
-    def _packed(self, time: float, s: State) -> list[Any]:
+    def _packed(self, time: float, s: Neighbour) -> list[Any]:
         forces = self._problem.K.createVecLeft()
         forces.array[:] = s.forces
         return [
@@ -144,13 +144,13 @@ class Neighbours:
         forces: saved.State,
         gaps: list[saved.Rows],
         friction: list[float],
-    ) -> tuple[float, State]:
+    ) -> tuple[float, Neighbour]:
         problem = self._problem
         f = problem.K.createVecLeft()
         problem.reduction.resume(forces, f, problem.nodes)
         at = [g.of(j.mine).ravel() for g, j in zip(gaps, problem.jumps, strict=True)]
         logarithms = np.array(friction if problem.comm.rank == 0 else [], dtype=np.float64)
-        return time, State(
+        return time, Neighbour(
             self._solver.unpack(x),
             f.array.copy(),
             np.concatenate([np.zeros(0), *at]),
@@ -161,30 +161,30 @@ class Neighbours:
         if take_better(self._solver, x):
             self._start = x.copy()
 
-    def _state(self) -> State:
+    def _state(self) -> Neighbour:
         """What the solver has, and what the problem is at."""
         problem = self._problem
         gaps = [j.gap.ravel() for j in problem.jumps]
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
         friction = [math.log(max(c.friction, LITTLE)) for c in contacts]
-        return State(
+        return Neighbour(
             self._solver.x.copy(),
             problem.f.array.copy(),
             np.concatenate([np.zeros(0), *gaps]),
             np.array(friction),
         )
 
-    def _factor(self, state: State, here: State, sizes: list[float]) -> float:
+    def _factor(self, state: Neighbour, here: Neighbour, sizes: list[float]) -> float:
         """By what loads and gaps of a state come nearest to those here."""
 
-        def product(other: State) -> float:
+        def product(other: Neighbour) -> float:
             forces = self._product(state.forces, other.forces) / sizes[0]
             return forces + self._product(state.gaps, other.gaps) / sizes[1]
 
         own, towards = product(state), product(here)
         return towards / own if own > 0 and towards > 0 else 1.0
 
-    def _distance(self, a: State, b: State, sizes: list[float]) -> float:
+    def _distance(self, a: Neighbour, b: Neighbour, sizes: list[float]) -> float:
         pairs = ((a.forces, b.forces), (a.gaps, b.gaps), (a.friction, b.friction))
         parts = [self._product(p - q, p - q) / s for (p, q), s in zip(pairs, sizes, strict=True)]
         return float(np.sqrt(sum(parts)))
@@ -214,8 +214,8 @@ def kriging(apart: Floats, away: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0][:n])
 
 
-def _scaled(state: State, factor: float) -> State:
+def _scaled(state: Neighbour, factor: float) -> Neighbour:
     """The state of loads and gaps times a factor."""
     x = state.x.copy()
     x.scale(factor)
-    return State(x, factor * state.forces, factor * state.gaps, state.friction)
+    return Neighbour(x, factor * state.forces, factor * state.gaps, state.friction)

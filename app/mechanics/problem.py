@@ -18,7 +18,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from mantle.mechanics.assembly import Mechanics
-from mantle.mechanics.curing_stress import Setting
+from mantle.mechanics.curing_stress import CuringStress
 from mantle.mechanics.expansion import Expansions, ThermalStiffness
 from mantle.mechanics.forces import Forces
 from mantle.mechanics.jumps import Jumps
@@ -40,7 +40,7 @@ ROUNDING = 2.0
 
 
 @dataclass(frozen=True)
-class Trial:
+class TrialState:
     """The jump block at a trial state: equilibrium (n, 3) [N], jumps (n, 3) [mm], the law."""
 
     equilibrium: Floats
@@ -92,8 +92,8 @@ class Problem:
         self._owned = 3 * self.space.dofmap.index_map.size_local
         self._stage = self.version = 0
         self._reduce()
-        self.setting: tuple[Setting, ...] = (
-            (Setting(scene, self.mechanics, self.bodies, timing),) if scene.cures else ()
+        self.setting: tuple[CuringStress, ...] = (
+            (CuringStress(scene, self.mechanics, self.bodies, timing),) if scene.cures else ()
         )
         self._stiffness = self.mechanics.stiffness()
         self.K = self._constrained()
@@ -349,12 +349,12 @@ class Problem:
 
     # Residual and Jacobian
 
-    def trial(self, u: PETSc.Vec, q: PETSc.Vec) -> Trial:
+    def trial(self, u: PETSc.Vec, q: PETSc.Vec) -> TrialState:
         """The jump block at a trial state; only for scenes with contact."""
         (j,) = self.jumps
         e = j.equilibrium(u, q, self.f_q).copy()
         jump = q.array.reshape(-1, 3).copy()
-        return Trial(e, jump, j.law(e, jump))
+        return TrialState(e, jump, j.law(e, jump))
 
     def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
         """K u + C q - f, zero in supported rows [N]."""
@@ -438,7 +438,7 @@ class Problem:
                 values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
         return values
 
-    def commit(self, trial: Trial | None) -> None:
+    def commit(self, trial: TrialState | None) -> None:
         """Make a converged state, whose displacements have been spread, the history."""
         for j in self.jumps:
             if trial is not None:

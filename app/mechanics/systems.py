@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mantle.mechanics.coarse_space import SlidingMotions
 from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.problem import Problem, TrialState
 from mantle.numerics.active_set import ActiveSet
 from mantle.numerics.preconditioners import SWEEP, Options, stiffness_options
 from mantle.numerics.sparse import block_diagonal, fill
@@ -17,9 +17,9 @@ from mantle.numerics.state import State
 from mantle.numerics.system import Measure, System, size
 
 
-def mechanical(problem: Problem) -> Bonded | Contact:
+def mechanical(problem: Problem) -> BondedSystem | ContactSystem:
     """The system of a mechanical problem."""
-    return Contact(problem) if problem.jumps else Bonded(problem)
+    return ContactSystem(problem) if problem.jumps else BondedSystem(problem)
 
 
 def _stiffness(linear: str, problem: Problem) -> Options:
@@ -27,7 +27,7 @@ def _stiffness(linear: str, problem: Problem) -> Options:
     return stiffness_options(linear, problem.K, problem.scene.order)
 
 
-class Bonded(System):
+class BondedSystem(System):
     """Displacement alone: no interface can move."""
 
     prefix = "mantle_"
@@ -79,14 +79,14 @@ class Bonded(System):
         self._problem.unpack(state, x[0], None)
 
 
-class Contact(System):
+class ContactSystem(System):
     """Displacement and jumps.
 
     Attributes:
         trial: The jump block at the state whose residual or Jacobian was asked for last.
     """
 
-    trial: Trial
+    trial: TrialState
 
     prefix = "mantle_"
 

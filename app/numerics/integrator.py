@@ -80,7 +80,7 @@ METHODS = {m.name: m for m in (_SDIRK4, _BACKWARD_EULER)}
 
 
 @dataclass(frozen=True)
-class Step:
+class StageStep:
     """A time step that was solved.
 
     Attributes:
@@ -96,7 +96,7 @@ class Step:
 
 def step(
     method: Method, y: State, slope: State, dt: float, seconds: float, solve: Solve
-) -> Step | None:
+) -> StageStep | None:
     """Advance a state by one step, or say that a stage could not be solved.
 
     Args:
@@ -125,7 +125,7 @@ def step(
         error = _add(zero, dt * (method.a[-1] - method.embedded), slopes)
     else:
         error = _add(zero, np.array([dt / 2, -dt / 2]), [slope, before])
-    return Step(end, error, slope)
+    return StageStep(end, error, slope)
 
 
 def start_slope(y: State, seconds: float, shortest: float, solve: Solve) -> State | None:

@@ -62,7 +62,7 @@ FRICTIONS = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
-class Outcome:
+class NewtonResult:
     """What a nonlinear solve ended with.
 
     Attributes:
@@ -270,7 +270,7 @@ class Solver:
 
     # Solve
 
-    def solve(self) -> Outcome:
+    def solve(self) -> NewtonResult:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._system.impose(self.blocks())
         self._residuals, self._flips = [], []
@@ -293,7 +293,7 @@ class Solver:
             self.x.copy(self.failed)
             self._augmentation = 1.0
         self._linear.learn()
-        return Outcome(
+        return NewtonResult(
             converged=self._met,
             iterations=newton,
             linear_iterations=krylov,

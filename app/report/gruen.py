@@ -8,7 +8,7 @@ from typing import Any
 
 from mantle.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
 from mantle.report.paper.figures import Figure
-from mantle.report.sweep_results import Case, magnitude
+from mantle.report.sweep_results import SweptCase, magnitude
 
 ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
@@ -19,13 +19,13 @@ COLOURS = {"titanium": "#1f5fa8", "CoCr": "#d1682c"}
 Table = tuple[list[str], list[list[str]]]
 
 
-def zones(case: Case) -> dict[str, dict[str, Any]]:
+def zones(case: SweptCase) -> dict[str, dict[str, Any]]:
     """The Gruen zones of a case; empty if it has none."""
     found = case.summary.get("gruen")
     return {z: found[z] for z in ZONES if z in found} if isinstance(found, dict) else {}
 
 
-def table(case: Case) -> Table:
+def table(case: SweptCase) -> Table:
     """Largest values of both interfaces and the bone's strain energy by zone.
 
     Returns:
@@ -59,7 +59,7 @@ def _shown(value: Any, factor: float) -> str:
     return "-" if not isinstance(value, int | float) else f"{factor * value:.3g}"
 
 
-def intact(cases: Sequence[Case]) -> Case | None:
+def intact(cases: Sequence[SweptCase]) -> SweptCase | None:
     """The femur without a stem, if a sweep has it: with zones and without a stem."""
     for case in cases:
         own = zones(case)
@@ -69,7 +69,7 @@ def intact(cases: Sequence[Case]) -> Case | None:
     return None
 
 
-def shielding(case: Case, without: Case) -> dict[str, dict[str, float]]:
+def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]]:
     """Change of the strain energy density against the intact femur.
 
     Returns:
@@ -88,7 +88,7 @@ def shielding(case: Case, without: Case) -> dict[str, dict[str, float]]:
     return found
 
 
-def shielding_picture(cases: Cases, without: Case | None, folder: Path) -> list[Figure]:
+def shielding_picture(cases: Cases, without: SweptCase | None, folder: Path) -> list[Figure]:
     """Draw what each stem takes from the bone at 4 mm, by zone; nothing without an intact femur."""
     if without is None:
         return []
@@ -134,7 +134,7 @@ def shielding_picture(cases: Cases, without: Case | None, folder: Path) -> list[
     return [Figure("shielding.png", "Stress shielding", caption, text)]
 
 
-def mantles(cases: Sequence[Case]) -> Table:
+def mantles(cases: Sequence[SweptCase]) -> Table:
     """How thick the mantle is, and its volume, a row for each mantle.
 
     Returns:

@@ -11,21 +11,21 @@ import numpy as np
 from mantle.errors import MantleError
 from mantle.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
 from mantle.report.paper.figures import Figure
-from mantle.report.sweep_results import Case, Sweep
+from mantle.report.sweep_results import SweepResults, SweptCase
 from mantle.results import unrolled
 from mantle.results.reading import Floats, Run
-from mantle.results.unrolled import Row, Sheet
+from mantle.results.unrolled import MapRow, Sheet
 from mantle.schema import config
 
 log = logging.getLogger("mantle")
 
-Chosen = list[tuple[str, Case]]
+Chosen = list[tuple[str, SweptCase]]
 
 SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "pressure": "YlOrRd"}
 THICKNESSES = (4.0, 2.0)
 
 
-def chosen(cases: Cases, sweep: Sweep) -> list[Chosen]:
+def chosen(cases: Cases, sweep: SweepResults) -> list[Chosen]:
     """What to draw, a group of cases for each series of maps.
 
     Of the paper's cases both stems at 4 and 2 mm, and the thinnest and the thickest mantle of each
@@ -86,7 +86,7 @@ def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
     return figures, missing
 
 
-def _geometry(case: Case) -> config.Geometry:
+def _geometry(case: SweptCase) -> config.Geometry:
     geometry = config.geometry(case.data, case.folder)
     if geometry is None:
         raise ValueError("its case.yaml does not tell its geometry")
@@ -97,13 +97,17 @@ def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-def _rows(name: str, columns: Sequence[tuple[str, Run, Sheet]]) -> list[Row]:
+def _rows(name: str, columns: Sequence[tuple[str, Run, Sheet]]) -> list[MapRow]:
     rows = []
     for quantity, colours in SHOWN.items():
         unit, factor = QUANTITIES[quantity]
-        rows.append(Row(f"{WORDS[quantity]} ({unit})", colours, _contact(name, quantity, factor)))
+        rows.append(
+            MapRow(f"{WORDS[quantity]} ({unit})", colours, _contact(name, quantity, factor))
+        )
     sheets = {id(run): own for _, run, own in columns}
-    hottest = Row("temperature (°C)", "inferno", lambda run: _hottest(run, sheets[id(run)]), False)
+    hottest = MapRow(
+        "temperature (°C)", "inferno", lambda run: _hottest(run, sheets[id(run)]), False
+    )
     return [*rows, hottest]
 
 

@@ -20,10 +20,10 @@ from mantle.report.paper import compare
 from mantle.report.paper import figures as report_figures
 from mantle.report.paper import trends as report_trends
 from mantle.report.paper.cases import Cases
-from mantle.report.paper.compare import Row
+from mantle.report.paper.compare import ComparedNumber
 from mantle.report.paper.figures import Figure
 from mantle.report.paper.trends import VERDICTS, Trend
-from mantle.report.sweep_results import STATUSES, Case, Sweep, read
+from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
 from mantle.system.folders import write_text
 
 PAGE, COMPARISON, PICTURES = "report.html", "comparison.csv", "report"
@@ -106,7 +106,7 @@ def run(folder: Path) -> Written:
     return Written(files, trends, done, len(sweep.cases))
 
 
-def _uncertain(sweep: Sweep) -> str:
+def _uncertain(sweep: SweepResults) -> str:
     """How far numbers spread over samples of uncertain inputs."""
     parts = []
     for part, of in sweep.uncertainty.items():
@@ -115,7 +115,7 @@ def _uncertain(sweep: Sweep) -> str:
     return "".join(parts)
 
 
-def _summary(sweep: Sweep, rows: Sequence[Row], trends: Sequence[Trend]) -> str:
+def _summary(sweep: SweepResults, rows: Sequence[ComparedNumber], trends: Sequence[Trend]) -> str:
     """What the reader should know first."""
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
@@ -139,7 +139,7 @@ def _summary(sweep: Sweep, rows: Sequence[Row], trends: Sequence[Trend]) -> str:
     return head + (paragraph(HONESTY, "quiet") if trends else "")
 
 
-def _ratios(rows: Sequence[Row]) -> list[str]:
+def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
     """How far mantle's numbers are from the paper's, over all peaks of the stance."""
     found = [r.ratios for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
     peaks = [p for p, _ in found if p is not None]
@@ -172,7 +172,7 @@ def _trends(trends: Sequence[Trend]) -> str:
     return paragraph(text) + table(head, rows)
 
 
-def _comparison(rows: Sequence[Row]) -> str:
+def _comparison(rows: Sequence[ComparedNumber]) -> str:
     """The paper's numbers beside mantle's."""
     if not rows:
         return ""
@@ -210,7 +210,7 @@ def _odd(cases: Cases) -> list[str]:
     return compare.strange(cases) if cases.curves else []
 
 
-def _zones(cases: Cases, sweep: Sweep) -> str:
+def _zones(cases: Cases, sweep: SweepResults) -> str:
     """A table for each representative case that has zones."""
     html = ""
     for group in report_maps.chosen(cases, sweep):
@@ -221,16 +221,16 @@ def _zones(cases: Cases, sweep: Sweep) -> str:
     return paragraph(note, "quiet") + html if html else ""
 
 
-def _parts(cases: Sequence[Case]) -> str:
+def _parts(cases: Sequence[SweptCase]) -> str:
     """A table for each part of the sweep."""
-    parts: dict[str, list[Case]] = {}
+    parts: dict[str, list[SweptCase]] = {}
     for case in cases:
         parts.setdefault(case.part, []).append(case)
     html = (heading(part) * bool(part) + _cases(own) for part, own in parts.items())
     return "".join(html)
 
 
-def _cases(cases: Sequence[Case]) -> str:
+def _cases(cases: Sequence[SweptCase]) -> str:
     """Every case with what became of it."""
     names = report_figures.headlines(cases)[:MOST_NUMBERS]
     labels = [report_figures.label(name) for name in names]
@@ -259,7 +259,7 @@ def _cases(cases: Sequence[Case]) -> str:
     return table(head, rows)
 
 
-def _csv(rows: Sequence[Row]) -> str:
+def _csv(rows: Sequence[ComparedNumber]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(compare.csv_rows(rows))
     return text.getvalue()

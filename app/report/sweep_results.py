@@ -52,7 +52,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Case:
+class SweptCase:
     """A case of a sweep.
 
     Attributes:
@@ -134,7 +134,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepResults:
     """A sweep.
 
     Attributes:
@@ -154,7 +154,7 @@ class Sweep:
     program: str
     cores: int
     seconds: float
-    cases: Sequence[Case]
+    cases: Sequence[SweptCase]
     uncertainty: dict[str, Any] = field(default_factory=dict)
 
 
@@ -176,7 +176,7 @@ _KEYS: dict[str, tuple[type, ...]] = {
 _REQUIRED = ("name", "folder", "status")
 
 
-def read(folder: Path) -> Sweep:
+def read(folder: Path) -> SweepResults:
     """Read ``sweep.json``.
 
     Args:
@@ -200,7 +200,7 @@ def read(folder: Path) -> Sweep:
     if problems:
         raise InputError([f"{path}: {text}" for text in problems])
     cases = [_case(entry, folder) for entry in data["cases"]]
-    return Sweep(
+    return SweepResults(
         folder,
         str(data.get("title") or folder.name),
         str(data.get("file", "")),
@@ -241,7 +241,7 @@ def _named(types: tuple[type, ...]) -> str:
     return {str: "a text", dict: "a mapping", int: "a number"}[types[0]]
 
 
-def _case(entry: dict[str, Any], folder: Path) -> Case:
+def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
     """A case; what is missing is as by default."""
     own = {key: entry[key] for key in _KEYS if entry.get(key) is not None}
     for key in ("numbers", "errors"):
@@ -251,7 +251,7 @@ def _case(entry: dict[str, Any], folder: Path) -> Case:
     own.setdefault("overrides", {})
     own["unknowns"] = int(own.get("unknowns", 0))
     own["folder"] = folder / own["folder"]
-    return Case(**own)
+    return SweptCase(**own)
 
 
 def magnitude(value: Any) -> float | None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
 from mantle.forms import elasticity, loads
-from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.problem import Problem, TrialState
 from mantle.numerics.state import State
 from mantle.scene.terms import Elastic, amplitude
 
@@ -105,7 +105,7 @@ class Balance:
         """The sums."""
         return {name: getattr(self, name) for name in _SUMS}
 
-    def resume(self, state: State, u: PETSc.Vec, trial: Trial | None) -> None:
+    def resume(self, state: State, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Read them back, with the committed state, whose displacements are spread; collective."""
         for name in _SUMS:
             setattr(self, name, state[name])
@@ -129,7 +129,7 @@ class Balance:
         )
         return -loads.mechanical_work(σ, strain) * mechanics.cells()(mechanics.tag(e.region))
 
-    def _measure(self, u: PETSc.Vec, trial: Trial | None) -> dict:
+    def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
         """Everything that enters the balances at the current time and state."""
         problem = self._problem
         internal = np.zeros(len(problem.reduction.reacting))
@@ -176,7 +176,7 @@ class Balance:
         part.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         return np.array(part.array)
 
-    def update(self, u: PETSc.Vec, trial: Trial | None) -> None:
+    def update(self, u: PETSc.Vec, trial: TrialState | None) -> None:
         """Take in a committed step, whose displacements have been spread; collective."""
         old, new = self._last, self._measure(u, trial)
         self._last = new

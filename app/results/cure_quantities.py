@@ -20,7 +20,7 @@ LEVELS = (0.5, 0.9)
 
 
 @dataclass
-class _Region:
+class _CuringRegion:
     """What is kept of the nodes of one region (n,)."""
 
     degree: Floats
@@ -46,7 +46,7 @@ class CureRecord:
         """
         self._comm, self._seconds = comm, seconds
         self._regions = {
-            name: _Region(
+            name: _CuringRegion(
                 degree.copy(),
                 np.zeros(len(degree)),
                 np.where(degree >= np.array(LEVELS)[:, None], seconds, np.inf),
@@ -97,7 +97,7 @@ class CureRecord:
         """Read it back."""
         for name, found in state.items():
             degree, rate, *reached = (c.copy() for c in found["nodes"].of(keys[name]).T)
-            self._regions[name] = _Region(degree, rate, np.array(reached), found["fastest"])
+            self._regions[name] = _CuringRegion(degree, rate, np.array(reached), found["fastest"])
             self._seconds = found["seconds"]
 
     def row(self) -> dict[str, float]:
@@ -124,7 +124,7 @@ class CureRecord:
             }
         return result
 
-    def _range(self, r: _Region) -> tuple[float, float]:
+    def _range(self, r: _CuringRegion) -> tuple[float, float]:
         ends = np.array([-r.degree.min(initial=np.inf), r.degree.max(initial=-np.inf)])
         self._comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
         return -float(ends[0]), float(ends[1])

@@ -27,7 +27,7 @@ from mantle.results.quantities import Samples, Stresses
 from mantle.results.thermal_quantities import W_PER_M2, Interfaces, ThermalRecord
 from mantle.results.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
 from mantle.scene.bodies import Bodies, cell_tags
-from mantle.stepping.heat_steps import Heating
+from mantle.stepping.heat_steps import HeatState
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -259,7 +259,7 @@ def _interface(name: str, s: Samples, row: Ints) -> dict[str, Floats]:
 class HeatFields:
     """Temperature, heat doses, cure, and what passes interfaces of finite conductance."""
 
-    def __init__(self, heating: Heating, record: ThermalRecord, interfaces: Interfaces) -> None:
+    def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
         """Write these of a run.
 
         Args:

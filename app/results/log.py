@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mantle.results import heat_log
 
 if TYPE_CHECKING:
-    from mantle.stepping.heat_steps import Accepted
+    from mantle.stepping.heat_steps import HeatStep
 
 log = logging.getLogger("mantle")
 
@@ -52,7 +52,7 @@ def heat_header() -> str:
     )
 
 
-def heat_line(number: int, accepted: Accepted, row: dict[str, float], wall: float) -> str:
+def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
     """One line for a step of the heat."""
     hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
     outcome = accepted.outcome

@@ -21,7 +21,7 @@ from ufl import as_vector
 
 from mantle.forms import elasticity
 from mantle.forms.contact import OPEN, SLIP, STICK
-from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.problem import Problem, TrialState
 from mantle.scene.terms import Elastic
 from mantle.system.timing import Timing
 
@@ -73,7 +73,7 @@ class Samples:
         found: What `interface` has found of them, by interface.
     """
 
-    def __init__(self, problem: Problem, trial: Trial) -> None:
+    def __init__(self, problem: Problem, trial: TrialState) -> None:
         """Gather a committed state; collective."""
         self.found: dict[int, dict[str, Any]] = {}
         (j,) = problem.jumps

@@ -26,7 +26,15 @@ from mantle.forms import interface_heat
 from mantle.heat import curves_in_time
 from mantle.heat.assembly import HeatForms
 from mantle.heat.curves_in_time import bend, bend_after_kink, peak_between, raise_to
-from mantle.heat.nodes import Nodes, Probe, Probes, Side, pairs_of, region_nodes, sides_of
+from mantle.heat.nodes import (
+    ProbedPoint,
+    Probes,
+    Side,
+    ThermalNodes,
+    pairs_of,
+    region_nodes,
+    sides_of,
+)
 from mantle.heat.temperature_jumps import TemperatureJumps
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import Rows, State, keyed, node_keys
@@ -46,7 +54,7 @@ _MOST_PIECES = 8
 class _Region:
     """What is kept of the nodes of one region (n,)."""
 
-    nodes: Nodes
+    nodes: ThermalNodes
     now: Floats
     peak: Floats
     peak_time: Floats
@@ -72,7 +80,7 @@ class _Extremes:
 
 
 @dataclass(frozen=True)
-class Exchange:
+class HeatPassed:
     """What passes the interfaces of finite conductance at this rank's points (n,).
 
     Attributes:
@@ -95,7 +103,7 @@ def exchange(
     τ: Floats,
     friction: Floats,
     share: Floats,
-) -> Exchange:
+) -> HeatPassed:
     """Flux and entropy production at the points of finite conductance.
 
     Args:
@@ -110,7 +118,7 @@ def exchange(
     master, slave = (table[jumps.bodies[:, k], np.arange(len(jumps.dof))] for k in (0, 1))
     q = jumps.flux(τ)[0]
     s = np.asarray(interface_heat.entropy_production(q, friction, share, master, slave))
-    return Exchange(tuple(names), jumps.interface, q, s)
+    return HeatPassed(tuple(names), jumps.interface, q, s)
 
 
 class ThermalRecord:
@@ -133,7 +141,7 @@ class ThermalRecord:
         of_region: Mapping[str, int],
         interfaces: Interfaces,
         bone: Sequence[str],
-        probes: Sequence[Probe],
+        probes: Sequence[ProbedPoint],
     ) -> None:
         """Find nodes, sides and probes; collective. `start` comes next.
 
@@ -181,7 +189,7 @@ class ThermalRecord:
         self,
         seconds: float,
         temperatures: Sequence[fem.Function],
-        exchanges: Sequence[Exchange] = (),
+        exchanges: Sequence[HeatPassed] = (),
         highest: float = np.inf,
         rates: Sequence[Floats] = (),
     ) -> None:
@@ -310,7 +318,7 @@ class ThermalRecord:
         )
         return float(self._comm.allreduce(local, MPI.SUM))
 
-    def exposure(self, region: str) -> tuple[Nodes, Exposure]:
+    def exposure(self, region: str) -> tuple[ThermalNodes, Exposure]:
         """Nodes of a region and what they have been exposed to so far."""
         return self._nodes[region], self._regions[region].exposure
 

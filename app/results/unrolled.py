@@ -152,7 +152,7 @@ def sheet(run: Run, kind: str, sides: Sides, regions: Sequence[str]) -> Sheet | 
 
 
 @dataclass(frozen=True)
-class Row:
+class MapRow:
     """A quantity of a map.
 
     Attributes:
@@ -168,7 +168,9 @@ class Row:
     from_zero: bool = True
 
 
-def draw(path: Path, columns: Sequence[tuple[str, Run, Sheet]], rows: Sequence[Row]) -> list[str]:
+def draw(
+    path: Path, columns: Sequence[tuple[str, Run, Sheet]], rows: Sequence[MapRow]
+) -> list[str]:
     """Draw quantities of an interface, one below the other, cases side by side.
 
     The colours of a row are the same in all cases, so that they can be compared.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mantle.errors import InputError
 from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.interfaces import Holds, InterfaceFacets, gather, sorted_facets
-from mantle.scene.terms import Contact, RigidBody, Support, ThermalContact
+from mantle.scene.terms import ContactTerm, RigidBody, Support, ThermalContact
 
 Ints = NDArray[np.int64]
 
@@ -61,7 +61,7 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
 
 
 def bodies_of(
-    tagged: TaggedMesh, contacts: Sequence[Contact | ThermalContact], rigid: Sequence[RigidBody]
+    tagged: TaggedMesh, contacts: Sequence[ContactTerm | ThermalContact], rigid: Sequence[RigidBody]
 ) -> Bodies:
     """Join regions that touch without a contact interface between them; collective.
 
@@ -151,7 +151,7 @@ def contact_facets(
     tagged: TaggedMesh,
     bodies: Bodies,
     space: fem.FunctionSpace,
-    contacts: Sequence[Contact | ThermalContact],
+    contacts: Sequence[ContactTerm | ThermalContact],
     moduli: Mapping[str, float],
 ) -> InterfaceFacets:
     """Facets of all contact interfaces, replicated in canonical order; collective.

@@ -13,18 +13,18 @@ import numpy as np
 from mantle.forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
 from mantle.scene.build_heat import field, heat
 from mantle.scene.terms import (
-    BodyForce,
-    Contact,
-    Eigenstrain,
+    BodyForceTerm,
+    ContactTerm,
+    EigenstrainTerm,
     Elastic,
     Field,
-    Force,
-    Foundation,
+    ForceTerm,
+    FoundationTerm,
     Load,
-    Pressure,
+    PressureTerm,
     RigidBody,
     Scene,
-    Stage,
+    SceneStage,
     Support,
 )
 from mantle.schema import config
@@ -56,7 +56,9 @@ def build_scene(case: config.Case) -> Scene:
             for term in _contact(name, law, sides[name], moduli, stages)
         ),
         stages=tuple(
-            Stage(s.name, s.increments, s.adaptive, s.max_cut_backs, s.duration or 0.0, s.steady)
+            SceneStage(
+                s.name, s.increments, s.adaptive, s.max_cut_backs, s.duration or 0.0, s.steady
+            )
             for s in case.stages
         ),
         **heat(case, sides),
@@ -99,14 +101,16 @@ def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ..
             return ()
 
 
-def _eigenstrains(strains: tuple[config.Eigenstrain, ...], stages: int) -> tuple[Eigenstrain, ...]:
-    return tuple(Eigenstrain(s.strain, _history(s.history, stages)) for s in strains)
+def _eigenstrains(
+    strains: tuple[config.Eigenstrain, ...], stages: int
+) -> tuple[EigenstrainTerm, ...]:
+    return tuple(EigenstrainTerm(s.strain, _history(s.history, stages)) for s in strains)
 
 
-def _foundation(support: config.Support) -> tuple[Foundation, ...]:
+def _foundation(support: config.Support) -> tuple[FoundationTerm, ...]:
     match support:
         case config.Foundation():
-            return (Foundation(support.boundary, support.stiffness),)
+            return (FoundationTerm(support.boundary, support.stiffness),)
         case _:
             return ()
 
@@ -137,13 +141,13 @@ def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int
     history = _history(load.history, stages)
     match load:
         case config.Force():
-            return Force(name, load.boundary, load.force, tuple(load.at or ()), history)
+            return ForceTerm(name, load.boundary, load.force, tuple(load.at or ()), history)
         case config.Pressure():
-            return Pressure(name, load.boundary, load.pressure, history)
+            return PressureTerm(name, load.boundary, load.pressure, history)
         case config.BodyForce():
             regions = tuple(moduli) if load.regions is None else tuple(load.regions)
             density = {f"density[{i}]": value for i, value in enumerate(load.density)}
-            return BodyForce(name, regions, _vector(f"loads.{name}", density), history)
+            return BodyForceTerm(name, regions, _vector(f"loads.{name}", density), history)
 
 
 def _contact(
@@ -152,7 +156,7 @@ def _contact(
     sides: Sides,
     moduli: Mapping[str, float],
     stages: int,
-) -> tuple[Contact, ...]:
+) -> tuple[ContactTerm, ...]:
     """A contact term between a master and a slave; a bonded interface is none at all."""
     match law:
         case config.Bonded():
@@ -163,7 +167,7 @@ def _contact(
             augmented, stiffness = False, law.penalty
     master, slave = sides
     return (
-        Contact(
+        ContactTerm(
             name=name,
             master=master,
             slave=slave,

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 from mantle.errors import InputError
 from mantle.scene.terms import (
-    Autocatalytic,
-    Conductor,
-    Convection,
+    AutocatalyticCure,
+    ConductorTerm,
+    ConvectionTerm,
     Course,
-    Cure,
+    CureTerm,
     Expansion,
     Field,
-    FixedTemperature,
+    FixedTemperatureTerm,
     FrictionHeat,
     HeatCondition,
-    HeatFlux,
-    HeatSource,
-    Perfusion,
-    Prescribed,
+    HeatFluxTerm,
+    HeatSourceTerm,
+    PerfusionTerm,
+    PrescribedCure,
     ThermalContact,
     TimeStepping,
 )
@@ -73,7 +73,7 @@ def heat(case: config.Case, sides: Mapping[str, Sides]) -> dict[str, Any]:
     }
 
 
-def _conductor(name: str, thermal: config.Thermal, region: config.Region) -> Conductor:
+def _conductor(name: str, thermal: config.Thermal, region: config.Region) -> ConductorTerm:
     axial, transverse = thermal.axial_conductivity, thermal.transverse_conductivity
     if axial is None or transverse is None:
         conductivity: tuple[float, ...] = (thermal.conductivity or 0.0,)
@@ -82,10 +82,10 @@ def _conductor(name: str, thermal: config.Thermal, region: config.Region) -> Con
         conductivity = axial, transverse
         fibre = getattr(region, "fibre", None) or thermal.fibre or (0.0, 0.0, 1.0)
     capacity = thermal.density * thermal.specific_heat
-    return Conductor(name, conductivity, fibre, capacity, thermal.initial_temperature)
+    return ConductorTerm(name, conductivity, fibre, capacity, thermal.initial_temperature)
 
 
-def _effusivity(conductor: Conductor) -> float:
+def _effusivity(conductor: ConductorTerm) -> float:
     """sqrt(k c), with the geometric mean of the three conductivities [N/(mm K s^1/2)]."""
     k = conductor.conductivity
     mean = (k[0] * k[1] ** 2) ** (1 / 3) if conductor.fibre else k[0]
@@ -98,26 +98,28 @@ def _condition(name: str, condition: config.HeatCondition) -> HeatCondition:
         case config.FixedTemperature(temperature=None):
             # A course of temperatures is that of 1 K with the temperatures as multipliers.
             one, course = field(key, 1.0), _course(condition.course)
-            return FixedTemperature(
+            return FixedTemperatureTerm(
                 name, condition.boundary or "", condition.regions or (), one, course
             )
         case config.FixedTemperature():
             given = _temperature(f"{key}.temperature", condition.temperature or 0.0)
-            return FixedTemperature(
+            return FixedTemperatureTerm(
                 name, condition.boundary or "", condition.regions or (), given, ()
             )
         case config.HeatFlux():
             flux = field(f"{key}.flux", condition.flux)
-            return HeatFlux(name, condition.boundary, flux, _course(condition.course))
+            return HeatFluxTerm(name, condition.boundary, flux, _course(condition.course))
         case config.Convection():
-            return Convection(name, condition.boundary, condition.coefficient, condition.ambient)
+            return ConvectionTerm(
+                name, condition.boundary, condition.coefficient, condition.ambient
+            )
         case config.HeatSource():
             density = field(f"{key}.density", condition.density)
-            return HeatSource(name, condition.regions, density, _course(condition.course))
+            return HeatSourceTerm(name, condition.regions, density, _course(condition.course))
         case config.Perfusion():
             blood = condition.blood_density * condition.blood_specific_heat
             coefficient = condition.rate * blood
-            return Perfusion(name, condition.regions, coefficient, condition.temperature)
+            return PerfusionTerm(name, condition.regions, coefficient, condition.temperature)
 
 
 def _course(course: Sequence[tuple[float, float]] | None) -> Course:
@@ -154,15 +156,15 @@ def _friction(
             return (FrictionHeat(name, e_s / (e_s + e_m)),)
 
 
-def _cure(name: str, cure: config.Cure) -> Cure:
+def _cure(name: str, cure: config.Cure) -> CureTerm:
     match cure.kinetics:
         case config.Autocatalytic() as k:
-            kinetics: Autocatalytic | Prescribed = Autocatalytic(
+            kinetics: AutocatalyticCure | PrescribedCure = AutocatalyticCure(
                 k.rate_constant, k.activation_energy, k.m, k.n, tuple(k.limit or ())
             )
         case config.Prescribed() as k:
-            kinetics = Prescribed(tuple(k.rate))
-    return Cure(
+            kinetics = PrescribedCure(tuple(k.rate))
+    return CureTerm(
         name,
         kinetics,
         cure.heat,

@@ -43,7 +43,7 @@ def gap_at(gap: Floats, history: Sequence[float], time: float) -> Floats:
 
 
 @dataclass(frozen=True)
-class Eigenstrain:
+class EigenstrainTerm:
     """A stress-free strain of a region: components xx, yy, zz, yz, xz, xy at full amplitude."""
 
     components: tuple[float, float, float, float, float, float]
@@ -66,7 +66,7 @@ class Elastic:
     coefficients: tuple[float, ...]
     fibre: tuple[float, ...]
     modulus: float
-    eigenstrains: tuple[Eigenstrain, ...]
+    eigenstrains: tuple[EigenstrainTerm, ...]
 
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
         """Strain energy density ψ(ε) [MPa], its constants handed in as UFL constants."""
@@ -83,7 +83,7 @@ class RigidBody:
 
 
 @dataclass(frozen=True)
-class Foundation:
+class FoundationTerm:
     """A bed of springs on a boundary, stiffness (3,) [MPa/mm]."""
 
     boundary: str
@@ -116,7 +116,7 @@ class Support:
 
 
 @dataclass(frozen=True)
-class Force:
+class ForceTerm:
     """A resultant force [N] on a patch, through a point [mm] or spread evenly (no point)."""
 
     name: str
@@ -127,7 +127,7 @@ class Force:
 
 
 @dataclass(frozen=True)
-class Pressure:
+class PressureTerm:
     """A pressure [MPa] on a boundary, positive when it compresses."""
 
     name: str
@@ -137,7 +137,7 @@ class Pressure:
 
 
 @dataclass(frozen=True)
-class BodyForce:
+class BodyForceTerm:
     """A force density (n, 3) [N/mm3] at points in regions."""
 
     name: str
@@ -146,11 +146,11 @@ class BodyForce:
     history: tuple[float, ...]
 
 
-Load = Force | Pressure | BodyForce
+Load = ForceTerm | PressureTerm | BodyForceTerm
 
 
 @dataclass(frozen=True)
-class Contact:
+class ContactTerm:
     """An interface that can open and slip.
 
     Attributes:
@@ -190,7 +190,7 @@ def multiplier(course: Course, seconds: float) -> float:
 
 
 @dataclass(frozen=True)
-class Conductor:
+class ConductorTerm:
     """A region that conducts heat.
 
     Attributes:
@@ -209,7 +209,7 @@ class Conductor:
 
 
 @dataclass(frozen=True)
-class FixedTemperature:
+class FixedTemperatureTerm:
     """A given temperature [K] on a boundary, or in whole regions (the boundary is then empty)."""
 
     name: str
@@ -220,7 +220,7 @@ class FixedTemperature:
 
 
 @dataclass(frozen=True)
-class HeatFlux:
+class HeatFluxTerm:
     """Heat that enters through a boundary [N/(mm s)]."""
 
     name: str
@@ -230,7 +230,7 @@ class HeatFlux:
 
 
 @dataclass(frozen=True)
-class Convection:
+class ConvectionTerm:
     """Heat exchange of a boundary with what surrounds it.
 
     Attributes:
@@ -247,7 +247,7 @@ class Convection:
 
 
 @dataclass(frozen=True)
-class HeatSource:
+class HeatSourceTerm:
     """Heat released per volume and time in regions [N/(mm2 s)]."""
 
     name: str
@@ -257,7 +257,7 @@ class HeatSource:
 
 
 @dataclass(frozen=True)
-class Perfusion:
+class PerfusionTerm:
     """Blood that brings a region to its own temperature (Pennes).
 
     Attributes:
@@ -273,7 +273,9 @@ class Perfusion:
     temperature: float
 
 
-HeatCondition = FixedTemperature | HeatFlux | Convection | HeatSource | Perfusion
+HeatCondition = (
+    FixedTemperatureTerm | HeatFluxTerm | ConvectionTerm | HeatSourceTerm | PerfusionTerm
+)
 
 
 @dataclass(frozen=True)
@@ -315,7 +317,7 @@ class Expansion:
 
 
 @dataclass(frozen=True)
-class Autocatalytic:
+class AutocatalyticCure:
     """Rate of cure k0 exp(-Ea/RT) a^m (a_max - a)^n.
 
     Attributes:
@@ -334,14 +336,14 @@ class Autocatalytic:
 
 
 @dataclass(frozen=True)
-class Prescribed:
+class PrescribedCure:
     """Cure that follows a clock: rate [1/s] by time [s], normalised to reach one at the end."""
 
     rate: Course
 
 
 @dataclass(frozen=True)
-class Cure:
+class CureTerm:
     """A region that sets.
 
     Attributes:
@@ -356,7 +358,7 @@ class Cure:
     """
 
     region: str
-    kinetics: Autocatalytic | Prescribed
+    kinetics: AutocatalyticCure | PrescribedCure
     heat: float
     initial: float
     gel: float
@@ -366,7 +368,7 @@ class Cure:
 
 
 @dataclass(frozen=True)
-class Stage:
+class SceneStage:
     """A part of the loading: from time k to k + 1, in a number of increments.
 
     Attributes:
@@ -415,17 +417,17 @@ class Scene:
     order: int
     elastic: tuple[Elastic, ...]
     rigid: tuple[RigidBody, ...]
-    foundations: tuple[Foundation, ...]
+    foundations: tuple[FoundationTerm, ...]
     supports: tuple[Support, ...]
     loads: tuple[Load, ...]
-    contacts: tuple[Contact, ...]
-    stages: tuple[Stage, ...]
-    conductors: tuple[Conductor, ...] = ()
+    contacts: tuple[ContactTerm, ...]
+    stages: tuple[SceneStage, ...]
+    conductors: tuple[ConductorTerm, ...] = ()
     heat: tuple[HeatCondition, ...] = ()
     thermal_contacts: tuple[ThermalContact, ...] = ()
     friction_heat: tuple[FrictionHeat, ...] = ()
     expansions: tuple[Expansion, ...] = ()
-    cures: tuple[Cure, ...] = ()
+    cures: tuple[CureTerm, ...] = ()
     # Of stages that take time; empty in scenes without heat.
     time: tuple[TimeStepping, ...] = ()
     # How heat that depends on contact is solved with it: monolithic or staggered; else empty.

@@ -41,7 +41,7 @@ LAST = (1 << 30, 0)
 
 
 @dataclass(frozen=True)
-class Problem:
+class Fault:
     """One defect of the input.
 
     Attributes:
@@ -69,7 +69,7 @@ class CaseFile:
     places: dict[Path, tuple[int, int] | str] = field(default_factory=dict)
     complaints: list[tuple[tuple[int, int], str]] = field(default_factory=list)
 
-    def raise_all(self, problems: Sequence[Problem]) -> None:
+    def raise_all(self, problems: Sequence[Fault]) -> None:
         """Raise one error for all problems, in the order of the file.
 
         Raises:
@@ -97,9 +97,9 @@ class CaseFile:
         path = tuple(int(i) if i.isdigit() else i for i in STEP.findall(found[1])) if found else ()
         if found is None or path[0] not in self.data:
             return message
-        return self._locate(Problem(path, found[2]))[1]
+        return self._locate(Fault(path, found[2]))[1]
 
-    def _locate(self, problem: Problem) -> tuple[tuple[int, int], str]:
+    def _locate(self, problem: Fault) -> tuple[tuple[int, int], str]:
         """Sorting key and line of a problem: the place of its key, or of the nearest above."""
         for n in range(len(problem.path), -1, -1):
             if (place := self.places.get(problem.path[:n])) is not None:
@@ -129,7 +129,7 @@ def path_text(path: Path) -> str:
     return text
 
 
-def located(message: str, changes: Iterable[str], path: Path) -> Problem | None:
+def located(message: str, changes: Iterable[str], path: Path) -> Fault | None:
     """A defect of a value that overrides put into a case, at its key; None if it is of no such.
 
     Args:
@@ -139,11 +139,11 @@ def located(message: str, changes: Iterable[str], path: Path) -> Problem | None:
     """
     for key in changes:
         if message.startswith(start := f"--set {key}: "):
-            return Problem((*path, key), message.removeprefix(start))
+            return Fault((*path, key), message.removeprefix(start))
     return None
 
 
-def clashes(overrides: Iterable[str], varied: Mapping[Path, str]) -> list[Problem]:
+def clashes(overrides: Iterable[str], varied: Mapping[Path, str]) -> list[Fault]:
     """Options that hold for every case, of keys that vary from case to case: one would be in vain.
 
     Args:
@@ -151,7 +151,7 @@ def clashes(overrides: Iterable[str], varied: Mapping[Path, str]) -> list[Proble
         varied: Keys that vary, by where they stand in the file.
     """
     return [
-        Problem(place, f"varies, but --set {given} holds for every case; leave one of them out")
+        Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")
         for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
         for place, key in varied.items()
         if all(a == b for a, b in zip(words(given), words(key), strict=False))

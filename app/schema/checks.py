@@ -12,7 +12,7 @@ from typing import Any
 
 from mantle.errors import Reason
 from mantle.schema import thermal_checks
-from mantle.schema.case_file import Path, Problem
+from mantle.schema.case_file import Fault, Path
 from mantle.schema.conditions import Bonded
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor, Rigid
@@ -20,7 +20,7 @@ from mantle.schema.study_options import OF_RUN
 
 
 @dataclass(frozen=True)
-class Parts:
+class CaseParts:
     """The sections of a case; None for one that is missing or invalid by itself.
 
     Of `time` it matters only whether it is there.
@@ -38,7 +38,7 @@ class Parts:
     study: Any
 
 
-def cross_check(parts: Parts) -> list[Problem]:
+def cross_check(parts: CaseParts) -> list[Fault]:
     """Every contradiction between the parts."""
     return [
         *_names(parts),
@@ -53,15 +53,15 @@ def cross_check(parts: Parts) -> list[Problem]:
     ]
 
 
-def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Problem:
+def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Fault:
     known = tuple(known)
     allowed = f"it has {', '.join(known)}" if known else "it has none"
-    return Problem(
+    return Fault(
         path, f"the geometry ({owner}) has no {what} '{name}'; {allowed}{did_you_mean(name, known)}"
     )
 
 
-def _names(parts: Parts) -> Iterable[Problem]:
+def _names(parts: CaseParts) -> Iterable[Fault]:
     """Names that the geometry does not have, and regions without material."""
     geometry = parts.geometry
     if geometry is None:
@@ -73,14 +73,14 @@ def _names(parts: Parts) -> Iterable[Problem]:
             if name not in regions:
                 yield _unknown(("regions", name), "region", name, regions, kind)
         if missing := [name for name in regions if name not in parts.regions]:
-            yield Problem(
+            yield Fault(
                 ("regions",), f"no material for {', '.join(missing)}; every region needs one"
             )
         for name, region in parts.regions.items():
             unsaid = name in regions and name not in geometry.tissues
             if region is not None and region.tissue is None and unsaid:
                 text = "'tissue' is missing; expected bone, cement, implant or other"
-                yield Problem(("regions", name), text)
+                yield Fault(("regions", name), text)
     for name in parts.interfaces:
         if name not in geometry.interface_sides:
             yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
@@ -94,17 +94,17 @@ def _names(parts: Parts) -> Iterable[Problem]:
                     yield _unknown((section, name, "regions", i), "region", region, regions, kind)
 
 
-def _histories(parts: Parts) -> Iterable[Problem]:
+def _histories(parts: CaseParts) -> Iterable[Fault]:
     """Histories of another length than the stages."""
     if parts.stages is None:
         return
     number = len(parts.stages)
 
-    def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Problem]:
+    def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Fault]:
         if history is not None and len(history) != number:
             names = ", ".join(s.name for s in parts.stages)
             wanted = f"{number}, one for the end of each stage ({names})"
-            yield Problem(path, f"has {len(history)} values; expected {wanted}")
+            yield Fault(path, f"has {len(history)} values; expected {wanted}")
 
     for section in ("interfaces", "supports", "loads"):
         for name, entry in (getattr(parts, section) or {}).items():
@@ -115,22 +115,22 @@ def _histories(parts: Parts) -> Iterable[Problem]:
             yield from check(("regions", name, "eigenstrains", i, "history"), eigenstrain.history)
 
 
-def _stage_names(parts: Parts) -> Iterable[Problem]:
+def _stage_names(parts: CaseParts) -> Iterable[Fault]:
     """No stages, or two of the same name."""
     if parts.stages is None:
         return
     if not parts.stages:
-        yield Problem(("stages",), "is empty; expected at least one stage")
+        yield Fault(("stages",), "is empty; expected at least one stage")
     names = [s.name for s in parts.stages]
     for i, name in enumerate(names):
         if name in names[:i]:
-            yield Problem(
+            yield Fault(
                 ("stages", i, "name"),
                 f"'{name}' is the name of an earlier stage too; expected another",
             )
 
 
-def _support_stages(parts: Parts) -> Iterable[Problem]:
+def _support_stages(parts: CaseParts) -> Iterable[Fault]:
     """Supports that hold in stages that there are not."""
     if parts.stages is None:
         return
@@ -139,16 +139,16 @@ def _support_stages(parts: Parts) -> Iterable[Problem]:
         for i, stage in enumerate(getattr(support, "stages", None) or ()):
             if stage not in known:
                 text = f"'{stage}' is not one of {', '.join(known)}{did_you_mean(stage, known)}"
-                yield Problem(("supports", name, "stages", i), text)
+                yield Fault(("supports", name, "stages", i), text)
 
 
-def _rigid(parts: Parts) -> Iterable[Problem]:
+def _rigid(parts: CaseParts) -> Iterable[Fault]:
     """Rigid regions in contact with each other, and models without any elastic region."""
     if parts.geometry is None or not parts.regions:
         return
     rigid = {name for name, region in parts.regions.items() if isinstance(region, Rigid)}
     if rigid.issuperset(parts.geometry.region_names):
-        yield Problem(("regions",), "every region is rigid; at least one has to be elastic")
+        yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
         return
     for name, law in parts.interfaces.items():
         sides = parts.geometry.interface_sides.get(name)
@@ -158,10 +158,10 @@ def _rigid(parts: Parts) -> Iterable[Problem]:
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
             text = f"contact between rigid regions ({regions}); one side has to be elastic"
             text += f" [{Reason.RIGID_CONTACT}]"
-            yield Problem(("interfaces", name), text)
+            yield Fault(("interfaces", name), text)
 
 
-def _held(parts: Parts) -> Iterable[Problem]:
+def _held(parts: CaseParts) -> Iterable[Fault]:
     """Directions in which nothing keeps the whole model from moving."""
     if parts.supports is None or any(support is None for support in parts.supports.values()):
         return
@@ -180,10 +180,10 @@ def _held(parts: Parts) -> Iterable[Problem]:
             along = "" if len(free) == 3 else f" along {' and '.join(free)}"
             allowed = "expected a support: fixed, roller, displacement or foundation"
             text = f"nothing holds the model{along}{when}; {allowed} [{Reason.LOOSE_BODY}]"
-            yield Problem(("supports",), text)
+            yield Fault(("supports",), text)
 
 
-def quantities(geometry: Any, study: Any) -> Iterable[Problem]:
+def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
     """Quantities of interfaces or regions that the geometry does not have."""
     if geometry is None or study is None:
         return

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_validator
 
 from mantle.schema.expressions import Varying
-from mantle.schema.fields import ITEMS, Kinds, Model, Name, Word, fail, show
+from mantle.schema.fields import ITEMS, Kinds, Name, Section, Word, fail, show
 from mantle.schema.materials import History
 from mantle.schema.thermal_options import Conductance, FrictionHeating, PressureConductance
 from mantle.schema.units import (
@@ -37,7 +37,7 @@ def _some_stages(names: tuple[str, ...]) -> tuple[str, ...]:
 StageNames = Annotated[tuple[Name, ...], ITEMS, AfterValidator(_some_stages)] | None
 
 
-class Bonded(Model):
+class Bonded(Section):
     """The two sides are one continuum."""
 
     kind: Literal["bonded"] = "bonded"
@@ -54,7 +54,7 @@ class Bonded(Model):
         return self
 
 
-class Contact(Model):
+class Contact(Section):
     """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
 
     kind: Literal["contact"] = "contact"
@@ -78,7 +78,7 @@ class Contact(Model):
         return self
 
 
-class Penalty(Model):
+class Penalty(Section):
     """Unilateral contact with Coulomb friction by penalty: it penetrates by pressure / penalty."""
 
     kind: Literal["penalty"] = "penalty"
@@ -111,7 +111,7 @@ def _rubs(law: Contact | Penalty) -> None:
 Interface = Annotated[Bonded | Contact | Penalty, Kinds()]
 
 
-class Fixed(Model):
+class Fixed(Section):
     """No displacement at all."""
 
     kind: Literal["fixed"] = "fixed"
@@ -126,7 +126,7 @@ class Fixed(Model):
         return "xyz"
 
 
-class Roller(Model):
+class Roller(Section):
     """No displacement along one axis."""
 
     kind: Literal["roller"] = "roller"
@@ -143,7 +143,7 @@ class Roller(Model):
         return self.axis
 
 
-class Displacement(Model):
+class Displacement(Section):
     """Given displacement along one or more axes; the others are free."""
 
     kind: Literal["displacement"] = "displacement"
@@ -172,7 +172,7 @@ class Displacement(Model):
         return "".join(axis for axis in "xyz" if getattr(self, axis) is not None)
 
 
-class Foundation(Model):
+class Foundation(Section):
     """Springs to the ground spread over a boundary."""
 
     kind: Literal["foundation"] = "foundation"
@@ -218,7 +218,7 @@ Point = Annotated[
 ]
 
 
-class Force(Model):
+class Force(Section):
     """A resultant force, as a traction over the boundary; with `at`, with its moment too."""
 
     kind: Literal["force"] = "force"
@@ -232,7 +232,7 @@ class Force(Model):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 
-class Pressure(Model):
+class Pressure(Section):
     """A pressure normal to the boundary; positive compresses."""
 
     kind: Literal["pressure"] = "pressure"
@@ -244,7 +244,7 @@ class Pressure(Model):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 
-class BodyForce(Model):
+class BodyForce(Section):
     """A force per volume, such as weight."""
 
     kind: Literal["body_force"] = "body_force"

@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from mantle.errors import InputError
 from mantle.schema import case_file, checks, study_options
-from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.conditions import (
     BodyForce,
     Bonded,
@@ -37,7 +37,7 @@ from mantle.schema.conditions import (
     Support,
 )
 from mantle.schema.expressions import evaluate
-from mantle.schema.fields import ITEMS, MAPPING, TAG, Model, Name, Text, did_you_mean, show
+from mantle.schema.fields import ITEMS, MAPPING, TAG, Name, Section, Text, did_you_mean, show
 from mantle.schema.geometries import (
     Block,
     Blocks,
@@ -131,7 +131,7 @@ __all__ = [
 ]
 
 
-class Case(Model):
+class Case(Section):
     """Everything that a run needs to know."""
 
     title: Text = ""
@@ -203,7 +203,7 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     """
     if is_study(file.data):
         text = f"this is a study of another case, not a case; use mantle study {file.name}"
-        file.raise_all([Problem(("base",), text)])
+        file.raise_all([Fault(("base",), text)])
     case = _resolved(file, folder)
     _varied(file, folder, case)
     return case
@@ -244,7 +244,7 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         InputError: All that is wrong with any of them, each at its place in the section.
     """
     found: list[Varied] = []
-    faults: list[Problem] = []
+    faults: list[Fault] = []
     for v in expand(case.variations):
         keys = {full: key for key in v.changes for full in every(key, file.data)}
         overrides = tuple(study_options.options({k: v.changes[key] for k, key in keys.items()}))
@@ -257,7 +257,7 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
                 fault = case_file.located(message, keys, ())
                 place = v.places[keys[str(fault.path[0])]] if fault else ()
                 at, text = (place, fault.text) if fault else ((), message)
-                faults.append(Problem(at or ("variations",), text if at else f"{v.name}: {text}"))
+                faults.append(Fault(at or ("variations",), text if at else f"{v.name}: {text}"))
     file.raise_all(faults)
     return found
 
@@ -319,7 +319,7 @@ def schema() -> dict[str, Any]:
 _adapter = lru_cache(TypeAdapter)
 
 
-def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
+def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.CaseParts:
     """Every part that is valid by itself, so that the rest can still be checked against it.
 
     The points that the geometry names are added to the context on the way.
@@ -340,7 +340,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
     if (centre := getattr(geometry, "head_centre", None)) is not None:
         context["points"]["head_centre"] = centre
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
-    return checks.Parts(
+    return checks.CaseParts(
         geometry=geometry,
         regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
         interfaces=table("interfaces", Interface),
@@ -356,7 +356,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.Parts:
     )
 
 
-def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Problem]:
+def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Fault]:
     """Pydantic's errors in the words of the file, which holds a `model`."""
     found = []
     for entry in error.errors(include_url=False):
@@ -381,7 +381,7 @@ def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Prob
                 text = f"{show(entry['input'])} is not {entry['ctx']['expected']}"
             case _:
                 text = f"{show(entry['input'])}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
-        found.append(Problem(path, text))
+        found.append(Fault(path, text))
     return found
 
 

@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError, core_schema
 TAG = "="
 
 
-class Model(BaseModel):
+class Section(BaseModel):
     """Base of every part of a case: immutable, no unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)

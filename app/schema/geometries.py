@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from mantle.schema.femurs import Femur, IntactFemur
-from mantle.schema.fields import ITEMS, MAPPING, Kinds, Model, Name, Word, fail, one_of, show
+from mantle.schema.fields import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
 from mantle.schema.gmsh_file import content, counts, is_script, physical_names
 from mantle.schema.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from mantle.schema.units import Angle, PositiveLength, SizeVector
@@ -23,7 +23,7 @@ __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "
 __all__ += ["MeshOptions", "Sides"]
 
 
-class Block(Model):
+class Block(Section):
     """One block of a stack."""
 
     name: Name

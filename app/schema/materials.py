@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, model_validator
 
-from mantle.schema.fields import ITEMS, Kinds, Model, Word, fail, show
+from mantle.schema.fields import ITEMS, Kinds, Section, Word, fail, show
 from mantle.schema.thermal_options import Thermal
 from mantle.schema.units import Axis, Modulus, Number
 
@@ -34,7 +34,7 @@ def _six(value: object) -> object:
     return (value, value, value, 0.0, 0.0, 0.0)
 
 
-class Eigenstrain(Model):
+class Eigenstrain(Section):
     """A strain that the region would take on if nothing held it: swelling, shrinkage, press fit."""
 
     strain: Annotated[Strain6, BeforeValidator(_six)]
@@ -43,7 +43,7 @@ class Eigenstrain(Model):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 
-class Isotropic(Model):
+class Isotropic(Section):
     """Linear elastic, the same in all directions."""
 
     kind: Literal["isotropic"] = "isotropic"
@@ -72,7 +72,7 @@ class Isotropic(Model):
         return self.poisson_ratio > LOCKING_RATIO
 
 
-class TransverselyIsotropic(Model):
+class TransverselyIsotropic(Section):
     """Linear elastic, with one direction (the fibre, or axis) unlike the two transverse to it."""
 
     kind: Literal["transversely_isotropic"] = "transversely_isotropic"
@@ -139,7 +139,7 @@ def _true(value: object) -> object:
     return value
 
 
-class Rigid(Model):
+class Rigid(Section):
     """Not deformable: the region moves as one body."""
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
@@ -156,7 +156,7 @@ class Rigid(Model):
         return self
 
 
-class Conductor(Model):
+class Conductor(Section):
     """Conducts heat, and is not looked at as a solid: all regions or none."""
 
     kind: Literal["conductor"] = "conductor"

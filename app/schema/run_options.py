@@ -14,13 +14,13 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from mantle.schema.conditions import Point
-from mantle.schema.fields import MAPPING, Model, Name, Truth, Word, fail, show
+from mantle.schema.fields import MAPPING, Name, Section, Truth, Word, fail, show
 from mantle.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
 
 USUAL_AUGMENTATION = 0.2
 
 
-class Stage(Model):
+class Stage(Section):
     """A part of the loading history, from multiplier to multiplier."""
 
     name: Name
@@ -62,7 +62,7 @@ def _petsc(value: object) -> object:
     return value
 
 
-class SolverOptions(Model):
+class SolverOptions(Section):
     """How the equations are solved."""
 
     tolerance: PositiveNumber = 1e-10
@@ -81,7 +81,7 @@ class SolverOptions(Model):
     """How heat and mechanics that need each other are solved: in one, or in turn."""
 
 
-class Probe(Model):
+class Probe(Section):
     """A point whose temperature is recorded."""
 
     at: Point
@@ -110,7 +110,7 @@ class _PointAlone:
         return {"anyOf": [handler(schema), {"type": ["array", "string"]}]}
 
 
-class CheckpointOptions(Model):
+class CheckpointOptions(Section):
     """When the state of a run is saved; at a signal and at `--walltime` it always is."""
 
     steps: PositiveInteger | None = None
@@ -119,7 +119,7 @@ class CheckpointOptions(Model):
     """After the first step that ends so many minutes after the last time."""
 
 
-class OutputOptions(Model):
+class OutputOptions(Section):
     """What is written."""
 
     fields: Truth = True

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import model_validator
 
-from mantle.schema.fields import Model, Truth, fail
+from mantle.schema.fields import Section, Truth, fail
 from mantle.schema.units import Plain, PositiveLength
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Mantle:
     tip: float
 
 
-class Shape(Model):
+class Shape(Section):
     """Base of the geometries: what only some of them have."""
 
     @property
@@ -58,7 +58,7 @@ class Shape(Model):
         return {}
 
 
-class MeshOptions(Model):
+class MeshOptions(Section):
     """How fine the mesh is and what the displacement is approximated by."""
 
     size: PositiveLength

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from mantle.errors import InputError
 from mantle.schema import case_file, checks, config, study_options
-from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.study_options import Study, StudyFile
 
 
@@ -57,7 +57,7 @@ def read(path: Path, overrides: Sequence[str]) -> Source:
     return Source(study, file, path, tuple(others), ranks or 1)
 
 
-def _clashes(study: Study, overrides: Iterable[str]) -> list[Problem]:
+def _clashes(study: Study, overrides: Iterable[str]) -> list[Fault]:
     """Options of what the lines or the reference say."""
     lines = {("study", "lines", name): line for name, line in study.lines.items()}
     lines[("study", "reference", "run")] = study.reference.run or {}
@@ -72,7 +72,7 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
     mine = [o for o in overrides if re.match(r"\s*study\b", o)]
     others = [o for o in overrides if o not in mine]
     file = case_file.read(path, mine)
-    problems: list[Problem] = []
+    problems: list[Fault] = []
     try:
         study = StudyFile.model_validate(file.data).study
     except ValidationError as error:
@@ -102,10 +102,10 @@ def _options(changes: Any, others: Iterable[str]) -> list[str]:
     return study_options.options({k: v for k, v in valid.items() if k not in keys})
 
 
-def _blame(file: CaseFile, case: Path, message: str, problems: list[Problem]) -> None:
+def _blame(file: CaseFile, case: Path, message: str, problems: list[Fault]) -> None:
     """Note a defect of the case where its cause is: in an override of it, or in itself."""
     if message.startswith(f"{case}: "):  # it cannot be read
-        problems.append(Problem(("base",), message))
+        problems.append(Fault(("base",), message))
     elif found := case_file.located(message, file.data.get("set") or {}, ("set",)):
         problems.append(found)
     else:

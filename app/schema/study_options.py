@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mantle.errors import InputError
-from mantle.schema.fields import ITEMS, MAPPING, Model, Name, Text, did_you_mean, fail, show
+from mantle.schema.fields import ITEMS, MAPPING, Name, Section, Text, did_you_mean, fail, show
 from mantle.schema.units import Dimension, Plain, PositiveNumber, TemperatureDifference
 
 # Keys of summary.json that are numbers, and their units.
@@ -204,7 +204,7 @@ def _values(value: object) -> object:
     return value
 
 
-class Reference(Model):
+class Reference(Section):
     """What the runs are compared with: known values, or a finer ladder that is extrapolated."""
 
     values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
@@ -226,7 +226,7 @@ class Reference(Model):
         return self
 
 
-class Study(Model):
+class Study(Section):
     """Error against run time: what varies and what is measured."""
 
     quantities: Annotated[tuple[Annotated[str, BeforeValidator(_quantity)], ...], ITEMS]
@@ -255,7 +255,7 @@ class Study(Model):
         return not _free(quantity) or quantity in (self.reference.values or {})
 
 
-class StudyFile(Model):
+class StudyFile(Section):
     """A study that stands apart from its case."""
 
     base: Text

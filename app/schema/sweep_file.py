@@ -12,12 +12,12 @@ from pydantic import ValidationError
 
 from mantle.errors import InputError
 from mantle.schema import case_file, config, study_options
-from mantle.schema.case_file import CaseFile, Problem
-from mantle.schema.sweep_options import Point, Sweep, expand
+from mantle.schema.case_file import CaseFile, Fault
+from mantle.schema.sweep_options import Sweep, SweepPoint, expand
 
 
 @dataclass(frozen=True)
-class Planned:
+class SweptRun:
     """A case of a sweep.
 
     Attributes:
@@ -28,14 +28,14 @@ class Planned:
         case: The whole of it.
     """
 
-    point: Point
+    point: SweepPoint
     base: Path
     overrides: tuple[str, ...]
     ranks: int
     case: config.Case
 
 
-def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned]]:
+def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRun]]:
     """Read a sweep and check every case of it.
 
     Args:
@@ -54,7 +54,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
     except ValidationError as error:
         file.raise_all(config.problems(error, Sweep))
         raise  # only if an error could not be told in words
-    planned: list[Planned] = []
+    planned: list[SweptRun] = []
     points = expand(sweep)
     varied = {_place(p.places[key]): key for p in points for key in p.varied}
     problems = case_file.clashes(overrides, varied)
@@ -71,7 +71,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
             continue
         number = ranks or point.changes.get("ranks", 1)
         used = replace(point, changes=point.changes | given)
-        planned.append(Planned(used, base, changes, number, case))
+        planned.append(SweptRun(used, base, changes, number, case))
     file.raise_all(problems)
     return sweep, planned
 
@@ -88,15 +88,15 @@ def _value(option: str) -> Any:
 
 
 def _located(
-    point: Point, base: Path, message: str, own: Mapping[str, Any], file: CaseFile
-) -> Problem:
+    point: SweepPoint, base: Path, message: str, own: Mapping[str, Any], file: CaseFile
+) -> Fault:
     """A defect of a case, where its cause stands in the sweep."""
     part = ("parts", point.part) if point.part else ()
     if message.startswith(f"{base}: "):  # it cannot be read
         at = (*part, "base")
-        return Problem(at if at in file.places else ("base",), message)
+        return Fault(at if at in file.places else ("base",), message)
     if found := case_file.located(message, own, ()):
-        return Problem(point.places[str(found.path[0])], found.text)
+        return Fault(point.places[str(found.path[0])], found.text)
     if re.match(r"--set |[^ ]+:\d+:\d+: ", message):
-        return Problem(part, message)
-    return Problem(part, f"{point.name}: {message}")
+        return Fault(part, message)
+    return Fault(part, f"{point.name}: {message}")

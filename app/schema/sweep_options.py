@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from mantle.schema.case_file import Path
-from mantle.schema.fields import MAPPING, Model, Name, Text, fail, show
+from mantle.schema.fields import MAPPING, Name, Section, Text, fail, show
 from mantle.schema.study_options import Changes, Line, check_ranks, steps
 from mantle.schema.variation_options import labels, short_keys
 
@@ -62,7 +62,7 @@ def _number(value: object) -> tuple[float, str]:
     return number, found[2]
 
 
-class Range(Model):
+class Range(Section):
     """Where an uncertain input lies."""
 
     low: str | int | float
@@ -94,7 +94,7 @@ class Range(Model):
         return f"{number:g} {unit}" if unit else number
 
 
-class LatinHypercube(Model):
+class LatinHypercube(Section):
     """Samples of uncertain inputs: each input has one value in each of as many equal parts."""
 
     samples: Annotated[int, Field(ge=2, le=10_000)]
@@ -127,7 +127,7 @@ class LatinHypercube(Model):
         ]
 
 
-class Part(Model):
+class SweepPart(Section):
     """A base case and axes; every combination of one value of each is a case."""
 
     base: Text | None = None
@@ -154,12 +154,12 @@ class Part(Model):
         )
 
 
-class Sweep(Part):
+class Sweep(SweepPart):
     """The content of a sweep file: one part, or several by name that share base and ``set``."""
 
     title: Text = ""
     """A line for people."""
-    parts: Annotated[dict[Name, Part], MAPPING] = Field(default_factory=dict)
+    parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
     """Parts with axes, and where they differ a base, of their own."""
 
     @model_validator(mode="after")
@@ -178,7 +178,7 @@ class Sweep(Part):
 
 
 @dataclass(frozen=True)
-class Point:
+class SweepPoint:
     """One case of a sweep.
 
     Attributes:
@@ -207,13 +207,13 @@ class _Value:
     places: dict[str, Path] = field(default_factory=dict)
 
 
-def expand(sweep: Sweep) -> list[Point]:
+def expand(sweep: Sweep) -> list[SweepPoint]:
     """Every case, in the order of the file; the last axis changes fastest."""
-    parts: list[tuple[Path, Part]] = [(("parts", name), p) for name, p in sweep.parts.items()]
+    parts: list[tuple[Path, SweepPart]] = [(("parts", name), p) for name, p in sweep.parts.items()]
     return [p for path, part in parts or [((), sweep)] for p in _points(sweep, part, path)]
 
 
-def _points(sweep: Sweep, part: Part, path: Path) -> Iterator[Point]:
+def _points(sweep: Sweep, part: SweepPart, path: Path) -> Iterator[SweepPoint]:
     name = str(path[-1]) if path else ""
     for values in itertools.product(*_axes(part, path)):
         changes = {**sweep.set, **part.set}
@@ -223,7 +223,7 @@ def _points(sweep: Sweep, part: Part, path: Path) -> Iterator[Point]:
             changes |= value.changes
             places |= value.places
         label = "_".join(value.label for value in values)
-        yield Point(
+        yield SweepPoint(
             "/".join(filter(None, (name, label))) or "base",
             name,
             str(part.base or sweep.base),
@@ -233,7 +233,7 @@ def _points(sweep: Sweep, part: Part, path: Path) -> Iterator[Point]:
         )
 
 
-def _axes(part: Part, path: Path) -> Iterator[list[_Value]]:
+def _axes(part: SweepPart, path: Path) -> Iterator[list[_Value]]:
     """The axes of a part: the table, the grid's keys, the lists, the samples."""
     if part.table is not None:
         yield [

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from mantle.schema.case_file import Problem
+from mantle.schema.case_file import Fault
 from mantle.schema.conditions import Bonded
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor
 from mantle.schema.thermal_options import Convection, FixedTemperature, Perfusion
 
 if TYPE_CHECKING:
-    from mantle.schema.checks import Parts
+    from mantle.schema.checks import CaseParts
 
 
-def cross_check(parts: Parts) -> Iterable[Problem]:
+def cross_check(parts: CaseParts) -> Iterable[Fault]:
     """Every contradiction about heat between the parts."""
     if parts.regions is None:
         return
@@ -27,33 +27,33 @@ def cross_check(parts: Parts) -> Iterable[Problem]:
     for name in cold:
         others = " and ".join(n for n in regions if n not in cold)
         text = f"'thermal' is missing; expected in every region or in none, like {others}"
-        yield Problem(("regions", name), text)
+        yield Fault(("regions", name), text)
     yield from _conductors(parts, regions)
     yield from _stages(parts, regions)
 
 
-def _without_heat(parts: Parts, whole: bool) -> Iterable[Problem]:
+def _without_heat(parts: CaseParts, whole: bool) -> Iterable[Fault]:
     """What has no meaning where no region conducts heat."""
     if not whole or not parts.regions:
         return  # the region that cannot be read may be the one that conducts
     text = "no region conducts heat; expected `thermal` in every region"
     if parts.heat:
-        yield Problem(("heat",), text)
+        yield Fault(("heat",), text)
     if parts.time:
-        yield Problem(("time",), text)
+        yield Fault(("time",), text)
     if getattr(parts.output, "probes", None):
-        yield Problem(("output", "probes"), text)
+        yield Fault(("output", "probes"), text)
     for i, stage in enumerate(parts.stages or ()):
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"
-            yield Problem(("stages", i, key), f"nothing takes time: {text}")
+            yield Fault(("stages", i, key), f"nothing takes time: {text}")
     for name, law in parts.interfaces.items():
         for key in ("conductance", "friction_heating"):
             if getattr(law, key, None) is not None:
-                yield Problem(("interfaces", name, key), text)
+                yield Fault(("interfaces", name, key), text)
 
 
-def _conductors(parts: Parts, regions: Mapping[str, Any]) -> Iterable[Problem]:
+def _conductors(parts: CaseParts, regions: Mapping[str, Any]) -> Iterable[Fault]:
     """Mechanics where no region is a solid; regions of both sorts."""
     solid = [name for name, region in regions.items() if not isinstance(region, Conductor)]
     if len(solid) == len(regions):
@@ -62,29 +62,29 @@ def _conductors(parts: Parts, regions: Mapping[str, Any]) -> Iterable[Problem]:
         text = f"a conductor beside solids ({', '.join(solid)}); expected conductors only, or none"
         for name in regions:
             if name not in solid:
-                yield Problem(("regions", name), text)
+                yield Fault(("regions", name), text)
         return
     for section in ("supports", "loads"):
         for name in getattr(parts, section) or {}:
-            yield Problem((section, name), "every region is a conductor: nothing can move")
+            yield Fault((section, name), "every region is a conductor: nothing can move")
     for name, law in parts.interfaces.items():
         if law is not None and not isinstance(law, Bonded):
             text = "every region is a conductor: nothing can part; expected kind: bonded"
-            yield Problem(("interfaces", name), text)
+            yield Fault(("interfaces", name), text)
 
 
-def _stages(parts: Parts, regions: Mapping[str, Any]) -> Iterable[Problem]:
+def _stages(parts: CaseParts, regions: Mapping[str, Any]) -> Iterable[Fault]:
     """Stages in which heat does not flow, or has nowhere to go."""
     if not parts.stages:
         return
     if not any(stage.takes_time for stage in parts.stages):
         text = "heat has no time to flow; expected a duration, or steady: true, in some stage"
-        yield Problem(("stages",), text)
+        yield Fault(("stages",), text)
     elif all(isinstance(region, Conductor) for region in regions.values()):
         for i, stage in enumerate(parts.stages):
             if not stage.takes_time:
                 text = "nothing happens in it; expected a duration, or steady: true"
-                yield Problem(("stages", i), text)
+                yield Fault(("stages", i), text)
     sinks = (FixedTemperature, Convection, Perfusion)
     drained = any(
         condition is None or isinstance(condition, sinks) for condition in parts.heat.values()
@@ -93,13 +93,13 @@ def _stages(parts: Parts, regions: Mapping[str, Any]) -> Iterable[Problem]:
     for i, stage in enumerate(parts.stages):
         if stage.steady and not drained:
             text = "nothing settles the temperature; expected heat of kind temperature, convection"
-            yield Problem(("stages", i, "steady"), f"{text} or perfusion")
+            yield Fault(("stages", i, "steady"), f"{text} or perfusion")
         if stage.steady and setting:
             text = f"{', '.join(setting)} sets with time; expected a duration"
-            yield Problem(("stages", i, "steady"), text)
+            yield Fault(("stages", i, "steady"), text)
 
 
-def probe_regions(parts: Parts) -> Iterable[Problem]:
+def probe_regions(parts: CaseParts) -> Iterable[Fault]:
     """Regions of probes that the geometry does not have."""
     if parts.geometry is None or parts.output is None:
         return
@@ -108,4 +108,4 @@ def probe_regions(parts: Parts) -> Iterable[Problem]:
         if probe.region is not None and probe.region not in known:
             allowed = f"it has {', '.join(known)}{did_you_mean(probe.region, known)}"
             text = f"the geometry ({parts.geometry.kind}) has no region '{probe.region}'; {allowed}"
-            yield Problem(("output", "probes", name, "region"), text)
+            yield Fault(("output", "probes", name, "region"), text)

@@ -17,7 +17,7 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from mantle.schema.expressions import Varying
-from mantle.schema.fields import ITEMS, TAG, Kinds, Model, Name, Scalar, Word, fail, show
+from mantle.schema.fields import ITEMS, TAG, Kinds, Name, Scalar, Section, Word, fail, show
 from mantle.schema.units import (
     NUMBER,
     AbsoluteTemperature,
@@ -94,7 +94,7 @@ Degree = Annotated[float, Plain(at_least=0.0, below=1.0)]
 # ------------------------------------------------------------------------------------- cure
 
 
-class Autocatalytic(Model):
+class Autocatalytic(Section):
     """Rate of cure k0 exp(-Ea/RT) a^m (a_max - a)^n, with temperature T in K."""
 
     kind: Literal["autocatalytic"] = "autocatalytic"
@@ -110,7 +110,7 @@ class Autocatalytic(Model):
     """Pairs of temperature and largest degree a_max there, linear in between; 1 by default."""
 
 
-class Prescribed(Model):
+class Prescribed(Section):
     """Cure that follows a clock, whatever the temperature."""
 
     kind: Literal["prescribed"] = "prescribed"
@@ -125,7 +125,7 @@ class Prescribed(Model):
         return self
 
 
-class Cure(Model):
+class Cure(Section):
     """How a region sets, and what comes of it."""
 
     kinetics: Annotated[Autocatalytic | Prescribed, Kinds()]
@@ -159,7 +159,7 @@ class Cure(Model):
 # ---------------------------------------------------------------------------------- regions
 
 
-class Thermal(Model):
+class Thermal(Section):
     """Conduction of heat in a region, and what temperature does to it."""
 
     conductivity: Conductivity | None = None
@@ -212,7 +212,7 @@ class Thermal(Model):
 # ------------------------------------------------------------------------------- interfaces
 
 
-class PressureConductance(Model):
+class PressureConductance(Section):
     """Conductance that grows with contact pressure: open + per_pressure * p, at most cap."""
 
     kind: Literal["pressure"] = "pressure"
@@ -302,7 +302,7 @@ FrictionHeating = Annotated[float | str, _Heating()]
 # ------------------------------------------------------------------------------- conditions
 
 
-class FixedTemperature(Model):
+class FixedTemperature(Section):
     """A given temperature on a boundary or throughout regions."""
 
     kind: Literal["temperature"] = "temperature"
@@ -323,7 +323,7 @@ class FixedTemperature(Model):
         return self
 
 
-class HeatFlux(Model):
+class HeatFlux(Section):
     """Heat that enters through a boundary."""
 
     kind: Literal["flux"] = "flux"
@@ -335,7 +335,7 @@ class HeatFlux(Model):
     """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
 
 
-class Convection(Model):
+class Convection(Section):
     """Exchange of heat with the surroundings of a boundary."""
 
     kind: Literal["convection"] = "convection"
@@ -347,7 +347,7 @@ class Convection(Model):
     """Temperature of the surroundings."""
 
 
-class HeatSource(Model):
+class HeatSource(Section):
     """Heat released in regions."""
 
     kind: Literal["source"] = "source"
@@ -359,7 +359,7 @@ class HeatSource(Model):
     """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
 
 
-class Perfusion(Model):
+class Perfusion(Section):
     """Blood that brings regions to its own temperature (Pennes)."""
 
     kind: Literal["perfusion"] = "perfusion"
@@ -380,7 +380,7 @@ HeatCondition = Annotated[
 ]
 
 
-class TimeOptions(Model):
+class TimeOptions(Section):
     """How stages that take time are divided into steps."""
 
     method: Annotated[Literal["sdirk4", "backward_euler"], Word()] = "sdirk4"

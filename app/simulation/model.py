@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from mantle import meshes
 from mantle.heat.conduction import Conduction
-from mantle.heat.nodes import Probe
+from mantle.heat.nodes import ProbedPoint
 from mantle.heat.system import HeatSystem
 from mantle.mechanics.neighbours import Neighbours
 from mantle.mechanics.prediction import Predictor
-from mantle.mechanics.problem import Problem, Trial
-from mantle.mechanics.systems import Contact, mechanical
+from mantle.mechanics.problem import Problem, TrialState
+from mantle.mechanics.systems import ContactSystem, mechanical
 from mantle.meshes.data import MeshData
 from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.meshes.parts import Parts
@@ -36,14 +36,21 @@ from mantle.results.output import on_root
 from mantle.results.quantities import Samples, Stresses
 from mantle.results.thermal_quantities import ThermalRecord, exchange
 from mantle.scene.build import build_scene
-from mantle.scene.terms import Scene, Stage
+from mantle.scene.terms import Scene, SceneStage
 from mantle.schema import config
 from mantle.soundness import case_on_mesh
-from mantle.stepping.coupling import ContactHeat, Coupled, Staggered
-from mantle.stepping.heat_steps import Accepted, Heating
-from mantle.stepping.load_steps import Motion, OnStep, Step, Summary
+from mantle.stepping.coupling import ContactHeat, CoupledSystem, Staggered
+from mantle.stepping.heat_steps import HeatState, HeatStep
+from mantle.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
 from mantle.stepping.nested_start import Nested, coarser
-from mantle.stepping.stages import Companion, Following, Joint, March, OnHeat, run_stages
+from mantle.stepping.stages import (
+    HeatStepper,
+    MechanicsBesideHeat,
+    OnHeat,
+    SolvedAfterHeat,
+    SolvedWithHeat,
+    run_stages,
+)
 from mantle.system import folders
 from mantle.system.timing import Timing
 
@@ -91,7 +98,7 @@ class Mechanical:
         return self._balance[0]
 
 
-class Thermal:
+class ThermalModel:
     """The heat of a model, and what is kept of it.
 
     Attributes:
@@ -102,7 +109,7 @@ class Thermal:
         balance: What came in, is stored and left.
     """
 
-    def __init__(self, case: config.Case, heating: Heating) -> None:
+    def __init__(self, case: config.Case, heating: HeatState) -> None:
         """Begin with the initial state; collective."""
         conduction = heating.conduction
         self.conduction, self.heating = conduction, heating
@@ -116,7 +123,7 @@ class Thermal:
             conduction.bodies.of_region,
             case.geometry.interface_sides,
             case.of_tissue("bone"),
-            [Probe(name, p.at, p.region or "") for name, p in case.output.probes.items()],
+            [ProbedPoint(name, p.at, p.region or "") for name, p in case.output.probes.items()],
         )
         self.record.start(conduction.temperatures(heating.vectors()))
         self.cure: tuple[CureRecord, ...] = tuple(
@@ -124,7 +131,7 @@ class Thermal:
         )
         self.balance = HeatBalance(conduction.stored(heating.vectors()), {})
 
-    def update(self, accepted: Accepted) -> None:
+    def update(self, accepted: HeatStep) -> None:
         """Take in a step; collective."""
         heating, conduction = self.heating, self.conduction
         x = heating.vectors()
@@ -220,7 +227,7 @@ class Model:
             self.scene: Scene = build_scene(case)
             self.mechanics = self._mechanics()
             self._common, heatings = self._heat()
-            self.thermal = tuple(Thermal(case, h) for h in heatings)
+            self.thermal = tuple(ThermalModel(case, h) for h in heatings)
         self._kin[:] = [m for m in self._kin if not self.deforms_like(m._case)] + [self]
 
     def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
@@ -287,7 +294,7 @@ class Model:
         problem = Problem(self.scene, self.tagged, factor, timing, *like[:1])
         return (Mechanical(problem, self._solver(mechanical(problem)), self._timing),)
 
-    def _heat(self) -> tuple[tuple[Coupled | Staggered, ...], tuple[Heating, ...]]:
+    def _heat(self) -> tuple[tuple[CoupledSystem | Staggered, ...], tuple[HeatState, ...]]:
         """Heat and what solves it, where anything conducts."""
         if not self.scene.conductors:
             return (), ()
@@ -296,15 +303,17 @@ class Model:
         match self.scene.coupling:
             case ("monolithic",):
                 (m,) = self.mechanics
-                system = Coupled(self.scene, conduction, m.problem, heat, Contact(m.problem))
-                return (system,), (Heating(self.scene, conduction, self._solver(system)),)
+                system = CoupledSystem(
+                    self.scene, conduction, m.problem, heat, ContactSystem(m.problem)
+                )
+                return (system,), (HeatState(self.scene, conduction, self._solver(system)),)
             case ("staggered",):
                 (m,) = self.mechanics
                 contact = ContactHeat(self.scene, m.problem, conduction)
                 both = Staggered(contact, conduction, m.problem, self._solver(heat), m.solver)
-                return (both,), (Heating(self.scene, conduction, both),)
+                return (both,), (HeatState(self.scene, conduction, both),)
             case _:
-                return (), (Heating(self.scene, conduction, self._solver(heat)),)
+                return (), (HeatState(self.scene, conduction, self._solver(heat)),)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -325,7 +334,7 @@ class Model:
         on_step: OnStep,
         on_heat: OnHeat,
         on_trouble: Callable[[str], None],
-        begin: Callable[[Stage], None] = lambda stage: None,
+        begin: Callable[[SceneStage], None] = lambda stage: None,
         mark: Callable[[int], None] = lambda k: None,
         resume: Callable[[], int] = lambda: 0,
     ) -> Summary:
@@ -346,17 +355,18 @@ class Model:
             ConvergenceError: As `run_stages`.
         """
 
-        def heated(step: Step, accepted: Accepted) -> None:
+        def heated(step: LoadStep, accepted: HeatStep) -> None:
             for t in self.thermal:
                 t.update(accepted)
             on_heat(step, accepted)
 
         motion = tuple(
-            Motion(m.problem, m.solver, on_step, on_trouble, (m.neighbours, *self._nested(m)))
+            LoadStepper(m.problem, m.solver, on_step, on_trouble, (m.neighbours, *self._nested(m)))
             for m in self.mechanics
         )
         march = tuple(
-            March(t.heating, self._companions(t, motion), heated, on_trouble) for t in self.thermal
+            HeatStepper(t.heating, self._companions(t, motion), heated, on_trouble)
+            for t in self.thermal
         )
         self._walk = motion, march
         run_stages(self.scene.stages, motion, march, begin, mark, resume())
@@ -401,21 +411,23 @@ class Model:
         case = coarser(self._case, m.solver.block_sizes)
         return () if case is None else (Nested(m.problem, m.solver, lambda: self._coarse(case)),)
 
-    def _coarse(self, case: config.Case) -> Motion:
+    def _coarse(self, case: config.Case) -> LoadStepper:
         """The mechanics of a coarser model on their way; collective."""
         comm = self.tagged.mesh.comm
         other = Model(case, comm, self.options, self._timing, self.stop, self._kin)
         (m,) = other.mechanics
         predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))
-        return Motion(m.problem, m.solver, lambda step, trial: None, log.debug, predictors)
+        return LoadStepper(m.problem, m.solver, lambda step, trial: None, log.debug, predictors)
 
-    def _companions(self, thermal: Thermal, motion: tuple[Motion, ...]) -> tuple[Companion, ...]:
+    def _companions(
+        self, thermal: ThermalModel, motion: tuple[LoadStepper, ...]
+    ) -> tuple[MechanicsBesideHeat, ...]:
         """The mechanics beside the heat: in one system with it, or after it."""
         heating = thermal.heating
         if self._common:
             (system,) = self._common
-            return tuple(Joint(m, heating, system) for m in motion)
-        return tuple(Following(m, heating, heating.options.mechanical_step) for m in motion)
+            return tuple(SolvedWithHeat(m, heating, system) for m in motion)
+        return tuple(SolvedAfterHeat(m, heating, heating.options.mechanical_step) for m in motion)
 
     # What is published of the state last committed
 
@@ -464,7 +476,7 @@ class Model:
         other = Model(case, self.tagged.mesh.comm, self.options, Timing(), self.stop, self._kin)
         last: list[Samples | None] = [None]
 
-        def keep(step: Step, trial: Trial | None) -> None:
+        def keep(step: LoadStep, trial: TrialState | None) -> None:
             if step.time == len(other.scene.stages) and trial is not None:
                 last[0] = Samples(other.mechanics[0].problem, trial)
 

@@ -11,18 +11,18 @@ import numpy as np
 
 from mantle.errors import StoppedError
 from mantle.forms.contact import OPEN, SLIP
-from mantle.mechanics.problem import Trial
+from mantle.mechanics.problem import TrialState
 from mantle.numerics.state import State
 from mantle.results import log as text
 from mantle.results.balance import Balance
 from mantle.results.output import UNITS, Writer
 from mantle.results.quantities import Samples
-from mantle.scene.terms import Stage
+from mantle.scene.terms import SceneStage
 from mantle.schema import config
 from mantle.simulation.model import Mechanical, Model
 from mantle.soundness import uniqueness
-from mantle.stepping.heat_steps import Accepted
-from mantle.stepping.load_steps import Step, Summary
+from mantle.stepping.heat_steps import HeatStep
+from mantle.stepping.load_steps import LoadStep, Summary
 from mantle.system.timing import Timing, peak_memory
 
 log = logging.getLogger("mantle")
@@ -69,7 +69,7 @@ class Recorder:
             self._balances = [m.balance(about) for m in model.mechanics]
             self._critical = [uniqueness.check(m.problem) for m in model.mechanics]
         self._samples: Samples | None = None
-        self._trials: tuple[Trial, ...] = ()
+        self._trials: tuple[TrialState, ...] = ()
         self._time = 0.0
         self._rows = self._written = self._frames = 0
         self._total = Summary()
@@ -122,12 +122,12 @@ class Recorder:
         for phase, seconds in state["timing"].items():
             self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds
 
-    def stage(self, stage: Stage) -> None:
+    def stage(self, stage: SceneStage) -> None:
         """A stage begins."""
         self._takes_time = stage.duration > 0 or stage.steady
         log.info("%s", text.heat_header() if self._takes_time else text.step_header())
 
-    def step(self, step: Step, trial: Trial | None) -> None:
+    def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
             (m,), (balance,) = self._model.mechanics, self._balances
@@ -141,7 +141,7 @@ class Recorder:
                 self._line(step)
                 self._row(step)
 
-    def heat(self, step: Step, accepted: Accepted) -> None:
+    def heat(self, step: LoadStep, accepted: HeatStep) -> None:
         """Record a step of the heat, which the mechanics have followed; collective."""
         with self._timing.phase("output"):
             self._total.count(accepted.outcome)
@@ -150,7 +150,7 @@ class Recorder:
                 log.info("%s", text.heat_line(step.number, accepted, t.row(), wall))
             self._row(step)
 
-    def _line(self, step: Step) -> None:
+    def _line(self, step: LoadStep) -> None:
         interfaces = self._model.interfaces(self._samples)
         rate = (len(self._model.scene.stages) - step.time) / step.time
         solved = self._timing.seconds.get("solve", 0.0)
@@ -170,7 +170,7 @@ class Recorder:
             ),
         )
 
-    def _row_of(self, step: Step, balance: Balance) -> dict[str, Any]:
+    def _row_of(self, step: LoadStep, balance: Balance) -> dict[str, Any]:
         """Columns of the mechanics."""
         row: dict[str, Any] = {
             "newton [-]": step.outcome.iterations,
@@ -186,7 +186,7 @@ class Recorder:
             row |= {f"{name} {key} [{unit}]": q[key] for key, unit in COLUMNS.items()}
         return row
 
-    def _row(self, step: Step) -> None:
+    def _row(self, step: LoadStep) -> None:
         """A row of history.csv, and fields where they are due."""
         self._time = step.time
         self._rows += 1

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from mantle.errors import Reason
 from mantle.forms.contact import OPEN
 from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.problem import Problem, TrialState
 from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.newton import Outcome, Solver
+from mantle.numerics.newton import NewtonResult, Solver
 from mantle.numerics.rigid_motions import add_relative, describe, rigid_modes
 from mantle.soundness import uniqueness
 
@@ -88,7 +88,7 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explain(problem: Problem, solver: Solver, outcome: Outcome) -> Explanation:
+def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanation:
     """Say why the last solve failed; collective."""
     x = solver.failed
     where = ""
@@ -145,7 +145,7 @@ def _restless(problem: Problem, j: Jumps, active: ActiveSet) -> tuple[str, ...]:
     return tuple(text for _, text in every[:SHOWN])
 
 
-def _largest(problem: Problem, j: Jumps, trial: Trial) -> str:
+def _largest(problem: Problem, j: Jumps, trial: TrialState) -> str:
     """Interface, place and state of the largest residual in the jump block."""
     r = np.linalg.norm(j.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
     best = (float(r.max(initial=0.0)), problem.comm.rank)
@@ -164,7 +164,7 @@ def _place(x: Floats) -> str:
     return "({:.2f}, {:.2f}, {:.2f}) mm".format(*x)
 
 
-def free_bodies(problem: Problem, trial: Trial) -> list[str]:
+def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     """Rigid motions of bodies that no support and no closed contact resists; collective.
 
     The resistance of the contacts is the generalized Jacobian at each point, seen through the
@@ -229,7 +229,7 @@ def sliding(problem: Problem) -> list[str]:
     return found
 
 
-def runaway(problem: Problem, trial: Trial) -> str:
+def runaway(problem: Problem, trial: TrialState) -> str:
     """A sentence if loads moved an interface as only a free body moves; collective.
 
     A body that contact does not hold may still be caught by the facets of a curved interface. It

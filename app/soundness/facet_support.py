@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mantle.forms.contact import OPEN
-from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.problem import Problem, TrialState
 from mantle.meshes.interfaces import ContactPoints
 from mantle.numerics.rigid_motions import DIRECTIONS, add_relative, rigid_modes
 from mantle.soundness.diagnosis import held_bodies
@@ -48,7 +48,7 @@ def spread_of_normals(points: ContactPoints) -> Floats:
     return total / np.where(area > 0, area, 1.0)[:, None, None]
 
 
-def held_by_facets(problem: Problem, trial: Trial) -> str:
+def held_by_facets(problem: Problem, trial: TrialState) -> str:
     """A sentence if smooth contact has let a body go where only its mesh resists; collective.
 
     The stiffness of contact in relative rigid motions of the bodies is set beside what the spread
@@ -102,7 +102,7 @@ def held_by_facets(problem: Problem, trial: Trial) -> str:
     )
 
 
-def _resistances(problem: Problem, trial: Trial, R: Floats) -> tuple[Floats, Floats]:
+def _resistances(problem: Problem, trial: TrialState, R: Floats) -> tuple[Floats, Floats]:
     """What contact resists motions of all bodies with, and what the spread of normals would.
 
     Args:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mantle.schema.conditions import Bonded, Force
 from mantle.schema.config import Case, Stage
-from mantle.schema.fields import Model
+from mantle.schema.fields import Section
 from mantle.schema.materials import Conductor, Rigid
 from mantle.schema.thermal_options import PressureConductance, Thermal
 from mantle.schema.variation_options import expand
@@ -251,14 +251,14 @@ def _count(number: float) -> str:
     return f"{round(number):,}".replace(",", " ")
 
 
-def _entries(model: Model, given: object, indent: int = 2) -> Iterable[str]:
+def _entries(model: Section, given: object, indent: int = 2) -> Iterable[str]:
     """A line per field: internal value, and as given where that differs."""
     written = model.model_dump(mode="json", exclude_none=True)
     source = given if isinstance(given, dict) else {}
     for key, value in written.items():
         if value in ([], {}) or (indent > 2 and key in ("kind", "rigid")):
             continue  # nothing to say, or said already in the line above
-        if isinstance(part := getattr(model, key), Model):
+        if isinstance(part := getattr(model, key), Section):
             kind = f" {value['kind']}" if "kind" in value else ""
             yield f"{' ' * indent}{key}:{kind}"
             yield from _entries(part, source.get(key), indent + 2)
@@ -382,7 +382,7 @@ def _unusual(place: str, thermal: Thermal) -> Iterable[str]:
         yield from _far_off(f"{place}.cure.heat", thermal.cure, "heat", 1.0, 1e4)
 
 
-def _far_off(place: str, model: Model, key: str, low: float, high: float) -> Iterable[str]:
+def _far_off(place: str, model: Section, key: str, low: float, high: float) -> Iterable[str]:
     value = getattr(model, key)
     if value and not low <= abs(value) <= high:
         text = _plain(model.model_dump(mode="json")[key])

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from mantle.errors import EnvironmentProblem
-from mantle.schema.case_file import CaseFile, Problem
+from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.config import Case, MeshFile
 from mantle.soundness import preview
 
@@ -139,10 +139,10 @@ def check(file: CaseFile, case: Case) -> None:
         f"{needed(case) / GIGABYTE:.2g} GB; there are {memory / GIGABYTE:.2g} GB"
     )
     if isinstance(case.geometry, MeshFile):
-        file.raise_all([Problem(("geometry", "path"), text)])
+        file.raise_all([Fault(("geometry", "path"), text)])
     larger = _fitting(case, memory)
     hint = f"; {larger:g} mm would do" if larger <= min(case.geometry.coarsest_size, ABSURD) else ""
-    file.raise_all([Problem(("mesh", "size"), f"{case.mesh.size:g} mm {text}{hint}")])
+    file.raise_all([Fault(("mesh", "size"), f"{case.mesh.size:g} mm {text}{hint}")])
 
 
 def _fitting(case: Case, memory: float) -> float:

@@ -28,10 +28,10 @@ from mantle.forms import interface_heat
 from mantle.heat.conduction import Conduction
 from mantle.heat.system import HeatSystem
 from mantle.mechanics.points import PointForces
-from mantle.mechanics.problem import ROUNDING, Problem, Trial
-from mantle.mechanics.systems import Contact
+from mantle.mechanics.problem import ROUNDING, Problem, TrialState
+from mantle.mechanics.systems import ContactSystem
 from mantle.numerics.deflation import CoarseSpace
-from mantle.numerics.newton import Outcome, Solver
+from mantle.numerics.newton import NewtonResult, Solver
 from mantle.numerics.preconditioners import INTERFACE, Options
 from mantle.numerics.sparse import from_triplets, matrix_sum, owners
 from mantle.numerics.state import State
@@ -49,7 +49,7 @@ TURNS = 60
 
 
 @dataclass(frozen=True)
-class Rows:
+class PointDerivatives:
     """How a scalar of each own contact point changes: with equilibrium and with the jump (n, 3)."""
 
     by_equilibrium: Floats
@@ -101,7 +101,7 @@ class ContactHeat:
             regions = {r: self._conduction.of_region(r) for r in self.expands}
             self._problem.set_temperature(regions)
 
-    def power(self, trial: Trial, elapsed: float) -> Floats:
+    def power(self, trial: TrialState, elapsed: float) -> Floats:
         """Power of friction per area at own contact points (n,) [N/(mm s)]."""
         (j,) = self._problem.jumps
         slip = trial.jump - j.history.jump
@@ -109,7 +109,7 @@ class ContactHeat:
         # The rounding of sticking points is no heat, and none cools.
         return np.where(self.rubbing, np.maximum(_dot(tangential, slip), 0.0), 0.0) / elapsed
 
-    def tell(self, trial: Trial, elapsed: float) -> None:
+    def tell(self, trial: TrialState, elapsed: float) -> None:
         """Hand pressures and friction to the heat."""
         (j,) = self._problem.jumps
         pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
@@ -124,7 +124,7 @@ class ContactHeat:
                     mine = float((j.weight * power)[j.interface == i].sum())
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
-    def rounding(self, trial: Trial, elapsed: float) -> float:
+    def rounding(self, trial: TrialState, elapsed: float) -> float:
         """What rounding of long slips leaves of the power of friction; collective [N mm/s]."""
         (j,) = self._problem.jumps
         slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
@@ -135,7 +135,7 @@ class ContactHeat:
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
-    def pressure_rows(self, trial: Trial) -> Rows:
+    def pressure_rows(self, trial: TrialState) -> PointDerivatives:
         """How the pressure changes."""
         (j,) = self._problem.jumps
         force = _normal(trial.law, j.normals)
@@ -143,7 +143,7 @@ class ContactHeat:
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(np.einsum("pi,pij->pj", direction, trial.law.jacobian))
 
-    def power_rows(self, trial: Trial, elapsed: float) -> Rows:
+    def power_rows(self, trial: TrialState, elapsed: float) -> PointDerivatives:
         """How the friction power changes."""
         (j,) = self._problem.jumps
         slip = trial.jump - j.history.jump
@@ -153,16 +153,16 @@ class ContactHeat:
         slides = slip - np.einsum("pk,pki->pi", along, j.normals)
         rows = self._rows(np.einsum("pi,pij->pj", slides, trial.law.jacobian))
         scale = np.where(warm, 1 / elapsed, 0.0)[:, None]
-        return Rows(scale * rows.by_equilibrium, scale * (rows.by_jump + tangential))
+        return PointDerivatives(scale * rows.by_equilibrium, scale * (rows.by_jump + tangential))
 
-    def _rows(self, by_trial_force: Floats) -> Rows:
+    def _rows(self, by_trial_force: Floats) -> PointDerivatives:
         """From derivatives by S (n, 3): -de/W as far as S has F in it, r dq."""
         (j,) = self._problem.jumps
         by_e = -(j.share / j.weight)[:, None] * by_trial_force
-        return Rows(by_e, j.stiffness[:, None] * by_trial_force)
+        return PointDerivatives(by_e, j.stiffness[:, None] * by_trial_force)
 
 
-class Coupled(System):
+class CoupledSystem(System):
     """Heat and mechanics as one system.
 
     Attributes:
@@ -180,7 +180,7 @@ class Coupled(System):
         conduction: Conduction,
         problem: Problem,
         heat: HeatSystem,
-        motion: Contact,
+        motion: ContactSystem,
     ) -> None:
         """Set up the blocks between the two; collective."""
         self.comm = problem.comm
@@ -350,7 +350,7 @@ class Coupled(System):
         return nodes
 
     def _from_motion(
-        self, trial: Trial, x: list[PETSc.Vec]
+        self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and what comes back to its own."""
         (j,) = self._problem.jumps
@@ -371,7 +371,7 @@ class Coupled(System):
         back = [[E.matMult(G) for G in forces[1]] for forces in self._forces for E, _ in rows]
         return up, back
 
-    def _matrices(self, rows: Rows) -> list[PETSc.Mat]:
+    def _matrices(self, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
         (j,) = self._problem.jumps
@@ -415,9 +415,9 @@ class Staggered:
         """Unknowns by block."""
         return self._heat.block_sizes | self._motion.block_sizes
 
-    def solve(self) -> Outcome:
+    def solve(self) -> NewtonResult:
         """Solve from the current state."""
-        outcome = Outcome(False, 0, 0, (), (), False)
+        outcome = NewtonResult(False, 0, 0, (), (), False)
         for _ in range(TURNS):
             self._tell()
             outcome = _after(outcome, self._heat.solve())
@@ -452,7 +452,7 @@ class Staggered:
         return self._heat.meets(self._conduction.measure(x, f))
 
 
-def _after(done: Outcome, last: Outcome) -> Outcome:
+def _after(done: NewtonResult, last: NewtonResult) -> NewtonResult:
     """Two solves as one."""
     return replace(
         last,

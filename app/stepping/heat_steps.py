@@ -23,7 +23,7 @@ from mantle.heat.curing import FreeStrain, as_temperature, since_gelation
 from mantle.mechanics.problem import Problem
 from mantle.numerics import integrator
 from mantle.numerics.integrator import METHODS, Method, State
-from mantle.numerics.newton import Outcome
+from mantle.numerics.newton import NewtonResult
 from mantle.numerics.state import State as SavedState
 from mantle.numerics.state import keyed
 from mantle.scene.terms import Expansion, Scene
@@ -39,7 +39,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Accepted:
+class HeatStep:
     """A heat step that is history.
 
     Attributes:
@@ -54,7 +54,7 @@ class Accepted:
     dt: float
     heats: dict[str, float]
     flows: dict[str, float]
-    outcome: Outcome
+    outcome: NewtonResult
 
 
 class Beside(Protocol):
@@ -70,7 +70,7 @@ class Partner(Protocol):
     def named(self) -> dict[str, PETSc.Vec]:
         """Blocks of the current state."""
 
-    def solve(self) -> Outcome:
+    def solve(self) -> NewtonResult:
         """Solve from the current state."""
 
     def state(self) -> SavedState:
@@ -99,7 +99,7 @@ class Warmth:
     strains: list[Floats]
 
 
-class Heating:
+class HeatState:
     """Temperatures, jumps and degrees of cure in time.
 
     Attributes:
@@ -123,7 +123,7 @@ class Heating:
         (self.options,) = scene.time
         self.conduction, self.solver = conduction, solver
         self.beside: tuple[Beside, ...] = ()
-        self.outcome = Outcome(False, 0, 0, (), (), False)
+        self.outcome = NewtonResult(False, 0, 0, (), (), False)
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
         self.total = Summary()
@@ -255,7 +255,7 @@ class Heating:
             first = integrator.first_step(self._slope, self.norm, longest)
         return self.options.first_step or first
 
-    def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.Step, Method] | None:
+    def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
         """Solve a time step; None where a stage does not converge.
 
         A step that may not be shorter is done by backward Euler then.
@@ -280,7 +280,7 @@ class Heating:
                 break
         return None if found is None else (found, method)
 
-    def accept(self, found: integrator.Step, method: Method, dt: float) -> Accepted:
+    def accept(self, found: integrator.StageStep, method: Method, dt: float) -> HeatStep:
         """Make a step history."""
         heats = {
             name: dt
@@ -292,9 +292,9 @@ class Heating:
         self.state, self._slope = found.state, found.slope
         self.seconds += dt
         self.total.steps += 1
-        return Accepted(self.seconds, dt, heats, self._stages[-1], self.outcome)
+        return HeatStep(self.seconds, dt, heats, self._stages[-1], self.outcome)
 
-    def rest(self) -> Accepted | None:
+    def rest(self) -> HeatStep | None:
         """Go to the steady state; None if it does not converge."""
         self._stages = []
         found = self._solve(self.state, np.inf, self.seconds, self.state)
@@ -302,7 +302,7 @@ class Heating:
             return None
         self.state, self._slope = found, [np.zeros_like(part) for part in found]
         self.total.steps += 1
-        return Accepted(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
+        return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
 
     # What others ask of the state
 
@@ -319,7 +319,7 @@ class Heating:
         curing = [t for cure in self.conduction.cures for t in cure.curing.events]
         return tuple(sorted({*courses, *curing}))
 
-    def begins_at_event(self, accepted: Accepted) -> bool:
+    def begins_at_event(self, accepted: HeatStep) -> bool:
         """Whether a step begins where the one before had to end."""
         begin = accepted.seconds - accepted.dt
         return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())

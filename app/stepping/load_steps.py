@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, field
 
 from mantle.errors import ConvergenceError, Reason
 from mantle.mechanics.prediction import Extrapolation, Predictor, same
-from mantle.mechanics.problem import Problem, Trial
-from mantle.numerics.newton import Outcome, Solver
+from mantle.mechanics.problem import Problem, TrialState
+from mantle.numerics.newton import NewtonResult, Solver
 from mantle.numerics.state import State
-from mantle.scene.terms import Stage
+from mantle.scene.terms import SceneStage
 from mantle.soundness.diagnosis import explain, runaway
 from mantle.soundness.facet_support import held_by_facets
 
@@ -25,7 +25,7 @@ GROWTH = 2.0
 
 
 @dataclass(frozen=True)
-class Step:
+class LoadStep:
     """A committed step of the mechanics or of the heat.
 
     Attributes:
@@ -41,7 +41,7 @@ class Step:
     number: int
     stage: str
     time: float
-    outcome: Outcome
+    outcome: NewtonResult
     augmentation: float
     seconds: float
     whole: bool
@@ -65,13 +65,13 @@ class Summary:
         self.rejected += other.rejected
         self.augmentation = min(self.augmentation, other.augmentation)
 
-    def count(self, outcome: Outcome) -> None:
+    def count(self, outcome: NewtonResult) -> None:
         """Add the iterations of a solve."""
         self.newton_iterations += outcome.iterations
         self.linear_iterations += outcome.linear_iterations
 
 
-OnStep = Callable[[Step, Trial | None], None]
+OnStep = Callable[[LoadStep, TrialState | None], None]
 # Called where a run may be taken up again.
 Mark = Callable[[], None]
 
@@ -81,7 +81,7 @@ def unmarked() -> None:
 
 
 @dataclass
-class Way:
+class Progress:
     """How far a path of loads has been gone.
 
     Attributes:
@@ -96,7 +96,7 @@ class Way:
 
 
 @dataclass
-class Motion:
+class LoadStepper:
     """The mechanics of a scene on their way through the stages.
 
     Attributes:
@@ -119,7 +119,7 @@ class Motion:
         """The line through the last states comes first."""
         self._line = Extrapolation(self.solver)
         self.predictors = (self._line, *self.predictors)
-        self._way: Way | None = None
+        self._way: Progress | None = None
 
     def state(self) -> State:
         """Where it is, and what it knows of the states before."""
@@ -131,15 +131,15 @@ class Motion:
 
     def resume(self, state: State) -> None:
         """Read it back; `load` goes on from there."""
-        self._way = state["way"] and Way(**state["way"])
+        self._way = state["way"] and Progress(**state["way"])
         self.total = Summary(**state["total"])
         for p, found in zip(self.predictors, state["predictors"], strict=False):
             p.resume(found)
 
-    def load(self, k: int, stage: Stage, mark: Mark = unmarked) -> None:
+    def load(self, k: int, stage: SceneStage, mark: Mark = unmarked) -> None:
         """Load steps through a stage that takes no time."""
         whole = 1.0 / stage.increments
-        self._way = self._way or Way(whole)
+        self._way = self._way or Progress(whole)
         self.advance(
             stage, whole, lambda s: self.problem.set_time(k + s), k, k + 1, self._way, mark
         )
@@ -147,12 +147,12 @@ class Motion:
 
     def advance(
         self,
-        stage: Stage,
+        stage: SceneStage,
         whole: float,
         place: Callable[[float], None],
         begin: float,
         end: float,
-        way: Way | None = None,
+        way: Progress | None = None,
         mark: Mark = unmarked,
     ) -> None:
         """Go along a path of loads, temperatures and supports.
@@ -170,7 +170,7 @@ class Motion:
             ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
         """
         problem, solver = self.problem, self.solver
-        way = way or Way(whole)
+        way = way or Progress(whole)
         self._line.begin(begin)
         while way.done < 1.0:
             started = clock.perf_counter()
@@ -216,7 +216,7 @@ class Motion:
             mark()
 
     def commit(
-        self, stage: Stage, time: float, outcome: Outcome, started: float, whole: bool
+        self, stage: SceneStage, time: float, outcome: NewtonResult, started: float, whole: bool
     ) -> None:
         """Make the state of the solver history, and tell of it; collective.
 
@@ -248,7 +248,7 @@ class Motion:
         self.total.steps += 1
         self.total.augmentation = outcome.augmentation
         self.on_step(
-            Step(
+            LoadStep(
                 self.total.steps,
                 stage.name,
                 time,

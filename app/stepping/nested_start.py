@@ -27,7 +27,7 @@ from mantle.meshes.interfaces import ContactPoints
 from mantle.numerics.newton import Solver
 from mantle.numerics.state import State
 from mantle.schema import config
-from mantle.stepping.load_steps import Motion
+from mantle.stepping.load_steps import LoadStepper
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -76,7 +76,7 @@ def coarser(case: config.Case, unknowns: Mapping[str, int]) -> config.Case | Non
 class Nested:
     """The jumps of a coarser mesh as starts of this one."""
 
-    def __init__(self, problem: Problem, solver: Solver, make: Callable[[], Motion]) -> None:
+    def __init__(self, problem: Problem, solver: Solver, make: Callable[[], LoadStepper]) -> None:
         """Begin with nothing: the coarse model is made when it is asked for the first time.
 
         Args:
@@ -85,7 +85,7 @@ class Nested:
             make: Makes the coarse model, at rest; collective.
         """
         self._problem, self._solver, self._make = problem, solver, make
-        self._coarse: Motion | None = None
+        self._coarse: LoadStepper | None = None
         self._failed = False
         self._past: list[float] = []
         self._way: list[float] = []
@@ -137,7 +137,7 @@ class Nested:
         self._past = []
         return between(self._known, time)
 
-    def _advance(self, coarse: Motion, time: float) -> None:
+    def _advance(self, coarse: LoadStepper, time: float) -> None:
         """Take the coarse model to a time; it must not be stopped on the way by a failed step."""
         begin = self._known[-1][0]
         k = math.ceil(time) - 1

@@ -18,22 +18,22 @@ from typing import Protocol
 from mantle.errors import ConvergenceError
 from mantle.numerics.integrator import Controller
 from mantle.numerics.state import State
-from mantle.scene.terms import Stage
+from mantle.scene.terms import SceneStage
 from mantle.soundness.diagnosis import attempts
-from mantle.stepping.coupling import Coupled, Staggered
-from mantle.stepping.heat_steps import Accepted, Heating
-from mantle.stepping.load_steps import Mark, Motion, Step, Summary, unmarked
+from mantle.stepping.coupling import CoupledSystem, Staggered
+from mantle.stepping.heat_steps import HeatState, HeatStep
+from mantle.stepping.load_steps import LoadStep, LoadStepper, Mark, Summary, unmarked
 
 # A time step below this part of its stage is given up.
 SHORTEST = 1e-10
 
-OnHeat = Callable[[Step, Accepted], None]
+OnHeat = Callable[[LoadStep, HeatStep], None]
 
 
-class Companion(Protocol):
+class MechanicsBesideHeat(Protocol):
     """The mechanics beside the heat."""
 
-    def begin(self, k: int, stage: Stage) -> None:
+    def begin(self, k: int, stage: SceneStage) -> None:
         """Begin a stage that takes time."""
 
     def after(self, time: float, whole: bool) -> None:
@@ -42,15 +42,15 @@ class Companion(Protocol):
     def state(self) -> State:
         """Where the mechanics stand."""
 
-    def resume(self, state: State, k: int, stage: Stage) -> None:
+    def resume(self, state: State, k: int, stage: SceneStage) -> None:
         """Read it back within a stage, heat and mechanics being there; collective."""
 
 
 def run_stages(
-    stages: Sequence[Stage],
-    motion: tuple[Motion, ...],
-    march: tuple[March, ...],
-    begin: Callable[[Stage], None] = lambda stage: None,
+    stages: Sequence[SceneStage],
+    motion: tuple[LoadStepper, ...],
+    march: tuple[HeatStepper, ...],
+    begin: Callable[[SceneStage], None] = lambda stage: None,
     mark: Callable[[int], None] = lambda k: None,
     first: int = 0,
 ) -> None:
@@ -80,7 +80,7 @@ def run_stages(
 
 
 @dataclass
-class March:
+class HeatStepper:
     """The heat of a scene on its way through time.
 
     Attributes:
@@ -90,8 +90,8 @@ class March:
         on_trouble: Told in plain words what is tried when a step fails.
     """
 
-    heating: Heating
-    companions: tuple[Companion, ...]
+    heating: HeatState
+    companions: tuple[MechanicsBesideHeat, ...]
     on_heat: OnHeat
     on_trouble: Callable[[str], None]
 
@@ -118,7 +118,7 @@ class March:
             "companions": [c.state() for c in self.companions],
         }
 
-    def resume(self, state: State, k: int, stage: Stage) -> None:
+    def resume(self, state: State, k: int, stage: SceneStage) -> None:
         """Read it back, heat and mechanics being there; `go` goes on from there; collective."""
         self._under_way, self._begin = state["under_way"], state["begin"]
         self._steps = state["steps"]
@@ -128,7 +128,7 @@ class March:
         for c, found in zip(self.companions, state["companions"], strict=True):
             c.resume(found, k, stage)
 
-    def go(self, k: int, stage: Stage, mark: Mark = unmarked) -> None:
+    def go(self, k: int, stage: SceneStage, mark: Mark = unmarked) -> None:
         """Through a stage that takes time, or to a steady state."""
         self._mark = mark
         if not self._under_way:
@@ -144,7 +144,7 @@ class March:
             self._fixed(k, stage)
         self._under_way = False
 
-    def _rest(self, k: int, stage: Stage) -> None:
+    def _rest(self, k: int, stage: SceneStage) -> None:
         if self._steps:
             return
         started = clock.perf_counter()
@@ -157,7 +157,7 @@ class March:
             )
         self._tell(k, stage, 1.0, accepted, started, True)
 
-    def _fixed(self, k: int, stage: Stage) -> None:
+    def _fixed(self, k: int, stage: SceneStage) -> None:
         """Equal steps, whatever their error."""
         if not self._steps:
             self.heating.start(stage.duration / stage.increments)
@@ -170,7 +170,7 @@ class March:
             accepted = self.heating.accept(*found, dt)
             self._tell(k, stage, part, accepted, started, at_end)
 
-    def _equal(self, stage: Stage) -> list[tuple[float, float, bool]]:
+    def _equal(self, stage: SceneStage) -> list[tuple[float, float, bool]]:
         """Steps as long as increments, divided at events.
 
         Returns:
@@ -187,7 +187,7 @@ class March:
             ]
         return found
 
-    def _adaptive(self, k: int, stage: Stage) -> None:
+    def _adaptive(self, k: int, stage: SceneStage) -> None:
         """Steps chosen by their error."""
         heating, begin = self.heating, self._begin
         whole = stage.duration / stage.increments
@@ -218,19 +218,25 @@ class March:
             self._tell(k, stage, min(part, 1.0), accepted, started, at_end)
 
     def _tell(
-        self, k: int, stage: Stage, part: float, accepted: Accepted, started: float, whole: bool
+        self,
+        k: int,
+        stage: SceneStage,
+        part: float,
+        accepted: HeatStep,
+        started: float,
+        whole: bool,
     ) -> None:
         """Let the mechanics follow, and report."""
         time = k + (1.0 if part > 1 - SHORTEST else part)
         for c in self.companions:
             c.after(time, whole)
         seconds = clock.perf_counter() - started
-        step = Step(self.total.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
+        step = LoadStep(self.total.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
         self.on_heat(step, accepted)
         self._steps += 1
         self._mark()
 
-    def _text(self, stage: Stage, part: float, dt: float) -> str:
+    def _text(self, stage: SceneStage, part: float, dt: float) -> str:
         """Why a time step failed."""
         tail = ", ".join(f"{r:.1e}" for r in self.heating.outcome.residuals[-6:]) or "none"
         advice = (
@@ -247,10 +253,10 @@ class March:
         )
 
 
-class Following:
+class SolvedAfterHeat:
     """Mechanics that heat does not depend on: solved after it."""
 
-    def __init__(self, motion: Motion, heating: Heating, limit: float) -> None:
+    def __init__(self, motion: LoadStepper, heating: HeatState, limit: float) -> None:
         """Let the mechanics follow.
 
         Args:
@@ -264,7 +270,7 @@ class Following:
         self._before = heating.warmth()
         heating.warm(motion.problem, self._before, self._before, 1.0)
 
-    def begin(self, k: int, stage: Stage) -> None:
+    def begin(self, k: int, stage: SceneStage) -> None:
         """Remember where the mechanics stand."""
         self._stage, self._time = stage, float(k)
         self._before = self._heating.warmth()
@@ -289,17 +295,19 @@ class Following:
         """Of which heat the mechanics know, and when that was."""
         return {"before": self._heating.pack(self._before), "time": self._time}
 
-    def resume(self, state: State, k: int, stage: Stage) -> None:
+    def resume(self, state: State, k: int, stage: SceneStage) -> None:
         """Read it back; collective."""
         self._stage, self._time = stage, state["time"]
         self._before = self._heating.unpack(state["before"])
         self._heating.warm(self._motion.problem, self._before, self._before, 1.0)
 
 
-class Joint:
+class SolvedWithHeat:
     """Mechanics that heat depends on: in one system with it."""
 
-    def __init__(self, motion: Motion, heating: Heating, system: Coupled | Staggered) -> None:
+    def __init__(
+        self, motion: LoadStepper, heating: HeatState, system: CoupledSystem | Staggered
+    ) -> None:
         """Put the mechanics beside the heat.
 
         Args:
@@ -313,7 +321,7 @@ class Joint:
         self._before = heating.warmth()
         heating.warm(motion.problem, self._before, self._before, 1.0)
 
-    def begin(self, k: int, stage: Stage) -> None:
+    def begin(self, k: int, stage: SceneStage) -> None:
         """Begin where the mechanics stand."""
         self._k, self._stage = k, stage
         self._start = self._committed = self._heating.seconds
@@ -363,7 +371,7 @@ class Joint:
         """When the stage began, and when the mechanics were last history."""
         return {"start": self._start, "committed": self._committed}
 
-    def resume(self, state: State, k: int, stage: Stage) -> None:
+    def resume(self, state: State, k: int, stage: SceneStage) -> None:
         """Read it back; collective."""
         self._k, self._stage = k, stage
         self._start, self._committed = state["start"], state["committed"]

@@ -23,7 +23,7 @@ from mantle.campaigns.work_precision import fitted_order
 from mantle.errors import InputError
 from mantle.system.folders import write_json, write_text
 from mantle.verification.bench_picture import picture
-from mantle.verification.bench_run import Cost, NotMeasured, Runs, Setting
+from mantle.verification.bench_run import BenchCase, Cost, NotMeasured, Runs
 
 log = logging.getLogger("mantle")
 
@@ -65,7 +65,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Line:
+class Goal:
     """A figure to be reached.
 
     Attributes:
@@ -92,7 +92,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class BenchResult:
     """What became of a line.
 
     Attributes:
@@ -100,7 +100,7 @@ class Outcome:
         figure: What was measured; None if it could not be.
     """
 
-    line: Line
+    line: Goal
     figure: float | None
 
     @property
@@ -158,21 +158,21 @@ def run(pattern: str, folder: Path, full: bool) -> bool:
     return all(o.figure is not None for o in outcomes)
 
 
-def measure(line: Line, runs: Runs) -> Outcome:
+def measure(line: Goal, runs: Runs) -> BenchResult:
     """Measure a line; what fails is told and is no figure."""
     try:
         figure = line.measure(runs)
         if math.isfinite(figure):
-            return Outcome(line, figure)
+            return BenchResult(line, figure)
         log.warning("%s cannot be measured: it is %s", line.name, figure)
     except NotMeasured as error:
         log.warning("%s cannot be measured: %s", line.name, error)
     except KeyError as error:
         log.warning("%s cannot be measured: its runs do not tell %s", line.name, error)
-    return Outcome(line, None)
+    return BenchResult(line, None)
 
 
-def lines(full: bool) -> list[Line]:
+def lines(full: bool) -> list[Goal]:
     """Every line, those of a million unknowns last.
 
     Args:
@@ -180,40 +180,40 @@ def lines(full: bool) -> list[Line]:
     """
     rungs = (*DEFAULT, *FULL) if full else DEFAULT
     found = [
-        Line("stem_cpu", 5.0, "s", lambda runs: median(c.solution for c in _stem(runs))),
-        Line("stem_memory", 500.0, "MB", lambda runs: median(c.memory for c in _stem(runs))),
-        Line("stem_penetration", 0.0, "mm", _penetration, rounding=ROUNDING),
-        *(Line(f"contact_over_bonded_{r}", 2.5, "-", partial(_contact, r)) for r in rungs),
-        *(Line(f"moderate_over_bonded_{r}", 1.5, "-", partial(_moderate, r)) for r in STEM_RUNGS),
-        Line("growth_exponent", 1.15, "-", lambda runs: growth(_ladder(runs, rungs))),
-        Line("newton_spread", 3.0, "-", lambda runs: spread(_ladder(runs, rungs))),
-        Line("ranks_2_over_1", 1.7, "-", _ranks, at_least=True),
-        Line("variations_12", 2.5, "-", _variations),
-        Line("later_load_steps", 0.5, "-", _load_steps),
-        Line("order_2_over_1", 1.0, "-", _orders),
-        Line("cure_over_conduction", 3.0, "-", _cure),
-        Line("cylinders_start_to_finish", 3.0, "-", _cylinders),
+        Goal("stem_cpu", 5.0, "s", lambda runs: median(c.solution for c in _stem(runs))),
+        Goal("stem_memory", 500.0, "MB", lambda runs: median(c.memory for c in _stem(runs))),
+        Goal("stem_penetration", 0.0, "mm", _penetration, rounding=ROUNDING),
+        *(Goal(f"contact_over_bonded_{r}", 2.5, "-", partial(_contact, r)) for r in rungs),
+        *(Goal(f"moderate_over_bonded_{r}", 1.5, "-", partial(_moderate, r)) for r in STEM_RUNGS),
+        Goal("growth_exponent", 1.15, "-", lambda runs: growth(_ladder(runs, rungs))),
+        Goal("newton_spread", 3.0, "-", lambda runs: spread(_ladder(runs, rungs))),
+        Goal("ranks_2_over_1", 1.7, "-", _ranks, at_least=True),
+        Goal("variations_12", 2.5, "-", _variations),
+        Goal("later_load_steps", 0.5, "-", _load_steps),
+        Goal("order_2_over_1", 1.0, "-", _orders),
+        Goal("cure_over_conduction", 3.0, "-", _cure),
+        Goal("cylinders_start_to_finish", 3.0, "-", _cylinders),
     ]
     if full:
         found += [
-            Line("million_memory", 12.0, "GB", lambda runs: _million(runs).memory / 1e3),
-            Line("million_minutes", 5.0, "min", lambda runs: _million(runs).wall / 60),
+            Goal("million_memory", 12.0, "GB", lambda runs: _million(runs).memory / 1e3),
+            Goal("million_minutes", 5.0, "min", lambda runs: _million(runs).wall / 60),
         ]
     return found
 
 
-def stance(kind: str, rung: str, ranks: int = 1) -> Setting:
+def stance(kind: str, rung: str, ranks: int = 1) -> BenchCase:
     """The femur at first order, its interfaces in contact or bonded."""
     name = f"{kind}_{rung}" + (f"_{ranks}_ranks" if ranks > 1 else "")
     bonded = BONDED if kind == "bonded" else ()
-    return Setting(name, "stance.yaml", RUNGS[rung], (*FIRST_ORDER, *bonded), ranks)
+    return BenchCase(name, "stance.yaml", RUNGS[rung], (*FIRST_ORDER, *bonded), ranks)
 
 
-def stem(kind: str, rung: str) -> Setting:
+def stem(kind: str, rung: str) -> BenchCase:
     """The press-fitted stem, its interfaces in contact or bonded."""
     overrides = BONDED if kind == "bonded" else MODERATE
     sized = ("mesh.size", "mesh.far_size")
-    return Setting(f"stem_{kind}_{rung}", STEM, STEM_RUNGS[rung], overrides, sized=sized)
+    return BenchCase(f"stem_{kind}_{rung}", STEM, STEM_RUNGS[rung], overrides, sized=sized)
 
 
 def _times(rung: str) -> int:
@@ -221,7 +221,7 @@ def _times(rung: str) -> int:
 
 
 def _stem(runs: Runs, times: int = TIMES) -> list[Cost]:
-    return runs.costs(Setting("stem", STEM), times=times)[0]
+    return runs.costs(BenchCase("stem", STEM), times=times)[0]
 
 
 def _penetration(runs: Runs) -> float:
@@ -236,7 +236,7 @@ def _moderate(rung: str, runs: Runs) -> float:
     return _ratio(runs, stem("moderate", rung), stem("bonded", rung), _times(rung))
 
 
-def _ratio(runs: Runs, one: Setting, other: Setting, times: int) -> float:
+def _ratio(runs: Runs, one: BenchCase, other: BenchCase, times: int) -> float:
     """CPU time beside that of another, run in turn."""
     both = runs.costs(one, other, times=times)
     return median(a.solution / b.solution for a, b in zip(*both, strict=True))
@@ -268,7 +268,7 @@ def _ranks(runs: Runs) -> float:
 def _variations(runs: Runs) -> float:
     """Twelve cases in one run over one of them, start to finish."""
     one = stance("contact", CHEAP[-1])
-    twelve = Setting("variations", one.case, one.size, (*one.overrides, TWELVE))
+    twelve = BenchCase("variations", one.case, one.size, (*one.overrides, TWELVE))
     (together,), (alone,) = runs.costs(twelve, one)
     return together.cpu / alone.cpu
 
@@ -276,7 +276,7 @@ def _variations(runs: Runs) -> float:
 def _load_steps(runs: Runs) -> float:
     """The longest later load step over the first."""
     one = stance("contact", CHEAP[-1])
-    ((cost,),) = runs.costs(Setting("load_steps", one.case, one.size, (*one.overrides, *STEPS)))
+    ((cost,),) = runs.costs(BenchCase("load_steps", one.case, one.size, (*one.overrides, *STEPS)))
     return later_steps(cost)
 
 
@@ -288,8 +288,8 @@ def later_steps(cost: Cost) -> float:
 
 def _orders(runs: Runs) -> float:
     """Second order over first at equal error of slip."""
-    second = Setting("order_2", "stance.yaml", SECOND, STANCE)
-    reference = Setting("order_2_reference", "stance.yaml", REFERENCE, STANCE)
+    second = BenchCase("order_2", "stance.yaml", SECOND, STANCE)
+    reference = BenchCase("order_2_reference", "stance.yaml", REFERENCE, STANCE)
     (two,), (best,) = runs.costs(second, reference)
     return equal_error(two, [rung[0] for rung in _ladder(runs, DEFAULT)], best)
 
@@ -322,8 +322,8 @@ def equal_error(two: Cost, ones: Sequence[Cost], reference: Cost) -> float:
 
 def _cure(runs: Runs) -> float:
     """Setting cement over the same time steps of bonded conduction."""
-    cure = Setting("cure", "cure.yaml", overrides=HALF_AN_HOUR)
-    conduction = Setting("conduction", "cure.yaml", overrides=(*HALF_AN_HOUR, *CONDUCTION))
+    cure = BenchCase("cure", "cure.yaml", overrides=HALF_AN_HOUR)
+    conduction = BenchCase("conduction", "cure.yaml", overrides=(*HALF_AN_HOUR, *CONDUCTION))
     return _ratio(runs, cure, conduction, TIMES)
 
 
@@ -332,7 +332,7 @@ def _cylinders(runs: Runs) -> float:
     ratios = []
     for i in range(TIMES):
         library = runs.process("import", [sys.executable, "-c", "import dolfinx"])
-        (costs,) = runs.costs(Setting("cylinders", "cylinders.yaml"), times=i + 1)
+        (costs,) = runs.costs(BenchCase("cylinders", "cylinders.yaml"), times=i + 1)
         ratios.append(costs[i].wall / library.wall)
     return median(ratios)
 
@@ -372,7 +372,7 @@ def _table_of(rows: Sequence[dict[str, Any]]) -> str:
     return text.getvalue()
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(outcomes: Sequence[BenchResult]) -> str:
     """Figures beside what is asked."""
     width = max(len(o.line.name) for o in outcomes)
     text = [f"{'benchmark':<{width}} {'figure':>9} {'asked':>12}  unit"]

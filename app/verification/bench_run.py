@@ -38,7 +38,7 @@ class NotMeasured(MantleError):
 
 
 @dataclass(frozen=True)
-class Setting:
+class BenchCase:
     """What is run.
 
     Attributes:
@@ -140,13 +140,13 @@ class Runs:
         Args:
             folder: Where run directories and logs go.
         """
-        self.known: dict[Setting, list[Cost]] = {}
+        self.known: dict[BenchCase, list[Cost]] = {}
         self.meshing: dict[tuple[str, ...], float] = {}
         self._folder = folder
         self._compiled: set[tuple[str, tuple[str, ...]]] = set()
-        self._failed: dict[Setting, NotMeasured] = {}
+        self._failed: dict[BenchCase, NotMeasured] = {}
 
-    def costs(self, *settings: Setting, times: int = 1) -> list[list[Cost]]:
+    def costs(self, *settings: BenchCase, times: int = 1) -> list[list[Cost]]:
         """What settings cost, each of them so many times.
 
         They run in turn, so that what else happens on the machine meets them all.
@@ -196,7 +196,7 @@ class Runs:
             raise NotMeasured(f"{name} failed with exit code {code}, see {path}:\n{said}")
         return Cost(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / MEGA, {})
 
-    def _warm(self, setting: Setting) -> None:
+    def _warm(self, setting: BenchCase) -> None:
         """Have mesh and compiled forms in their caches, so that no run that counts makes them."""
         same = tuple(o for o in setting.overrides if not o.startswith(SAME_FORMS))
         if (setting.case, same) not in self._compiled:
@@ -210,7 +210,7 @@ class Runs:
             check = [*MANTLE, "check", "--mesh", *setting.options]
             self.meshing[setting.mesh] = self.process("mesh", check).wall
 
-    def _run(self, setting: Setting) -> Cost:
+    def _run(self, setting: BenchCase) -> Cost:
         """Run a case."""
         folder = self._folder / setting.name
         ranks = ["-n", str(setting.ranks)] if setting.ranks > 1 else []
@@ -226,7 +226,7 @@ class Runs:
         return replace(cost, memory=memory, summary=summary, history=rows)
 
 
-def _tell(setting: Setting, cost: Cost) -> None:
+def _tell(setting: BenchCase, cost: Cost) -> None:
     if not cost.summary:
         log.info("%-22s %9.1f CPU s start to finish", setting.name, cost.cpu)
         return

@@ -51,7 +51,7 @@ def hot_fit_pressure(
 
 
 @dataclass(frozen=True)
-class Layer:
+class ExactLayer:
     """A ring, or a core if its inner radius is 0, in plane strain.
 
     Attributes:
@@ -98,7 +98,7 @@ class Layers:
             otherwise there is no traction between them.
     """
 
-    layers: tuple[Layer, ...]
+    layers: tuple[ExactLayer, ...]
     joined: tuple[bool, ...]
 
     def constants(self) -> Floats:

@@ -171,7 +171,7 @@ def heated_half_space(x: Floats, t: float, flux: float, material: Conductor) -> 
 
 
 @dataclass(frozen=True)
-class Kinetics:
+class ExactKinetics:
     """Rate of cure k0 exp(-Ea/RT) a^m (1 - a)^n [1/s]; Ea in J/mol, T in K."""
 
     rate_constant: float
@@ -210,7 +210,7 @@ def logistic_degree(t: float, rate: float, initial: float) -> float:
     return 1 / (1 + (1 / initial - 1) * math.exp(-rate * t))
 
 
-def zero_order_time(kinetics: Kinetics, T: float, rise: float, total: float) -> float:
+def zero_order_time(kinetics: ExactKinetics, T: float, rise: float, total: float) -> float:
     """When an adiabatic reaction with m = n = 0 has warmed by ``rise`` of ``total`` [s].
 
     F(T) = T exp(B/T) - B Ei(B/T) has the derivative exp(B/T), with B = Ea / R.

@@ -18,7 +18,7 @@ from mantle.errors import ConvergenceError, GeometryError, InputError, Reason
 from mantle.results.reading import Run
 from mantle.schema import config
 from mantle.system.folders import write_json
-from mantle.verification.extremes_case import CONFIGS, Trial, Wanted
+from mantle.verification.extremes_case import CONFIGS, ExtremeCase, Wanted
 from mantle.verification.extremes_cases import trials
 from mantle.verification.extremes_picture import picture
 
@@ -30,7 +30,7 @@ REFUSALS = tuple(e.exit_code for e in (InputError, GeometryError, ConvergenceErr
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ExtremeResult:
     """What became of a case.
 
     Attributes:
@@ -41,7 +41,7 @@ class Outcome:
         seconds: Wall time of its own run, the first.
     """
 
-    trial: Trial
+    trial: ExtremeCase
     state: str
     explanation: str
     deviation: float | None
@@ -98,7 +98,7 @@ def run(pattern: str, folder: Path, full: bool, cores: int) -> bool:
 
 
 def _jobs(
-    chosen: Sequence[Trial], folder: Path
+    chosen: Sequence[ExtremeCase], folder: Path
 ) -> tuple[dict[Wanted, batch.Job], dict[Wanted, batch.Result]]:
     """The runs of all cases, each once, and those that are refused before they begin."""
     jobs: dict[Wanted, batch.Job] = {}
@@ -124,7 +124,7 @@ def _jobs(
     return jobs, refused
 
 
-def judge(t: Trial, results: Sequence[batch.Result]) -> Outcome:
+def judge(t: ExtremeCase, results: Sequence[batch.Result]) -> ExtremeResult:
     """Say what became of a case.
 
     Args:
@@ -136,21 +136,21 @@ def judge(t: Trial, results: Sequence[batch.Result]) -> Outcome:
     if failed is not None:
         explained = failed is results[0] and failed.exit_code in REFUSALS
         if explained and t.refused in Reason.within(failed.message):
-            return Outcome(t, REFUSED, failed.message, None, seconds)
+            return ExtremeResult(t, REFUSED, failed.message, None, seconds)
         why = f"{failed.job.name}: exit code {failed.exit_code}: {failed.message}"
-        return Outcome(t, FAILED, why, None, seconds)
+        return ExtremeResult(t, FAILED, why, None, seconds)
     if t.judge is None:
-        return Outcome(t, WRONG, "converged, though there is no answer", None, seconds)
+        return ExtremeResult(t, WRONG, "converged, though there is no answer", None, seconds)
     try:
         judged = t.judge([Run(r.folder) for r in results])
     except Exception as error:  # of any kind: the other cases are still to be told of
         log.debug("%s", t.name, exc_info=True)
-        return Outcome(t, FAILED, f"cannot be judged: {error!r}", None, seconds)
+        return ExtremeResult(t, FAILED, f"cannot be judged: {error!r}", None, seconds)
     right = judged.deviation <= t.tolerance
-    return Outcome(t, CORRECT if right else WRONG, judged.note, judged.deviation, seconds)
+    return ExtremeResult(t, CORRECT if right else WRONG, judged.note, judged.deviation, seconds)
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(outcomes: Sequence[ExtremeResult]) -> str:
     """A line for each row; then every case that is not as it should be."""
     rows = list(dict.fromkeys(o.trial.row for o in outcomes))
     width = max(map(len, (*rows, "row")))
@@ -175,14 +175,14 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def _badness(o: Outcome) -> float:
+def _badness(o: ExtremeResult) -> float:
     """Deviation over tolerance; none is worse than one that is no number."""
     if o.deviation is None or math.isnan(o.deviation):
         return math.inf
     return o.deviation / o.trial.tolerance if o.trial.tolerance else o.deviation * math.inf
 
 
-def verdict(outcomes: Sequence[Outcome]) -> str:
+def verdict(outcomes: Sequence[ExtremeResult]) -> str:
     """One sentence."""
     counts = {s: sum(o.state == s for o in outcomes) for s in STATES}
     said = ", ".join(f"{n} {state}" for state, n in counts.items() if n)

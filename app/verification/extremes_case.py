@@ -53,7 +53,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Trial:
+class ExtremeCase:
     """A case: runs and what they must satisfy.
 
     Attributes:
@@ -92,7 +92,7 @@ def trial(
     judge: Judge | None,
     tolerance: float = 0.0,
     refused: Reason | None = None,
-) -> Trial:
+) -> ExtremeCase:
     """A case, of one run or of several."""
     runs = (runs,) if isinstance(runs, Wanted) else tuple(runs)
-    return Trial(row, line, at, parameters, runs, judge, tolerance, refused)
+    return ExtremeCase(row, line, at, parameters, runs, judge, tolerance, refused)

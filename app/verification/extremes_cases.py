@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from functools import partial
 
 from mantle.verification import judges
-from mantle.verification.extremes_case import Trial, Wanted, trial
+from mantle.verification.extremes_case import ExtremeCase, Wanted, trial
 from mantle.verification.heat_problems import heat_problems
 from mantle.verification.rows_of_extremes import extremes
 from mantle.verification.rows_of_invariants import invariants
 
 
-def trials(full: bool = False) -> list[Trial]:
+def trials(full: bool = False) -> list[ExtremeCase]:
     """All cases.
 
     Args:
@@ -21,7 +21,7 @@ def trials(full: bool = False) -> list[Trial]:
     return [*extremes(full), *invariants(full), *_heat()]
 
 
-def _heat() -> Iterator[Trial]:
+def _heat() -> Iterator[ExtremeCase]:
     """The stiff problems of `mantle verify`: conductances, time steps, jumps of temperature."""
     for p in heat_problems():
         if p.name.startswith("stiff_"):

@@ -232,9 +232,9 @@ def layers_contact(run: Run) -> Sample:
 def _layers(joined: tuple[bool, bool]) -> coupled.Layers:
     return coupled.Layers(
         (
-            coupled.Layer(0, 6, (200e3, 0.3)),
-            coupled.Layer(6, 10, (2200.0, 0.3), -80e-6 * 40),
-            coupled.Layer(10, 15, (17e3, 0.3)),
+            coupled.ExactLayer(0, 6, (200e3, 0.3)),
+            coupled.ExactLayer(6, 10, (2200.0, 0.3), -80e-6 * 40),
+            coupled.ExactLayer(10, 15, (17e3, 0.3)),
         ),
         joined,
     )

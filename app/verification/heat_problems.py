@@ -10,15 +10,15 @@ from mantle.verification import closed_forms_heat as exact
 from mantle.verification import heat_measures as measures
 from mantle.verification.heat_measures import BONE, CEMENT
 from mantle.verification.measures import Measure
-from mantle.verification.problem import Point, Problem, ladder
+from mantle.verification.problem import Check, CheckRun, ladder
 
 KINETICS = (2.6397e8, 62866.0)
-PMMA = exact.Kinetics(*KINETICS, 0.98, 1.064)
+PMMA = exact.ExactKinetics(*KINETICS, 0.98, 1.064)
 RISE = 155 / 1.74  # K
 TIME_STEP = "time step (s)"
 
 
-def heat_problems(fine: bool = False) -> list[Problem]:
+def heat_problems(fine: bool = False) -> list[Check]:
     """All of them.
 
     Args:
@@ -44,21 +44,21 @@ def _sizes(*sizes: float, fine: bool) -> list[float]:
 _SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 
 
-def _steady(fine: bool) -> Iterator[Problem]:
-    yield Problem(
+def _steady(fine: bool) -> Iterator[Check]:
+    yield Check(
         "heat_bars",
         "temperatures of two bars, over their range, and flux; 1 to 1e6 W/(m2 K)",
         1e-6,
         "two_bars.yaml",
         tuple(
-            Point(
+            CheckRun(
                 (f"interfaces.cement_bone.conductance={h} W/(m^2 K)",),
                 partial(measures.bars, conductance=1e-3 * h),
             )
             for h in (1.0, 300.0, 1e6)
         ),
     )
-    yield Problem(
+    yield Check(
         "heat_rings",
         "temperatures of two rings, relative in L2",
         1e-4,
@@ -66,14 +66,14 @@ def _steady(fine: bool) -> Iterator[Problem]:
         ladder(_sizes(1, 0.5, 0.35, 0.25, fine=fine), _SLICE, measures.rings),
         2.0,
     )
-    yield Problem(
+    yield Check(
         "heat_slab",
         "temperatures of a perfused slab, relative in L2",
         1e-3,
         "perfused_slab.yaml",
-        (Point((), measures.slab),),
+        (CheckRun((), measures.slab),),
     )
-    yield Problem(
+    yield Check(
         "heat_fibre",
         "temperatures with a fibre in any direction, relative in L2",
         5e-3,
@@ -85,8 +85,8 @@ def _steady(fine: bool) -> Iterator[Problem]:
     )
 
 
-def _transient(fine: bool) -> Iterator[Problem]:
-    yield Problem(
+def _transient(fine: bool) -> Iterator[Check]:
+    yield Check(
         "heat_cylinder",
         "temperatures of a cooling cylinder, relative in L2",
         0.005,
@@ -96,13 +96,13 @@ def _transient(fine: bool) -> Iterator[Problem]:
     )
     for name, h in (("perfect", math.inf), ("resistance", 1.0)):
         text = "perfect" if math.isinf(h) else f"{1e3 * h} W/(m^2 K)"
-        yield Problem(
+        yield Check(
             f"heat_contact_{name}",
             "temperatures of two half-spaces in contact, over their range",
             0.01,
             "half_spaces.yaml",
             (
-                Point(
+                CheckRun(
                     (f"interfaces.cement_bone.conductance={text}",),
                     partial(measures.half_spaces, conductance=h),
                 ),
@@ -110,7 +110,7 @@ def _transient(fine: bool) -> Iterator[Problem]:
         )
 
 
-def _rubbing() -> Iterator[Problem]:
+def _rubbing() -> Iterator[Check]:
     e, f = exact.effusivity(CEMENT), exact.effusivity(BONE)
     insulated = (
         "interfaces.cement_bone.friction_heating=0.7",
@@ -124,17 +124,17 @@ def _rubbing() -> Iterator[Problem]:
         ("energy", "heat stored over work lost", 1e-6, (), measures.rubbing_heat),
     ]
     for name, quantity, tolerance, overrides, measure in rows:
-        yield Problem(
+        yield Check(
             f"rubbing_{name}",
             f"heat of friction, {quantity}, relative",
             tolerance,
             "rubbing.yaml",
-            (Point(overrides, measure),),
+            (CheckRun(overrides, measure),),
         )
 
 
-def _setting() -> Iterator[Problem]:
-    logistic = exact.Kinetics(*KINETICS, 1, 1)
+def _setting() -> Iterator[Check]:
+    logistic = exact.ExactKinetics(*KINETICS, 1, 1)
     kinetics = "regions.cube.thermal.cure.kinetics"
 
     def held(temperature: float) -> tuple[str, ...]:
@@ -155,32 +155,32 @@ def _setting() -> Iterator[Problem]:
         ),
     }
     for name, (overrides, reference) in cases.items():
-        yield Problem(
+        yield Check(
             f"cure_{name}",
             "when half of it has set, default tolerances [s], relative",
             1e-4,
             "exotherm.yaml",
-            (Point(overrides, partial(measures.setting_time, reference=reference)),),
+            (CheckRun(overrides, partial(measures.setting_time, reference=reference)),),
         )
-    yield Problem(
+    yield Check(
         "cure_heat",
         "temperature after it has set without losing heat, over its rise",
         1e-9,
         "exotherm.yaml",
-        (Point((), measures.heat_of_cure),),
+        (CheckRun((), measures.heat_of_cure),),
     )
     end, reference = 300.0, PMMA.degree(300.0, 310.15, 1e-3, RISE)
     for method, order, counts, tolerance in (
         ("backward_euler", 1.0, (40, 80, 160), 0.02),
         ("sdirk4", 4.0, (4, 6, 8, 12), 1e-5),
     ):
-        yield Problem(
+        yield Check(
             f"cure_order_{method}",
             "degree of cure after 300 s in steps of one length, relative",
             tolerance,
             "exotherm.yaml",
             tuple(
-                Point(
+                CheckRun(
                     (f"time={{method: {method}}}", *_forced(end / n, n)),
                     partial(measures.degree, reference=reference),
                     end / n,
@@ -192,8 +192,8 @@ def _setting() -> Iterator[Problem]:
         )
 
 
-def _expanding(fine: bool) -> Iterator[Problem]:
-    yield Problem(
+def _expanding(fine: bool) -> Iterator[Check]:
+    yield Check(
         "hot_fit",
         "mean pressure of a hot stem in a cooled ring [MPa], relative",
         0.005,
@@ -201,32 +201,32 @@ def _expanding(fine: bool) -> Iterator[Problem]:
         ladder(_sizes(1.2, 0.6, 0.3, 0.2, fine=fine), _SLICE, measures.hot_fit),
         2.0,
     )
-    yield Problem(
+    yield Check(
         "layers_bonded",
         "stresses of a mantle cooled between stem and bone [MPa], over the largest",
         0.01,
         "cooled_layers.yaml",
-        (Point((), partial(measures.layers_stress, joined=(True, True))),),
+        (CheckRun((), partial(measures.layers_stress, joined=(True, True))),),
     )
     law = "{kind: contact, friction_coefficient: 0}"
     free = (f"interfaces.stem_cement={law}", f"interfaces.cement_bone={law}")
     stress = partial(measures.layers_stress, joined=(True, False))
-    yield Problem(
+    yield Check(
         "layers_unilateral",
         "the same without tension; pressure, gap [mm], relative",
         0.01,
         "cooled_layers.yaml",
-        (Point(free, stress), Point(free, measures.layers_contact)),
+        (CheckRun(free, stress), CheckRun(free, measures.layers_contact)),
     )
     warm = ("regions.cement.thermal.initial_temperature=75 degC",)
     for name, overrides, closed in (("open", (), False), ("closed", warm, True)):
-        yield Problem(
+        yield Check(
             f"walls_{name}",
             "conductance that depends on pressure: one of two states, relative",
             1e-4,
             "heated_walls.yaml",
             tuple(
-                Point(
+                CheckRun(
                     (*overrides, f"solver.coupling={how}"), partial(measures.walls, closed=closed)
                 )
                 for how in ("monolithic", "staggered")
@@ -237,7 +237,7 @@ def _expanding(fine: bool) -> Iterator[Problem]:
         "displacement": measures.wavy_displacement,
     }
     for name, measure in fields.items():
-        yield Problem(
+        yield Check(
             f"wavy_{name}",
             f"{name} of a manufactured contact, conductance by pressure, relative in L2",
             0.005,
@@ -270,7 +270,7 @@ def _forced(step: float, count: int) -> tuple[str, ...]:
     return (f"stages=[{stage}]",)
 
 
-def _stiff() -> Iterator[Problem]:
+def _stiff() -> Iterator[Check]:
     """Names, overrides and the highest temperature of the data [degC]."""
 
     def conductance(h: float) -> tuple[str, ...]:
@@ -306,24 +306,24 @@ def _stiff() -> Iterator[Problem]:
     }
     for name, (overrides, high) in cases.items():
         low = 23.0 if any("23 degC" in o for o in overrides) else 37.0
-        yield Problem(
+        yield Check(
             f"stiff_{name}",
             "heat lost, temperatures beyond the data, degrees beyond 0 and 1",
             1e-6,
             "stiff.yaml",
-            (Point(overrides, partial(measures.endured, low=low, high=high)),),
+            (CheckRun(overrides, partial(measures.endured, low=low, high=high)),),
         )
 
 
-def _stiff_contact() -> Iterator[Problem]:
+def _stiff_contact() -> Iterator[Check]:
     for name, overrides, low, high in (
         ("", (), -163.0, 237.0),
         ("_rubbing", ("interfaces.stem_cement.friction_heating=effusivity",), -163.0, math.inf),
     ):
-        yield Problem(
+        yield Check(
             f"stiff_contact{name}",
             "the same as contact opens and closes under 200 K",
             1e-6,
             "stiff_contact.yaml",
-            (Point(overrides, partial(measures.endured, low=low, high=high)),),
+            (CheckRun(overrides, partial(measures.endured, low=low, high=high)),),
         )

@@ -16,7 +16,7 @@ from mantle.results.reading import Run
 from mantle.verification import closed_forms as exact
 from mantle.verification.extremes_case import Judged
 from mantle.verification.measures import corner
-from mantle.verification.problem import Point
+from mantle.verification.problem import CheckRun
 
 Floats = NDArray[np.float64]
 
@@ -362,7 +362,7 @@ def close(runs: Sequence[Run], factor: float = 1.0) -> Judged:
     return Judged(worst, where)
 
 
-def verified(runs: Sequence[Run], point: Point) -> Judged:
+def verified(runs: Sequence[Run], point: CheckRun) -> Judged:
     """As `mantle verify` measures it."""
     sample = point.measure(runs[0])
     return Judged(sample.error, sample.note)

@@ -15,7 +15,7 @@ CASES = configs.FOLDER / "verification"
 
 
 @dataclass(frozen=True)
-class Point:
+class CheckRun:
     """One run of a problem.
 
     Attributes:
@@ -30,7 +30,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Check:
     """A problem with a known answer.
 
     Attributes:
@@ -48,12 +48,14 @@ class Problem:
     quantity: str
     tolerance: float
     case: str = ""
-    points: tuple[Point, ...] = ()
+    points: tuple[CheckRun, ...] = ()
     order: float | None = None
     direct: Callable[[], Sample] | None = None
     rung: str = "mesh size (mm)"
 
 
-def ladder(sizes: Sequence[float], overrides: Sequence[str], measure: Measure) -> tuple[Point, ...]:
+def ladder(
+    sizes: Sequence[float], overrides: Sequence[str], measure: Measure
+) -> tuple[CheckRun, ...]:
     """Runs from coarse to fine; ``{}`` in an override stands for the size."""
-    return tuple(Point(tuple(o.format(h) for o in overrides), measure, h) for h in sizes)
+    return tuple(CheckRun(tuple(o.format(h) for o in overrides), measure, h) for h in sizes)

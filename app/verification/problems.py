@@ -12,10 +12,10 @@ from mantle.verification import closed_forms as exact
 from mantle.verification import measures
 from mantle.verification.heat_problems import heat_problems
 from mantle.verification.measures import BONE, CEMENT, TITANIUM, Measure
-from mantle.verification.problem import Point, Problem, ladder
+from mantle.verification.problem import Check, CheckRun, ladder
 
 
-def problems(fine: bool = False) -> list[Problem]:
+def problems(fine: bool = False) -> list[Check]:
     """All problems.
 
     Args:
@@ -31,7 +31,7 @@ def problems(fine: bool = False) -> list[Problem]:
         *_friction(),
         *_wall(),
         *_cook(),
-        Problem(
+        Check(
             "klarbring",
             "friction beyond which a particle has several equilibria, relative",
             1e-9,
@@ -41,46 +41,46 @@ def problems(fine: bool = False) -> list[Problem]:
     ]
 
 
-def _patches() -> Iterator[Problem]:
+def _patches() -> Iterator[Check]:
     for name, fibre in {"100": [1, 0, 0], "011": [0, 1, 1], "111": [1, 1, 1]}.items():
         measure = partial(measures.patch_stress, fibre=fibre)
-        yield Problem(
+        yield Check(
             f"patch_fibre_{name}",
             "stress of an affine displacement [MPa], over the largest; P1 and P2",
             1e-10,
             "patch.yaml",
             tuple(
-                Point((f"regions.cube.fibre={fibre}", f"mesh.order={order}"), measure)
+                CheckRun((f"regions.cube.fibre={fibre}", f"mesh.order={order}"), measure)
                 for order in (1, 2)
             ),
         )
 
 
-def _uniaxial() -> Iterator[Problem]:
+def _uniaxial() -> Iterator[Check]:
     b, σ = BONE, 10.0
     along = σ * np.array([-b.nu_l / b.E_l, -b.nu_l / b.E_l, 1 / b.E_l])
     across = σ * np.array([-b.nu_l / b.E_l, -b.nu_t / b.E_t, 1 / b.E_t])
     for name, fibre, strains in (("along", [0, 0, 1], along), ("across", [1, 0, 0], across)):
         measure = partial(measures.strains, along_axes=strains)
-        yield Problem(
+        yield Check(
             f"uniaxial_{name}_fibre",
             "strains under tension, over the largest; P1 and P2",
             1e-10,
             "uniaxial.yaml",
             tuple(
-                Point((f"regions.bone.fibre={fibre}", f"mesh.order={order}"), measure)
+                CheckRun((f"regions.bone.fibre={fibre}", f"mesh.order={order}"), measure)
                 for order in (1, 2)
             ),
         )
 
 
-def _sines(fine: bool) -> Iterator[Problem]:
+def _sines(fine: bool) -> Iterator[Check]:
     ladders = {
         1: [1 / 4, 1 / 6, 1 / 8, 1 / 10, *([1 / 16] if fine else [])],
         2: [1 / 2, 1 / 3, 1 / 4, *([1 / 6] if fine else [])],
     }
     for order, sizes in ladders.items():
-        yield Problem(
+        yield Check(
             f"sine_p{order}",
             "displacement of a manufactured solution, relative in L2",
             0.05 if order == 1 else 0.005,
@@ -94,7 +94,7 @@ def _sines(fine: bool) -> Iterator[Problem]:
 _SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 
 
-def _press_fits(fine: bool) -> Iterator[Problem]:
+def _press_fits(fine: bool) -> Iterator[Check]:
     laws = {"plane_strain": exact.lame_pressure, "free_ends": exact.lame_pressure_free}
     for (kind, law), t in product(laws.items(), (2, 3, 4, 5, 7)):
         reference = law(0.01, 7.0, 7.0 + t, TITANIUM, CEMENT)
@@ -102,7 +102,7 @@ def _press_fits(fine: bool) -> Iterator[Problem]:
         # One thickness shows the order.
         sizes = [1.6, 0.8, 0.4, *([0.25] if fine else [])] if t == 3 else [0.4]
         measure = partial(measures.mean_pressure, reference=reference)
-        yield Problem(
+        yield Check(
             f"lame_{kind}_{t}",
             f"mean pressure of a shrink fit, {t} mm [MPa], relative",
             0.005,
@@ -113,7 +113,7 @@ def _press_fits(fine: bool) -> Iterator[Problem]:
     size = 0.8
     overrides = ("mesh.order=2", "mesh.curved=true", *_SLICE)
     reference = exact.lame_pressure(0.01, 7.0, 10.0, TITANIUM, CEMENT)
-    yield Problem(
+    yield Check(
         "lame_p2_curved",
         "the same, plane strain, 3 mm, by curved cells of second order [MPa], relative",
         1e-3,
@@ -122,7 +122,7 @@ def _press_fits(fine: bool) -> Iterator[Problem]:
     )
 
 
-def _oval_fits(fine: bool) -> Iterator[Problem]:
+def _oval_fits(fine: bool) -> Iterator[Check]:
     fit = exact.OvalFit(7, 12, TITANIUM, CEMENT, 0.01, 0.003)
     elements = {
         "p1": (("mesh.order=1",), 0.05),
@@ -133,7 +133,7 @@ def _oval_fits(fine: bool) -> Iterator[Problem]:
     for name, (options, tolerance) in elements.items():
         overrides = (*options, *_SLICE)
         # The jump is of first order in space whatever the displacement: order 2 for all.
-        yield Problem(
+        yield Check(
             f"oval_fit_{name}",
             "displacement of a press fit of varying interference, relative in L2",
             0.005,
@@ -141,7 +141,7 @@ def _oval_fits(fine: bool) -> Iterator[Problem]:
             ladder(sizes, overrides, partial(measures.oval_displacement, fit=fit)),
             2.0,
         )
-        yield Problem(
+        yield Check(
             f"oval_pressure_{name}",
             "its pressure [MPa], relative in L2",
             tolerance,
@@ -150,7 +150,7 @@ def _oval_fits(fine: bool) -> Iterator[Problem]:
         )
 
 
-def _hertz() -> Iterator[Problem]:
+def _hertz() -> Iterator[Check]:
     size, modulus = 0.1, exact.contact_modulus(CEMENT)
     kinds = {
         "line": (exact.hertz_line(100.0, 10.0, modulus), 1),
@@ -168,23 +168,23 @@ def _hertz() -> Iterator[Problem]:
             down = partial(measures.approach, reference=hertz.approach)
             rows.append(("approach", "approach [mm], relative", 0.02, down))
         for name, quantity, tolerance, measure in rows:
-            yield Problem(
+            yield Check(
                 f"hertz_{kind}_{name}",
                 quantity,
                 tolerance,
                 f"hertz_{kind}.yaml",
-                (Point(overrides, measure),),
+                (CheckRun(overrides, measure),),
             )
 
 
-def _friction() -> Iterator[Problem]:
+def _friction() -> Iterator[Check]:
     size = 0.1
-    yield Problem(
+    yield Check(
         "cattaneo_stick_width",
         "half-width of the strip that sticks [mm], in cells",
         1.0,
         "cattaneo.yaml",
-        (Point((f"mesh.size={size} mm",), partial(measures.stick_width, size=size)),),
+        (CheckRun((f"mesh.size={size} mm",), partial(measures.stick_width, size=size)),),
     )
     bar = exact.FoundationBar(force=500.0, friction=6.0, stiffness=1.1e6)
     end = partial(measures.bar_end, time=2.0, reference=bar.end)
@@ -196,21 +196,21 @@ def _friction() -> Iterator[Problem]:
         ("dissipation", "work lost in a cycle of its load [N mm], relative", cycle),
     ]
     for name, quantity, measure in rows:
-        yield Problem(
+        yield Check(
             f"foundation_bar_{name}",
             quantity,
             0.02,
             "foundation_bar.yaml",
-            (Point((), measure),),
+            (CheckRun((), measure),),
         )
-    yield Problem(
+    yield Check(
         "incline",
         "force over weight that pushes a block up a slope, relative; by a penalty too",
         0.005,
         "incline.yaml",
         (
-            Point((), measures.push),
-            Point(
+            CheckRun((), measures.push),
+            CheckRun(
                 (
                     "interfaces.slope_block="
                     "{kind: penalty, friction_coefficient: 0.3, penalty: 1.0e3 MPa/mm}",
@@ -221,52 +221,52 @@ def _friction() -> Iterator[Problem]:
     )
 
 
-def _wall() -> Iterator[Problem]:
-    yield Problem(
+def _wall() -> Iterator[Check]:
+    yield Check(
         "wall_augmented",
         "force of a bar on a wall [N] and penetration, relative; augmentation 1 to 1e6 MPa/mm",
         1e-10,
         "wall.yaml",
         tuple(
-            Point((f"interfaces.wall_bar.augmentation={r} MPa/mm",), measures.wall_force)
+            CheckRun((f"interfaces.wall_bar.augmentation={r} MPa/mm",), measures.wall_force)
             for r in 10.0 ** np.arange(0, 7)
         ),
     )
     law = "interfaces.wall_bar={{kind: penalty, friction_coefficient: 0.3, penalty: {} MPa/mm}}"
-    yield Problem(
+    yield Check(
         "wall_penalty",
         "penetration by the penalty's law [mm], relative; penalty 1e2 to 1e8 MPa/mm",
         1e-6,
         "wall.yaml",
         tuple(
-            Point((law.format(r),), partial(measures.penetration, penalty=float(r)))
+            CheckRun((law.format(r),), partial(measures.penetration, penalty=float(r)))
             for r in 10.0 ** np.arange(2, 9)
         ),
     )
 
 
-def _cook() -> Iterator[Problem]:
+def _cook() -> Iterator[Check]:
     for ratio in exact.COOK:
-        yield Problem(
+        yield Check(
             f"cook_{ratio}",
             f"rise of the corner of Cook's membrane by P2, nu {ratio} [mm], relative",
             0.01,
             "cook.yaml",
             (
-                Point(
+                CheckRun(
                     (f"regions.membrane.poisson_ratio={ratio}",),
                     partial(measures.corner, poisson_ratio=ratio),
                 ),
             ),
         )
     ratio = max(exact.COOK)
-    yield Problem(
+    yield Check(
         "cook_p1_warns",
         f"the same by P1, nu {ratio} [mm]: locks, and warns of it (error 0) or not (1)",
         0.0,
         "cook.yaml",
         (
-            Point(
+            CheckRun(
                 (f"regions.membrane.poisson_ratio={ratio}", "mesh.order=1"),
                 partial(measures.locking, poisson_ratio=ratio),
             ),

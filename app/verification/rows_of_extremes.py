@@ -19,8 +19,8 @@ from mantle.verification.extremes_case import (
     STACK,
     STEM,
     WALL,
+    ExtremeCase,
     Judge,
-    Trial,
     Wanted,
     trial,
 )
@@ -31,7 +31,7 @@ PRESS = 2.0  # MPa on the bar, 10 mm wide
 RADIUS = 7.0  # mm
 
 
-def extremes(full: bool) -> list[Trial]:
+def extremes(full: bool) -> list[ExtremeCase]:
     """The cases.
 
     Args:
@@ -52,7 +52,7 @@ def _powers(exponents: Iterable[float]) -> tuple[float, ...]:
     return tuple(float(f"{10.0**k:.6g}") for k in map(float, exponents))
 
 
-def _augmentation(full: bool) -> Iterator[Trial]:
+def _augmentation(full: bool) -> Iterator[ExtremeCase]:
     """R over eight decades: the answer of the default."""
     decades = np.arange(-4, 4.5, 0.5) if full else np.arange(-4, 5)
     ratios = (1, 50, 1000) if full else (50, 1000)
@@ -76,7 +76,7 @@ def _augmentation(full: bool) -> Iterator[Trial]:
                 )
 
 
-def _penalty() -> Iterator[Trial]:
+def _penalty() -> Iterator[ExtremeCase]:
     """Penalties over the same range: an error of known size, of order -1."""
     law = "{{kind: penalty, friction_coefficient: {}, penalty: {!r} MPa/mm}}"
     stiffness = 220.0
@@ -125,7 +125,7 @@ def _fit(law: str) -> str:
     return law[:-1] + ", gap: -0.01 mm}"
 
 
-def _modulus() -> Iterator[Trial]:
+def _modulus() -> Iterator[ExtremeCase]:
     """Soft on stiff and stiff on soft, by nine decades."""
     decades = range(-3, 7)
     for order in (1, 2):
@@ -173,7 +173,7 @@ def _rings(radii: Sequence[float], materials: Sequence[exact.Elastic]) -> Judge:
     return partial(judges.shrink_fit, interference=0.01, radii=radii, materials=materials)
 
 
-def _poisson() -> Iterator[Trial]:
+def _poisson() -> Iterator[ExtremeCase]:
     """Nearly incompressible bodies by second order."""
     ratios = (0.0, 0.3, 0.45, 0.49, 0.499, 0.4999)
     for ν in ratios:
@@ -207,7 +207,7 @@ def _poisson() -> Iterator[Trial]:
         )
 
 
-def _friction() -> Iterator[Trial]:
+def _friction() -> Iterator[ExtremeCase]:
     """No friction to more than solutions need to be unique."""
     frictions = (0.0, 0.01, 0.3, 1.0, 2.0, 5.0)
     for μ in frictions:
@@ -279,7 +279,7 @@ def _friction() -> Iterator[Trial]:
         )
 
 
-def _thin(full: bool) -> Iterator[Trial]:
+def _thin(full: bool) -> Iterator[ExtremeCase]:
     """A mantle of 0.2 mm in cells of ten times that, and of twenty."""
     sizes = (0.5, 1.0, 2.0, 4.0) if full else (1.0, 2.0)
     for size in sizes:

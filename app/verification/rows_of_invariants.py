@@ -16,14 +16,14 @@ from mantle.verification.extremes_case import (
     STACK,
     STEM,
     TAPER,
+    ExtremeCase,
     Judge,
-    Trial,
     Wanted,
     trial,
 )
 
 
-def invariants(full: bool) -> list[Trial]:
+def invariants(full: bool) -> list[ExtremeCase]:
     """The cases.
 
     Args:
@@ -60,7 +60,7 @@ def _gaps(c: float) -> tuple[str, ...]:
     )
 
 
-def _loads() -> Iterator[Trial]:
+def _loads() -> Iterator[ExtremeCase]:
     """Loads of any size, either way, and none."""
     for force in (0.0, 1e-6, 1e-3, 1.0, 1e2, 1e4, 1e6):
         c = force / 900
@@ -108,7 +108,7 @@ def _loads() -> Iterator[Trial]:
     )
 
 
-def _units() -> Iterator[Trial]:
+def _units() -> Iterator[ExtremeCase]:
     """Other units, and the same model a thousand times as small or large."""
     words = (
         "geometry.stem_radius=0.007 m",
@@ -161,7 +161,7 @@ def _units() -> Iterator[Trial]:
     )
 
 
-def _floating() -> Iterator[Trial]:
+def _floating() -> Iterator[ExtremeCase]:
     """Bodies that nothing holds: refused by name."""
     both = ("interfaces.stem_cement.gap=0.1 mm", "interfaces.cement_bone.gap=0.1 mm")
     smooth = tuple(f"interfaces.{n}.friction_coefficient=0" for n in ("stem_cement", "cement_bone"))
@@ -201,7 +201,7 @@ def _floating() -> Iterator[Trial]:
         yield trial("floating", "", at, {"case": at}, Wanted(STEM, overrides), judge, 1e-7, refused)
 
 
-def _taper() -> Iterator[Trial]:
+def _taper() -> Iterator[ExtremeCase]:
     """A taper of 5 degrees, which friction holds from 0.0875 on."""
     angle = float(np.radians(5))
     for μ in (0.02, 0.05, 0.12, 0.2, 0.5):
@@ -251,7 +251,7 @@ def _turns(count: int, low: str, rest: int = 1) -> tuple[str, str]:
     return stages, ", ".join(f"1, {low}" for _ in range(count + 1))
 
 
-def _cycles(full: bool) -> Iterator[Trial]:
+def _cycles(full: bool) -> Iterator[ExtremeCase]:
     """Load and unload: work lost in each cycle, and coming to rest."""
     for count in (10, 100) if full else (10,):
         stages, turns = _turns(count, "0")
@@ -300,7 +300,7 @@ def _steps(count: int) -> str:
     )
 
 
-def _increments() -> Iterator[Trial]:
+def _increments() -> Iterator[ExtremeCase]:
     """One to 64 increments along a path that turns."""
     counts = (1, 2, 4, 8, 16, 32, 64)
     path = _ROUND.format("[1, 0]", "[0, 1]")
@@ -329,7 +329,7 @@ def _increments() -> Iterator[Trial]:
     )
 
 
-def _symmetry() -> Iterator[Trial]:
+def _symmetry() -> Iterator[ExtremeCase]:
     """A quarter and the whole, a model turned, cells of bad shape."""
     mesh = ("mesh.size=4 mm", "mesh.far_size=6 mm", "mesh.order=1")
     planes = "".join(

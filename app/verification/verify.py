@@ -20,7 +20,7 @@ from mantle.errors import InputError
 from mantle.results.reading import Run
 from mantle.system.folders import remove, write_json
 from mantle.verification.measures import Sample
-from mantle.verification.problem import CASES, Problem
+from mantle.verification.problem import CASES, Check
 from mantle.verification.problems import problems
 from mantle.verification.verify_picture import picture
 
@@ -30,7 +30,7 @@ ORDER_TOLERANCE = 0.2
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckResult:
     """What became of a problem.
 
     Attributes:
@@ -41,7 +41,7 @@ class Outcome:
         message: Why it could not be measured; empty if it could.
     """
 
-    problem: Problem
+    problem: Check
     samples: tuple[Sample, ...]
     seconds: float
     runs: tuple[str, ...] = ()
@@ -135,7 +135,7 @@ def run(pattern: str, folder: Path, fine: bool, cores: int) -> bool:
     return all(outcome.passed for outcome in outcomes)
 
 
-def _jobs(p: Problem) -> list[batch.Job]:
+def _jobs(p: Check) -> list[batch.Job]:
     """The runs of a problem."""
     numbered = len(p.points) > 1
     return [
@@ -144,23 +144,23 @@ def _jobs(p: Problem) -> list[batch.Job]:
     ]
 
 
-def measure(p: Problem, results: Sequence[batch.Result]) -> Outcome:
+def measure(p: Check, results: Sequence[batch.Result]) -> CheckResult:
     """Compare the runs of a problem with what they should have given."""
     seconds = sum(r.seconds for r in results)
     runs = tuple(str(r.folder) for r in results)
     failed = [f"{r.job.name}: {r.message}" for r in results if r.exit_code]
     if failed:
-        return Outcome(p, (), seconds, runs, "\n".join(failed))
+        return CheckResult(p, (), seconds, runs, "\n".join(failed))
     try:
         samples = [point.measure(Run(r.folder)) for point, r in zip(p.points, results, strict=True)]
         samples += [p.direct()] if p.direct else []
     except Exception as error:  # of any kind: the other problems are still to be told of
         log.debug("%s", p.name, exc_info=True)
-        return Outcome(p, (), seconds, runs, f"cannot be measured: {error!r}")
-    return Outcome(p, tuple(samples), seconds, runs)
+        return CheckResult(p, (), seconds, runs, f"cannot be measured: {error!r}")
+    return CheckResult(p, tuple(samples), seconds, runs)
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(outcomes: Sequence[CheckResult]) -> str:
     """The columns of verify.json, with a verdict, and what went wrong."""
     width = max(len(o.problem.name) for o in outcomes)
     lines = [
@@ -182,7 +182,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def verdict(outcomes: Sequence[Outcome]) -> str:
+def verdict(outcomes: Sequence[CheckResult]) -> str:
     """One sentence."""
     failing = [o.problem.name for o in outcomes if not o.passed]
     if not failing:

@@ -14,7 +14,7 @@ from petsc4py import PETSc
 
 from mantle.results import quantities
 from mantle.results.bond_strength import bonds
-from mantle.scene.terms import Cure, Expansion, Prescribed, Scene
+from mantle.scene.terms import CureTerm, Expansion, PrescribedCure, Scene
 from tests.heated import Heated
 
 CASE = """
@@ -44,7 +44,7 @@ def change(scene: Scene) -> Scene:
         scene,
         supports=tuple(hand),
         expansions=(Expansion("cement", 8e-5, 300.0), Expansion("bone", 1e-5, 310.0)),
-        cures=(Cure("cement", Prescribed(()), 155.0, 0.8, 0.85, 0.01, 1.0, 0.0),),
+        cures=(CureTerm("cement", PrescribedCure(()), 155.0, 0.8, 0.85, 0.01, 1.0, 0.0),),
     )
 
 

@@ -11,8 +11,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from mantle.numerics.newton import Outcome, Solver
-from mantle.stepping.load_steps import Motion
+from mantle.numerics.newton import NewtonResult, Solver
+from mantle.stepping.load_steps import LoadStepper
 from tests import support
 
 STEM = """
@@ -85,7 +85,7 @@ def test_the_answer_is_found_from_a_bad_one(
     factor: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Eight decades of r: one step, none rejected, the same jumps; what was tried is said."""
-    outcomes: list[Outcome] = []
+    outcomes: list[NewtonResult] = []
     jumps = []
     for f in (1.0, factor):
         problem, solver = support.assemble(
@@ -93,7 +93,7 @@ def test_the_answer_is_found_from_a_bad_one(
         )
         caplog.clear()
         with caplog.at_level(logging.INFO, "mantle"):
-            motion = Motion(
+            motion = LoadStepper(
                 problem, solver, lambda step, trial: outcomes.append(step.outcome), pytest.fail
             )
             (stage,) = problem.scene.stages

@@ -16,8 +16,8 @@ from mantle import cli
 from mantle.errors import InputError
 from mantle.schema import config
 from mantle.verification import bench, bench_picture
-from mantle.verification.bench import Line, growth, later_steps, spread, stance
-from mantle.verification.bench_run import CASES, Cost, NotMeasured, Runs, Setting
+from mantle.verification.bench import Goal, growth, later_steps, spread, stance
+from mantle.verification.bench_run import CASES, BenchCase, Cost, NotMeasured, Runs
 
 
 def cost(
@@ -46,17 +46,17 @@ class Made(Runs):
         super().__init__(folder)
         self.costs_of, self.order = costs, list[str]()
 
-    def _warm(self, setting: Setting) -> None:
+    def _warm(self, setting: BenchCase) -> None:
         self.meshing[setting.mesh] = 1.0
 
-    def _run(self, setting: Setting) -> Cost:
+    def _run(self, setting: BenchCase) -> Cost:
         self.order.append(setting.name)
         if not self.costs_of.get(setting.name):
             raise NotMeasured(f"{setting.name} failed with exit code 4")
         return self.costs_of[setting.name].pop(0)
 
 
-def line(name: str) -> Line:
+def line(name: str) -> Goal:
     (found,) = [x for x in bench.lines(full=True) if x.name == name]
     return found
 
@@ -192,13 +192,13 @@ def test_exit_code(measured: bool, code: int, monkeypatch: pytest.MonkeyPatch) -
 
 def test_every_line_runs_cases_that_are_right(tmp_path: Path) -> None:
     """Each case that any line asks for can be read, and is of the kind that its name says."""
-    seen: dict[str, Setting] = {}
+    seen: dict[str, BenchCase] = {}
 
     class Looked(Runs):
-        def _warm(self, setting: Setting) -> None:
+        def _warm(self, setting: BenchCase) -> None:
             seen[setting.name] = setting
 
-        def _run(self, setting: Setting) -> Cost:
+        def _run(self, setting: BenchCase) -> Cost:
             return cost(unknowns=1000 * len(seen), history=({"step [s]": "1"},) * 2)
 
         def process(self, name: str, command: Any) -> Cost:
@@ -259,7 +259,7 @@ def test_a_process_that_fails_says_why(tmp_path: Path) -> None:
 
 
 def test_a_run_is_measured(tmp_path: Path) -> None:
-    ((measured,),) = Runs(tmp_path).costs(Setting("blocks", "blocks.yaml"))
+    ((measured,),) = Runs(tmp_path).costs(BenchCase("blocks", "blocks.yaml"))
     assert 0 < measured.solution < measured.cpu
     assert measured.newton > 0 and measured.unknowns > 100
     assert len(measured.history) == measured.summary["solver"]["steps"]

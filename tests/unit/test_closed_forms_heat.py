@@ -22,7 +22,7 @@ from mantle.verification import closed_forms_heat as exact
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 
 CEMENT, CORTICAL = (0.2, 1.74), (0.58, 2.331)
-PMMA = exact.Kinetics(2.6397e8, 62866.0, 0.98, 1.064)
+PMMA = exact.ExactKinetics(2.6397e8, 62866.0, 0.98, 1.064)
 RISE = 89.0805
 
 Function = Callable[[float], float]
@@ -163,7 +163,7 @@ def test_integral_over_the_degree_agrees_with_an_integrator() -> None:
 
 def test_cure_in_closed_form() -> None:
     """Logistic at a held temperature; zero order if adiabatic (physics reference 3.1)."""
-    law = exact.Kinetics(2.6397e8, 62866.0, 1, 1)
+    law = exact.ExactKinetics(2.6397e8, 62866.0, 1, 1)
     k = 4 * law.rate(0.5, 310.15)
     assert k == pytest.approx(6.82396e-3, rel=1e-6)
     t50 = law.time(0.5, 310.15, 1e-3, 0)
@@ -171,7 +171,7 @@ def test_cure_in_closed_form() -> None:
     assert exact.logistic_degree(t50, k, 1e-3) == pytest.approx(0.5, rel=1e-9)
     times = [exact.zero_order_time(PMMA, 310.15, rise, RISE) for rise in (10, 40)]
     assert times == pytest.approx([11.46931286, 21.07563528], rel=1e-6)
-    flat = exact.Kinetics(2.6397e8, 62866.0, 0, 0)
+    flat = exact.ExactKinetics(2.6397e8, 62866.0, 0, 0)
     assert flat.time(1e-3 + 40 / RISE, 310.15, 1e-3, RISE) == pytest.approx(times[1], rel=1e-9)
 
 
@@ -180,8 +180,10 @@ STEM, MANTLE, BONE = (200e3, 0.3), (2200.0, 0.3), (17e3, 0.3)
 
 def cooled(joined: tuple[bool, bool]) -> coupled.Layers:
     """Physics reference 3.2: the cement shrinks by 40 K times 80e-6."""
-    mantle = coupled.Layer(6, 10, MANTLE, -80e-6 * 40)
-    return coupled.Layers((coupled.Layer(0, 6, STEM), mantle, coupled.Layer(10, 15, BONE)), joined)
+    mantle = coupled.ExactLayer(6, 10, MANTLE, -80e-6 * 40)
+    return coupled.Layers(
+        (coupled.ExactLayer(0, 6, STEM), mantle, coupled.ExactLayer(10, 15, BONE)), joined
+    )
 
 
 def test_bonded_cylinders_cooled() -> None:
@@ -205,7 +207,8 @@ def test_hot_fit_is_that_of_layers_when_evenly_warm() -> None:
     core, ring = (STEM, 14e-6), (MANTLE, 5e-6)
     value = coupled.hot_fit_pressure((7, 10), core, ring, 1.0, 0.5, (80, 80, 37))
     layers = coupled.Layers(
-        (coupled.Layer(0, 7, STEM, 14e-6 * 43), coupled.Layer(7, 10, MANTLE, 5e-6 * 43)), (True,)
+        (coupled.ExactLayer(0, 7, STEM, 14e-6 * 43), coupled.ExactLayer(7, 10, MANTLE, 5e-6 * 43)),
+        (True,),
     )
     assert value == pytest.approx(-layers.radial(0, 7), rel=1e-9)
 
@@ -224,7 +227,10 @@ def test_hot_fit_uses_the_mean_of_the_rings_temperature() -> None:
     assert inner == pytest.approx(37 + Q * math.log(c / b) / (2 * math.pi * k))
     mean = quad(heat, b, c)[0] / area
     even = coupled.Layers(
-        (coupled.Layer(0, b, STEM, 14e-6 * 43), coupled.Layer(b, c, MANTLE, 27.5e-6 * (mean - 37))),
+        (
+            coupled.ExactLayer(0, b, STEM, 14e-6 * 43),
+            coupled.ExactLayer(b, c, MANTLE, 27.5e-6 * (mean - 37)),
+        ),
         (True,),
     )
     assert value == pytest.approx(-even.radial(0, b), rel=1e-9)

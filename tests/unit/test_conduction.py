@@ -23,16 +23,16 @@ from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.numerics.integrator import METHODS, Method, State, step
 from mantle.numerics.newton import Solver
 from mantle.scene.terms import (
-    Autocatalytic,
-    Conductor,
-    Convection,
-    Cure,
-    FixedTemperature,
+    AutocatalyticCure,
+    ConductorTerm,
+    ConvectionTerm,
+    CureTerm,
+    FixedTemperatureTerm,
     FrictionHeat,
     HeatCondition,
-    HeatFlux,
-    HeatSource,
-    Perfusion,
+    HeatFluxTerm,
+    HeatSourceTerm,
+    PerfusionTerm,
     Scene,
     ThermalContact,
 )
@@ -64,7 +64,7 @@ CEMENT_ON_BONE = (("cement", 5.0), ("bone", 5.0))
 
 
 def scene(
-    conductors: Sequence[Conductor],
+    conductors: Sequence[ConductorTerm],
     heat: Sequence[HeatCondition] = (),
     contacts: Sequence[ThermalContact] = (),
 ) -> Scene:
@@ -75,8 +75,8 @@ def scene(
     )
 
 
-def conductor(region: str, k: float, initial: float = 37.0, capacity: float = 2.0) -> Conductor:
-    return Conductor(region, (k,), (), capacity, ZERO + initial)
+def conductor(region: str, k: float, initial: float = 37.0, capacity: float = 2.0) -> ConductorTerm:
+    return ConductorTerm(region, (k,), (), capacity, ZERO + initial)
 
 
 CEMENT = conductor("cement", 0.2, 100.0, 1.752)
@@ -87,8 +87,8 @@ def uniform(value: float) -> Callable[[Floats], Floats]:
     return lambda x: np.full(len(x), value)
 
 
-def fixed(name: str, boundary: str, celsius: float) -> FixedTemperature:
-    return FixedTemperature(name, boundary, (), uniform(ZERO + celsius), ())
+def fixed(name: str, boundary: str, celsius: float) -> FixedTemperatureTerm:
+    return FixedTemperatureTerm(name, boundary, (), uniform(ZERO + celsius), ())
 
 
 def contact(h: float, name: str = "cement_bone") -> tuple[ThermalContact, ...]:
@@ -217,16 +217,16 @@ def test_order_two_with_a_jump() -> None:
         return lambda x: k * np.cos(x[:, 0]) * np.cos(x[:, 1]) * (2 * f(x[:, 2]) - bend(x[:, 2]))
 
     heat: list[HeatCondition] = [
-        HeatSource("one", ("cement",), source(k1, f1, lambda z: -(0.7**2) * f1(z)), ()),
-        HeatSource("two", ("bone",), source(k2, f2, lambda z: 0.2 + 0 * z), ()),
-        FixedTemperature("ends", "bottom", (), exact, ()),
-        FixedTemperature("top", "top", (), exact, ()),
+        HeatSourceTerm("one", ("cement",), source(k1, f1, lambda z: -(0.7**2) * f1(z)), ()),
+        HeatSourceTerm("two", ("bone",), source(k2, f2, lambda z: 0.2 + 0 * z), ()),
+        FixedTemperatureTerm("ends", "bottom", (), exact, ()),
+        FixedTemperatureTerm("top", "top", (), exact, ()),
     ]
 
     def side(f: Callable, name: str) -> list[HeatCondition]:
         given = lambda x: ZERO + np.cos(x[:, 0]) * np.cos(x[:, 1]) * f(x[:, 2])  # noqa: E731
         return [
-            FixedTemperature(f"{name} {s}", f"{name}_{s}", (), given, ())
+            FixedTemperatureTerm(f"{name} {s}", f"{name}_{s}", (), given, ())
             for s in ("x_min", "x_max", "y_min", "y_max")
         ]
 
@@ -253,9 +253,9 @@ def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) 
     g = np.array([3.0, -2.0, 5.0])
     given = lambda x: 310.0 + x @ g  # noqa: E731
     sides = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
-    heat: list[HeatCondition] = [FixedTemperature(s, s, (), given, ()) for s in sides]
+    heat: list[HeatCondition] = [FixedTemperatureTerm(s, s, (), given, ()) for s in sides]
     k_l, k_t = 0.6, 0.35
-    bone = Conductor("bone", (k_l, k_t), fibre, 2.5, 310.0)
+    bone = ConductorTerm("bone", (k_l, k_t), fibre, 2.5, 310.0)
     s = Solved(scene([bone], heat), stack(0.8, ("bone", 3.0))).steady()
     x, T = s.celsius("bone")
     assert T + ZERO == pytest.approx(310.0 + x @ g, abs=1e-9)
@@ -271,7 +271,7 @@ def test_convection_in_series_with_a_bar() -> None:
     """q = (T0 - Ta)/(L/k + 1/a), exact; more so on cells that are quadratic but straight."""
     heat: list[HeatCondition] = [
         fixed("hot", "bottom", 80.0),
-        Convection("air", "top", 0.025, ZERO + 20.0),
+        ConvectionTerm("air", "top", 0.025, ZERO + 20.0),
     ]
     for curved in (False, True):
         s = Solved(scene([conductor("bar", 0.4)], heat), stack(1.2, ("bar", 6.0), curved=curved))
@@ -288,7 +288,7 @@ def test_perfusion_of_a_bar() -> None:
     λ = np.sqrt(w / k)
     heat: list[HeatCondition] = [
         fixed("hot", "bottom", 60.0),
-        Perfusion("blood", ("bar",), w, ZERO + 37.0),
+        PerfusionTerm("blood", ("bar",), w, ZERO + 37.0),
     ]
     errors, sizes = [], []
     for size in (1.0, 0.7, 0.5, 0.35):
@@ -311,7 +311,7 @@ def test_perfusion_of_a_bar() -> None:
 def test_a_region_held(h: float) -> None:
     """Cement held at 100 throughout: the bone sees it through the conductance alone."""
     heat: list[HeatCondition] = [
-        FixedTemperature("cement", "", ("cement",), uniform(ZERO + 100.0), ()),
+        FixedTemperatureTerm("cement", "", ("cement",), uniform(ZERO + 100.0), ()),
         fixed("cold", "top", 37.0),
     ]
     s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.5, *CEMENT_ON_BONE)).steady()
@@ -393,13 +393,13 @@ def test_the_balance_closes_with_everything_at_once(h: float, method: Method) ->
     course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
     heat: list[HeatCondition] = [
         # Its course multiplies kelvins.
-        FixedTemperature(
+        FixedTemperatureTerm(
             "held", "bottom", (), lambda x: ZERO + 40 + 3 * x[:, 0], ((0.0, 1.0), (8.0, 1.02))
         ),
-        HeatFlux("lamp", "x_min", lambda x: 0.4 * x[:, 2], course),
-        HeatSource("ohmic", ("bone",), lambda x: 0.05 * x[:, 1], ()),
-        Convection("air", "top", 0.02, ZERO + 20.0),
-        Perfusion("blood", ("bone",), 0.01, ZERO + 37.0),
+        HeatFluxTerm("lamp", "x_min", lambda x: 0.4 * x[:, 2], course),
+        HeatSourceTerm("ohmic", ("bone",), lambda x: 0.05 * x[:, 1], ()),
+        ConvectionTerm("air", "top", 0.02, ZERO + 20.0),
+        PerfusionTerm("blood", ("bone",), 0.01, ZERO + 37.0),
     ]
     s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.0, *CEMENT_ON_BONE), 1e-10)
     for v, values in zip(s.x, s.state, strict=True):
@@ -435,13 +435,13 @@ def test_initial_temperatures_that_meet_are_averaged_by_capacity() -> None:
 # Cure and friction
 
 
-BALIGA = Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ())
+BALIGA = AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ())
 
 
 def curing(h: float) -> Scene:
     """Cement that sets beside bone, nothing else."""
     cement = conductor("cement", 0.2, 75.0, 1.752)
-    cure = Cure("cement", BALIGA, 155.0, 0.05, 0.85, 0.01, 1.0, 0.0)
+    cure = CureTerm("cement", BALIGA, 155.0, 0.05, 0.85, 0.01, 1.0, 0.0)
     return replace(scene([cement, BONE], (), contact(h)), cures=(cure,))
 
 
@@ -580,7 +580,7 @@ def test_temperatures_stay_between_those_of_the_data(h: float, dt: float) -> Non
 def test_bounds_follow_the_data() -> None:
     tagged = stack(1.5, *CEMENT_ON_BONE)
     given = fixed("cold", "top", 20.0)
-    warm = HeatFlux("lamp", "bottom", uniform(0.1), ((0.0, 0.0), (1.0, 1.0)))
+    warm = HeatFluxTerm("lamp", "bottom", uniform(0.1), ((0.0, 0.0), (1.0, 1.0)))
     s = Solved(scene([CEMENT, BONE], [given, warm], contact(300.0)), tagged)
     bounds = s.conduction.bounds(s.x)
     assert (bounds.low, bounds.high) == pytest.approx((ZERO + 20.0, ZERO + 100.0))

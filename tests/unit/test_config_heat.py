@@ -167,28 +167,28 @@ def test_a_region_conducts_along_its_own_fibre() -> None:
 def test_conditions() -> None:
     x = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     blood, outside, held, lamp, air, warm = build().heat
-    assert isinstance(blood, terms.Perfusion)
+    assert isinstance(blood, terms.PerfusionTerm)
     assert blood.coefficient == pytest.approx(0.0119886)  # 0.003 * 1060 * 3770 W/(m^3 K)
-    assert isinstance(outside, terms.FixedTemperature)
+    assert isinstance(outside, terms.FixedTemperatureTerm)
     assert (outside.boundary, outside.regions, outside.course) == ("bone_surface", (), ())
     np.testing.assert_allclose(outside.temperature(x), [301, 304])
-    assert isinstance(held, terms.FixedTemperature)
+    assert isinstance(held, terms.FixedTemperatureTerm)
     assert (held.boundary, held.regions) == ("", ("stem",))
     for seconds, celsius in ((0, 40), (30, 30), (60, 20), (1e4, 20)):
         given = multiplier(held.course, seconds) * held.temperature(x)
         np.testing.assert_allclose(given, celsius + 273.15)
-    assert isinstance(lamp, terms.HeatFlux)
+    assert isinstance(lamp, terms.HeatFluxTerm)
     np.testing.assert_allclose(lamp.flux(x), 0.1)
     assert lamp.course == ((0, 1), (10, 0))
-    assert air == terms.Convection("air", "cement_top", 0.02, 295.15)
-    assert isinstance(warm, terms.HeatSource)
+    assert air == terms.ConvectionTerm("air", "cement_top", 0.02, 295.15)
+    assert isinstance(warm, terms.HeatSourceTerm)
     np.testing.assert_allclose(warm.density(x), 1.0)
     assert warm.regions == ("stem", "bone")
 
 
 def test_temperatures_that_an_expression_makes_impossible() -> None:
     outside = build("heat.outside.temperature=37 - 10 * x").heat[1]
-    assert isinstance(outside, terms.FixedTemperature)
+    assert isinstance(outside, terms.FixedTemperatureTerm)
     with pytest.raises(InputError, match=r"heat.outside.temperature: .* not above 0 K"):
         outside.temperature(np.array([[4.0, 0.0, 0.0]]))
 
@@ -256,14 +256,16 @@ def test_strains_and_cure() -> None:
         terms.Expansion("bone", 27.5e-6, 293.15),
     )
     (cure,) = found.cures
-    kinetics = terms.Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ((293.15, 0.9), (373.15, 1.0)))
-    assert cure == terms.Cure("cement", kinetics, 155.0, 1e-3, 0.85, 0.01, 1.0, 0.003)
+    kinetics = terms.AutocatalyticCure(
+        2.6397e8, 62866.0, 0.98, 1.064, ((293.15, 0.9), (373.15, 1.0))
+    )
+    assert cure == terms.CureTerm("cement", kinetics, 155.0, 1e-3, 0.85, 0.01, 1.0, 0.003)
 
 
 def test_cure_by_a_clock() -> None:
     clock = "{kind: prescribed, rate: [[0 s, 0], [5 min, 2], [10 min, 0]]}"
     (cure,) = build(f"regions.cement.thermal.cure.kinetics={clock}").cures
-    assert cure.kinetics == terms.Prescribed(((0.0, 0.0), (300.0, 2.0), (600.0, 0.0)))
+    assert cure.kinetics == terms.PrescribedCure(((0.0, 0.0), (300.0, 2.0), (600.0, 0.0)))
 
 
 def test_stages_time_and_supports() -> None:
@@ -290,7 +292,7 @@ def test_conductors_alone_have_no_mechanics() -> None:
     )
     mechanics = (*found.elastic, *found.rigid, *found.foundations, *found.supports)
     assert mechanics + found.loads + found.contacts == ()
-    assert found.stages == (terms.Stage("wait", 1, True, 6, 0.0, True),)
+    assert found.stages == (terms.SceneStage("wait", 1, True, 6, 0.0, True),)
     # Neither side is stiffer: the first is the master.
     (glued,) = found.thermal_contacts
     assert (glued.master, glued.slave) == (("cement",), ("bone",))

@@ -31,31 +31,31 @@ from mantle.numerics.integrator import (
     step,
 )
 from mantle.numerics.pointwise import Pointwise
-from mantle.scene.terms import Autocatalytic, Cure, Expansion, Prescribed
+from mantle.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure
 
 Floats = NDArray[np.float64]
 
 R = 8.314462618
-BALIGA = Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ())
+BALIGA = AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ())
 # Adiabatic rise of full cure [K].
 RISE = 89.0805
-CEMENT = Cure("cement", BALIGA, 155.0, 1e-3, 0.85, 0.01, 1.0, 0.02)
+CEMENT = CureTerm("cement", BALIGA, 155.0, 1e-3, 0.85, 0.01, 1.0, 0.02)
 TOLERANCE = 1e-3
 # What is all but cured may waver by less than the tolerance, in degrees of cure.
 WAVERS = 1e-5
 
 
-def setting(kinetics: Autocatalytic | Prescribed = BALIGA, nodes: int = 1) -> Curing:
+def setting(kinetics: AutocatalyticCure | PrescribedCure = BALIGA, nodes: int = 1) -> Curing:
     return Curing(MPI.COMM_SELF, [replace(CEMENT, kinetics=kinetics)], [nodes])
 
 
-def rate(k: Autocatalytic, a: Floats, T: Floats) -> Floats:
+def rate(k: AutocatalyticCure, a: Floats, T: Floats) -> Floats:
     limit = np.interp(T, *np.array(k.limit).T) if k.limit else 1.0
     left = np.maximum(limit - a, 0)
     return k.rate_constant * np.exp(-k.activation_energy / (R * T)) * a**k.m * left**k.n
 
 
-def doubled(T: float = 330.0) -> Autocatalytic:
+def doubled(T: float = 330.0) -> AutocatalyticCure:
     """Twice the activation energy, as fast as before at one temperature."""
     faster = BALIGA.rate_constant * np.exp(BALIGA.activation_energy / (R * T))
     return replace(BALIGA, activation_energy=2 * BALIGA.activation_energy, rate_constant=faster)
@@ -110,7 +110,7 @@ def test_modulus_grows_from_its_floor_past_gelation() -> None:
 
 @ALL
 @pytest.mark.parametrize("h", [1e-3, 1.0, 60.0, 3600.0])
-def test_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
+def test_step_solves_its_equation(kinetics: AutocatalyticCure, h: float) -> None:
     """a = a* + h f(a, T), but for what may stay unreacted, and its derivative by T."""
     rng = np.random.default_rng(2)
     n = 300
@@ -177,7 +177,7 @@ def test_senseless_temperatures_do_no_harm() -> None:
 
 
 @ALL
-def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalytic) -> None:
+def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: AutocatalyticCure) -> None:
     """Where rates underflow, nothing sets and no warming changes that; the next step is as ever."""
     hot, cold, warm = (np.full(3, T) for T in (1e4, 1.0, 350.0))
     start = [np.array([5e-324, 1e-200, 0.3])]
@@ -220,7 +220,7 @@ def test_steps_that_make_no_sense_are_refused() -> None:
     assert curing.admissible(curing.initial())
     assert curing.admissible([np.array([0.0, 1.0])])
     assert curing.admissible([np.array([-1e-15, 1 + 1e-15])])
-    for kinetics in (BALIGA, Prescribed(COURSE)):
+    for kinetics in (BALIGA, PrescribedCure(COURSE)):
         found = setting(kinetics, 2).update(
             [np.array([-1e-15, 1 + 1e-15])], [np.full(2, 310.0)], 1.0, 350.0
         )[0]
@@ -295,7 +295,7 @@ class Point:
 
 
 def point(
-    kinetics: Autocatalytic | Prescribed = BALIGA,
+    kinetics: AutocatalyticCure | PrescribedCure = BALIGA,
     T: float = 310.15,
     initial: float = 1e-3,
     gain: float = RISE,
@@ -403,7 +403,7 @@ def test_order_of_the_cure(method: Method) -> None:
     ids=["initial cure 1e-6", "activation energy doubled", "heat doubled"],
 )
 def test_stiff_cure(
-    method: str, kinetics: Autocatalytic, initial: float, gain: float, t50: float
+    method: str, kinetics: AutocatalyticCure, initial: float, gain: float, t50: float
 ) -> None:
     """An exotherm of seconds within an hour: bounds, energy and few steps."""
     tolerance = TOLERANCE if method == "sdirk4" else 0.1
@@ -419,7 +419,7 @@ def test_stiff_cure(
 
 @ALL
 @pytest.mark.parametrize("dt", [1e-3, 1.0, 60.0, 3600.0])
-def test_forced_steps(kinetics: Autocatalytic, dt: float) -> None:
+def test_forced_steps(kinetics: AutocatalyticCure, dt: float) -> None:
     """Backward Euler at any step, temperature given: within bounds, and cured after a day."""
     curing = setting(kinetics)
     y = [np.array([1e-6])]
@@ -438,7 +438,7 @@ COURSE = ((300.0, 0.0), (400.0, 2.0), (600.0, 0.0))
 
 def test_clock_is_met_whatever_its_scale() -> None:
     """Degree = initial + (1 - initial) times the part of the course's integral that has passed."""
-    p = point(Prescribed(COURSE))
+    p = point(PrescribedCure(COURSE))
     assert p.curing.events == (300.0, 400.0, 600.0)
     run = integrate(p, 1800.0)
     times = np.array(run.times)
@@ -456,7 +456,7 @@ def test_clock_is_met_whatever_its_scale() -> None:
 
 def test_clock_stops_at_full_cure() -> None:
     """Long backward Euler steps see the rate at their ends only; the degree ends at one at most."""
-    curing = setting(Prescribed(((0.0, 1.0), (100.0, 1.0))))
+    curing = setting(PrescribedCure(((0.0, 1.0), (100.0, 1.0))))
     y = curing.initial()
     for k in range(1, 8):
         found = curing.update(y, [np.full(1, 310.0)], 30.0, 30.0 * k)[0]
@@ -471,7 +471,7 @@ def test_clock_stops_at_full_cure() -> None:
 @pytest.mark.parametrize("dt", [60.0, 0.1])
 def test_clock_that_jumps_is_met_in_equal_steps(method: Method, begin: float, dt: float) -> None:
     """A rate that begins and ends at once, at the ends of steps whose times are rounded."""
-    p = point(Prescribed(((begin, 1.0), (begin + 5 * dt, 1.0))))
+    p = point(PrescribedCure(((begin, 1.0), (begin + 5 * dt, 1.0))))
     y, slope, seconds = p.start, [np.zeros(1), np.zeros(1)], begin - 2 * dt
     for k in range(-2, 7):
         done = step(method, y, slope, dt, seconds, p.solve)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mantle.errors import ConvergenceError
-from mantle.stepping.load_steps import Motion
+from mantle.stepping.load_steps import LoadStepper
 from tests import support
 
 STEM = (support.CONFIGS / "stress" / "stem.yaml").read_text(encoding="utf-8")
@@ -29,7 +29,7 @@ def moved(*overrides: str) -> float:
     def note(step: object, trial: object) -> None:
         found.append(float(np.abs(trial.jump).max()))  # type: ignore[attr-defined]
 
-    Motion(problem, solver, note, pytest.fail).load(0, problem.scene.stages[0])
+    LoadStepper(problem, solver, note, pytest.fail).load(0, problem.scene.stages[0])
     return found[-1]
 
 

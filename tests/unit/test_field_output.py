@@ -21,7 +21,7 @@ from mantle.results.quantities import Samples
 from mantle.results.reading import shape_functions
 from mantle.results.thermal_quantities import ThermalRecord
 from mantle.scene.bodies import Bodies, bodies_of
-from mantle.scene.terms import Conductor, Scene, ThermalContact
+from mantle.scene.terms import ConductorTerm, Scene, ThermalContact
 from mantle.system.timing import Timing
 from tests import support
 from tests.unit.test_thermal_quantities import SIDES, ZERO, two_blocks
@@ -46,7 +46,7 @@ class Motion:
 def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     """Bone at 40 + 4 z + y degC; cement colder by 10 + x where the interface resists heat."""
     contact = ThermalContact("bone_cement", ("cement",), ("bone",), H, 0.0, np.inf)
-    conductors = tuple(Conductor(r, (1.0,), (), 2.0, ZERO + 37) for r in ("bone", "cement"))
+    conductors = tuple(ConductorTerm(r, (1.0,), (), 2.0, ZERO + 37) for r in ("bone", "cement"))
     scene = Scene(
         1, (), (), (), (), (), (), (),
         conductors=conductors,

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from mantle.errors import GeometryError, MantleError, StoppedError
-from mantle.mechanics.problem import Trial
+from mantle.mechanics.problem import TrialState
 from mantle.simulation.model import Model
 from mantle.stepping import nested_start
-from mantle.stepping.load_steps import Step
+from mantle.stepping.load_steps import LoadStep
 from mantle.system.timing import Timing
 from tests import support
 
@@ -58,12 +58,12 @@ supports:
 """
 
 
-def go(*overrides: str) -> tuple[Model, list[Step]]:
+def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
     """Solve the stem."""
     model = Model(support.case(STEM, *overrides), MPI.COMM_WORLD, {}, Timing(), str)
-    steps: list[Step] = []
+    steps: list[LoadStep] = []
 
-    def on_step(step: Step, trial: Trial | None) -> None:
+    def on_step(step: LoadStep, trial: TrialState | None) -> None:
         steps.append(step)
 
     model.go(on_step, lambda step, accepted: None, print)

@@ -112,7 +112,7 @@ def as_the_paper_says(stem: str, t: float, mu: float, name: str) -> float:
     }[name]
 
 
-def sweep(maker: Maker, law: Law, error: float) -> rs.Sweep:
+def sweep(maker: Maker, law: Law, error: float) -> rs.SweepResults:
     for stem in MODULI:
         for t in (2.0, 3.0, 4.0, 5.0, 7.0):
             maker.stance(stem, t, 1.0, contact(law, stem, t, 1.0, error))
@@ -121,7 +121,7 @@ def sweep(maker: Maker, law: Law, error: float) -> rs.Sweep:
     return rs.read(maker.write())
 
 
-def verdicts(found: rs.Sweep) -> dict[str, str]:
+def verdicts(found: rs.SweepResults) -> dict[str, str]:
     return {t.name: t.verdict for t in rt.judge(report_paper.Cases(found))}
 
 

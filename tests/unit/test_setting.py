@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mantle.errors import InputError
-from mantle.scene.terms import Cure, Prescribed, Scene
+from mantle.scene.terms import CureTerm, PrescribedCure, Scene
 from tests.heated import Heated, expanding
 from tests.unit.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
 
@@ -19,12 +19,12 @@ Floats = NDArray[np.float64]
 E, α_T = 2200.0, 8e-5
 
 
-def cure(region: str, initial: float = 1e-3, **more: float) -> Cure:
+def cure(region: str, initial: float = 1e-3, **more: float) -> CureTerm:
     values = {"gel": 0.85, "floor": 0.01, "exponent": 1.0, "shrinkage": 0.0} | more
-    return Cure(region, Prescribed(()), 155.0, initial, **values)
+    return CureTerm(region, PrescribedCure(()), 155.0, initial, **values)
 
 
-def setting(*cures: Cure, **coefficients: float) -> Callable[[Scene], Scene]:
+def setting(*cures: CureTerm, **coefficients: float) -> Callable[[Scene], Scene]:
     """Let regions expand from 300 K, and set."""
 
     def change(old: Scene) -> Scene:

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from mantle.errors import ConvergenceError
-from mantle.numerics.newton import Outcome, Solver
+from mantle.numerics.newton import NewtonResult, Solver
 from tests import coupled, support
 
 PLUG = """
@@ -40,7 +40,7 @@ def test_a_step_that_is_cut_back_ends_where_its_increment_would(
     solve = Solver.solve
     calls = 0
 
-    def failing_twice(solver: Solver) -> Outcome:
+    def failing_twice(solver: Solver) -> NewtonResult:
         nonlocal calls
         calls += 1
         outcome = solve(solver)

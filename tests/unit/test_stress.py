@@ -20,7 +20,7 @@ from mantle.meshes.quality import sicn
 from mantle.results.reading import Run
 from mantle.schema import config
 from mantle.verification import changed_meshes, extremes, judges
-from mantle.verification.extremes_case import CONFIGS, Judged, Trial, Wanted
+from mantle.verification.extremes_case import CONFIGS, ExtremeCase, Judged, Wanted
 from mantle.verification.extremes_cases import trials
 from mantle.verification.extremes_picture import picture
 from tests import support
@@ -31,11 +31,11 @@ KEYS = {"case", "parameters", "outcome", "explanation", "deviation", "seconds"}
 LOOSE = "no convergence: it is loose [loose-body]"
 
 
-def trial(deviation: float | None, refused: Reason | None = None, runs: int = 1) -> Trial:
+def trial(deviation: float | None, refused: Reason | None = None, runs: int = 1) -> ExtremeCase:
     """A case whose judge has made up its mind."""
     judge = None if deviation is None else lambda runs: Judged(deviation, "as it is")
     wanted = tuple(Wanted("blocks.yaml", (f"mesh.size={k + 1} mm",)) for k in range(runs))
-    return Trial("row", "line", "3 mm", {"size": 3.0}, wanted, judge, 1e-6, refused)
+    return ExtremeCase("row", "line", "3 mm", {"size": 3.0}, wanted, judge, 1e-6, refused)
 
 
 @pytest.fixture
@@ -93,7 +93,7 @@ def test_a_judge_that_breaks_is_a_failure(done: batch.Result) -> None:
     def breaks(runs: object) -> Judged:
         raise ValueError("no such field")
 
-    case = Trial("row", "", "1", {}, (Wanted("blocks.yaml"),), breaks)
+    case = ExtremeCase("row", "", "1", {}, (Wanted("blocks.yaml"),), breaks)
     outcome = extremes.judge(case, [done])
     assert outcome.state == "failed" and "no such field" in outcome.explanation
 

@@ -139,7 +139,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
     return Bench(tmp_path)
 
 
-def expand(text: str, folder: Path) -> list[sweep_options.Point]:
+def expand(text: str, folder: Path) -> list[sweep_options.SweepPoint]:
     path = folder / "sweep.yaml"
     path.write_text(text)
     return [p.point for p in sweep_file.read(path)[1]]

@@ -18,10 +18,10 @@ from scipy.integrate import quad
 
 from mantle.errors import InputError
 from mantle.heat.assembly import HeatForms
-from mantle.heat.nodes import Probe
+from mantle.heat.nodes import ProbedPoint
 from mantle.meshes.distribute import TaggedMesh
 from mantle.results.cure_quantities import CureRecord
-from mantle.results.thermal_quantities import Exchange, ThermalRecord
+from mantle.results.thermal_quantities import HeatPassed, ThermalRecord
 from mantle.scene.bodies import Bodies, bodies_of
 from mantle.system.timing import Timing
 from tests import coupled, support
@@ -66,7 +66,7 @@ class Play:
     """Plays temperatures in degC, functions of place (n, 3) and time, to a record."""
 
     def __init__(
-        self, tagged: TaggedMesh, bone: State, cement: State, probes: tuple[Probe, ...] = ()
+        self, tagged: TaggedMesh, bone: State, cement: State, probes: tuple[ProbedPoint, ...] = ()
     ) -> None:
         forms = HeatForms(tagged, BODIES, Timing())
         self.space = forms.space
@@ -262,7 +262,7 @@ def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
     for flux, entropy in ((-2e-3, 3e-9), (1e-3, -1e-25)):
         one = np.array([flux]), np.array([entropy])
         play.record.update(
-            1.0 + entropy, play.at(1.0), [Exchange(("bone_cement",), np.array([0]), *one)]
+            1.0 + entropy, play.at(1.0), [HeatPassed(("bone_cement",), np.array([0]), *one)]
         )
     q = play.record.summary()["interfaces"]["bone_cement"]
     assert q["heat_flux_max"] == pytest.approx(2.0)  # W/m2
@@ -273,9 +273,9 @@ def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
 
 def test_probes_see_their_own_region(stack: TaggedMesh) -> None:
     probes = (
-        Probe("tip", (1.3, 2.2, 2.0), "bone"),
-        Probe("above", (1.3, 2.2, 2.0), "cement"),
-        Probe("anywhere", (0.2, 0.3, 3.3)),
+        ProbedPoint("tip", (1.3, 2.2, 2.0), "bone"),
+        ProbedPoint("above", (1.3, 2.2, 2.0), "cement"),
+        ProbedPoint("anywhere", (0.2, 0.3, 3.3)),
     )
     play = Play(stack, falling, lambda x, t: 60.0 + x[:, 0] - 2 * x[:, 1] + t, probes)
     play.through(1.0)
@@ -292,7 +292,7 @@ def test_probes_in_curved_cells() -> None:
     forms = HeatForms(tagged, bodies, Timing())
     angles = np.linspace(0, 2, 5)
     probes = [
-        Probe(f"p{k}", (8.999 * np.cos(a), 8.999 * np.sin(a), 3.1), "cement")
+        ProbedPoint(f"p{k}", (8.999 * np.cos(a), 8.999 * np.sin(a), 3.1), "cement")
         for k, a in enumerate(angles)
     ]
     record = ThermalRecord(tagged, forms, bodies.of_region, tagged.interfaces, ("bone",), probes)
@@ -309,7 +309,7 @@ def test_probes_in_curved_cells() -> None:
 
 def test_a_probe_outside_is_refused(stack: TaggedMesh) -> None:
     with pytest.raises(InputError, match=r"probes\.far: .* region 'bone'"):
-        Play(stack, falling, falling, (Probe("far", (1.0, 1.0, 3.0), "bone"),))
+        Play(stack, falling, falling, (ProbedPoint("far", (1.0, 1.0, 3.0), "bone"),))
 
 
 def logistic(t: np.ndarray | float, k: float = 6.82396e-3, seed: float = 1e-3) -> Any:
@@ -366,7 +366,7 @@ def test_ranks_agree(ranks: int, tmp_path: Path) -> None:
 
 def main(path: str) -> None:
     comm = MPI.COMM_WORLD
-    probes = (Probe("tip", (1.3, 2.2, 2.0), "bone"), Probe("any", (0.2, 0.3, 3.3)))
+    probes = (ProbedPoint("tip", (1.3, 2.2, 2.0), "bone"), ProbedPoint("any", (0.2, 0.3, 3.3)))
     play = Play(two_blocks(comm), wandering, wandering, probes)
     summary = play.through(*np.arange(10.0, 120.0, 10.0))
     summary["row"] = play.record.row()

@@ -120,8 +120,8 @@ def test_a_picture_has_the_rows_that_there_are(tmp_path: Path) -> None:
     run: Run = SimpleNamespace()  # type: ignore[assignment]
     sheet = unrolled.Sheet(corners, nodes, True)
     rows = [
-        unrolled.Row("height (mm)", "viridis", lambda run: points[:, 2]),
-        unrolled.Row("nothing", "viridis", lambda run: None),
+        unrolled.MapRow("height (mm)", "viridis", lambda run: points[:, 2]),
+        unrolled.MapRow("nothing", "viridis", lambda run: None),
     ]
     path = tmp_path / "map.png"
     assert unrolled.draw(path, [("one", run, sheet), ("two", run, sheet)], rows) == ["height (mm)"]

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from mantle.errors import InputError
 from mantle.mechanics.neighbours import kriging
-from mantle.mechanics.problem import Trial
+from mantle.mechanics.problem import TrialState
 from mantle.results.quantities import Samples
 from mantle.schema import config
 from mantle.simulation import variations
 from mantle.simulation.model import Model
-from mantle.stepping.load_steps import Step
+from mantle.stepping.load_steps import LoadStep
 from mantle.system.timing import Timing
 from tests import coupled, support
 
@@ -258,7 +258,7 @@ class Runs:
         last: list[Samples] = []
         iterations = []
 
-        def keep(step: Step, trial: Trial | None) -> None:
+        def keep(step: LoadStep, trial: TrialState | None) -> None:
             iterations.append(step.outcome.iterations)
             if trial is not None:
                 last[:] = [Samples(model.mechanics[0].problem, trial)]

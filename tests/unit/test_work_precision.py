@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mantle.campaigns import work_precision as wp
-from mantle.campaigns.work_precision import Point, Reference
+from mantle.campaigns.work_precision import Point, ReferenceValue
 
 
 @pytest.mark.parametrize("order", [0.6, 1.0, 1.7, 2.0, 3.0, 3.9])
@@ -46,7 +46,7 @@ def test_without_a_number_along_the_ladder_nothing_is_extrapolated() -> None:
 def point(x: float, error: float, *, estimate: float | None = None, **more: float) -> Point:
     """A point of the quantity 2 + 2 error, compared with 2 ± 0.002."""
     raw = Point("P1", f"{x} mm", x, 1.0, 2 + 2 * error, estimate, more.get("algebraic", 0.0))
-    return wp.compare(raw, Reference(2.0, 0.002, None, "given"))
+    return wp.compare(raw, ReferenceValue(2.0, 0.002, None, "given"))
 
 
 def test_error_and_what_can_be_trusted() -> None:
@@ -55,8 +55,8 @@ def test_error_and_what_can_be_trusted() -> None:
     assert good.trusted and not close.trusted
     assert good.bound == pytest.approx(0.05) and close.bound == pytest.approx(0.001)
     failed, plain = Point("P1", "a", 1.0, None, None), Point("P1", "a", 1.0, 1.0, 1.0)
-    assert wp.compare(failed, Reference(2.0, 0.002, None, "given")) == failed
-    assert wp.compare(plain, Reference(0.0, 0.0, None, "given")) == plain
+    assert wp.compare(failed, ReferenceValue(2.0, 0.002, None, "given")) == failed
+    assert wp.compare(plain, ReferenceValue(0.0, 0.0, None, "given")) == plain
     assert wp.compare(plain, None) == plain
     assert failed.bound is plain.bound is None and not plain.trusted
 

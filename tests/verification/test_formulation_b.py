@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from mantle import meshes
 from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.problem import Problem, Trial
+from mantle.mechanics.problem import Problem, TrialState
 from mantle.mechanics.systems import mechanical
 from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.numerics.newton import Solver
 from mantle.scene.build import build_scene
 from mantle.schema import config
-from mantle.stepping.load_steps import Motion, Step
+from mantle.stepping.load_steps import LoadStep, LoadStepper
 from mantle.stepping.stages import run_stages
 from mantle.system.timing import Timing
 from tests.reference import formulation_b
@@ -187,7 +187,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
     states: list[State] = []
     before = np.zeros((len(vertex), 3))
 
-    def on_step(step: Step, trial: Trial | None) -> None:
+    def on_step(step: LoadStep, trial: TrialState | None) -> None:
         assert trial is not None
         change = trial.jump - before
         before[:] = trial.jump
@@ -207,7 +207,7 @@ def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[St
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    run_stages(terms.stages, (Motion(problem, solver, on_step, print),), ())
+    run_stages(terms.stages, (LoadStepper(problem, solver, on_step, print),), ())
     return times, states, jumps
 
 

@@ -13,7 +13,7 @@ from mantle.errors import InputError
 from mantle.schema import config
 from mantle.verification import closed_forms, problems, verify
 from mantle.verification.measures import Sample
-from mantle.verification.problem import CASES, Point, Problem
+from mantle.verification.problem import CASES, Check, CheckRun
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "passed"}
 
@@ -68,8 +68,8 @@ def test_what_fails_is_told(
         "interfaces.slope_block.friction_coefficient=0",
         "supports.push={kind: roller, boundary: top, axis: y}",
     )
-    broken = Problem(
-        "incline_loose", "nothing holds it", 0.1, "incline.yaml", (Point(loose, _never),)
+    broken = Check(
+        "incline_loose", "nothing holds it", 0.1, "incline.yaml", (CheckRun(loose, _never),)
     )
     everything = problems.problems()
     monkeypatch.setattr(verify, "problems", lambda fine: [broken, *everything])
@@ -91,10 +91,10 @@ def _never(run: object) -> Sample:
 def test_a_wrong_order_fails() -> None:
     """However small the error."""
 
-    def outcome(*errors: float) -> verify.Outcome:
-        points = tuple(Point((), _never, h) for h in (1.0, 0.5, 0.25))
-        problem = Problem("ladder", "", 0.1, "none.yaml", points, 2.0)
-        return verify.Outcome(problem, tuple(Sample(1, 1, e) for e in errors), 0.0)
+    def outcome(*errors: float) -> verify.CheckResult:
+        points = tuple(CheckRun((), _never, h) for h in (1.0, 0.5, 0.25))
+        problem = Check("ladder", "", 0.1, "none.yaml", points, 2.0)
+        return verify.CheckResult(problem, tuple(Sample(1, 1, e) for e in errors), 0.0)
 
     assert outcome(0.16, 0.04, 0.01).order == pytest.approx(2)
     assert outcome(0.16, 0.04, 0.01).passed
@@ -108,7 +108,7 @@ def test_a_selection_leaves_the_results_of_the_whole_suite(
 ) -> None:
     """And where no picture can be drawn, that of other numbers does not stay."""
     one, two = (
-        Problem(name, "a number", 0.1, direct=lambda: Sample(1.0, 1.0, 0.01)) for name in "ab"
+        Check(name, "a number", 0.1, direct=lambda: Sample(1.0, 1.0, 0.01)) for name in "ab"
     )
     monkeypatch.setattr(verify, "problems", lambda fine: [one, two])
     assert verify.run("", tmp_path, fine=False, cores=1)

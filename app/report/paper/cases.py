@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from mantle.report.sweep_results import Case, Number, Sweep, magnitude
+from mantle.report.sweep_results import Number, SweepResults, SweptCase, magnitude
 
 INTERFACES = ("cement_bone", "stem_cement")
 STEMS = {110e3: "titanium", 200e3: "CoCr"}  # Young's modulus [MPa]
@@ -144,7 +144,7 @@ class Known:
         physics: What it is.
     """
 
-    case: Case
+    case: SweptCase
     physics: Physics
 
 
@@ -155,7 +155,7 @@ class Cases:
         every: All cases that are of the kind, whatever they vary besides.
     """
 
-    def __init__(self, sweep: Sweep) -> None:
+    def __init__(self, sweep: SweepResults) -> None:
         """Recognise them."""
         cases = reversed(sweep.cases)  # of two that are the same the first counts: it comes last
         self.every = [Known(c, p) for c in cases if (p := physics(c.data)) is not None]
@@ -179,7 +179,7 @@ class Cases:
 
     def stances(
         self, stem: str = "", friction: float | None = None, done: bool = True
-    ) -> dict[float, Case]:
+    ) -> dict[float, SweptCase]:
         """Cases of single-limb stance by thickness.
 
         Args:
@@ -195,7 +195,7 @@ class Cases:
         }
         return dict(sorted(found.items()))
 
-    def frictions(self, stem: str, done: bool = True) -> dict[float, Case]:
+    def frictions(self, stem: str, done: bool = True) -> dict[float, SweptCase]:
         """Cases of single-limb stance with a mantle of 4 mm by cement-bone friction."""
         found = {
             k.physics.bone_friction: k.case
@@ -204,9 +204,9 @@ class Cases:
         }
         return dict(sorted((mu, c) for mu, c in found.items() if mu is not None))
 
-    def heats(self, done: bool = True) -> dict[tuple[str, str], dict[float, Case]]:
+    def heats(self, done: bool = True) -> dict[tuple[str, str], dict[float, SweptCase]]:
         """Cases of hot cement by model and reading, then by thickness."""
-        found: dict[tuple[str, str], dict[float, Case]] = {}
+        found: dict[tuple[str, str], dict[float, SweptCase]] = {}
         for model in ("femur", "slice"):
             if model not in self._common:
                 continue
@@ -222,7 +222,7 @@ class Cases:
     @property
     def curves(self) -> bool:
         """Whether anything of the paper is varied over at least two values."""
-        families: list[dict[float, Case]] = [*self.heats().values()]
+        families: list[dict[float, SweptCase]] = [*self.heats().values()]
         for stem in STEMS.values():
             families += [self.stances(stem), self.frictions(stem)]
         return any(len(family) > 1 for family in families)
@@ -241,9 +241,9 @@ def same(a: float | None, b: float) -> bool:
     return a is not None and math.isclose(a, b, rel_tol=1e-6)
 
 
-Numbers = Callable[[Case], Number | None]
+Numbers = Callable[[SweptCase], Number | None]
 
 
-def series(family: dict[float, Case], of: Numbers) -> dict[float, Number]:
+def series(family: dict[float, SweptCase], of: Numbers) -> dict[float, Number]:
     """A number over what a family of cases varies, where it is known."""
     return {x: n for x, c in family.items() if (n := of(c)) is not None}

@@ -23,7 +23,7 @@ from mantle.report.paper.cases import (
     same,
 )
 from mantle.report.paper.heat import AT, bone_peak, cement_peak
-from mantle.report.sweep_results import Case, Number, Sweep, magnitude
+from mantle.report.sweep_results import Number, SweepResults, SweptCase, magnitude
 
 FACTS = Path(__file__).with_name("numbers.csv")
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
@@ -87,7 +87,7 @@ def facts() -> list[Fact]:
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparedNumber:
     """A number of the paper beside mantle's.
 
     Attributes:
@@ -122,9 +122,9 @@ class Row:
         return peak, p99
 
 
-def compare(cases: Cases, sweep: Sweep) -> list[Row]:
+def compare(cases: Cases, sweep: SweepResults) -> list[ComparedNumber]:
     """Every number of the paper beside mantle's, or with the reason why there is none."""
-    rows: list[Row] = []
+    rows: list[ComparedNumber] = []
     for fact in facts():
         match fact.model, fact.quantity:
             case "stance", _:
@@ -143,8 +143,8 @@ def named(name: str) -> str:
     return WORDS.get(name, name.replace("_", " "))
 
 
-def _stance_rows(fact: Fact, cases: Cases) -> list[Row]:
-    rows: list[Row] = []
+def _stance_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
+    rows: list[ComparedNumber] = []
     for stem in STEMS.values() if fact.stem == "both" else (fact.stem,):
         family = cases.stances(stem, fact.friction, done=False)
         found = {t: c for t, c in family.items() if fact.matches(t)}
@@ -156,7 +156,7 @@ def _stance_rows(fact: Fact, cases: Cases) -> list[Row]:
     return rows
 
 
-def _stance_row(fact: Fact, stem: str, thickness: float, case: Case) -> Row:
+def _stance_row(fact: Fact, stem: str, thickness: float, case: SweptCase) -> ComparedNumber:
     name = f"{fact.place}.{fact.quantity}"
     _, factor = QUANTITIES[fact.quantity]
     peak, p99 = case.number(f"{name}_max"), case.number(f"{name}_p99")
@@ -166,7 +166,7 @@ def _stance_row(fact: Fact, stem: str, thickness: float, case: Case) -> Row:
         area = case.number(f"{fact.place}.area")
         if over is not None and area is not None:
             remark = f"mantle: more than 30 µm on {_share(over.value / area.value)} of the area"
-    return Row(
+    return ComparedNumber(
         fact,
         case.name,
         stem,
@@ -181,17 +181,17 @@ def _share(part: float) -> str:
     return f"{100 * part:.2g} %" if part < 0.995 else "100 %"
 
 
-def _why(case: Case) -> str:
+def _why(case: SweptCase) -> str:
     """Why a case has no result."""
     return f"the case {case.name} {'did not converge' if 'not' in case.status else case.status}"
 
 
-def _nothing(fact: Fact, stem: str, thickness: float | None, why: str) -> Row:
-    return Row(fact, "", stem, thickness, None, None, why)
+def _nothing(fact: Fact, stem: str, thickness: float | None, why: str) -> ComparedNumber:
+    return ComparedNumber(fact, "", stem, thickness, None, None, why)
 
 
-def _heat_rows(fact: Fact, cases: Cases) -> list[Row]:
-    rows: list[Row] = []
+def _heat_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
+    rows: list[ComparedNumber] = []
     for (model, reading), family in cases.heats(done=False).items():
         label = f"{model}, {READINGS[reading]}, {cases.conductance(model)}"
         for t, case in family.items():
@@ -204,17 +204,17 @@ def _heat_rows(fact: Fact, cases: Cases) -> list[Row]:
             after = f", after {AT:g} s" if fact.place == "cement" and reading == "initial" else ""
             peak = None if number is None else number.value
             sure = number if number is not None and number.error is not None else None
-            rows.append(Row(fact, case.name, fact.stem, t, peak, sure, label + after))
+            rows.append(ComparedNumber(fact, case.name, fact.stem, t, peak, sure, label + after))
     return rows or [
         _nothing(fact, fact.stem, None, f"no case with cement of 100 °C and {fact.thickness} mm")
     ]
 
 
-def _extreme_rows(fact: Fact, cases: Cases) -> list[Row]:
+def _extreme_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
     """Mean stress of the regions of the heated femur."""
     largest = max if fact.value > 0 else min
     family = cases.heats().get(("femur", "initial"), {})
-    found: list[tuple[float, str, float, Case]] = []
+    found: list[tuple[float, str, float, SweptCase]] = []
     for t, case in family.items():
         for region in case.summary.get("regions", {}):
             if (n := case.number(f"{region}.{fact.quantity}")) is not None:
@@ -228,11 +228,13 @@ def _extreme_rows(fact: Fact, cases: Cases) -> list[Row]:
         others[r] = largest(v, others.get(r, v))
     each = ", ".join(f"{named(r)} {v:.3g}" for r, v in others.items())
     return [
-        Row(fact, case.name, fact.stem, t, value, None, f"in {named(region)}; by region: {each}")
+        ComparedNumber(
+            fact, case.name, fact.stem, t, value, None, f"in {named(region)}; by region: {each}"
+        )
     ]
 
 
-def _other(fact: Fact, sweep: Sweep) -> Row:
+def _other(fact: Fact, sweep: SweepResults) -> ComparedNumber:
     """What is no result of the paper's."""
     if fact.kind == "input":
         why = "not a result but a property of materials; mantle's unilateral contact has none"
@@ -246,10 +248,12 @@ def _other(fact: Fact, sweep: Sweep) -> Row:
     if not found:
         return _nothing(fact, "", None, "no case of this sweep has contact")
     value, name = max(found)
-    return Row(fact, name, "", None, 1e3 * value, None, "largest of all cases, to rounding zero")
+    return ComparedNumber(
+        fact, name, "", None, 1e3 * value, None, "largest of all cases, to rounding zero"
+    )
 
 
-def csv_rows(rows: Iterable[Row]) -> list[list[Any]]:
+def csv_rows(rows: Iterable[ComparedNumber]) -> list[list[Any]]:
     """The comparison as rows of a table, the first with titles."""
     head = (
         "id,model,stem,thickness [mm],cement-bone friction,place,quantity,kind,unit,paper,"

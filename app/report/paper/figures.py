@@ -21,7 +21,7 @@ from mantle.report.paper.cases import (
 )
 from mantle.report.paper.compare import READINGS, published
 from mantle.report.paper.heat import bone_p99, bone_peak, cement_peak
-from mantle.report.sweep_results import Case, Number, magnitude
+from mantle.report.sweep_results import Number, SweptCase, magnitude
 from mantle.schema import study_options
 
 COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
@@ -141,7 +141,7 @@ def _few(panels: Sequence[Panel]) -> bool:
 def _contact(place: str, quantity: str, how: str) -> Numbers:
     factor = QUANTITIES[quantity][1]
 
-    def of(case: Case) -> Number | None:
+    def of(case: SweptCase) -> Number | None:
         n = case.number(f"{place}.{quantity}_{how}")
         return None if n is None else n.times(factor)
 
@@ -151,7 +151,7 @@ def _contact(place: str, quantity: str, how: str) -> Numbers:
 def _panel(
     place: str,
     quantity: str,
-    families: dict[str, dict[float, Case]],
+    families: dict[str, dict[float, SweptCase]],
     stars: Callable[[str], list[tuple[float, float]]],
 ) -> Panel:
     lines = [
@@ -195,7 +195,7 @@ def _temperatures(cases: Cases) -> list[Panel]:
         stars = [(t, v) for t, _, v in published("CoCr", place, "temperature")]
         for k, ((model, reading), family) in enumerate(cases.heats().items()):
 
-            def of(case: Case, reading: str = reading, place: str = place) -> Number | None:
+            def of(case: SweptCase, reading: str = reading, place: str = place) -> Number | None:
                 return cement_peak(case, reading) if place == "cement" else bone_p99(case, reading)
 
             label = f"{model}, {READINGS[reading]}, {cases.conductance(model)}"
@@ -353,7 +353,7 @@ def _line(axes: Any, line: Line, shift: float) -> None:
 # Sweeps of anything
 
 
-def headlines(cases: Sequence[Case]) -> list[str]:
+def headlines(cases: Sequence[SweptCase]) -> list[str]:
     """Names of the numbers to show of cases, those that matter most first."""
     found: dict[str, None] = {}
     for case in cases:
@@ -383,7 +383,7 @@ def label(name: str) -> tuple[str, str, float]:
     return text, "", 1.0
 
 
-def multiples(cases: Sequence[Case], folder: Path) -> list[Figure]:
+def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
     """Draw each headline number over each numeric key that varies.
 
     Args:
@@ -424,16 +424,16 @@ def _varies(line: Line) -> bool:
     return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
 
 
-def unit_of(cases: Sequence[Case], key: str) -> str:
+def unit_of(cases: Sequence[SweptCase], key: str) -> str:
     """The unit of a key's values, as written."""
     texts = [str(c.overrides[key]).split(maxsplit=1) for c in cases if key in c.overrides]
     units = {t[1] for t in texts if len(t) > 1}
     return units.pop() if len(units) == 1 else ""
 
 
-def _groups(cases: Sequence[Case], key: str) -> list[tuple[str, dict[float, Case]]]:
+def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
     """Cases that differ in a numeric key alone, with what they have in common in words."""
-    found: dict[str, dict[float, Case]] = {}
+    found: dict[str, dict[float, SweptCase]] = {}
     for c in cases:
         x = magnitude(c.overrides.get(key))
         if x is not None:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from mantle.errors import MantleError
-from mantle.report.sweep_results import Case, Number, magnitude
+from mantle.report.sweep_results import Number, SweptCase, magnitude
 from mantle.results.reading import Run
 from mantle.results.unrolled import facets
 from mantle.schema import config
@@ -22,14 +22,14 @@ SETTLED = 2.0
 PERCENTILE = 0.99
 
 
-def cement_peak(case: Case, reading: str) -> Number | None:
+def cement_peak(case: SweptCase, reading: str) -> Number | None:
     """Highest temperature of the cement [degC]: after ten seconds where it starts at 100 degC."""
     if reading == "held":
         return case.number("cement.temperature_max")
     return at_ten_seconds(case, "cement")
 
 
-def at_ten_seconds(case: Case, region: str) -> Number | None:
+def at_ten_seconds(case: SweptCase, region: str) -> Number | None:
     """Highest temperature of a region after ten seconds [degC]; its error if the run ends then."""
     rows = [r for r in case.history if _float(r, "seconds [s]") <= AT * (1 + 1e-9)]
     if not rows:
@@ -42,7 +42,7 @@ def at_ten_seconds(case: Case, region: str) -> Number | None:
     return end or Number(value)
 
 
-def bone_peak(case: Case) -> Number | None:
+def bone_peak(case: SweptCase) -> Number | None:
     """Highest temperature of bone at the cement-bone interface [degC], at any time.
 
     Where the conductance is perfect: of bone, from two seconds on.
@@ -62,7 +62,7 @@ def _float(row: dict[str, str], key: str) -> float:
         return math.nan
 
 
-def bone_p99(case: Case, reading: str) -> Number | None:
+def bone_p99(case: SweptCase, reading: str) -> Number | None:
     """Temperature that 99 % of the area of bone at the cement-bone interface stay below [degC].
 
     After ten seconds, or at the end where the cement is held at 100 degC. Peaks sit where bone is
@@ -87,7 +87,7 @@ def bone_p99(case: Case, reading: str) -> Number | None:
     return Number(float(values[order][np.searchsorted(below, PERCENTILE * below[-1])]))
 
 
-def _step(case: Case, run: Run) -> int:
+def _step(case: SweptCase, run: Run) -> int:
     """The written step that ends the first ten seconds.
 
     Raises:

@@ -19,7 +19,7 @@ from mantle.report.paper.cases import (
     series,
 )
 from mantle.report.paper.heat import at_ten_seconds, bone_p99, bone_peak, cement_peak
-from mantle.report.sweep_results import Case, Number
+from mantle.report.sweep_results import Number, SweptCase
 
 VERDICTS = HELD, NOT_HELD, UNDECIDED = "held", "not held", "undecided"
 SLIP_LIKE, SHEAR_LIKE = 0.02, 0.05  # how alike the paper's two stems are
@@ -109,11 +109,11 @@ def judge(cases: Cases) -> list[Trend]:
     ]
 
 
-def _get(place: str, quantity: str, how: str) -> Callable[[Case], Number | None]:
+def _get(place: str, quantity: str, how: str) -> Callable[[SweptCase], Number | None]:
     """A contact quantity in the unit for people; of a peak the error is not known."""
     _, factor = QUANTITIES[quantity]
 
-    def of(case: Case) -> Number | None:
+    def of(case: SweptCase) -> Number | None:
         n = case.number(f"{place}.{quantity}_{how}")
         return (
             None if n is None else Number(n.value, n.error if how == "p99" else None).times(factor)
@@ -278,10 +278,10 @@ def _heat(cases: Cases) -> list[Trend]:
     trends = []
     for (model, reading), family in heats.items():
 
-        def hottest(case: Case, reading: str = reading) -> Number | None:
+        def hottest(case: SweptCase, reading: str = reading) -> Number | None:
             return cement_peak(case, reading)
 
-        def typical(case: Case, reading: str = reading) -> Number | None:
+        def typical(case: SweptCase, reading: str = reading) -> Number | None:
             return bone_p99(case, reading)
 
         cement = _warmer("cement", series(family, hottest))
@@ -303,7 +303,7 @@ def _warmer(label: str, values: dict[float, Number]) -> Part:
     return Part(exceeds(values[high], values[low]), text)
 
 
-def _cement_first(family: dict[float, Case], reading: str) -> Part:
+def _cement_first(family: dict[float, SweptCase], reading: str) -> Part:
     """Whether nothing is as hot as the cement."""
     found = {}
     for t, case in family.items():
