@@ -14,7 +14,7 @@ from typing import Any
 from mantle.campaigns import batch, study_report
 from mantle.campaigns import work_precision as wp
 from mantle.campaigns.batch import Job, Result
-from mantle.campaigns.study_report import Measured, Report, StudyRun
+from mantle.campaigns.study_model import Measured, Report, StudyRun, percent
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, config, study_file, study_options
 from mantle.schema.case_file import CaseFile, Fault
@@ -278,7 +278,7 @@ def _advice(
     own = reference.uncertainty / abs(reference.value)
     if own > target:
         return (
-            f"no advice on {name}: its reference is known to {study_report.percent(own)} only; "
+            f"no advice on {name}: its reference is known to {percent(own)} only; "
             "refine study.reference.run"
         )
     return _sentence(target, name, curve, errors)
@@ -306,7 +306,7 @@ def _advice_on_all(target: float, curve: list[StudyRun], measured: list[Measured
 def _sentence(
     target: float, what: str, curve: list[StudyRun], errors: Sequence[float | None]
 ) -> str:
-    wanted = study_report.percent(target)
+    wanted = percent(target)
     i, reached = wp.best([r.time for r in curve], errors, target)
     if i is None:
         return f"no advice on {what}: no run has a known error"
@@ -314,5 +314,5 @@ def _sentence(
     at = r.label if r.key == "mesh.size" else f"{r.key} = {r.label}"
     if reached:
         return f"for {wanted} in {what} use {r.line} at {at}: {time}"
-    error = study_report.percent(errors[i] or 0.0)
+    error = percent(errors[i] or 0.0)
     return f"nothing reaches {wanted} in {what}; closest is {r.line} at {at}: {error} in {time}"

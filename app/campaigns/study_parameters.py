@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from mantle.campaigns.study_model import Measured, Report, percent
 from mantle.campaigns.study_picture import COLOURS, MARKERS, MOST_PANELS, panels
-from mantle.campaigns.study_report import Measured, Report, percent
 
 UNITS = {"mm": (1e3, " (µm)"), "mm^2": (1.0, " (mm²)"), "-": (1.0, "")}
 # Largest over smallest value from which an axis is logarithmic.

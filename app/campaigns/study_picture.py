@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns.study_report import FLAT, Measured, Report, percent
+from mantle.campaigns.study_model import FLAT, Measured, Report, percent
 
 MOST_PANELS = 6
 COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")

@@ -5,109 +5,21 @@ from __future__ import annotations
 import csv
 import io
 import platform
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from mantle import __version__
-from mantle.campaigns.batch import Result, duration
-from mantle.campaigns.work_precision import USEFUL, Effectivity, Point, ReferenceValue
+from mantle.campaigns import study_parameters, study_picture
+from mantle.campaigns.batch import duration
+from mantle.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
+from mantle.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
 from mantle.errors import StoppedError
 from mantle.schema.study_file import Source
 from mantle.system.folders import remove, write_json, write_text
 
-# Exponents nearer to 0 say that the error does not depend on the key.
-FLAT = 0.05
 # Lengths are small where bodies meet.
 SHOWN = {"mm": (1e3, " um"), "-": (1.0, "")}
-
-
-@dataclass(frozen=True)
-class StudyRun:
-    """A point of a line, or of the reference's ladder, and what became of it.
-
-    Attributes:
-        line: Name of the line; empty in the reference's ladder.
-        key: The key that varies, or one that stands for several.
-        label: Its value, as written.
-        x: The same as a number, if it is one.
-        unit: Internal unit of the number; empty if it has none.
-        changes: All overrides of the point.
-        time: Run time without meshing and compiling, which are done once, and without companions
-            that tell the error [s]; None if it failed.
-        tolerance: Relative tolerance of the solver.
-        result: Its result.
-    """
-
-    line: str
-    key: str
-    label: str
-    x: float | None
-    unit: str
-    changes: dict[str, Any]
-    time: float | None
-    tolerance: float
-    result: Result
-
-    @property
-    def status(self) -> str:
-        """Done, or how it failed."""
-        code = self.result.exit_code
-        return f"failed (exit code {code})" if code else "done"
-
-
-@dataclass(frozen=True)
-class Measured:
-    """One quantity over the runs of all lines.
-
-    Attributes:
-        name: Its name.
-        unit: Its unit.
-        compared: Whether it has an error; else only its values are shown.
-        reference: What it is compared with; None if there is nothing.
-        points: A point for each run.
-        exponents: The p of error ~ key^p along each line.
-        front: Points that no other beats in time and error, fastest first.
-        errors: Error of each point, not less than the reference's own; None if unknown.
-        advice: What to use; empty if it is not compared.
-    """
-
-    name: str
-    unit: str
-    compared: bool
-    reference: ReferenceValue | None
-    points: Sequence[Point]
-    exponents: dict[str, float | None]
-    front: list[int]
-    errors: list[float | None]
-    advice: str
-
-
-@dataclass(frozen=True)
-class Report:
-    """Everything that a study found.
-
-    Attributes:
-        target: Relative error wanted.
-        runs: The runs of all lines.
-        ladder: Those of the reference.
-        quantities: What was measured, over `runs`.
-        advice: What to use for all of it; empty for a single quantity.
-        effectivity: How good the estimated errors are.
-    """
-
-    target: float
-    runs: Sequence[StudyRun]
-    ladder: Sequence[StudyRun]
-    quantities: Sequence[Measured]
-    advice: str
-    effectivity: Effectivity
-
-
-def percent(value: float) -> str:
-    """A relative number for people: 0.41 %, 12 %."""
-    return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
 
 
 def shown(value: float | None, unit: str) -> str:
@@ -197,8 +109,6 @@ def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]
     Raises:
         StoppedError: The folder cannot be written.
     """
-    from mantle.campaigns import study_parameters, study_picture
-
     record = {
         "mantle": __version__,
         "host": platform.node(),

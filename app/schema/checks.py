@@ -6,36 +6,17 @@ those of the others.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from typing import Any
 
 from mantle.errors import Reason
 from mantle.schema import thermal_checks
 from mantle.schema.case_file import Fault, Path
+from mantle.schema.case_parts import CaseParts
 from mantle.schema.conditions import Bonded
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor, Rigid
 from mantle.schema.study_options import OF_RUN
-
-
-@dataclass(frozen=True)
-class CaseParts:
-    """The sections of a case; None for one that is missing or invalid by itself.
-
-    Of `time` it matters only whether it is there.
-    """
-
-    geometry: Any
-    regions: Mapping[str, Any] | None
-    interfaces: Mapping[str, Any]
-    supports: Mapping[str, Any] | None
-    loads: Mapping[str, Any]
-    heat: Mapping[str, Any]
-    time: bool
-    output: Any
-    stages: Any
-    study: Any
 
 
 def cross_check(parts: CaseParts) -> list[Fault]:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from pydantic import model_validator
 
 from mantle.schema.fields import fail
 from mantle.schema.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from mantle.schema.units import Angle, Dimension, Length, NonNegativeLength, PositiveLength
-
-if TYPE_CHECKING:
-    from mantle.meshes.gruen import Zones
 
 BONE = ("cortical_bone", "cancellous_bone")
 MUSCLES = ("gluteus_medius", "gluteus_minimus", "gluteus_maximus", "psoas", "vastus_lateralis")
@@ -137,11 +134,9 @@ class _Femur(Shape):
         return (BONE,)
 
     @property
-    def zones(self) -> tuple[Zones, ...]:
-        """Those around the stem, or where it will be."""
-        from mantle.meshes.gruen import Zones  # here: a check of the configuration needs no meshes
-
-        return (Zones(self),)
+    def has_gruen_zones(self) -> bool:
+        """Bone around the stem, or where it will be."""
+        return True
 
     def _spokes(self, size: float) -> int:
         """Number of lines around the stem."""

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import model_validator
 
 from mantle.schema.fields import Section, Truth, fail
 from mantle.schema.units import Plain, PositiveLength
-
-if TYPE_CHECKING:
-    from mantle.meshes.gruen import Zones
 
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 Point3 = tuple[float, float, float]
@@ -43,9 +40,9 @@ class Shape(Section):
         return ()
 
     @property
-    def zones(self) -> tuple[Zones, ...]:
-        """Its Gruen zones; none unless it says so."""
-        return ()
+    def has_gruen_zones(self) -> bool:
+        """Whether it has the bone around a stem, or where one will be (`meshes.gruen`)."""
+        return False
 
     @property
     def joined(self) -> tuple[tuple[str, ...], ...]:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mantle.schema.case_file import Fault
+from mantle.schema.case_parts import CaseParts
 from mantle.schema.conditions import Bonded
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor
 from mantle.schema.thermal_options import Convection, FixedTemperature, Perfusion
-
-if TYPE_CHECKING:
-    from mantle.schema.checks import CaseParts
 
 
 def cross_check(parts: CaseParts) -> Iterable[Fault]:

@@ -22,6 +22,7 @@ from mantle.mechanics.problem import Problem, TrialState
 from mantle.mechanics.systems import ContactSystem, mechanical
 from mantle.meshes.data import MeshData
 from mantle.meshes.distribute import TaggedMesh, distribute
+from mantle.meshes.gruen import Zones
 from mantle.meshes.parts import Parts
 from mantle.numerics.newton import Solver
 from mantle.numerics.state import State
@@ -457,7 +458,8 @@ class Model:
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         for m in self.mechanics:
-            for zones in self._case.geometry.zones:
+            if self._case.geometry.has_gruen_zones:
+                zones = Zones(self._case.geometry)
                 found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
         return found
 
