@@ -21,6 +21,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 from mantle.errors import InputError
 from mantle.schema import case_file, checks, study_options
 from mantle.schema.case_file import CaseFile, Fault
+from mantle.schema.case_parts import CaseParts
 from mantle.schema.conditions import (
     BodyForce,
     Bonded,
@@ -319,7 +320,7 @@ def schema() -> dict[str, Any]:
 _adapter = lru_cache(TypeAdapter)
 
 
-def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.CaseParts:
+def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
     """Every part that is valid by itself, so that the rest can still be checked against it.
 
     The points that the geometry names are added to the context on the way.
@@ -340,7 +341,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> checks.CaseParts:
     if (centre := getattr(geometry, "head_centre", None)) is not None:
         context["points"]["head_centre"] = centre
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
-    return checks.CaseParts(
+    return CaseParts(
         geometry=geometry,
         regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
         interfaces=table("interfaces", Interface),
