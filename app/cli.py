@@ -453,7 +453,7 @@ def _mantle_pictures(data: Any, folder: Path) -> None:
     Raises:
         InputError: They cannot be written.
     """
-    from meshes import mantle_picture
+    from mantle.meshes import mantle_picture
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -265,7 +265,7 @@ def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
     script = (
         "import sys, time\nfrom pathlib import Path\nfrom mantle.system import form_cache\n"
         "def get(name, objects, folder, timeout): (folder / f'{name}.c').touch()\n"
-        "compiled._wait(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
+        "form_cache._wait(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
         "print('compiling', flush=True)\ntime.sleep(60)\n"
     )
     child = subprocess.Popen(

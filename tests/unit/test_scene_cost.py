@@ -10,7 +10,7 @@ import pytest
 import ufl
 
 from mantle.heat import assembly, temperature_jumps
-from mantle.mechanics import assembly as mechanics
+from mantle.mechanics import assembly as mechanics_assembly
 from mantle.mechanics import points
 from mantle.mechanics.problem import Problem
 from mantle.numerics.newton import Solver
@@ -212,7 +212,7 @@ class Bill:
     laws: int
     heat_laws: int
     forms: int
-    assembly: int
+    heat_forms: int
     integrals: int
 
 
