@@ -66,7 +66,7 @@ def cost(monkeypatch: pytest.MonkeyPatch, interfaces: str, *overrides: str) -> C
         return law(comm, normals, friction, frictional)
 
     def compiled(name: str) -> Any:
-        compiler = getattr(mechanics.fem, name)
+        compiler = getattr(mechanics_assembly.fem, name)
 
         def noted(*arguments: Any, **more: Any) -> Any:
             forms.append(arguments)
@@ -76,7 +76,7 @@ def cost(monkeypatch: pytest.MonkeyPatch, interfaces: str, *overrides: str) -> C
 
     monkeypatch.setattr(points, "_compile", compile_law)
     for name in COMPILERS:
-        monkeypatch.setattr(mechanics.fem, name, compiled(name))
+        monkeypatch.setattr(mechanics_assembly.fem, name, compiled(name))
     problem, solver = support.assemble(
         support.case(CASE.replace("INTERFACES", interfaces), *overrides)
     )
@@ -257,7 +257,7 @@ def bill(
         count(points, "_compile", "laws")
         count(temperature_jumps.interface_heat, "flux_and_derivatives", "heat_laws")
         for name in COMPILERS:
-            count(mechanics.fem, name, "forms", "integrals")
+            count(mechanics_assembly.fem, name, "forms", "integrals")
         count(assembly.HeatForms, "_form", "heat_forms")
         patch.setattr(model, "Solver", solver)
         for name, absent in (("Problem", not elastic), ("Conduction", not heated)):
