@@ -22,7 +22,6 @@ from mantle.mechanics.problem import Problem, TrialState
 from mantle.mechanics.systems import ContactSystem, mechanical
 from mantle.meshes.data import MeshData
 from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.meshes.gruen import Zones
 from mantle.meshes.parts import Parts
 from mantle.numerics.newton import Solver
 from mantle.numerics.state import State
@@ -459,6 +458,8 @@ class Model:
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         for m in self.mechanics:
             if self._case.geometry.has_gruen_zones:
+                from mantle.meshes.gruen import Zones  # brings scipy, which few runs need
+
                 zones = Zones(self._case.geometry)
                 found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
         return found

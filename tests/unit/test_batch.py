@@ -76,7 +76,7 @@ try:
         time.sleep(0.02)
     if wanted > 1:
         (here / "met").touch()
-    (running / size).unlink()
+    (running / size).unlink(missing_ok=True)
 except KeyboardInterrupt:
     sys.exit(5)
 output.mkdir(parents=True, exist_ok=True)

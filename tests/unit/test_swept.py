@@ -32,7 +32,7 @@ from mantle.meshes.data import (
     jacobians,
     match_faces,
 )
-from mantle.meshes.femur_surfaces import Femur as Surfaces
+from mantle.meshes.femur_surfaces import FemurSurfaces as Surfaces
 from mantle.schema.geometries import Femur, IntactFemur, MeshOptions
 from tests import support
 
