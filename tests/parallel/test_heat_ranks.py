@@ -19,10 +19,7 @@ from mpi4py import MPI
 from mantle.heat.conduction import Conduction
 from mantle.heat.system import HeatSystem
 from mantle.numerics.newton import Solver
-from mantle.scene.terms import (
-    Autocatalytic, Conductor, Convection, Cure, FixedTemperature, HeatFlux, HeatSource, Perfusion,
-    Scene, ThermalContact,
-)
+from mantle.scene import terms as t
 from mantle.system.timing import Timing
 from tests import support
 
@@ -30,20 +27,22 @@ case = support.case((support.CONFIGS / "cylinders.yaml").read_text(),
                     "mesh.size=4 mm", "mesh.far_size=6 mm")
 tagged = support.mesh(case)
 Z = 273.15
-terms = Scene(
+terms = t.Scene(
     1, (), (), (), (), (), (), (),
-    conductors=(Conductor("stem", (14.8,), (), 3.735, Z + 37),
-                Conductor("cement", (.2,), (), 1.752, Z + 100),
-                Conductor("bone", (.6, .4), (0., 0., 1.), 2.52, Z + 37)),
-    heat=(FixedTemperature("outer", "bone_surface", (), lambda x: Z + 37 + 0 * x[:, 0], ()),
-          FixedTemperature("low", "cement_bottom", (), lambda x: Z + 60 + x[:, 0], ()),
-          FixedTemperature("under", "bone_bottom", (), lambda x: Z + 40 + 0 * x[:, 0], ()),
-          HeatFlux("lamp", "stem_top", lambda x: 0.1 + 0.01 * x[:, 0], ()),
-          Convection("air", "bone_top", 0.02, Z + 20), Perfusion("blood", ("bone",), .01, Z + 37),
-          HeatSource("ohmic", ("stem",), lambda x: 0.01 * x[:, 2], ())),
-    thermal_contacts=(ThermalContact("stem_cement", ("stem",), ("cement",), .3, .1, np.inf),
-                      ThermalContact("cement_bone", ("bone",), ("cement",), .3, 0., np.inf)),
-    cures=(Cure("cement", Autocatalytic(2.6397e8, 62866.0, 0.98, 1.064, ()), 155., .05, .85, .01,
+    conductors=(t.ConductorTerm("stem", (14.8,), (), 3.735, Z + 37),
+                t.ConductorTerm("cement", (.2,), (), 1.752, Z + 100),
+                t.ConductorTerm("bone", (.6, .4), (0., 0., 1.), 2.52, Z + 37)),
+    heat=(t.FixedTemperatureTerm("outer", "bone_surface", (), lambda x: Z + 37 + 0 * x[:, 0], ()),
+          t.FixedTemperatureTerm("low", "cement_bottom", (), lambda x: Z + 60 + x[:, 0], ()),
+          t.FixedTemperatureTerm("under", "bone_bottom", (), lambda x: Z + 40 + 0 * x[:, 0], ()),
+          t.HeatFluxTerm("lamp", "stem_top", lambda x: 0.1 + 0.01 * x[:, 0], ()),
+          t.ConvectionTerm("air", "bone_top", 0.02, Z + 20),
+          t.PerfusionTerm("blood", ("bone",), .01, Z + 37),
+          t.HeatSourceTerm("ohmic", ("stem",), lambda x: 0.01 * x[:, 2], ())),
+    thermal_contacts=(t.ThermalContact("stem_cement", ("stem",), ("cement",), .3, .1, np.inf),
+                      t.ThermalContact("cement_bone", ("bone",), ("cement",), .3, 0., np.inf)),
+    cures=(t.CureTerm("cement", t.AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ()),
+                      155., .05, .85, .01,
                 1., 0.),),
 )
 c = Conduction(terms, tagged, Timing())
