@@ -1,0 +1,77 @@
+"""Sphinx with MyST: ``sphinx-build docs out/site`` makes a site with search of these pages."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+project = "mantle"
+author = "The mantle authors"
+extensions = ["myst_parser"]
+myst_enable_extensions = ["dollarmath"]
+# As forges make them.
+myst_heading_anchors = 4
+root_doc = "index"
+html_theme = "alabaster"
+html_theme_options = {
+    "description": "Thermomechanics of cemented joint replacements",
+    "page_width": "1100px",
+}
+html_sidebars = {"**": ["about.html", "searchbox.html", "navigation.html"]}
+html_show_copyright = False
+
+# The table of contents: Sphinx needs one, and a forge would show it as code.
+CONTENTS = {
+    "index": """
+tutorial
+howto/README
+reference/README
+theory
+verification
+paper
+mesh
+developer
+glossary
+""",
+    "howto/README": """
+install
+case
+geometry
+loads
+heat
+many-runs
+cluster
+restart
+paraview
+trouble
+""",
+    "reference/README": """
+case
+campaigns
+results
+commands
+""",
+}
+
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _read(app: Any, page: str, source: list[str]) -> None:
+    """Put the README before the index, and give a page its part of the table of contents."""
+    if page == "index":
+        readme = re.sub(r"\]\((?!docs/|#)", "](../", (ROOT / "README.md").read_text("utf-8"))
+        source[0] = readme.replace("](docs/", "](") + source[0].partition("\n")[2]
+    # Pages that are no part of the manual are named, not linked.
+    text = re.sub(
+        r"\[([^\]]*)\]\([./]*(CONTRIBUTING|CHANGELOG|configs|app/README)(\.md)?\)", r"\1", source[0]
+    )
+    source[0] = re.sub(r"\]\(([./]*)\.\./README\.md", r"](\1index.md", text)
+    if page in CONTENTS:
+        source[0] += f"\n```{{toctree}}\n:hidden:\n{CONTENTS[page]}```\n"
+
+
+def setup(app: Any) -> None:
+    """Register what is done to pages before they are read."""
+    app.connect("source-read", _read)
