@@ -1,0 +1,202 @@
+"""The manual: links lead somewhere, commands parse, cases load, generated pages are up to date."""
+
+from __future__ import annotations
+
+import fnmatch
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from ruamel.yaml import YAML
+
+import mantle
+from mantle import cli
+from mantle.schema import config, study_options
+from mantle.schema.study_options import StudyFile
+from mantle.schema.sweep_options import Sweep
+from mantle.system import ranks
+from mantle.verification import extremes_cases
+from mantle.verification.problems import problems
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
+LONGEST_README = 150
+# Commands of the launcher, which the program does not know.
+LAUNCHER = {"test", "shell", "setup"}
+CASE_KEYS = {"geometry", "mesh", "regions"}
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@cache
+def parts(page: Path) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """The text of a page without its fenced blocks, and the blocks with their languages."""
+    text = page.read_text(encoding="utf-8")
+    fence = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+    return fence.sub("", text), tuple(fence.findall(text))
+
+
+def blocks(language: str) -> Iterator[tuple[Path, str]]:
+    for page in PAGES:
+        yield from ((page, text) for lang, text in parts(page)[1] if lang == language)
+
+
+@cache
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as forges make them."""
+    headings = re.findall(r"^#+ (.*)$", parts(page)[0], re.MULTILINE)
+    plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading) for heading in headings]
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in plain}
+
+
+def commands(text: str) -> Iterator[list[str]]:
+    """The commands of mantle in a block of shell, as words."""
+    for line in text.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        for i, word in enumerate(words):
+            starts = i == 0 or words[i - 1] == "&&" or "mpirun" in words[:i]
+            if starts and word in ("mantle", "./mantle"):
+                end = words.index("&&", i) if "&&" in words[i:] else len(words)
+                yield words[i + 1 : end]
+
+
+@cache
+def generator() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("reference", DOCS / "reference.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_relative_links_resolve(page: Path) -> None:
+    broken = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", parts(page)[0]):
+        if re.match("[a-z]+:", link):
+            continue
+        target, _, anchor = link.partition("#")
+        path = (page.parent / target).resolve() if target else page
+        if not path.exists() or (anchor and anchor not in anchors(path)):
+            broken.append(link)
+    assert not broken
+
+
+def test_every_page_is_reached_from_the_readme() -> None:
+    seen: set[Path] = set()
+    waiting = [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop()
+        if page in seen:
+            continue
+        seen.add(page)
+        for link in re.findall(r"\]\(([^)\s#]+)", parts(page)[0]):
+            path = (page.parent / link).resolve()
+            path = path / "README.md" if path.is_dir() else path
+            if path.suffix == ".md" and path.is_file():
+                waiting.append(path)
+    assert {named(p) for p in PAGES} - {named(p) for p in seen} <= {"docs/index.md"}
+
+
+@pytest.mark.parametrize(
+    ("page", "command"),
+    [(page, command) for page, text in blocks("sh") for command in commands(text)],
+    ids=lambda value: named(value) if isinstance(value, Path) else " ".join(value),
+)
+def test_commands_parse(page: Path, command: list[str]) -> None:
+    if command[0] in LAUNCHER:
+        return
+    _, rest = ranks.split(command)
+    redirected = rest.index(">") if ">" in rest else len(rest)
+    rest = rest[:redirected]
+    options = cli.parser().parse_args(rest[: rest.index("--") if "--" in rest else len(rest)])
+    file = getattr(options, "case", None) or getattr(options, "sweep", None)
+    assert file is None or not str(file).startswith("configs/") or (ROOT / file).is_file()
+
+
+@pytest.mark.parametrize(
+    ("page", "text"), list(blocks("yaml")), ids=lambda v: named(v) if isinstance(v, Path) else ""
+)
+def test_yaml_blocks_are_cases_or_parts_of_them(page: Path, text: str, tmp_path: Path) -> None:
+    data = YAML(typ="safe", pure=True).load(text)
+    if CASE_KEYS <= data.keys():
+        (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
+        assert config.load(tmp_path / "case.yaml").geometry
+    elif "base" in data:
+        assert (StudyFile if "study" in data else Sweep).model_validate(data)
+    else:
+        assert data.keys() <= config.Case.model_fields.keys()
+
+
+def test_the_case_of_the_readme_is_that_of_the_tutorial() -> None:
+    first, second = (
+        next(text for page, text in blocks("yaml") if page == where)
+        for where in (ROOT / "README.md", DOCS / "tutorial.md")
+    )
+    assert first == second
+
+
+@pytest.mark.parametrize("name", ["case.md", "campaigns.md", "commands.md"])
+def test_generated_pages_are_up_to_date(name: str) -> None:
+    module = generator()
+    committed = (DOCS / "reference" / name).read_text(encoding="utf-8")
+    assert committed == module.pages()[name], f"run: {module.COMMAND}"
+
+
+def test_results_page_names_every_number_of_a_study() -> None:
+    page = (DOCS / "reference" / "results.md").read_text(encoding="utf-8")
+    tables = [value for name, value in vars(study_options).items() if name.endswith("_UNITS")]
+    keys = {key for table in tables for key in table} | set(study_options.OF_RUN)
+    assert [key for key in sorted(keys) if not re.search(rf"[`.]{re.escape(key)}`", page)] == []
+
+
+def test_proofs_of_the_verification_page_exist() -> None:
+    """The last column names problems of verify, rows of stress and files of tests."""
+    table = parts(DOCS / "verification.md")[0].partition("| quantity or property |")[2]
+    rows = re.findall(r"^\|[^|]*\|[^|]*\|([^|]*)\|$", table.partition("\n\n")[0], re.MULTILINE)
+    named = [name for row in rows for name in re.findall("`([^`]*)`", row)]
+    known = {check.name for check in problems()} | {
+        trial.row for trial in extremes_cases.trials(full=True)
+    }
+    for name in named:
+        if "/" in name:
+            folder = ROOT if name.startswith("configs") else ROOT / "tests"
+            assert list(folder.glob(name)), name
+        else:
+            assert fnmatch.filter(known, name), name
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = YAML(typ="safe", pure=True).load(ROOT / "CITATION.cff")
+    assert citation["version"] == mantle.__version__
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert citation["license"] == project["license"]
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= LONGEST_README
+
+
+@pytest.mark.slow
+def test_the_site_is_built(tmp_path: Path) -> None:
+    pytest.importorskip("myst_parser")
+    built = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(DOCS), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert built.returncode == 0, built.stderr
+    assert (tmp_path / "searchindex.js").is_file()
