@@ -27,7 +27,7 @@ from mantle.schema.fields import Scalar
 from mantle.schema.json_schema import docstrings
 from mantle.schema.study_options import StudyFile
 from mantle.schema.sweep_options import Sweep
-from mantle.schema.units import Dimension, Plain
+from mantle.schema.units import ConductancePerArea, Dimension, Plain
 
 FOLDER = Path(__file__).resolve().parent / "reference"
 COMMAND = "./mantle shell -c 'python3 docs/reference.py'"
@@ -171,7 +171,7 @@ def _annotation(field: FieldInfo) -> Any:
 def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
     """The models in an annotation, and where each stands."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield path, annotation
+        yield from ((path, model) for model in _variants(annotation))
         return
     place = path
     if get_origin(annotation) is dict:
@@ -180,6 +180,16 @@ def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]
         place = f"{path}[]"
     for argument in get_args(annotation):
         yield from _models(argument, place)
+
+
+def _variants(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """A model, or the kinds that derive from one that is of no kind itself."""
+    kind = model.model_fields.get("kind")
+    if kind is None or get_args(kind.annotation):
+        return [model]
+    # Kinds that somebody has added from outside are not the program's.
+    below = [c for c in model.__subclasses__() if c.__module__.startswith("mantle.")]
+    return list(dict.fromkeys(v for c in below for v in _variants(c)))
 
 
 def _value(annotation: Any, links: Links) -> tuple[str, str]:
@@ -193,8 +203,8 @@ def _value(annotation: Any, links: Links) -> tuple[str, str]:
     if bare is int and least:
         return f"whole number{_bounds(None, least[0], next(iter(most), None), None)}", ""
     if any(type(mark).__name__ == "_Conductance" for mark in marks):
-        inner, unit = _value(bare, links)
-        return f"`perfect`, {inner}", unit
+        constant, unit = _value(ConductancePerArea, links)
+        return f"`perfect`, {constant}, or {_value(get_args(bare)[1], links)[0]}", unit
     origin, arguments = get_origin(bare), get_args(bare)
     if origin is Literal:
         return ", ".join(f"`{_yaml(a)}`" for a in arguments), ""
@@ -206,8 +216,8 @@ def _value(annotation: Any, links: Links) -> tuple[str, str]:
     if origin is tuple:
         return _sequence(arguments, links)
     if isinstance(bare, type) and issubclass(bare, BaseModel):
-        kind = _kind(bare)
-        return (f"kind [`{kind}`](#{links[bare]})" if kind else f"[section](#{links[bare]})"), ""
+        kinds = [f"[`{_kind(m)}`](#{links[m]})" for m in _variants(bare) if _kind(m)]
+        return f"kind {', '.join(kinds)}" if kinds else f"[section](#{links[bare]})", ""
     words = {bool: "`true`, `false`", str: "text", int: "whole number", Path: "path"}
     return words.get(bare, "number" if bare is float else "any value"), ""
 
@@ -248,7 +258,8 @@ def _scalar(mark: Scalar) -> tuple[str, str]:
             return f"{text}, or an expression", unit
         case Dimension():
             bounds = _bounds(mark.above, mark.at_least, mark.at_most, None)
-            return f"{mark.what.removeprefix('a ').removeprefix('an ')}{bounds}", mark.unit
+            what = mark.what.removeprefix("a ").removeprefix("an ")
+            return f"{what}{bounds}, e.g. `{mark.example}`", mark.unit
         case Plain():
             bounds = _bounds(mark.above, mark.at_least, mark.at_most, mark.below)
             return f"{'whole number' if mark.integer else 'number'}{bounds}", ""

@@ -144,11 +144,11 @@ class Case(Section):
     regions: Annotated[dict[Name, Region], MAPPING]
     """Material of every region of the geometry."""
     interfaces: Annotated[dict[Name, Interface], MAPPING] = Field(default_factory=dict)
-    """Law of each interface; those not listed are bonded (and are listed so after `load`)."""
+    """Law of each interface; those not listed are bonded."""
     supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
-    """What holds the model."""
+    """What holds the bodies."""
     loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
-    """What acts on it."""
+    """What acts on the bodies."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
     """What brings heat in or takes it away."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)

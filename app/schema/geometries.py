@@ -117,7 +117,7 @@ class Cylinders(Shape):
     stem_radius: PositiveLength
     """Radius of the stem at mid length."""
     cement_thickness: PositiveLength
-    """Radial thickness of the mantle."""
+    """Radial thickness of the cement mantle."""
     bone_thickness: PositiveLength
     """Radial thickness of the bone at mid length."""
     length: PositiveLength

@@ -77,15 +77,15 @@ class TransverselyIsotropic(Section):
 
     kind: Literal["transversely_isotropic"] = "transversely_isotropic"
     axial_youngs_modulus: Modulus
-    """E_l, along the fibre."""
+    """Young's modulus E_l along the fibre."""
     transverse_youngs_modulus: Modulus
-    """E_t, across it."""
+    """Young's modulus E_t across the fibre."""
     axial_poisson_ratio: Number
-    """nu_l = -(transverse strain)/(axial strain) under axial stress."""
+    """Poisson's ratio nu_l = -(transverse strain) / (axial strain) under axial stress."""
     transverse_poisson_ratio: Number
-    """nu_t, in the transverse plane."""
+    """Poisson's ratio nu_t in the transverse plane."""
     axial_shear_modulus: Modulus
-    """mu_l, between the fibre and the transverse plane."""
+    """Shear modulus mu_l between the fibre and the transverse plane."""
     fibre: Axis = (0.0, 0.0, 1.0)
     """Fibre direction; any length but zero, normalised."""
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
@@ -143,7 +143,7 @@ class Rigid(Section):
     """Not deformable: the region moves as one body."""
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
-    """Must be true."""
+    """Says that the region moves as one body; must be true."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     tissue: Tissue | None = None

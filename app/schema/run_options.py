@@ -26,15 +26,15 @@ class Stage(Section):
     name: Name
     """Name in the results."""
     increments: PositiveInteger = 1
-    """Load steps to start with."""
+    """Number of load steps, before any is halved."""
     adaptive: Truth = True
-    """Whether the step may be cut when it diverges and grow when it is easy."""
+    """Whether a step that does not converge is halved, and grows again when it is easy."""
     max_cut_backs: NonNegativeInteger = 6
     """How often in a row a step may be halved."""
     duration: PositiveTime | None = None
-    """Time it takes; none by default: temperatures stay as they are."""
+    """Time that the stage takes; by default none, and temperatures stay as they are."""
     steady: Truth = False
-    """Whether heat flows until nothing changes, however long that takes."""
+    """Whether the stage goes to the steady state of the temperature."""
 
     @model_validator(mode="after")
     def _one_end(self) -> Stage:
@@ -68,7 +68,7 @@ class SolverOptions(Section):
     tolerance: PositiveNumber = 1e-10
     """Residual relative to the scale of the forces at which a step has converged."""
     max_iterations: PositiveInteger = 40
-    """Newton iterations per step."""
+    """Largest number of Newton iterations in a step."""
     linear: Annotated[Literal["auto", "direct", "multigrid"], Word()] = "auto"
     """Linear solver; `auto` is direct for small models."""
     petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc)] = Field(
@@ -76,16 +76,16 @@ class SolverOptions(Section):
     )
     """Raw PETSc options, without the leading dash."""
     augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
-    """r = factor * (stiffness per area that moving one point alone meets), unless it is given."""
+    """Augmentation r over the stiffness per area that a point meets, where r is not given."""
     coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
-    """How heat and mechanics that need each other are solved: in one, or in turn."""
+    """How heat and mechanics that depend on each other are solved: as one system, or in turn."""
 
 
 class Probe(Section):
     """A point whose temperature is recorded."""
 
     at: Point
-    """Where."""
+    """Position."""
     region: Name | None = None
     """Region it belongs to, where two meet."""
 
@@ -114,9 +114,9 @@ class CheckpointOptions(Section):
     """When the state of a run is saved; at a signal and at `--walltime` it always is."""
 
     steps: PositiveInteger | None = None
-    """After so many steps."""
+    """Number of steps between two checkpoints."""
     minutes: PositiveNumber | None = None
-    """After the first step that ends so many minutes after the last time."""
+    """Minutes between two checkpoints; saved after the step that passes them."""
 
 
 class OutputOptions(Section):
@@ -127,11 +127,11 @@ class OutputOptions(Section):
     every: PositiveInteger = 1
     """Steps between two field outputs; the last step is always written."""
     condition: Truth = False
-    """Whether the condition of the last Jacobian is estimated, which takes factors of it."""
+    """Whether the condition number of the last Jacobian is estimated, which factorizes it."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
     checkpoint: CheckpointOptions = CheckpointOptions()
-    """When the state is saved, to go on from by `--restart`."""
+    """When the state is saved for `--restart`."""
     probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(
         default_factory=dict
     )

@@ -210,8 +210,8 @@ class Reference(Section):
     values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
     """The exact value of each quantity."""
     run: Runs | None = None
-    """Runs as in a line, finest last; two or, to extrapolate, at least three. Without a list, the
-    one run that is the reference as it is."""
+    """Runs as in a line, finest last: two, or at least three to extrapolate. Without a list, one
+    run that is the reference as it is."""
 
     @model_validator(mode="after")
     def _one(self) -> Reference:

@@ -66,9 +66,9 @@ class Range(Section):
     """Where an uncertain input lies."""
 
     low: str | int | float
-    """The least it can be."""
+    """Least value."""
     high: str | int | float
-    """The most it can be, in the same unit."""
+    """Largest value, in the same unit."""
     scale: Literal["linear", "logarithmic"] = "linear"
     """What is spread evenly between them: the value or its logarithm."""
 
@@ -98,7 +98,7 @@ class LatinHypercube(Section):
     """Samples of uncertain inputs: each input has one value in each of as many equal parts."""
 
     samples: Annotated[int, Field(ge=2, le=10_000)]
-    """How many."""
+    """Number of samples."""
     seed: Annotated[int, Field(ge=0)] = 0
     """The same seed gives the same samples."""
     inputs: Annotated[dict[str, Range], Field(min_length=1)]
@@ -160,7 +160,7 @@ class Sweep(SweepPart):
     title: Text = ""
     """A line for people."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
-    """Parts with axes, and where they differ a base, of their own."""
+    """Parts with axes of their own, and with a base of their own where it differs."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Sweep:

@@ -99,13 +99,13 @@ class Autocatalytic(Section):
 
     kind: Literal["autocatalytic"] = "autocatalytic"
     rate_constant: PositiveRate
-    """k0."""
+    """k0, the rate constant of the reaction."""
     activation_energy: ActivationEnergy
-    """Ea."""
+    """Ea, the activation energy of the reaction."""
     m: NonNegativeNumber
-    """Exponent of the degree of cure."""
+    """Exponent of the degree of cure a."""
     n: NonNegativeNumber
-    """Exponent of what is left of it."""
+    """Exponent of what is left to cure, a_max - a."""
     limit: Limit | None = None
     """Pairs of temperature and largest degree a_max there, linear in between; 1 by default."""
 
@@ -129,19 +129,19 @@ class Cure(Section):
     """How a region sets, and what comes of it."""
 
     kinetics: Annotated[Autocatalytic | Prescribed, Kinds()]
-    """How fast."""
+    """Rate of cure."""
     heat: HeatDensity
     """Heat released per volume from degree of cure 0 to 1."""
     initial: Degree = 1e-3
     """Degree of cure at the start; autocatalysis needs some."""
     gel: Degree = 0.85
-    """Degree from which it is a solid: strains count and stiffness grows from there."""
+    """Degree of cure of the gel: from there strain counts and stiffness grows."""
     floor: Annotated[float, Plain(above=0.0, at_most=1.0)] = 0.01
-    """Stiffness before that, over the final one."""
+    """Stiffness before the gel, as a part of the final one."""
     exponent: PositiveNumber = 1.0
-    """Stiffness over the final one is floor + (1 - floor) ((a - gel) / (1 - gel))^exponent."""
+    """Exponent p of the stiffness, floor + (1 - floor) ((a - gel) / (1 - gel))^p of the final."""
     shrinkage: Degree = 0.0
-    """Loss of volume from gel to full cure, as a part of it."""
+    """Loss of volume from the gel to full cure, as a part of the volume."""
 
     @model_validator(mode="after")
     def _starts_and_sets(self) -> Cure:
@@ -163,11 +163,11 @@ class Thermal(Section):
     """Conduction of heat in a region, and what temperature does to it."""
 
     conductivity: Conductivity | None = None
-    """The same in all directions; or axial_conductivity and transverse_conductivity."""
+    """Conductivity in all directions; or give axial_conductivity and transverse_conductivity."""
     axial_conductivity: Conductivity | None = None
-    """Along the fibre."""
+    """Conductivity along the fibre."""
     transverse_conductivity: Conductivity | None = None
-    """Across the fibre."""
+    """Conductivity across the fibre."""
     fibre: Axis | None = None
     """Fibre direction where the region has none of its own; z by default."""
     density: Density
@@ -179,9 +179,9 @@ class Thermal(Section):
     thermal_expansion: ExpansionCoefficient | None = None
     """Strain per temperature; none by default."""
     reference_temperature: Temperature | None = None
-    """Temperature without thermal strain; the initial one by default."""
+    """Temperature without thermal strain; the initial temperature by default."""
     cure: Cure | None = None
-    """How it sets; not at all by default."""
+    """How the region sets; by default it does not."""
 
     @model_validator(mode="after")
     def _complete(self) -> Thermal:
@@ -217,11 +217,11 @@ class PressureConductance(Section):
 
     kind: Literal["pressure"] = "pressure"
     open: ConductancePerArea
-    """Where there is no pressure."""
+    """Conductance where there is no pressure."""
     per_pressure: ConductancePerPressure
-    """Increase with pressure."""
+    """Increase of the conductance per pressure."""
     cap: FilmCoefficient | None = None
-    """The largest; none by default."""
+    """Largest conductance; no limit by default."""
 
     @model_validator(mode="after")
     def _in_order(self) -> PressureConductance:
@@ -307,13 +307,13 @@ class FixedTemperature(Section):
 
     kind: Literal["temperature"] = "temperature"
     boundary: Name | None = None
-    """Boundary of the geometry; or regions."""
+    """Boundary that has the temperature; or give regions."""
     regions: Annotated[tuple[Name, ...], ITEMS] | None = None
-    """Regions held at it; or a boundary."""
+    """Regions held at the temperature; or give a boundary."""
     temperature: TemperatureField | None = None
-    """The temperature; an expression gives it in K. Or a course."""
+    """The temperature; an expression gives it in K. Or give a course."""
     course: TemperatureCourse | None = None
-    """Pairs of time since the start and temperature, linear in between; or a temperature."""
+    """Pairs of time since the start and temperature, linear in between; or give a temperature."""
 
     @model_validator(mode="after")
     def _one_of_each(self) -> FixedTemperature:
@@ -352,7 +352,7 @@ class HeatSource(Section):
 
     kind: Literal["source"] = "source"
     regions: Annotated[tuple[Name, ...], ITEMS]
-    """Where."""
+    """Regions that release the heat."""
     density: SourceField
     """Power per volume; an expression gives it in mW/mm^3."""
     course: Course | None = None
@@ -364,7 +364,7 @@ class Perfusion(Section):
 
     kind: Literal["perfusion"] = "perfusion"
     regions: Annotated[tuple[Name, ...], ITEMS]
-    """Where."""
+    """Regions that blood flows through."""
     rate: PositiveRate
     """Volume of blood per volume of tissue and time."""
     blood_density: Density
@@ -384,11 +384,11 @@ class TimeOptions(Section):
     """How stages that take time are divided into steps."""
 
     method: Annotated[Literal["sdirk4", "backward_euler"], Word()] = "sdirk4"
-    """Both are L-stable; of order 4 and 1."""
+    """Time integrator; both are L-stable, of order 4 and 1."""
     tolerance: PositiveDifference = 1e-3
-    """Error of temperature per step."""
+    """Largest error of the temperature in a time step."""
     first_step: PositiveTime | None = None
-    """First step of a stage; chosen by default."""
+    """First time step of a stage; chosen by mantle by default."""
     mechanical_step: PositiveDifference = 5.0
-    """Change of temperature, and of cure as the temperature it releases, after which the mechanics
-    are solved again."""
+    """Change of temperature after which the mechanics are solved again; cure counts as the
+    temperature that it releases."""
