@@ -7,7 +7,8 @@ on rank 0, and leaves with its ``exit_code``. Anything else is an internal error
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from typing import Any, TypeVar
 
@@ -88,6 +89,23 @@ class AloneError(MantleError):
         """Keep the message and the exit code."""
         super().__init__(str(error))
         self.exit_code = error.exit_code
+
+
+@contextmanager
+def stack_needed() -> Iterator[None]:
+    """Turn a missing package of the solver stack into an error of the environment.
+
+    Raises:
+        EnvironmentProblem: A package that is not of mantle's own is missing.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("mantle"):
+            raise
+        raise EnvironmentProblem(
+            f"the package {error.name} is missing; ./mantle doctor tells what is there"
+        ) from error
 
 
 def gravest(codes: Iterable[int], message: str) -> MantleError:

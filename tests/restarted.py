@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from mantle.schema import config
+from mantle.schema import loaded_case
 from mantle.simulation import checkpoint
 from mantle.simulation.session import run
 from mantle.system.folders import saved
@@ -132,7 +132,7 @@ def whole(text: str, folder: Path, *overrides: str) -> tuple[Path, list[Path]]:
     (folder / "whole").mkdir()
     kept, checkpoint.KEPT = checkpoint.KEPT, 10**6
     try:
-        run(config.load(path, options), path, folder / "whole", [], options)
+        run(loaded_case.load(path, options), folder / "whole")
     finally:
         checkpoint.KEPT = kept
     return path, sorted(saved(folder / "whole"), key=lambda p: int(p.stem.split("-")[1]))
@@ -142,5 +142,5 @@ def on(path: Path, folder: Path, file: Path, *overrides: str) -> Path:
     """Go on from a checkpoint in a folder of its own."""
     output = folder / f"from-{file.stem}"
     output.mkdir(exist_ok=True)
-    run(config.load(path, overrides), path, output, [], list(overrides), restart=str(file))
+    run(loaded_case.load(path, overrides), output, restart=str(file))
     return output

@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from mantle import __version__
 from mantle.campaigns import study_parameters, study_picture
 from mantle.campaigns.batch import duration
 from mantle.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
@@ -17,6 +16,7 @@ from mantle.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
 from mantle.errors import StoppedError
 from mantle.schema.study_file import Source
 from mantle.system.folders import remove, write_json, write_text
+from mantle.version import __version__
 
 # Lengths are small where bodies meet.
 SHOWN = {"mm": (1e3, " um"), "-": (1.0, "")}

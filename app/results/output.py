@@ -22,7 +22,6 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-from mantle import __version__
 from mantle.errors import StoppedError, everywhere
 from mantle.heat.conduction import Conduction
 from mantle.meshes.distribute import TaggedMesh
@@ -33,6 +32,7 @@ from mantle.results.quantities import Samples
 from mantle.results.thermal_quantities import ThermalRecord
 from mantle.system import identity
 from mantle.system.folders import saved, write_json, write_text
+from mantle.version import __version__
 
 T = TypeVar("T")
 

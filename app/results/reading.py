@@ -9,6 +9,7 @@ import csv
 import json
 from collections.abc import Callable
 from functools import cached_property
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle.errors import InputError
+from mantle.schema import case_file, config
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -27,16 +31,75 @@ EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 FACES = ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
 
 
-class Run:
-    """A run directory.
+class Results:
+    """The results of a run, or of the variations of one.
 
     Attributes:
-        folder: The directory.
+        folder: The run directory.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Open a run directory.
+
+        Args:
+            folder: The directory.
+        """
+        self.folder = folder
+
+    @cached_property
+    def case(self) -> dict[str, Any]:
+        """The case as it was solved: mappings, lists and scalars, in internal units."""
+        return case_file.read(self.folder / "case.yaml").data
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The content of summary.json, with its units under ``units``."""
+        return dict(json.loads((self.folder / "summary.json").read_text(encoding="utf-8")))
+
+    @cached_property
+    def history(self) -> dict[str, Floats]:
+        """The columns of history.csv, by their titles (units and all); nan where there is none."""
+        with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
+
+    @cached_property
+    def fields(self) -> Run:
+        """The fields at every written step.
+
+        Raises:
+            OSError: There are none (``output.fields: false``), or they cannot be read.
+        """
+        return Run(self.folder)
+
+    @cached_property
+    def variations(self) -> dict[str, Results]:
+        """The results of the variations by their names; empty where there are none."""
+        path = self.folder / "variations.json"
+        rows = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+        return {row["name"]: Results(self.folder / row["name"]) for row in rows}
+
+    @property
+    def log(self) -> str:
+        """What the run said, where something kept it beside the directory; else empty."""
+        path = self.folder.with_name(f"{self.folder.name}.log")
+        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
+
+class Run(Results):
+    """A run directory with fields.
+
+    A step is the number of a written one, from 0 or from the end, or the name of a stage, for its
+    last.
+
+    Attributes:
         points: Positions of the nodes (n, 3) [mm]; nodes on an interface are there once per body.
         cells: Nodes of the cells (m, 4 or 10), in VTK's order.
         region: Number of the region of each cell (m,), from 1.
         times: Times of the written steps; stage k runs from k to k + 1.
         contacts: Names of the interfaces that have contact points.
+        point_fields: Names of the fields on points.
+        cell_fields: Names of the fields on cells.
         hot: Whether there is a temperature.
     """
 
@@ -49,7 +112,7 @@ class Run:
         Raises:
             OSError: It has no fields, or they cannot be read.
         """
-        self.folder = folder
+        super().__init__(folder)
         with h5py.File(folder / "fields.vtkhdf", "r") as file:
             root = file["VTKHDF"]
             self.points: Floats = root["Points"][:]
@@ -57,35 +120,34 @@ class Run:
             self.cells: Ints = root["Connectivity"][:].reshape(-1, width)
             self.region: Ints = root["CellData/region"][:].astype(np.int64)
             self.times: Floats = root["Steps/Values"][:]
-            names = [n for n in root["PointData"] if n.endswith("_status")]
-            self.contacts: tuple[str, ...] = tuple(n.removesuffix("_status") for n in names)
-            self.hot: bool = "temperature" in root["PointData"]
+            self.point_fields = tuple(root["PointData"])
+            self.cell_fields = tuple(root["CellData"])
+        names = [n for n in self.point_fields if n.endswith("_status")]
+        self.contacts = tuple(n.removesuffix("_status") for n in names)
+        self.hot = "temperature" in self.point_fields
 
     @cached_property
-    def summary(self) -> dict[str, Any]:
-        """The content of summary.json."""
-        return dict(json.loads((self.folder / "summary.json").read_text(encoding="utf-8")))
+    def regions(self) -> dict[str, int]:
+        """Number of each region by its name, as `region` has it."""
+        geometry = config.geometry(self.case, self.folder)
+        names = geometry.region_names if geometry else ()
+        return {name: number for number, name in enumerate(names, 1)}
 
-    @property
-    def log(self) -> str:
-        """What the run said, where something kept it beside the directory; else empty."""
-        path = self.folder.with_name(f"{self.folder.name}.log")
-        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+    def on_points(self, name: str, step: int | str = -1) -> Floats:
+        """A field on the nodes at a written step (n,) or (n, k), by its name in the file."""
+        return self._field(f"PointData/{name}", "Points", step)
 
-    @cached_property
-    def history(self) -> dict[str, Floats]:
-        """The columns of history.csv, by their titles (units and all); nan where there is none."""
-        with (self.folder / "history.csv").open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-        return {key: np.array([float(row[key] or "nan") for row in rows]) for key in rows[0]}
+    def on_cells(self, name: str, step: int | str = -1) -> Floats:
+        """A field on the cells at a written step (m,) or (m, k), by its name in the file."""
+        return self._field(f"CellData/{name}", "Cells", step)
 
-    def displacement(self, step: int = -1) -> Floats:
+    def displacement(self, step: int | str = -1) -> Floats:
         """Displacement of the nodes at a written step (n, 3) [mm]."""
-        return self._field("PointData/displacement", "Points", step)
+        return self.on_points("displacement", step)
 
-    def temperature(self, step: int = -1) -> Floats:
+    def temperature(self, step: int | str = -1) -> Floats:
         """Temperature of the nodes at a written step (n,) [degC]."""
-        return self._field("PointData/temperature", "Points", step)
+        return self.on_points("temperature", step)
 
     def nodes_of(self, region: int) -> Ints:
         """The nodes of a region, which may have some in common with others."""
@@ -96,11 +158,11 @@ class Run:
         x = self.points[self.cells[:, :4]]
         return np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6
 
-    def stress(self, step: int = -1) -> Floats:
+    def stress(self, step: int | str = -1) -> Floats:
         """Mean stress of each cell at a written step (m, 3, 3) [MPa]."""
-        return self._field("CellData/stress", "Cells", step).reshape(-1, 3, 3)
+        return self.on_cells("stress", step).reshape(-1, 3, 3)
 
-    def at_interface(self, name: str, quantity: str, step: int = -1) -> Floats:
+    def at_interface(self, name: str, quantity: str, step: int | str = -1) -> Floats:
         """An interface quantity at every node (n,), as `on_interface` selects them.
 
         Args:
@@ -108,7 +170,7 @@ class Run:
             quantity: gap, slip [mm], pressure, shear [MPa] or status.
             step: Which written step.
         """
-        return self._field(f"PointData/{name}_{quantity}", "Points", step)
+        return self.on_points(f"{name}_{quantity}", step)
 
     def on_interface(self, name: str) -> NDArray[np.bool_]:
         """The nodes that are contact points of an interface (n,), those of both sides."""
@@ -166,11 +228,26 @@ class Run:
 
         return norm(have - should), norm(have), norm(should)
 
-    def _field(self, name: str, kind: str, step: int) -> Floats:
+    def _field(self, name: str, kind: str, step: int | str) -> Floats:
         rows = len(self.points) if kind == "Points" else len(self.cells)
-        k = range(len(self.times))[step]
+        k = self._last_of(step) if isinstance(step, str) else range(len(self.times))[step]
         with h5py.File(self.folder / "fields.vtkhdf", "r") as file:
-            return np.asarray(file["VTKHDF"][name][k * rows : (k + 1) * rows])
+            field = file["VTKHDF"][name]
+            k = 0 if len(field) == rows else k  # one for all steps
+            return np.asarray(field[k * rows : (k + 1) * rows])
+
+    def _last_of(self, stage: str) -> int:
+        """The last written step of a stage.
+
+        Raises:
+            InputError: There is none.
+        """
+        ends = {s["name"]: k for k, s in enumerate(self.case["stages"], 1)}
+        steps = [k for k, time in enumerate(self.times) if ceil(time - 1e-9) == ends.get(stage)]
+        if not steps:
+            allowed = ", ".join(ends)
+            raise InputError(f"{self.folder}: no step of a stage '{stage}'; stages: {allowed}")
+        return steps[-1]
 
 
 def shape_functions(points: Floats, nodes: int) -> tuple[Floats, Floats]:

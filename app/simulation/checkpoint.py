@@ -22,7 +22,6 @@ from mpi4py import MPI  # before h5py, which may be built for MPI
 import h5py
 import numpy as np
 
-from mantle import __version__
 from mantle.errors import InputError, everywhere
 from mantle.numerics.state import Rows, Share, State
 from mantle.results.output import on_root
@@ -30,6 +29,7 @@ from mantle.schema import config
 from mantle.simulation.model import Model
 from mantle.simulation.recorder import Recorder
 from mantle.system.folders import saved, write_bytes
+from mantle.version import __version__
 
 log = logging.getLogger("mantle")
 

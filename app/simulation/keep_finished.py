@@ -1,4 +1,4 @@
-"""What ``mantle run --keep`` leaves alone: what this program and stack made of the same case."""
+"""Before a run: its folder, and what of it this program and stack have finished already."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mantle.errors import InputError
 from mantle.schema import config
-from mantle.system import identity
+from mantle.schema.loaded_case import LoadedCase
+from mantle.soundness import sizing
+from mantle.system import folders, identity
 
 
 def finished(folder: Path, case: config.Case) -> bool:
@@ -45,16 +48,35 @@ def summaries(output: Path, varied: Sequence[config.Varied]) -> dict[int, dict[s
     }
 
 
-def everything(output: Path, case: config.Case, case_path: Path, overrides: Sequence[str]) -> bool:
-    """Tell whether a run directory has all that a case asks for.
+def prepare(
+    case: LoadedCase, output: Path, *, force: bool = False, keep: bool = False, restart: str = ""
+) -> bool:
+    """Make the folder of a run, before anything is started for it.
 
     Args:
+        case: The case.
         output: The run directory.
-        case: The configuration.
-        case_path: The case file.
-        overrides: ``--set`` options.
+        force: Whether results in it are replaced.
+        keep: Whether what is finished with this very case stays.
+        restart: A checkpoint to go on from, ``auto`` or nothing.
+
+    Returns:
+        Whether all that the case asks for is there and stays.
+
+    Raises:
+        InputError: The case does not fit this machine, or the folder cannot be used.
     """
-    if not case.variations:
-        return finished(output, case)
-    varied = config.variations(case_path, overrides)
-    return (output / "DONE").exists() and all(finished(output / v.name, v.case) for v in varied)
+    if restart not in ("", "auto") and case.config.variations:
+        raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
+    sizing.check(case.file, case.config)
+    folders.prepare_run(output, force or keep or bool(restart))
+    return keep and _everything(case, output)
+
+
+def _everything(case: LoadedCase, output: Path) -> bool:
+    """Whether a run directory has all that a case asks for."""
+    if not case.config.variations:
+        return finished(output, case.config)
+    return (output / "DONE").exists() and all(
+        finished(output / v.name, v.case) for v in case.variations()
+    )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import time as clock
-from dataclasses import asdict, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,11 +49,43 @@ COLUMNS = {
 }
 
 
+@dataclass(frozen=True)
+class AcceptedStep:
+    """A step that has converged and is recorded.
+
+    Attributes:
+        folder: Its run directory; that of a variation bears its name.
+        number: 1 for the first: its row in history.csv.
+        stage: Name of its stage.
+        time: Time at its end: stage k runs from k to k + 1.
+        end: Time at the end of the last stage.
+        seconds: Wall time since the run began [s].
+        row: Its row in history.csv: numbers by the titles of their columns, units and all.
+    """
+
+    folder: Path
+    number: int
+    stage: str
+    time: float
+    end: float
+    seconds: float
+    row: Mapping[str, float | None]
+
+
+OnAccepted = Callable[[AcceptedStep], None]
+
+
 class Recorder:
     """Turns converged steps into lines, rows, fields and the summary."""
 
     def __init__(
-        self, case: config.Case, model: Model, writer: Writer, timing: Timing, begin: float
+        self,
+        case: config.Case,
+        model: Model,
+        writer: Writer,
+        timing: Timing,
+        begin: float,
+        progress: OnAccepted,
     ) -> None:
         """Begin; collective.
 
@@ -61,8 +95,10 @@ class Recorder:
             writer: Where it goes.
             timing: Where the seconds go.
             begin: When the run began, by `time.perf_counter`.
+            progress: Called after each step.
         """
         self._case, self._model, self._writer = case, model, writer
+        self._progress = progress
         self._timing, self._begin = timing, begin
         about = np.array(getattr(case.geometry, "head_centre", (0.0, 0.0, 0.0)))
         with timing.phase("assemble"):
@@ -194,11 +230,15 @@ class Recorder:
         for t in self._model.thermal:
             row |= t.row()
         wall = clock.perf_counter() - self._begin
-        self._writer.history(row | {"wall [s]": round(wall, 3)})
+        row["wall [s]"] = round(wall, 3)
+        self._writer.history(row)
         if step.whole:
             self._frames += 1
             if self._frames % self._case.output.every == 0:
                 self._fields()
+        end = float(len(self._case.stages))
+        folder = self._writer.folder
+        self._progress(AcceptedStep(folder, self._rows, step.stage, step.time, end, wall, row))
 
     def _fraction(self, status: int) -> float:
         s = self._samples

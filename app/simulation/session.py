@@ -25,12 +25,13 @@ from mantle.results import error
 from mantle.results import log as text
 from mantle.results.output import Writer, on_root, provenance
 from mantle.schema import config
+from mantle.schema.loaded_case import LoadedCase
 from mantle.simulation import checkpoint, keep_finished, variations
 from mantle.simulation.checkpoint import Keeper
 from mantle.simulation.model import Model
-from mantle.simulation.recorder import Recorder
+from mantle.simulation.recorder import OnAccepted, Recorder
 from mantle.soundness import case_on_mesh, preview
-from mantle.system import blas_check, ranks, stopping
+from mantle.system import blas_check, form_cache, ranks, stopping
 from mantle.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from mantle.system.timing import Timing
 
@@ -38,31 +39,29 @@ log = logging.getLogger("mantle")
 
 
 def run(
-    case: config.Case,
-    case_path: Path,
+    case: LoadedCase,
     output: Path,
-    petsc_options: list[str],
-    overrides: list[str],
+    petsc_options: Sequence[str] = (),
+    *,
     keep: bool = False,
     restart: str = "",
     force: bool = False,
     walltime: float | None = None,
-) -> int:
+    signals: bool = True,
+    progress: OnAccepted = lambda step: None,
+) -> None:
     """Solve a case and write its run directory; collective.
 
     Args:
-        case: The configuration.
-        case_path: Where it came from, for the record.
+        case: The case.
         output: The run directory.
         petsc_options: Raw PETSc options from the command line.
-        overrides: ``--set`` options, for the record.
         keep: Whether variations that are finished stay.
         restart: A checkpoint to go on from, ``auto`` or nothing.
         force: Whether it may be of another configuration.
         walltime: How long the run may take [s].
-
-    Returns:
-        0.
+        signals: Whether SIGINT, SIGTERM and SIGUSR1 stop the run, with its state saved.
+        progress: Called on every rank after each accepted step.
 
     Raises:
         MantleError: With the last converged state on disk where there is one.
@@ -78,26 +77,29 @@ def run(
     here = os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", "")
     if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
         log.warning("note: %s", crowd)
-    signalled = stopping.signals()
+    signalled = stopping.signals() if signals else str
+    if comm.rank == 0:
+        form_cache.mend()
+    form_cache.share()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
     session = Session(
         comm,
-        case_path,
+        case,
         raw_options(petsc_options),
         lambda: signalled() or late(),
         begin,
         started,
         partial(checkpoint.find, comm, restart, force=force) if restart else None,
+        progress,
     )
-    session.note(preview.warnings(case))
-    with _claimed(comm, output):
-        if not case.variations:
-            summary = session.solve(case, overrides, output)
+    session.note(preview.warnings(case.config))
+    with case.file.placing(), _claimed(comm, output):
+        if not case.config.variations:
+            summary = session.solve(case.config, (), output)
             log.info("%s", text.closing_table(summary))
         else:
-            session.vary(case, overrides, output, keep)
+            session.vary(output, keep)
     log.info("results in %s", output)
-    return 0
 
 
 class Session:
@@ -106,26 +108,29 @@ class Session:
     def __init__(
         self,
         comm: MPI.Comm,
-        case_path: Path,
+        case: LoadedCase,
         options: dict[str, str],
         stop: Callable[[], str],
         begin: float,
         started: datetime,
-        restart: Callable[..., checkpoint.Checkpoint | None] | None = None,
+        restart: Callable[..., checkpoint.Checkpoint | None] | None,
+        progress: OnAccepted,
     ) -> None:
         """Begin.
 
         Args:
             comm: Communicator.
-            case_path: Where the case came from, for the record.
+            case: The case and where it comes from.
             options: Raw PETSc options.
             stop: Names a signal that asks this rank to stop, or gives an empty text.
             begin: When the run began, by `time.perf_counter`.
             started: The same, by the clock.
             restart: Finds the checkpoint of a run directory (``folder``) and case, if wanted.
+            progress: Called on every rank after each accepted step.
         """
-        self._comm, self._case_path, self._options, self._stop = comm, case_path, options, stop
+        self._comm, self._case, self._options, self._stop = comm, case, options, stop
         self._begin, self._started, self._restart = begin, started, restart
+        self._progress = progress
         self._timing = Timing()
         self._models: list[Model] = []
         self._noted: set[str] = set()
@@ -137,12 +142,10 @@ class Session:
                 log.warning("note: %s", message)
         self._noted.update(messages)
 
-    def vary(self, case: config.Case, overrides: Sequence[str], output: Path, keep: bool) -> None:
-        """Solve the variations of a case, each in a folder of its own; collective.
+    def vary(self, output: Path, keep: bool) -> None:
+        """Solve the variations of the case, each in a folder of its own; collective.
 
         Args:
-            case: The case.
-            overrides: ``--set`` options, for the record.
             output: The folder above theirs.
             keep: Whether those that are finished stay.
 
@@ -150,8 +153,8 @@ class Session:
             ConvergenceError: Some did not converge; the others are done.
             StoppedError: Those before are done.
         """
-        varied = config.variations(self._case_path, overrides)
-        chain = variations.order(case, varied)
+        varied = self._case.variations()
+        chain = variations.order(self._case.config, varied)
         mark = output / "DONE"
         on_root(self._comm, lambda: mark.unlink(missing_ok=True), share=False)
         rows: dict[int, variations.Row] = {}
@@ -170,7 +173,7 @@ class Session:
             status = "converged"
             summary: dict[str, Any] = {}
             try:
-                summary = self.solve(v.case, [*overrides, *v.overrides], folder)
+                summary = self.solve(v.case, v.overrides, folder)
                 log.info("%s", text.verdict(summary))
             except ConvergenceError as failure:
                 status, failed[v.name] = "not converged", str(failure)
@@ -195,8 +198,13 @@ class Session:
             )
         on_root(self._comm, partial(write_text, mark, ""), share=False)
 
-    def solve(self, case: config.Case, overrides: Sequence[str], output: Path) -> dict[str, Any]:
+    def solve(self, case: config.Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
         """Solve a case and write its run directory; collective.
+
+        Args:
+            case: The case of the session, or a variation of it.
+            changes: The overrides that make the variation.
+            output: The run directory.
 
         Returns:
             Its summary.
@@ -210,7 +218,7 @@ class Session:
         self.note(model.judge())
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
-            case.title or self._case_path.stem,
+            case.title or self._case.path.stem,
             model.tagged.mesh.topology.index_map(3).size_global,
             ", ".join(f"{n} {name}" for name, n in model.sizes().items()),
             comm.size,
@@ -223,11 +231,15 @@ class Session:
             config.dump(case),
             case.output.fields,
             lambda: provenance(
-                comm.size, self._case_path, list(overrides), model.mesh_hash, started
+                comm.size,
+                self._case.path,
+                [*self._case.overrides, *changes],
+                model.mesh_hash,
+                started,
             ),
             found is not None,
         )
-        recorder = Recorder(case, model, writer, timing, self._begin)
+        recorder = Recorder(case, model, writer, timing, self._begin, self._progress)
         keeper = Keeper(case, model, recorder, output, found)
         try:
             total = model.go(
@@ -326,7 +338,7 @@ def _errors(
     }
 
 
-def raw_options(arguments: list[str]) -> dict[str, str]:
+def raw_options(arguments: Sequence[str]) -> dict[str, str]:
     """PETSc options from the command line: ``-name value`` or ``-name``."""
     options: dict[str, str] = {}
     key = ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mantle.schema.conditions import Bonded, Force
@@ -56,6 +57,25 @@ HEAT, HEAT_STEPS, WITH_ERRORS, SHARED, START = 1.5e-5, 80, 1.4, 0.6, 6.0
 UNKNOWN_SIZE = 3e4
 # Area of an interface per node on it, in units of the squared edge length.
 AREA_PER_NODE = 0.87
+
+
+@dataclass(frozen=True)
+class CheckedCase:
+    """What a check of a case says.
+
+    Attributes:
+        description: The case as it was understood, in words and tables.
+        size: Cells, unknowns and memory: estimated, or counted if it was meshed.
+        notes: What is allowed but rarely meant.
+    """
+
+    description: str
+    size: str
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """All of it."""
+        return "\n".join([self.description, self.size, *(f"note: {n}" for n in self.notes)])
 
 
 def describe(case: Case, given: Mapping[str, Any]) -> str:

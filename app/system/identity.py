@@ -15,12 +15,12 @@ from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from mantle import __version__
+from mantle.version import __version__
 
 # Modules that no number of a run depends on: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"(cli|(campaigns|report|verification)/.*|results/(reading|unrolled)"
-    r"|schema/(study|sweep)_\w+|system/doctor)\.py"
+    r"(cli|__init__|(campaigns|command_line|report|verification)/.*|results/(reading|unrolled)"
+    r"|schema/(study|sweep)_\w+|system/doctor|version)\.py"
 )
 MISSING = "missing"
 

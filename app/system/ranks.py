@@ -22,13 +22,14 @@ from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import IO
 
-import mantle
 from mantle.errors import EnvironmentProblem, InputError, StoppedError
 from mantle.system import scratch
 
 # Where the number of ranks is found, by the process manager that started this process.
 _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
 _WORLD_MARKS = ("OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "SLURM_STEP_ID")
+# The rank of a process, by whatever started it.
+RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 _SCHEDULERS = ("SLURM_JOB_ID", "PBS_JOBID", "LSB_JOBID")
 # On one node only shared memory is needed; looking for a network fails audibly.
 ONE_NODE = {
@@ -40,7 +41,7 @@ _PR_SET_PDEATHSIG = 1
 _CRASHED = 59  # how PETSc leaves after a signal such as SIGSEGV, of which it has told
 SAME_SIGNAL = 1.0  # s
 # The folder that holds the package: not resolved, for in a checkout it is made of links.
-_FOLDER = str(Path(str(mantle.__file__)).parents[1])
+_FOLDER = str(Path(__file__).parents[2])
 
 
 def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
@@ -89,6 +90,19 @@ def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
         if environ.get(name, "").isdigit():
             return int(environ[name])
     return 0
+
+
+def rank(environ: Mapping[str, str] = os.environ) -> int:
+    """Tell the MPI rank of this process, also where MPI is not up yet.
+
+    Args:
+        environ: The environment variables.
+
+    Returns:
+        The rank, 0 where it is not told.
+    """
+    told = (environ.get(name, "") for name in RANK_VARIABLES)
+    return next((int(value) for value in told if value.isdigit()), 0)
 
 
 def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
@@ -215,7 +229,9 @@ def launch(ranks: int, command: Sequence[str]) -> int:
 
 
 def alone() -> None:
-    """Give MPI a folder of its own where there is but one rank, until this process ends."""
+    """Give MPI a folder of its own until this process ends, unless it is up or has other ranks."""
+    if world_size() is not None or "mpi4py.MPI" in sys.modules:
+        return
     folder, held = _scratch()
     if folder:
         os.environ |= scratch.variables(folder)

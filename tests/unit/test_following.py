@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mantle.results import log
-from mantle.schema import config
+from mantle.schema import loaded_case
 from mantle.simulation.session import run
 
 # A ring that sets around a rigid core that it is smooth on, all at body temperature.
@@ -58,7 +58,7 @@ def solve(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
 
     def summary(*overrides: str) -> Any:
         folder = tmp_path_factory.mktemp("run")
-        run(config.load(path, overrides), path, folder, [], list(overrides))
+        run(loaded_case.load(path, overrides), folder)
         return json.loads((folder / "summary.json").read_text())
 
     return summary

@@ -6,8 +6,8 @@ import io
 
 import pytest
 
-from mantle import cli
 from mantle.cli import main
+from mantle.command_line import commands
 from mantle.errors import InputError
 from mantle.system import ranks
 
@@ -59,12 +59,13 @@ def test_a_wrong_number_of_ranks_is_an_input_error(value: str | None, joined: st
     [
         *(["check", "a.yaml"], ["mesh", "a.yaml"], ["study", "a.yaml"], ["sweep", "a.yaml"]),
         *(["report", "a"], ["verify"], ["stress"], ["bench"], ["schema"], ["doctor"]),
+        ["version"],
     ],
 )
 def test_only_a_run_takes_ranks(
     command: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cli, f"_{command[0]}", lambda *_: pytest.fail("it began"))
+    monkeypatch.setattr(commands, f"_{command[0]}", lambda *_: pytest.fail("it began"))
     for words in (["-n", "2"], ["-n2"], ["-n=2"]):
         assert main([*command, *words]) == 2
         said = capsys.readouterr().err

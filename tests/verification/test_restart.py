@@ -9,7 +9,7 @@ import pytest
 
 from mantle.errors import StoppedError
 from mantle.results.reading import Run
-from mantle.schema import config
+from mantle.schema import loaded_case
 from mantle.simulation import session as running
 from mantle.simulation.session import run
 from mantle.stepping import nested_start
@@ -111,11 +111,11 @@ def test_an_interruption_while_companions_are_solved(
     out.mkdir()
     monkeypatch.setattr(running, "_errors", interrupted)
     with pytest.raises(StoppedError, match="in its companions"):
-        run(config.load(case, options), case, out, [], [])
+        run(loaded_case.load(case, options), out)
     assert saved(out) and not (out / "DONE").exists()
     stop.clear()
     monkeypatch.setattr(running, "_errors", errors)
-    run(config.load(case, options), case, out, [], [], restart="auto")
+    run(loaded_case.load(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out, NUMBERS, 1e-12)
     assert restarted.numbers(out)[".error.companions.0"]
 
@@ -151,7 +151,7 @@ def test_fields_go_on_in_their_file(tmp_path: Path) -> None:
         assert list(part.times) == list(whole.times[-left:])
         assert (part.displacement() == before[-1]).all()
     # Whatever was written after the checkpoint is written again.
-    run(config.load(case), case, tmp_path / "whole", [], [], restart=str(files[2]))
+    run(loaded_case.load(case), tmp_path / "whole", restart=str(files[2]))
     again = Run(tmp_path / "whole")
     assert list(again.times) == list(whole.times)
     for k, u in enumerate(before):

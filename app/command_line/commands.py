@@ -1,0 +1,277 @@
+"""What each command does. The one module that prints to standard output.
+
+It imports what a command needs when it needs it, so that ``check`` works without MPI and starts at
+once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mantle
+from mantle.command_line.parser import parser
+from mantle.command_line.streams import configure_log
+from mantle.errors import InputError, stack_needed
+from mantle.schema import gmsh_file
+from mantle.system import ranks
+from mantle.system.ranks import rank
+
+if TYPE_CHECKING:
+    from mantle.schema.loaded_case import LoadedCase
+
+CHECK_FAILED = 1
+
+
+def dispatch(arguments: list[str]) -> int:
+    """Parse the command line and call the command.
+
+    Returns:
+        The exit code.
+    """
+    count, rest = ranks.split(arguments)
+    cut = rest.index("--") if "--" in rest else len(rest)
+    petsc_options = rest[cut + 1 :]
+    options = parser().parse_args(rest[:cut])
+    if count is not None and options.command != "run":
+        hint = "; --cores N uses N cores" if "cores" in options else ""
+        raise InputError(
+            f"mantle {options.command}: -n {count}: only mantle run starts ranks{hint}"
+        )
+    if getattr(options, "allow_scripts", False):
+        os.environ[gmsh_file.ALLOWED] = "1"
+    if petsc_options and options.command != "run":
+        raise InputError(f"mantle {options.command}: there is nothing to solve that -- could tune")
+    if options.command == "run":
+        return _run(options, petsc_options, count, rest)
+    commands = {
+        "check": _check,
+        "mesh": _mesh,
+        "study": _study,
+        "sweep": _sweep,
+        "report": _report,
+        "verify": _verify,
+        "stress": _stress,
+        "bench": _bench,
+        "schema": _schema,
+        "doctor": _doctor,
+        "version": _version,
+    }
+    return commands[options.command](options)
+
+
+def _run(
+    options: argparse.Namespace, petsc_options: list[str], count: int | None, rest: list[str]
+) -> int:
+    """Solve a case, on several ranks if asked for."""
+    from mantle.simulation import keep_finished
+    from mantle.system import stopping
+
+    size = ranks.world_size()
+    # The input is checked before ranks are started: its errors come at once, and once.
+    options.overrides += ["output.error=true"] if options.error else []
+    case = _load(options)
+    output = options.output or case.output
+    restart = options.restart or ""
+    walltime = stopping.seconds(options.walltime) if options.walltime else None
+    keep = options.keep or (restart == "auto" and not options.force)
+    if keep_finished.prepare(case, output, force=options.force, keep=keep, restart=restart):
+        if rank() == 0:
+            print(f"{output} is finished already")
+        return 0
+    if size is None and count is not None and count > 1:
+        return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
+    if size is not None and count not in (None, size) and rank() == 0:
+        print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
+    configure_log(options.log_level)
+    mantle.run(
+        case,
+        output,
+        force=options.force,
+        keep=keep,
+        restart=restart,
+        walltime=walltime,
+        signals=True,
+        petsc_options=petsc_options,
+    )
+    return 0
+
+
+def _load(options: argparse.Namespace) -> LoadedCase:
+    """The case that a command is about."""
+    from mantle.schema import loaded_case
+
+    return loaded_case.load(options.case, options.overrides)
+
+
+def _check(options: argparse.Namespace) -> int:
+    """Tell how a case was understood."""
+    case = _load(options)
+    found = mantle.check(case)
+    print(found.description)
+    if options.mesh:
+        found = mantle.check(case, meshed=True)
+    print(found.size)
+    for message in found.notes:
+        print(f"note: {message}", file=sys.stderr)
+    return 0
+
+
+def _mesh(options: argparse.Namespace) -> int:
+    """Write the mesh and a picture of it."""
+    case = _load(options)
+    if options.pictures and not case.config.geometry.mantles:
+        raise InputError("--pictures: only of stems with a mantle of cement; this case has none")
+    from mantle import meshes
+    from mantle.soundness import preview, sizing
+
+    sizing.check(case.file, case.config)
+    path = _mesh_path(options.output, options.case.stem)
+    data = mantle.mesh(case)
+    from mantle.meshes.picture import picture
+
+    try:
+        meshes.write_msh(data, path)
+        print(path)
+        picture(data, path.with_suffix(".png"))
+        print(path.with_suffix(".png"))
+    except OSError as error:
+        raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
+    if options.pictures:
+        _mantle_pictures(data, options.pictures)
+    print(preview.exact_size(case.config, data))
+    return 0
+
+
+def _mantle_pictures(data: Any, folder: Path) -> None:
+    """Draw the sections and the interfaces of a mantle.
+
+    Raises:
+        InputError: They cannot be written.
+    """
+    from mantle.meshes import mantle_picture
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for draw in (mantle_picture.sections, mantle_picture.interfaces):
+            path = folder / f"{draw.__name__}.png"
+            draw(data, path)
+            print(path)
+    except OSError as error:
+        raise InputError(f"--pictures {folder}: cannot be written: {error.strerror}") from error
+
+
+def _mesh_path(output: Path | None, stem: str) -> Path:
+    """The file to write the mesh to; its folder is made.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    path = output or Path("out") / f"{stem}.msh"
+    if path.is_dir() or path.suffix != ".msh":
+        path = path / f"{stem}.msh"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o {path.parent}: cannot be made: {error.strerror}") from error
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(f"-o {path}: is not writable")
+    return path
+
+
+def _study(options: argparse.Namespace) -> int:
+    """Error against run time of a case."""
+    configure_log("info")
+    from mantle.campaigns import study
+
+    output = options.output or Path("out") / f"{options.case.stem}-study"
+    study.run(options.case, options.overrides, output, options.cores)
+    return 0
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    """Run the cases of a sweep."""
+    configure_log("info")
+    from mantle.campaigns import sweep
+
+    output = options.output or Path("out") / f"{options.sweep.stem}-sweep"
+    if options.dry_run:
+        print(sweep.plan(options.sweep, options.overrides, output, options.cores))
+    else:
+        slurm = None if options.slurm is None else shlex.split(options.slurm)
+        sweep.run(options.sweep, options.overrides, output, options.cores, slurm)
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    """Write the report of a sweep; say where, and how the paper's trends fare."""
+    configure_log("info")
+    with stack_needed():
+        from mantle.report import sweep_report
+
+    written = sweep_report.run(options.folder)
+    wide = max((len(t.name) for t in written.trends), default=0)
+    for t in written.trends:
+        by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
+        claim = textwrap.shorten(t.claim, 90, placeholder=" ...")
+        print(f"{t.name:<{wide}}  {t.verdict + by_maxima:<32}  {claim}")
+    print(f"{written.done} of {written.cases} cases have results")
+    page, *others = written.files
+    print(f"{page}, and {len(others)} files in {page.parent / sweep_report.PICTURES}")
+    return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    """Compare with what is known; 1 if a problem fails."""
+    configure_log("info")
+    from mantle.verification import verify
+
+    passed = verify.run(options.pattern, options.output, options.fine, options.cores)
+    return 0 if passed else CHECK_FAILED
+
+
+def _stress(options: argparse.Namespace) -> int:
+    """Stiff and extreme cases; 1 if any is wrong or fails unexplained."""
+    configure_log("info")
+    from mantle.verification import extremes
+
+    stable = extremes.run(options.pattern, options.output, options.full, options.cores)
+    return 0 if stable else CHECK_FAILED
+
+
+def _bench(options: argparse.Namespace) -> int:
+    """Measure what contact costs; 1 if anything cannot be measured."""
+    configure_log("info")
+    from mantle.verification import bench
+
+    measured = bench.run(options.pattern, options.output, options.full)
+    return 0 if measured else CHECK_FAILED
+
+
+def _schema(options: argparse.Namespace) -> int:
+    """Print the schema."""
+    import json
+
+    from mantle.schema import config
+
+    print(json.dumps(config.schema(), indent=2, ensure_ascii=False))
+    return 0
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    """Print what is found on this machine."""
+    from mantle.system import doctor
+
+    print(doctor.report())
+    return 0
+
+
+def _version(options: argparse.Namespace) -> int:
+    """Print the version."""
+    print(f"mantle {mantle.__version__}")
+    return 0

@@ -1,0 +1,178 @@
+"""The grammar of the command line: every command with its options."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any, NoReturn
+
+from mantle.errors import InputError
+from mantle.system.ranks import rank
+from mantle.version import __version__
+
+
+class Parser(argparse.ArgumentParser):
+    """Argparse that raises instead of leaving, and speaks on one rank only."""
+
+    def error(self, message: str) -> NoReturn:
+        """Report a wrong command line.
+
+        Raises:
+            InputError: Always.
+        """
+        raise InputError(f"{self.prog}: {message}; see {self.prog} --help")
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if rank() == 0:
+            super()._print_message(message, file)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The commands and their options."""
+    top = Parser(
+        prog="mantle",
+        description="Thermomechanics of cemented joint replacements.",
+        epilog="exit codes: 0 ok, 1 a verification problem fails or a benchmark cannot be "
+        "measured, 2 input, 3 geometry or mesh, 4 not converged, 5 stopped with the state saved, "
+        "69 environment, 70 internal error",
+        allow_abbrev=False,
+    )
+    top.add_argument("--version", action="version", version=f"mantle {__version__}")
+    commands = top.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", parser_class=Parser
+    )
+
+    def add(name: str, summary: str, **more: Any) -> argparse.ArgumentParser:
+        return commands.add_parser(
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            allow_abbrev=False,
+            **more,
+        )
+
+    def add_file(command: argparse.ArgumentParser, name: str, what: str, key: str) -> None:
+        command.add_argument(name, type=Path, metavar=name.upper(), help=f"{what}, a YAML file")
+        command.add_argument(
+            "--set",
+            dest="overrides",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help=f"override {key}, e.g. mesh.size=2mm or regions.stem.rigid=true (repeatable)",
+        )
+        command.add_argument(
+            "--allow-scripts",
+            action="store_true",
+            help="mesh .geo scripts that do not come with mantle: they can run any program",
+        )
+
+    def add_case(command: argparse.ArgumentParser) -> None:
+        add_file(command, "case", "the case", "a key")
+
+    run = add(
+        "run",
+        "solve a case",
+        usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
+        "[--restart auto|FILE] [--walltime H:MM:SS] [--allow-scripts] [-- PETSC OPTIONS]",
+        epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
+    )
+    add_case(run)
+    run.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>")
+    run.add_argument("-n", metavar="N", help="number of MPI ranks (default 1)")
+    existing = run.add_mutually_exclusive_group()
+    existing.add_argument(
+        "--force",
+        action="store_true",
+        help="replace results in the output folder; take a checkpoint of another configuration",
+    )
+    existing.add_argument(
+        "--keep",
+        action="store_true",
+        help="the same, but leave what is finished with this very configuration",
+    )
+    run.add_argument(
+        "--restart",
+        metavar="auto|FILE",
+        help="go on from a checkpoint: from the newest in the output folder, or from FILE",
+    )
+    run.add_argument(
+        "--walltime",
+        metavar="H:MM:SS",
+        help="stop in time, with the state saved and exit code 5",
+    )
+    run.add_argument(
+        "--error",
+        action="store_true",
+        help="estimate the error of each number by coarser companions (as output.error: true)",
+    )
+    run.add_argument(
+        "--log-level",
+        choices=("debug", "info", "warning", "error"),
+        default="info",
+        help="how much to tell (default info)",
+    )
+    check = add("check", "check a case and estimate its size, without solving")
+    add_case(check)
+    check.add_argument("--mesh", action="store_true", help="make the mesh and give exact sizes")
+    mesh = add("mesh", "make the mesh of a case, a .msh file and a picture of sections through it")
+    add_case(mesh)
+    mesh.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="PATH",
+        help="a folder, or a file name ending in .msh (default: out/<name of CASE>.msh)",
+    )
+    mesh.add_argument(
+        "--pictures",
+        type=Path,
+        metavar="DIR",
+        help="also draw a stem's mantle: DIR/sections.png and DIR/interfaces.png",
+    )
+    study = add("study", "error against run time of a case, by its study section")
+    add_case(study)
+    study.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>-study"
+    )
+    sweep = add("sweep", "run many cases of one base case, and compare them")
+    add_file(sweep, "sweep", "what varies", "a key of every case")
+    sweep.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name>-sweep")
+    sweep.add_argument(
+        "--dry-run", action="store_true", help="list the cases and what they would cost"
+    )
+    sweep.add_argument(
+        "--slurm",
+        nargs="?",
+        const="",
+        metavar="OPTIONS",
+        help="run each case as a Slurm job, with these further options of sbatch in one word, "
+        "e.g. --slurm='--partition=long --time=2:00:00'",
+    )
+    report = add("report", "figures, tables and verdicts of a sweep, as a page")
+    report.add_argument("folder", type=Path, metavar="DIR", help="written by mantle sweep")
+    verify = add("verify", "solve the verification problems and compare with what is known")
+    verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
+    verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
+    verify.add_argument("--fine", action="store_true", help="finer meshes too, for the orders")
+    stress = add("stress", "stiff and extreme cases: right, refused with a reason, or wrong")
+    stress.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
+    stress.add_argument("-o", "--output", type=Path, default=Path("out/stress"), metavar="DIR")
+    stress.add_argument("--full", action="store_true", help="the long ones too")
+    bench = add("bench", "measure what contact costs, from 50 000 unknowns up (20 minutes)")
+    bench.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
+    bench.add_argument("-o", "--output", type=Path, default=Path("out/bench"), metavar="DIR")
+    bench.add_argument("--full", action="store_true", help="a million unknowns too")
+    for command in (study, sweep, verify, stress):
+        command.add_argument(
+            "--cores",
+            type=int,
+            default=len(os.sched_getaffinity(0)),
+            metavar="N",
+            help="cores to use (default: all that this process may)",
+        )
+    add("schema", "print the JSON schema of case files, for editors")
+    add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
+    add("version", "print the version")
+    return top
