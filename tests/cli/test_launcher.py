@@ -6,6 +6,7 @@ tested with an mmdebstrap that makes an empty tree.
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shutil
@@ -19,6 +20,7 @@ from pathlib import Path
 import pytest
 
 import mantle
+from mantle.command_line.parser import parser
 
 ROOT = Path(__file__).resolve().parents[2]
 MANTLE = ROOT / "mantle"
@@ -80,11 +82,19 @@ def test_no_command_is_a_usage_error() -> None:
     assert "usage: mantle COMMAND" in result.stdout
 
 
-def test_help_tells_the_launchers_own_commands() -> None:
+def test_help_lists_every_command_with_a_line() -> None:
     result = run("--help")
     assert result.returncode == 0
     for word in ("test [--all]", "shell", "setup", "-n RANKS", "MANTLE_BACKEND"):
         assert word in result.stdout
+    (commands,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
+    lines = [f"  {a.dest:<10} {a.help}" for a in commands._choices_actions]
+    assert len(lines) == 12 and set(lines) <= set(result.stdout.splitlines())
+
+
+def test_the_version_needs_no_solver_stack() -> None:
+    result = run("version", MANTLE_BACKEND="cloud", MANTLE_INSIDE="", PATH="/bin:/usr/bin")
+    assert (result.returncode, result.stdout) == (0, f"mantle {mantle.__version__}\n")
 
 
 def test_an_unknown_backend_is_named() -> None:
@@ -94,7 +104,9 @@ def test_an_unknown_backend_is_named() -> None:
 
 
 def test_dolfinx_is_found_natively_and_one_thread_is_the_default() -> None:
-    command = 'python3 -c "import dolfinx, app; print(dolfinx.__version__)"; echo $OMP_NUM_THREADS'
+    command = (
+        'python3 -c "import dolfinx, mantle; print(dolfinx.__version__)"; echo $OMP_NUM_THREADS'
+    )
     result = run(
         "shell", "-c", command, MANTLE_BACKEND="native", MANTLE_INSIDE="", OMP_NUM_THREADS=""
     )
@@ -354,6 +366,19 @@ def test_what_an_installed_command_starts_finds_mantle_and_not_the_folder(mislea
     )
     assert result.returncode == 0, result.stdout + result.stderr
     assert (misleading / "out" / "DONE").exists()
+
+
+def test_python_in_the_shell_finds_mantle_and_not_the_folder(misleading: Path) -> None:
+    code = "import mantle; mantle.check(mantle.load('blocks.yaml'), meshed=True)"
+    for command in (f'python3 -c "{code}"', "python3 -m mantle check blocks.yaml"):
+        result = subprocess.run(
+            ["sh", MANTLE, "shell", "-c", command],
+            cwd=misleading,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert result.returncode == 0, result.stdout + result.stderr
 
 
 def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -> None:
