@@ -1,0 +1,196 @@
+"""The public functions for Python, and what importing and installing mantle brings along."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mantle
+from mantle.errors import InputError
+from mantle.simulation.recorder import AcceptedStep
+from tests.support import CONFIGS, ROOT
+
+COARSE = {"mesh.size": "4 mm", "mesh.order": 1}
+
+
+def python(*arguments: str, **more: str) -> str:
+    """What a Python of its own prints, which finds mantle as this one does."""
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        env={**os.environ, **more},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_importing_mantle_imports_nothing_of_the_stack() -> None:
+    loaded = python("-c", "import sys, mantle; print(*sys.modules)").split()
+    stack = {"dolfinx", "petsc4py", "mpi4py", "ufl", "gmsh", "h5py", "numpy", "scipy", "pydantic"}
+    assert "mantle" in loaded and not stack & {name.partition(".")[0] for name in loaded}
+
+
+def test_the_package_is_the_command() -> None:
+    assert python("-m", "mantle", "--help").startswith("usage: mantle ")
+    assert python("-m", "mantle", "version") == f"mantle {mantle.__version__}\n"
+
+
+# ---------------------------------------------------------------------------------- one case
+
+
+def test_a_case_is_loaded_with_overrides() -> None:
+    dots = mantle.load(CONFIGS / "blocks.yaml", **COARSE, title="Coarse")
+    words = mantle.load(str(CONFIGS / "blocks.yaml"), mesh__size="4 mm", mesh__order=1)
+    assert dots.config.mesh == words.config.mesh
+    assert (dots.config.mesh.size, dots.config.title) == (4.0, "Coarse")
+    with pytest.raises(InputError, match=r"--set mesh\.size") as caught:
+        mantle.load(CONFIGS / "blocks.yaml", **{"mesh.size": "5 kg"}, mesh__oder=1)
+    assert len(caught.value.messages) == 2
+
+
+def test_a_check_tells_what_a_case_is_and_how_large() -> None:
+    case = mantle.load(CONFIGS / "blocks.yaml", **COARSE, loads={})
+    estimated, counted = mantle.check(case), mantle.check(case, meshed=True)
+    assert estimated.description == counted.description
+    assert "estimated" in estimated.size and "estimated" not in counted.size
+    assert "the result will be zero" in estimated.notes[0]
+    assert str(estimated).count("\nnote: ") == len(estimated.notes) == len(counted.notes)
+
+
+def test_a_mesh_is_plain_arrays() -> None:
+    data = mantle.mesh(mantle.load(CONFIGS / "blocks.yaml", **COARSE))
+    assert data.points.shape[1:] == (3,) and data.cells.shape == (len(data.cell_tags), 4)
+    assert list(data.regions) == ["bone", "cement", "metal"]
+
+
+def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
+    case = mantle.load(CONFIGS / "cylinders.yaml", **COARSE)
+    steps: list[AcceptedStep] = []
+    results = mantle.run(case, tmp_path / "out", progress=steps.append)
+    assert [(s.number, s.stage, s.time) for s in steps][:2] == [
+        (1, "press_fit", 1.0),
+        (2, "push_in", 1.25),
+    ]
+    last = steps[-1]
+    assert (last.folder, last.time, last.end) == (tmp_path / "out", 2.0, 2.0)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        last.time = 0.0  # type: ignore[misc]
+    # Numbers, histories and fields are those of the files, and of each other.
+    contact = results.summary["interfaces"]["stem_cement"]
+    slips = results.history["stem_cement slip_max [mm]"]
+    assert list(slips) == [s.row["stem_cement slip_max [mm]"] for s in steps]
+    assert slips[-1] == contact["slip_max"]
+    f = results.fields
+    n, m = len(f.points), len(f.cells)
+    assert (f.on_points("displacement").shape, f.stress().shape) == ((n, 3), (m, 3, 3))
+    assert f.on_cells("region").shape == (m,) and {"displacement"} < {*f.point_fields}
+    first, end = f.displacement("press_fit"), f.displacement("push_in")
+    assert (first == f.displacement(0)).all() and (end == f.displacement(-1)).all()
+    top = f.nodes_of(f.regions["stem"])
+    top = top[f.points[top, 2] > 39.99]
+    np.testing.assert_allclose(end[top, 2] - first[top, 2], -0.1, rtol=1e-6)
+    with pytest.raises(InputError, match="no step of a stage 'pull'"):
+        f.displacement("pull")
+    # As on the command line: results are not replaced unasked, and kept if they are the same.
+    with pytest.raises(InputError, match="is not empty"):
+        mantle.run(case, tmp_path / "out")
+    written = (tmp_path / "out" / "DONE").stat().st_mtime_ns
+    mantle.run(case, tmp_path / "out", keep=True, progress=lambda step: pytest.fail("it ran"))
+    assert (tmp_path / "out" / "DONE").stat().st_mtime_ns == written
+
+
+def test_an_error_in_progress_ends_a_run_and_signals_stay_as_they_are(tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGINT)
+
+    def fail(step: AcceptedStep) -> None:
+        raise KeyError(step.stage)
+
+    case = mantle.load(CONFIGS / "blocks.yaml", **COARSE)
+    with pytest.raises(KeyError, match="load"):
+        mantle.run(case, tmp_path, progress=fail)
+    assert len(mantle.read(tmp_path).history["step"]) == 1
+    assert mantle.run(case, tmp_path, force=True).summary["status"] == "converged"
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_variations_have_results_each(tmp_path: Path) -> None:
+    some = {"bonded": {"interfaces.stem_cement": {"kind": "bonded"}}, "as_is": {}}
+    case = mantle.load(
+        CONFIGS / "variations.yaml", variations=some, **{**COARSE, "output.fields": False}
+    )
+    folders = set()
+    results = mantle.run(case, tmp_path, progress=lambda step: folders.add(step.folder))
+    assert folders == {tmp_path / "bonded", tmp_path / "as_is"}
+    assert results.variations.keys() == some.keys()
+    slip = results.variations["as_is"].summary["interfaces"]["stem_cement"]["slip_max"]
+    assert slip > 0 and "stem_cement" not in results.variations["bonded"].summary["interfaces"]
+
+
+def test_a_folder_without_a_run_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no results of a run"):
+        mantle.read(tmp_path)
+
+
+# ----------------------------------------------------------------------- notebooks, installing
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("notebooks/*.ipynb")), ids=lambda p: p.stem)
+def test_a_notebook_runs_from_top_to_bottom(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    names: dict[str, object] = {}
+    for cell in (c for c in cells if c["cell_type"] == "code"):
+        assert cell["outputs"] == [] and cell["execution_count"] is None
+        exec(compile("".join(cell["source"]), f"{path.name}:{cell['id']}", "exec"), names)
+    assert "shear over pressure 0.40" in capsys.readouterr().out
+    assert (tmp_path / "out" / path.stem / "DONE").exists()
+
+
+@pytest.mark.slow
+def test_a_wheel_brings_one_name(tmp_path: Path) -> None:
+    """With the shipped cases, and without the folders of a checkout."""
+    pytest.importorskip("setuptools")
+    checkout = tmp_path / "checkout"
+    for folder in ("app", "forms", "meshes", "configs"):
+        shutil.copytree(ROOT / folder, checkout / folder)
+    for file in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / file, checkout)
+    build = ["wheel", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    python("-m", "pip", *build, "-w", str(tmp_path), str(checkout))
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name.split("/")[0] for name in archive.namelist()}
+        archive.extractall(tmp_path / "site")
+    assert {name for name in names if not name.endswith(".dist-info")} == {"mantle"}
+    code = (
+        "import mantle; from mantle.configs import FOLDER; from mantle.cli import main; "
+        "print(mantle.__file__); main(['check', str(FOLDER / 'blocks.yaml'), '--mesh']); "
+        "print(*FOLDER.glob('notebooks/*'))"
+    )
+    said = python("-c", code, PYTHONPATH=str(tmp_path / "site")).splitlines()
+    assert said[0] == str(tmp_path / "site" / "mantle" / "__init__.py")
+    assert "Patch test of three blocks" in said
+    assert said[-1] == str(tmp_path / "site" / "mantle" / "configs" / "notebooks/first_run.ipynb")
+
+
+def test_words_are_completed_in_a_shell() -> None:
+    pytest.importorskip("argcomplete")
+    line = "mantle swe"
+    asked = {"_ARGCOMPLETE": "1", "COMP_LINE": line, "COMP_POINT": str(len(line))}
+    asked |= {"_ARGCOMPLETE_STDOUT_FILENAME": "/dev/stdout"}
+    assert python("-m", "mantle", **asked).strip() == "sweep"
