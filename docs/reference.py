@@ -20,7 +20,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mantle import cli, errors
+from mantle import errors
+from mantle.command_line.parser import parser
 from mantle.schema.config import Case
 from mantle.schema.expressions import Varying
 from mantle.schema.fields import Scalar
@@ -314,7 +315,7 @@ def commands_page() -> str:
 installed. Both take the same arguments. The launcher has three commands of its own: `mantle test`
 runs the tests, `mantle shell` opens a shell in the solver stack, `mantle setup` sets the stack up.
 """
-    actions = cli.parser()._actions
+    actions = parser()._actions
     (commands,) = [a for a in actions if isinstance(a, argparse._SubParsersAction)]
     parts = [NOTE, intro, "| command | what it does |\n|---|---|"]
     for choice in commands._choices_actions:

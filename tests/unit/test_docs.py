@@ -18,7 +18,7 @@ import pytest
 from ruamel.yaml import YAML
 
 import mantle
-from mantle import cli
+from mantle.command_line.parser import parser
 from mantle.schema import config, study_options
 from mantle.schema.study_options import StudyFile
 from mantle.schema.sweep_options import Sweep
@@ -120,7 +120,7 @@ def test_commands_parse(page: Path, command: list[str]) -> None:
     _, rest = ranks.split(command)
     redirected = rest.index(">") if ">" in rest else len(rest)
     rest = rest[:redirected]
-    options = cli.parser().parse_args(rest[: rest.index("--") if "--" in rest else len(rest)])
+    options = parser().parse_args(rest[: rest.index("--") if "--" in rest else len(rest)])
     file = getattr(options, "case", None) or getattr(options, "sweep", None)
     assert file is None or not str(file).startswith("configs/") or (ROOT / file).is_file()
 
