@@ -44,6 +44,7 @@ many-runs
 cluster
 restart
 paraview
+python
 trouble
 """,
     "reference/README": """

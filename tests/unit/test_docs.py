@@ -72,8 +72,9 @@ def commands(text: str) -> Iterator[list[str]]:
 
 
 @cache
-def generator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("reference", DOCS / "reference.py")
+def script(name: str) -> ModuleType:
+    """A module of the manual's folder, which is no package."""
+    spec = importlib.util.spec_from_file_location(f"manual_{name}", DOCS / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -107,6 +108,13 @@ def test_every_page_is_reached_from_the_readme() -> None:
             if path.suffix == ".md" and path.is_file():
                 waiting.append(path)
     assert {named(p) for p in PAGES} - {named(p) for p in seen} <= {"docs/index.md"}
+
+
+def test_every_page_stands_in_the_contents_of_the_site() -> None:
+    listed = {DOCS / "index.md"}
+    for page, contents in script("conf").CONTENTS.items():
+        listed |= {(DOCS / page).parent / f"{name}.md" for name in contents.split()}
+    assert listed == set(DOCS.rglob("*.md"))
 
 
 @pytest.mark.parametrize(
@@ -149,7 +157,7 @@ def test_the_case_of_the_readme_is_that_of_the_tutorial() -> None:
 
 @pytest.mark.parametrize("name", ["case.md", "campaigns.md", "commands.md"])
 def test_generated_pages_are_up_to_date(name: str) -> None:
-    module = generator()
+    module = script("reference")
     committed = (DOCS / "reference" / name).read_text(encoding="utf-8")
     assert committed == module.pages()[name], f"run: {module.COMMAND}"
 
