@@ -139,7 +139,7 @@ def contact_law(
     def carried(k: int) -> Any:
         """Square of the part of S that the point carries in its state k."""
         t = live[k]
-        normal = _combine(_components(S, [normals[f] for f in t.faces]), t.faces, normals)
+        normal = _combine(components(S, [normals[f] for f in t.faces]), t.faces, normals)
         return inner(normal, normal) + _square_in_disc(t, frozen[k].radius)
 
     square = _choose(live, carried)
@@ -192,8 +192,8 @@ def _touching(
 ) -> _Touching:
     """Pressures, tangential force and validity of the set A of touching faces."""
     n = [normals[k] for k in A]
-    p = [-a for a in _components(S, n)]
-    S_T = dS - _combine(_components(dS, n), A, normals)
+    p = [-a for a in components(S, n)]
+    S_T = dS - _combine(components(dS, n), A, normals)
     radius, sticks = _friction(μ, p, S_T)
     condition = ge(p[0], 0)
     for value in p[1:]:
@@ -202,7 +202,7 @@ def _touching(
     if others:
         # r times the gap vector these faces leave: what was open before, plus the slip.
         before = S - dS
-        kept = before - _combine(_components(before, n), A, normals)
+        kept = before - _combine(components(before, n), A, normals)
         if μ is None:
             kept = kept + S_T
         else:
@@ -230,7 +230,7 @@ def _square_in_disc(t: _Touching, radius: Any) -> Any:
     return conditional(t.sticks, square, 2 * radius * size - radius**2)
 
 
-def _components(S: Expr, normals: Sequence[Expr]) -> list[Any]:
+def components(S: Expr, normals: Sequence[Expr]) -> list[Any]:
     """Coefficients a of the projection of S on the span of the normals (Cramer's rule)."""
     b = [dot(S, n) for n in normals]
     if len(b) < 2:

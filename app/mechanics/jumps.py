@@ -17,8 +17,8 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -38,12 +38,13 @@ from mantle.meshes.interfaces import ContactPoints, Entries, Holds, InterfaceFac
 from mantle.numerics.sparse import from_triplets, matrix_sum, owners
 from mantle.numerics.state import Rows, State, keyed
 from mantle.scene.bodies import Bodies, contact_facets, held_vertices
+from mantle.scene.laws import USUAL_AUGMENTATION, InterfaceLaw
 from mantle.scene.terms import ContactTerm, Scene, Support, amplitude, gap_at
-from mantle.schema.run_options import USUAL_AUGMENTATION
 from mantle.system.timing import Timing
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 # A face is closed, when slip is told from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
@@ -63,6 +64,7 @@ class History:
         least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
         work: Work of the whole interface force in the jump so far (n,) [N mm].
+        own: What the laws of the interfaces remember, by name: (n, ...).
     """
 
     jump: Floats
@@ -74,6 +76,7 @@ class History:
     least: Floats
     contact_work: Floats
     work: Floats
+    own: Mapping[str, Floats]
 
 
 class Jumps:
@@ -85,7 +88,7 @@ class Jumps:
         mine: Rows of ``points`` that this rank owns (n,).
         edge_lengths: Mean edge of the facets of each interface [mm].
         augmented: Whether each own point is of an augmented-Lagrangian interface (n,).
-        stiffness: Augmentation or penalty of each own point (n,) [MPa/mm].
+        stiffness: Stiffness of the trial force of each own point (n,) [MPa/mm].
         share: Part of the force of equilibrium in the trial force: 1 for an augmentation (n,).
     """
 
@@ -130,7 +133,7 @@ class Jumps:
         self._find_moves(mechanics, entries, place)
         self.C, self.D, self.Ct = self._coupling(mechanics, reduction)
         self._work = self.Ct.createVecLeft()
-        self._laws: dict[tuple[bool, ...], PointLaw] = {}
+        self._laws: dict[tuple[Hashable, ...], PointLaw] = {}
         self._timing = timing
         self.begin(scene.contacts, augmentation_factor)
 
@@ -142,8 +145,8 @@ class Jumps:
             augmentation_factor: Default augmentation over the local stiffness per area.
         """
         self._contacts, self._factor = contacts, augmentation_factor
-        self.augmented = np.array([c.augmented for c in contacts])[self.interface]
-        self._law = self._law_of(contacts)
+        self.augmented = np.array([c.law.augmented for c in contacts])[self.interface]
+        self._law = self._law_of([c.law for c in contacts])
         self._tied = np.zeros(len(self.mine), dtype=bool)
         self.default_stiffness = self._default_stiffness()
         self._softness = 1.0
@@ -156,28 +159,27 @@ class Jumps:
         self._full_gap = full[self.mine]
         self.set_time(0.0)
         zero, none = np.zeros((len(self.mine), 3)), np.zeros(len(self.mine))
-        self.history = History(zero, zero, zero, self.gap, zero, none, none, none, none)
+        own = {k: np.zeros((len(none), *shape)) for k, shape in self._law.history.items()}
+        self.history = History(zero, zero, zero, self.gap, zero, none, none, none, none, own)
 
     # Construction
 
-    def _law_of(self, contacts: Sequence[ContactTerm]) -> PointLaw:
-        """The law of all points, compiled once for the same kinds of friction."""
-        friction = np.array([c.friction for c in contacts])[self.interface]
-        self._frictional = np.array([c.frictional for c in contacts])[self.interface]
-        kinds = tuple(c.frictional for c in contacts)
-        if kinds not in self._laws:
+    def _law_of(self, laws: Sequence[InterfaceLaw]) -> PointLaw:
+        """The law of all points, compiled once for laws of the same forms."""
+        self._frictional = np.array([law.frictional for law in laws])[self.interface]
+        self._can_open = np.array([law.can_open for law in laws])[self.interface]
+        forms = tuple(law.form for law in laws)
+        if forms not in self._laws:
             with self._timing.phase("compile"):
-                self._laws[kinds] = PointLaw(
-                    self.comm, self.normals, self.faces, friction, self._frictional
+                self._laws[forms] = PointLaw(
+                    self.comm, self.normals, self.faces, laws, self.interface
                 )
-        law = self._laws[kinds]
-        law.set_friction(friction)
-        self._friction = friction
-        return law
+        self._laws[forms].set(laws)
+        return self._laws[forms]
 
     def lessen_friction(self, share: float) -> None:
         """Use a share of the friction coefficients, until told otherwise."""
-        self._law.set_friction(share * self._friction)
+        self._law.set([c.law.with_friction(share) for c in self._contacts])
 
     def tie(self, on: bool) -> bool:
         """Tie interfaces that were open everywhere so far, or none; collective if it does.
@@ -196,17 +198,25 @@ class Jumps:
         return bool(self.comm.allreduce(bool(self._tied.any()), MPI.LOR))
 
     def _default_stiffness(self) -> Floats:
-        """Stiffness of each own point: given, else a factor of what its jump meets per area.
+        """Stiffness of the trial force of each own point, as its law has it (n,) [MPa/mm].
 
-        That with all else held, in its softest direction: it follows materials, setting, mesh and
-        order by itself.
+        By default it is a factor of what the jump meets per area with all else held, in its softest
+        direction: that follows materials, setting, mesh and order by itself.
         """
-        given = np.array([c.stiffness for c in self._contacts])[self.interface]
-        return np.where(given > 0, given, self._factor * self._met())
+        self._met = np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight
+        return self._by_law(lambda law, here, met: law.stiffness(met, self._factor))
 
-    def _met(self) -> Floats:
-        """Stiffness per area that each own jump meets in its softest direction (n,)."""
-        return np.asarray(np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight)
+    def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats]) -> Floats:
+        """Values of own points (n,), as the law of each interface has them.
+
+        Args:
+            value: Gives them from a law, its points, and the stiffness that their jumps meet.
+        """
+        values = np.zeros(len(self.mine))
+        for i, c in enumerate(self._contacts):
+            here = self.interface == i
+            values[here] = value(c.law, here, self._met[here])
+        return values
 
     def _given_by(self, s: int) -> Floats:
         """Own jumps (n, 3) that a support gives at full amplitude [mm]."""
@@ -271,34 +281,30 @@ class Jumps:
             self.given += amplitude(support.history, time) * jump
 
     def soften(self, factor: float) -> None:
-        """Use a multiple of the default augmentation, until told otherwise.
-
-        A penalty ε is exact contact of D - (F - F_old) / ε: with S = F + r (D - (F - F_old) / ε) it
-        is found with any r, and r = ε is the usual way. Softer, it is as easily solved as without
-        penalty, and the answer is the same.
-        """
+        """Use a multiple of the default augmentation, until told otherwise."""
         self._softness = factor
         self._stiffen()
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen, in the mean; collective."""
-        given = any(c.augmented and c.stiffness > 0 for c in self._contacts)
-        if self._factor == USUAL_AUGMENTATION and not given:
-            return 1.0
         here = self.augmented
-        usual = USUAL_AUGMENTATION * self._met()[here]
+        usual = USUAL_AUGMENTATION * self._met[here]
+        own = np.array_equal(usual, self.default_stiffness[here])
+        if self.comm.allreduce(own, MPI.LAND):
+            return 1.0
         logs = float(np.log(usual / self.default_stiffness[here]).sum())
         total, count = self.comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
 
     def _stiffen(self) -> None:
         """Stiffness of the trial forces S, and the share of the force of equilibrium in them."""
-        softer = self._softness * self.default_stiffness
-        if self._softness != 1.0 and not self.augmented.all():
-            soft = self._softness * USUAL_AUGMENTATION * self._met()
-            softer = np.where(self.augmented, softer, np.minimum(soft, self.default_stiffness))
-        self.stiffness = softer
-        self.share = np.where(self.augmented, 1.0, 1.0 - softer / self.default_stiffness)
+        full = self.default_stiffness
+        self.stiffness = self._by_law(
+            lambda law, here, met: law.softened(full[here], met, self._softness)
+        )
+        self.share = self._by_law(
+            lambda law, here, met: law.of_multiplier(self.stiffness[here], full[here])
+        )
 
     # Residual and Jacobian
 
@@ -317,7 +323,12 @@ class Jumps:
         free = ~self.held
         F = self._multiplier(self.forces(e))
         law = self._law.evaluate(
-            F * free, q * free, self.gap, self.history.jump * free, self.stiffness
+            F * free,
+            q * free,
+            self.gap,
+            self.history.jump * free,
+            self.stiffness,
+            self.history.own,
         )
         if self._tied.any():
             old, n = self.history.jump, self.normals
@@ -325,6 +336,7 @@ class Jumps:
             trial = F + self.stiffness[:, None] * (q + self.gap - slid)
             law.force[self._tied] = (trial * free)[self._tied]
             law.jacobian[self._tied] = np.eye(3)
+            law.by_jump[self._tied] = (self.stiffness[:, None, None] * np.eye(3))[self._tied]
             law.status[self._tied] = STICK
         return law
 
@@ -344,11 +356,12 @@ class Jumps:
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
         """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
-        P = law.jacobian.copy()
-        P[self.held[:, :, None] | self.held[:, None, :]] = 0
+        P, by_jump = law.jacobian.copy(), law.by_jump.copy()
+        for derivative in (P, by_jump):
+            derivative[self.held[:, :, None] | self.held[:, None, :]] = 0
         eye = np.eye(3)[None]
         times = eye - self.share[:, None, None] * P
-        added = self._scale[:, None, None] * P
+        added = self.weight[:, None, None] * by_jump
         held = self.held[:, :, None] & np.eye(3, dtype=bool)[None]
         times = np.where(self.held[:, :, None], 0.0, times)
         return times, np.where(held, self._scale[:, None, None], added)
@@ -370,11 +383,15 @@ class Jumps:
 
     def state(self) -> State:
         """The history."""
-        return {f.name: self.rows(getattr(self.history, f.name)) for f in fields(History)}
+        values = asdict(self.history)
+        own = {f"own {name}": found for name, found in values.pop("own").items()}
+        return {name: self.rows(found) for name, found in (values | own).items()}
 
     def resume(self, state: State) -> None:
         """Read it back."""
-        self.history = History(**{name: found.of(self.mine) for name, found in state.items()})
+        values = {name: found.of(self.mine) for name, found in state.items()}
+        own = {name: values.pop(f"own {name}") for name in self._law.history}
+        self.history = History(**values, own=own)
 
     # Commit
 
@@ -412,11 +429,13 @@ class Jumps:
             force=F,
             friction=friction,
             opening=opening,
-            accumulated=old.accumulated + np.where(law.pressures > 0, slip, 0.0),
+            accumulated=old.accumulated
+            + np.where((law.pressures > 0) & self._can_open[:, None], slip, 0.0),
             dissipation=old.dissipation + dissipated,
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + self.weight * pushed,
             work=old.work + self.weight * np.einsum("pi,pi->p", (F + old.force) / 2, step),
+            own=law.history,
         )
 
     def _tangential(self, step: Floats, opening: Floats, law: PointForces) -> Floats:

@@ -166,7 +166,7 @@ class Neighbours:
         problem = self._problem
         gaps = [j.gap.ravel() for j in problem.jumps]
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
-        friction = [math.log(max(c.friction, LITTLE)) for c in contacts]
+        friction = [math.log(max(c.law.friction, LITTLE)) for c in contacts]
         return Neighbour(
             self._solver.x.copy(),
             problem.f.array.copy(),

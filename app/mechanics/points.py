@@ -1,49 +1,72 @@
-"""The contact law at the contact points of one rank: UFL in, arrays out.
+"""Interface laws at the contact points of one rank: UFL in, arrays out.
 
-Points with the same number of faces and the same kind of friction form a group and share one
-compiled law of `forms.contact`; a scene without friction or without edges never compiles the
-others.
+Points with the same number of faces and laws of the same form share one compiled law; a scene
+without friction or without edges never compiles the others.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
+from ufl import as_ufl
 from ufl.core.expr import Expr
 
 from mantle.forms import contact
-from mantle.forms.contact import contact_law
 from mantle.numerics import kernels, pointwise
 from mantle.numerics.pointwise import Pointwise
+from mantle.scene import laws
+from mantle.scene.laws import AtPoint, InterfaceLaw
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# All that says what the law is: another text of one of them is another law.
-SOURCES = (contact, pointwise, sys.modules[__name__])
+# All that says what a law is, beside the module it is in: another text is another law.
+SOURCES = (contact, laws, pointwise, sys.modules[__name__])
 
 
 @dataclass(frozen=True)
 class PointForces:
-    """What the law says at n points: forces, generalized Jacobian, face pressures, status."""
+    """What the laws say at n points.
+
+    Attributes:
+        force: Interface force per area (n, 3) [MPa].
+        jacobian: Its generalized derivative by the trial force, or what stands for it: the part of
+            a change of the jump that is resisted (n, 3, 3) [-].
+        by_jump: Its generalized derivative by the jump (n, 3, 3) [MPa/mm].
+        pressures: Of each face, positive in compression (n, 3) [MPa].
+        status: OPEN, STICK or SLIP (n,).
+        history: What the laws will remember, by name: (n, ...).
+    """
 
     force: Floats
     jacobian: Floats
+    by_jump: Floats
     pressures: Floats
     status: Ints
+    history: Mapping[str, Floats] = field(default_factory=dict)
 
 
 class PointLaw:
-    """The compiled contact law of every point of this rank."""
+    """The compiled law of every point of this rank.
+
+    Attributes:
+        history: Shapes of what the laws remember, by name.
+    """
 
     def __init__(
-        self, comm: MPI.Comm, normals: Floats, faces: Ints, friction: Floats, frictional: NDArray
+        self,
+        comm: MPI.Comm,
+        normals: Floats,
+        faces: Ints,
+        laws: Sequence[InterfaceLaw],
+        interface: Ints,
     ) -> None:
         """Compile the laws that the scene needs; collective.
 
@@ -51,27 +74,28 @@ class PointLaw:
             comm: Communicator of the mesh: the law is compiled once and shared.
             normals: Unit normals of the faces (n, 3, 3).
             faces: Number of faces (n,); a point with none carries no force.
-            friction: Friction coefficient (n,).
-            frictional: Whether the point's interface has friction at all (n,).
+            laws: The law of each interface.
+            interface: Interface of each point (n,).
         """
-        kinds = sorted(
-            set().union(
-                *comm.allgather(
-                    {(int(m), bool(k)) for m, k in zip(faces, frictional, strict=True) if m}
-                )
-            )
-        )
-        self._n = len(faces)
-        self._groups = [
-            (rows, _compile(comm, normals[rows, :m], friction[rows], k))
-            for m, k in kinds
-            for rows in [np.flatnonzero((faces == m) & (frictional == k))]
-        ]
+        forms = list(dict.fromkeys(law.form for law in laws))
+        form = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[interface]
+        here = {(int(m), int(k)) for m, k in zip(faces, form, strict=True) if m}
+        kinds = sorted(set().union(*comm.allgather(here)))
+        self._n, self._interface = len(faces), interface
+        self.history = {k: shape for law in laws for k, shape in law.history.items()}
+        self._groups = []
+        for m, k in kinds:
+            rows = np.flatnonzero((faces == m) & (form == k))
+            law = next(law for law in laws if law.form == forms[k])
+            self._groups.append((rows, law, _compile(comm, normals[rows, :m], law)))
+        self.set(laws)
 
-    def set_friction(self, friction: Floats) -> None:
-        """Change the friction coefficient (n,) of points that have friction."""
-        for rows, law in self._groups:
-            law.set(μ=friction[rows])
+    def set(self, laws: Sequence[InterfaceLaw]) -> None:
+        """Change the constants of the laws: one for each interface, of the same forms."""
+        for rows, law, compiled in self._groups:
+            for name in law.values:
+                each = [own.values.get(name, 0.0) for own in laws]
+                compiled.set(**{name: np.array(each)[self._interface[rows]]})
 
     @property
     def laws(self) -> int:
@@ -79,48 +103,73 @@ class PointLaw:
         return len(self._groups)
 
     def evaluate(
-        self, force: Floats, jump: Floats, gap: Floats, jump_old: Floats, r: Floats
+        self,
+        force: Floats,
+        jump: Floats,
+        gap: Floats,
+        jump_old: Floats,
+        r: Floats,
+        history: Mapping[str, Floats] | None = None,
     ) -> PointForces:
-        """Evaluate the law at every point.
+        """Evaluate the laws at every point.
 
         Args:
             force: Multiplier (n, 3) [MPa].
             jump: Jump (n, 3) [mm].
             gap: Initial gap vector (n, 3) [mm].
             jump_old: Jump of the last converged state (n, 3) [mm].
-            r: Augmentation or penalty (n,) [MPa/mm].
+            r: Stiffness of the trial force (n,) [MPa/mm].
+            history: What the laws remember, by name: (n, ...).
         """
-        n = self._n
+        n, known = self._n, dict(history or {})
         out = PointForces(
-            np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros(n, dtype=np.int64)
+            np.zeros((n, 3)),
+            np.zeros((n, 3, 3)),
+            np.zeros((n, 3, 3)),
+            np.zeros((n, 3)),
+            np.zeros(n, dtype=np.int64),
+            {name: values.copy() for name, values in known.items()},
         )
-        for rows, law in self._groups:
-            f, b, p, s = law(
-                force=force[rows], jump=jump[rows], gap=gap[rows], old=jump_old[rows], r=r[rows]
-            )
+        for rows, law, compiled in self._groups:
+            old = {name: known[name][rows] for name in law.history}
+            given = {"force": force, "jump": jump, "gap": gap, "old": jump_old, "r": r}
+            f, slope, p, s, *left = compiled(None, **{k: v[rows] for k, v in given.items()}, **old)
+            stiffness = r[rows, None, None]
             out.force[rows] = f
-            out.jacobian[rows] = b
+            if law.by_trial_force:
+                out.jacobian[rows], out.by_jump[rows] = slope, stiffness * slope
+            else:
+                out.jacobian[rows] = slope @ np.linalg.inv(slope + stiffness * np.eye(3))
+                out.by_jump[rows] = slope
             out.pressures[rows, : p.shape[1]] = p
             out.status[rows] = np.rint(s).astype(np.int64)
+            for name, values in zip(law.history, left, strict=True):
+                out.history[name][rows] = values
         return out
 
 
-def _compile(comm: MPI.Comm, normals: Floats, friction: Floats, frictional: bool) -> Pointwise:
+def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:
     """The law of n points with the same number m of faces, normals (n, m, 3)."""
     faces = [f"normal_{k}" for k in range(normals.shape[1])]
     vectors = ["force", "jump", "gap", "old", "star", *faces]
 
-    def law(x: dict[str, Expr]) -> tuple[Expr, ...]:
-        μ = x["μ"] if frictional else None
+    def build(x: dict[str, Expr]) -> tuple[Expr, ...]:
+        values = {name: x[name] for name in law.values}
+        history = {name: x[name] for name in law.history}
         state = (x["force"], x["jump"], x["gap"], x["old"], x["star"])
-        found = contact_law(*state, [x[f] for f in faces], μ, x["r"])
-        return found.force, found.jacobian, found.pressures, found.status
+        at = AtPoint(*state, [x[f] for f in faces], x["r"], values, history)
+        found = law.response(at)
+        left = [as_ufl(found.history[name]) for name in law.history]
+        return found.force, found.slope, found.pressures, found.status, *left
 
-    sizes = dict.fromkeys(vectors, 3) | {"μ": 1, "r": 1}
-    note = kernels.note_of(f"contact {len(faces)} {frictional}", SOURCES)
-    compiled = Pointwise(comm, len(normals), sizes, law, note)
+    sizes = dict.fromkeys(vectors, 3) | dict.fromkeys((*law.values, "r"), 1)
+    sizes |= {name: int(np.prod(shape)) for name, shape in law.history.items()}
+    module = sys.modules[type(law).__module__]
+    known = getattr(module, "__file__", None) is not None
+    note = kernels.note_of(f"{law.form} {len(faces)}", (*SOURCES, module)) if known else None
+    compiled = Pointwise(comm, len(normals), sizes, build, note)
     constant: dict[str, Any] = {f: normals[:, k] for k, f in enumerate(faces)}
-    compiled.set(μ=friction, **constant)
+    compiled.set(**constant)
     return compiled
 
 

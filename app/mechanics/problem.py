@@ -433,7 +433,9 @@ class Problem:
         values = {}
         for j in self.jumps:
             for i, c in enumerate(self.scene.contacts):
-                stiffness = j.stiffness if c.augmented or trial else j.default_stiffness
+                if not c.law.can_open:
+                    continue
+                stiffness = j.stiffness if c.law.augmented or trial else j.default_stiffness
                 local = float(stiffness[j.interface == i].max(initial=0.0))
                 values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
         return values

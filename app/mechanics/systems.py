@@ -198,7 +198,7 @@ class ContactSystem(System):
     def lessen_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""
         self._jumps.lessen_friction(share)
-        return any(c.frictional for c in self._problem.scene.contacts)
+        return any(c.law.frictional for c in self._problem.scene.contacts)
 
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""

@@ -83,10 +83,7 @@ def companions(case: config.Case) -> tuple[Companion, ...]:
     if not case.output.error:
         return ()
     most = max(stage.increments for stage in case.stages)
-    frictional = any(
-        isinstance(law, config.Contact | config.Penalty) and law.friction_coefficient > 0
-        for law in case.interfaces.values()
-    )
+    frictional = any(law.friction > 0 for law in case.interfaces.values())
     timed = any(stage.duration for stage in case.stages)
     if frictional:
         half = most // 2 / most if most > 1 else 1.0

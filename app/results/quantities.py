@@ -34,6 +34,15 @@ COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
 
 
+def _pressure(pressures: Floats, normals: Floats) -> Floats:
+    """Normal force per area (n,) [MPa], from those of the faces of each point (n, 3).
+
+    Negative is tension, which laws that cannot open may have.
+    """
+    size = np.linalg.norm(np.einsum("pk,pki->pi", pressures, normals), axis=1)
+    return np.where(pressures.sum(axis=1) < 0, -size, size)
+
+
 def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) -> float:
     """Smallest value that at least ``fraction`` of the weight does not exceed; 0 if empty."""
     if not len(values):
@@ -87,9 +96,7 @@ class Samples:
             "gap": np.where(used, opening, 0.0),
             "slip": np.where(used, np.linalg.norm(tangential, axis=2), 0.0),
             "accumulated": np.where(used, history.accumulated, 0.0),
-            "pressure": np.linalg.norm(
-                np.einsum("pk,pki->pi", trial.law.pressures, j.normals), axis=1
-            ),
+            "pressure": _pressure(trial.law.pressures, j.normals),
             "shear": np.linalg.norm(history.friction, axis=1),
             "force": -history.force,
             "status": np.where(j.faces > 0, trial.law.status, STICK),

@@ -1,17 +1,19 @@
 """From the configuration to the scene: the only place that chooses what is solved.
 
-One ``match`` per choice, each arm returning a tuple of terms; what a case does not contain is an
-empty tuple.
+One choice per function, which returns a tuple of terms; what a case does not contain is an empty
+tuple.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import singledispatch
 
 import numpy as np
 
 from mantle.forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
 from mantle.scene.build_heat import field, heat
+from mantle.scene.laws import Coulomb, CoulombByPenalty, InterfaceLaw
 from mantle.scene.terms import (
     BodyForceTerm,
     ContactTerm,
@@ -53,7 +55,7 @@ def build_scene(case: config.Case) -> Scene:
         contacts=tuple(
             term
             for name, law in case.interfaces.items()
-            for term in _contact(name, law, sides[name], moduli, stages)
+            for term in _contact(name, law, sides[name], moduli)
         ),
         stages=tuple(
             SceneStage(
@@ -150,36 +152,42 @@ def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int
             return BodyForceTerm(name, regions, _vector(f"loads.{name}", density), history)
 
 
+@singledispatch
+def law_of(section: config.InterfaceSection) -> InterfaceLaw | None:
+    """The law that a section of ``interfaces`` asks for; None where the sides are one continuum.
+
+    A law from outside registers here what its own section asks for.
+    """
+    raise NotImplementedError(f"no interface law is registered for {type(section).__name__}")
+
+
+@law_of.register
+def _(section: config.Bonded) -> None:
+    return None
+
+
+@law_of.register
+def _(section: config.Contact) -> InterfaceLaw:
+    return Coulomb(section.friction_coefficient, section.augmentation or 0.0)
+
+
+@law_of.register
+def _(section: config.Penalty) -> InterfaceLaw:
+    return CoulombByPenalty(section.friction_coefficient, section.penalty)
+
+
 def _contact(
-    name: str,
-    law: config.Interface,
-    sides: Sides,
-    moduli: Mapping[str, float],
-    stages: int,
+    name: str, section: config.InterfaceSection, sides: Sides, moduli: Mapping[str, float]
 ) -> tuple[ContactTerm, ...]:
-    """A contact term between a master and a slave; a bonded interface is none at all."""
-    match law:
-        case config.Bonded():
-            return ()
-        case config.Contact():
-            augmented, stiffness = True, law.augmentation or 0.0
-        case config.Penalty():
-            augmented, stiffness = False, law.penalty
+    """A term between a master and a slave; a bonded interface is none at all."""
+    law = law_of(section)
+    if law is None:
+        return ()
     master, slave = sides
-    return (
-        ContactTerm(
-            name=name,
-            master=master,
-            slave=slave,
-            frictional=law.friction_coefficient > 0,
-            friction=law.friction_coefficient,
-            augmented=augmented,
-            stiffness=stiffness,
-            modulus=_stiffness(slave, moduli),
-            gap=field(f"interfaces.{name}.gap", law.gap),
-            history=law.gap_history or (),
-        ),
-    )
+    gap, history = section.initial_gap
+    gap_field = field(f"interfaces.{name}.gap", gap)
+    modulus = _stiffness(slave, moduli)
+    return (ContactTerm(name, master, slave, law, modulus, gap_field, tuple(history or ())),)
 
 
 def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:

@@ -145,10 +145,10 @@ def _friction(
     effusivity: Mapping[str, float],
 ) -> tuple[FrictionHeat, ...]:
     """Heat of friction and the slave's share of it: that of its effusivity, unless given."""
-    if isinstance(law, config.Bonded) or law.friction_heating is None:
+    if law.heated_by_friction is None:
         return ()
     master, slave = sides[name]
-    match law.friction_heating:
+    match law.heated_by_friction:
         case float(first):
             return (FrictionHeat(name, first if slave == tuple(given[0]) else 1.0 - first),)
         case _:

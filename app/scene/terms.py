@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
 from mantle.forms import elasticity, loads
+from mantle.scene.laws import InterfaceLaw
 
 Floats = NDArray[np.float64]
 # Values at points (n, 3) [mm].
@@ -151,16 +152,13 @@ Load = ForceTerm | PressureTerm | BodyForceTerm
 
 @dataclass(frozen=True)
 class ContactTerm:
-    """An interface that can open and slip.
+    """An interface whose sides can move apart.
 
     Attributes:
         name: Name in the case file.
         master: Regions on the stiffer side.
         slave: Regions on the softer side, which carries the jump.
-        frictional: Whether it has friction at all; without, no tangential term is compiled.
-        friction: Friction coefficient [-].
-        augmented: Augmented Lagrangian (eq. 65), else penalty (eq. 57).
-        stiffness: Augmentation or penalty [MPa/mm]; 0 asks for the default augmentation.
+        law: What the sides do to each other.
         modulus: Modulus of the softer side [MPa].
         gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
         history: Amplitudes of the gap at the ends of the stages, or empty (see `gap_at`).
@@ -169,10 +167,7 @@ class ContactTerm:
     name: str
     master: tuple[str, ...]
     slave: tuple[str, ...]
-    frictional: bool
-    friction: float
-    augmented: bool
-    stiffness: float
+    law: InterfaceLaw
     modulus: float
     gap: Field
     history: tuple[float, ...]

@@ -13,7 +13,6 @@ from mantle.errors import Reason
 from mantle.schema import thermal_checks
 from mantle.schema.case_file import Fault, Path
 from mantle.schema.case_parts import CaseParts
-from mantle.schema.conditions import Bonded
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor, Rigid
 from mantle.schema.study_options import OF_RUN
@@ -133,7 +132,7 @@ def _rigid(parts: CaseParts) -> Iterable[Fault]:
         return
     for name, law in parts.interfaces.items():
         sides = parts.geometry.interface_sides.get(name)
-        if sides is None or law is None or isinstance(law, Bonded):
+        if sides is None or law is None or not law.can_part:
             continue
         if all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))

@@ -1,4 +1,4 @@
-"""What happens at interfaces and boundaries: contact laws, supports, loads."""
+"""What happens at boundaries: supports and loads."""
 
 from __future__ import annotations
 
@@ -9,13 +9,10 @@ from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_vali
 from mantle.schema.expressions import Varying
 from mantle.schema.fields import ITEMS, Kinds, Name, Section, Word, fail, show
 from mantle.schema.materials import History
-from mantle.schema.thermal_options import Conductance, FrictionHeating, PressureConductance
 from mantle.schema.units import (
     Dimension,
     ForceVector,
     Length,
-    NonNegativeNumber,
-    PositiveStiffness,
     Stiffness,
     Stress,
     Triple,
@@ -35,80 +32,6 @@ def _some_stages(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 StageNames = Annotated[tuple[Name, ...], ITEMS, AfterValidator(_some_stages)] | None
-
-
-class Bonded(Section):
-    """The two sides are one continuum."""
-
-    kind: Literal["bonded"] = "bonded"
-    conductance: Conductance = None
-    """Power per area and temperature jump; perfect (no jump) by default."""
-
-    @model_validator(mode="after")
-    def _no_pressure(self) -> Bonded:
-        if isinstance(self.conductance, PressureConductance):
-            fail(
-                "a bonded interface has no contact pressure; expected kind: contact or penalty",
-                at=("conductance",),
-            )
-        return self
-
-
-class Contact(Section):
-    """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
-
-    kind: Literal["contact"] = "contact"
-    friction_coefficient: NonNegativeNumber
-    """Coulomb's coefficient; 0 for none."""
-    gap: LengthField = 0.0
-    """Initial gap: positive open, negative an interference (press fit)."""
-    gap_history: History = None
-    """Multiplier of the gap at the end of each stage, from 0. By default a clearance is there from
-    the start, and an interference grows through the first stage."""
-    augmentation: PositiveStiffness | None = None
-    """Augmentation parameter r, chosen by default; results do not depend on it."""
-    conductance: Conductance = None
-    """Power per area and temperature jump; perfect (no jump) by default."""
-    friction_heating: FrictionHeating | None = None
-    """Part of the heat of friction that goes into the first side; none is heated by default."""
-
-    @model_validator(mode="after")
-    def _rubs(self) -> Contact:
-        _rubs(self)
-        return self
-
-
-class Penalty(Section):
-    """Unilateral contact with Coulomb friction by penalty: it penetrates by pressure / penalty."""
-
-    kind: Literal["penalty"] = "penalty"
-    friction_coefficient: NonNegativeNumber
-    """Coulomb's coefficient; 0 for none."""
-    penalty: PositiveStiffness
-    """Pressure per penetration."""
-    gap: LengthField = 0.0
-    """Initial gap: positive open, negative an interference (press fit)."""
-    gap_history: History = None
-    """Multiplier of the gap at the end of each stage, from 0. By default a clearance is there from
-    the start, and an interference grows through the first stage."""
-    conductance: Conductance = None
-    """Power per area and temperature jump; perfect (no jump) by default."""
-    friction_heating: FrictionHeating | None = None
-    """Part of the heat of friction that goes into the first side; none is heated by default."""
-
-    @model_validator(mode="after")
-    def _rubs(self) -> Penalty:
-        _rubs(self)
-        return self
-
-
-def _rubs(law: Contact | Penalty) -> None:
-    """Refuse heat of friction without friction."""
-    if law.friction_heating is not None and law.friction_coefficient == 0.0:
-        fail("there is no friction", at=("friction_heating",))
-
-
-Interface = Annotated[Bonded | Contact | Penalty, Kinds()]
 
 
 class Fixed(Section):

@@ -24,21 +24,29 @@ from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.case_parts import CaseParts
 from mantle.schema.conditions import (
     BodyForce,
-    Bonded,
-    Contact,
     Displacement,
     Fixed,
     Force,
     Foundation,
-    Interface,
     Load,
-    Penalty,
     Pressure,
     Roller,
     Support,
 )
 from mantle.schema.expressions import evaluate
-from mantle.schema.fields import ITEMS, MAPPING, TAG, Name, Section, Text, did_you_mean, show
+from mantle.schema.fields import (
+    ITEMS,
+    MAPPING,
+    RENEWALS,
+    TAG,
+    Extensible,
+    Name,
+    Section,
+    Text,
+    did_you_mean,
+    kinds_of,
+    show,
+)
 from mantle.schema.geometries import (
     Block,
     Blocks,
@@ -49,6 +57,7 @@ from mantle.schema.geometries import (
     MeshFile,
     MeshOptions,
 )
+from mantle.schema.interfaces import Bonded, Contact, Interface, InterfaceSection, Penalty
 from mantle.schema.json_schema import docstrings, json_schema
 from mantle.schema.materials import (
     Conductor,
@@ -101,6 +110,7 @@ __all__ = [
     "HeatSource",
     "IntactFemur",
     "Interface",
+    "InterfaceSection",
     "Isotropic",
     "Load",
     "MeshFile",
@@ -320,6 +330,15 @@ def schema() -> dict[str, Any]:
 _adapter = lru_cache(TypeAdapter)
 
 
+def _renew() -> None:
+    """Build the schema anew: there is another kind of something."""
+    _adapter.cache_clear()
+    Case.model_rebuild(force=True)
+
+
+RENEWALS.append(_renew)
+
+
 def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
     """Every part that is valid by itself, so that the rest can still be checked against it.
 
@@ -397,12 +416,20 @@ def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[B
     current: Any = model
     for item in location[:-1]:
         if isinstance(item, str) and item.startswith(TAG):
-            current = next(m for m in _models(current) if TAG + m.__name__ == item)
+            current = next(m for m in _kinds(current) if TAG + m.__name__ == item)
         elif get_origin(current) in (dict, tuple):
             current = get_args(current)[1 if get_origin(current) is dict else 0]
         elif (owner := next(_models(current), None)) is not None:
             current = owner.model_fields[str(item)].annotation
     return next(_models(current), model)
+
+
+def _kinds(annotation: Any) -> Any:
+    """The models within an annotation, and the kinds of those that have some."""
+    for model in _models(annotation):
+        yield model
+        if issubclass(model, Extensible):
+            yield from kinds_of(model)
 
 
 def _models(annotation: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, NoReturn, get_args
 
@@ -139,9 +140,32 @@ class Word:
         return core_schema.no_info_before_validator_function(check, handler(source))
 
 
+# What is built anew when a kind is added (`schema.config`).
+RENEWALS: list[Callable[[], object]] = []
+
+
+class Extensible(Section):
+    """Base of sections to which another package may add kinds: derive from it, and that is all."""
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **more: object) -> None:
+        """Take in a new kind."""
+        for renew in RENEWALS:
+            renew()
+
+
+def kinds_of(base: Any) -> tuple[type[BaseModel], ...]:
+    """All subclasses that have a `kind`, in the order of their definition."""
+    below = [c for sub in base.__subclasses__() for c in (sub, *kinds_of(sub))]
+    named = (c for c in below if get_args(c.model_fields["kind"].annotation))
+    return tuple(dict.fromkeys(named))
+
+
 @dataclass(frozen=True)
 class Kinds:
     """Marks a union of models told apart by their `kind`, or by a key that only one of them has.
+
+    Of an `Extensible` base instead of a union: all its kinds.
 
     Attributes:
         default: The kind of a mapping that does not say; "" if it has to.
@@ -153,7 +177,7 @@ class Kinds:
         self, source: object, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
         """A tagged union whose tags cannot be mistaken for keys of the file."""
-        classes: tuple[type[BaseModel], ...] = get_args(source)
+        classes: tuple[type[BaseModel], ...] = get_args(source) or kinds_of(source)
         by_kind = {
             get_args(c.model_fields["kind"].annotation)[0]: c
             for c in classes

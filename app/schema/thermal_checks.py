@@ -7,7 +7,6 @@ from typing import Any
 
 from mantle.schema.case_file import Fault
 from mantle.schema.case_parts import CaseParts
-from mantle.schema.conditions import Bonded
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor
 from mantle.schema.thermal_options import Convection, FixedTemperature, Perfusion
@@ -66,7 +65,7 @@ def _conductors(parts: CaseParts, regions: Mapping[str, Any]) -> Iterable[Fault]
         for name in getattr(parts, section) or {}:
             yield Fault((section, name), "every region is a conductor: nothing can move")
     for name, law in parts.interfaces.items():
-        if law is not None and not isinstance(law, Bonded):
+        if law is not None and law.can_part:
             text = "every region is a conductor: nothing can part; expected kind: bonded"
             yield Fault(("interfaces", name), text)
 

@@ -503,7 +503,7 @@ def _matrices(case: config.Case) -> tuple[Any, ...]:
         (name, load.kind, getattr(load, "boundary", None), getattr(load, "regions", None))
         for name, load in case.loads.items()
     ]
-    contacts = [name for name, law in case.interfaces.items() if law.kind != "bonded"]
+    contacts = [name for name, law in case.interfaces.items() if law.can_part]
     return *_stiffness(case), loads, contacts
 
 

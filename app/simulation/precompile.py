@@ -28,6 +28,7 @@ from mantle.mechanics.points import PointLaw
 from mantle.meshes.data import MeshData
 from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.meshes.tags import number
+from mantle.scene.laws import Coulomb
 from mantle.schema import config
 from mantle.schema.femurs import BONE, Femur, IntactFemur
 from mantle.simulation.model import Model
@@ -88,9 +89,9 @@ def warm(path: Path, order: int) -> None:
 
 def laws() -> None:
     """Compile the contact law of points on one to three faces, without friction and with it."""
-    faces, frictional = np.array([*product((1, 2, 3), (False, True))]).T
+    faces, frictional = np.array([*product((1, 2, 3), (0, 1))]).T
     normals = np.broadcast_to(np.eye(3), (len(faces), 3, 3))
-    PointLaw(MPI.COMM_SELF, normals, faces, np.zeros(len(faces)), frictional.astype(bool))
+    PointLaw(MPI.COMM_SELF, normals, faces, (Coulomb(0.0), Coulomb(0.3)), frictional)
 
 
 def _alone(arguments: tuple[str, ...]) -> None:

@@ -214,12 +214,12 @@ def sliding(problem: Problem) -> list[str]:
     found = []
     for i, contact in enumerate(problem.scene.contacts):
         on = (j.interface == i) & (normal > 0)
-        slips = on & (shear >= ALL_OF_IT * contact.friction * normal)
+        slips = on & (shear >= ALL_OF_IT * contact.law.friction * normal)
         local = np.array([j.weight[slips].sum(), j.weight[on].sum()])
         slip, touch = problem.comm.allreduce(local, MPI.SUM)
         pairs = problem.comm.allgather({tuple(map(int, s)) for s in sides[on]})
         loose = {b for pair in set().union(*pairs) for b in pair} - _held_every_way(problem)
-        if contact.frictional and touch and slip >= SLIDES * touch and loose:
+        if contact.law.frictional and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(names[b] for b in sorted(loose))
             found.append(
                 f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "

@@ -55,7 +55,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     of the normals of facets gives in the same motions: where the quotient is small, only the mesh
     resists. What all normals of an interface agree on is no spread: a taper, however slight.
     """
-    if all(c.frictional for c in problem.scene.contacts):
+    if all(c.law.frictional or not c.law.can_open for c in problem.scene.contacts):
         return ""
     (j,) = problem.jumps
     n, points = len(problem.bodies.names), j.points
@@ -115,7 +115,8 @@ def _resistances(problem: Problem, trial: TrialState, R: Floats) -> tuple[Floats
     """
     (j,) = problem.jumps
     points, n = j.points, len(problem.bodies.names)
-    smooth = np.array([not c.frictional for c in problem.scene.contacts])[j.interface]
+    laws = [c.law for c in problem.scene.contacts]
+    smooth = np.array([law.can_open and not law.frictional for law in laws])[j.interface]
     r = np.where(trial.law.status == OPEN, 0.0, j.stiffness * j.weight)[:, None, None]
     B = trial.law.jacobian
     # Friction holds what it touches, though no stiffness tells so while it slips.

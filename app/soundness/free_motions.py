@@ -42,7 +42,7 @@ def groups_of(case: config.Case, found: Parts) -> list[list[int]]:
 
     for touch in found.touches:
         _, law = law_between(case, found, touch.pieces)
-        if law is None or isinstance(law, config.Bonded):
+        if law is None or not law.can_open:
             join(*touch.pieces)
     for a, b in found.joined:
         join(a, b)
@@ -223,9 +223,9 @@ def gaps_of(case: config.Case, found: Parts) -> dict[str, Floats]:
     """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
     laws: Mapping[str, Any] = case.interfaces
     return {
-        name: field(f"interfaces.{name}.gap", law.gap)(found.x[found.interfaces[name]])
+        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(found.x[found.interfaces[name]])
         for name, law in laws.items()
-        if not isinstance(law, config.Bonded)
+        if law.can_open
     }
 
 
@@ -239,7 +239,7 @@ def loosely_held(case: config.Case, found: Parts, groups: list[list[int]]) -> li
     bodies = _Bodies(case, found, groups)
     gaps = gaps_of(case, found)
     laws: Mapping[str, Any] = case.interfaces
-    frictions = {n: laws[n].friction_coefficient for n in gaps}
+    frictions = {n: laws[n].friction for n in gaps}
     notes: list[str] = []
     for k, supports in _holding(case):
         left = bodies.left(supports.values())
@@ -259,7 +259,7 @@ def loosely_held(case: config.Case, found: Parts, groups: list[list[int]]) -> li
                 for text in bodies.words(free)
             ]
         begins = {
-            n: gap_at(gap, laws[n].gap_history or (), k + 1e-3).min() for n, gap in gaps.items()
+            n: gap_at(gap, laws[n].initial_gap[1] or (), k + 1e-3).min() for n, gap in gaps.items()
         }
         open_ = {n for n, gap in begins.items() if gap > 0}
         K, M = bodies.resistance(None, open_)

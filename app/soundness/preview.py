@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mantle.schema.conditions import Bonded, Force
+from mantle.schema.conditions import Force
 from mantle.schema.config import Case, Stage
 from mantle.schema.fields import Section
 from mantle.schema.materials import Conductor, Rigid
@@ -179,9 +179,7 @@ def _unknowns(
     """Unknowns of the mechanics and of heat."""
     mechanical = thermal = 0.0
     if _solid(case):
-        jumps = sum(
-            interfaces[name] for name, law in case.interfaces.items() if not isinstance(law, Bonded)
-        )
+        jumps = sum(interfaces[name] for name, law in case.interfaces.items() if law.can_part)
         mechanical = 3 * (nodes + jumps)
     if case.conducts:
         steps = sum(
@@ -249,7 +247,7 @@ def _size(
     laws = case.interfaces.items()
     parts = [f"{_count(cells)} cells"]
     if _solid(case):
-        jumps = sum(interfaces[name] for name, law in laws if not isinstance(law, Bonded))
+        jumps = sum(interfaces[name] for name, law in laws if law.can_part)
         parts += [
             f"{_count(nodes)} displacement nodes",
             f"{_count(jumps)} interface nodes with a jump",

@@ -138,15 +138,15 @@ def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
             k = on[np.argmin(critical[on])] if len(on) else 0
             here = (float(critical[k]), tuple(j.points.x[j.mine[k]])) if len(on) else (np.inf, ())
             least, x = min(problem.comm.allgather(here))
-            over = int((critical[on] < contact.friction).sum())
+            over = int((critical[on] < contact.law.friction).sum())
             over = problem.comm.allreduce(over, MPI.SUM)
-            if not contact.frictional or not np.isfinite(least):
+            if not contact.law.frictional or not np.isfinite(least):
                 continue
             found[contact.name] = least
             if over:
                 place = "({:.2f}, {:.2f}, {:.2f}) mm".format(*x)
                 sentences.append(
-                    f"interface '{contact.name}': friction coefficient {contact.friction:g} "
+                    f"interface '{contact.name}': friction coefficient {contact.law.friction:g} "
                     f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
                     f"{place}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
                 )

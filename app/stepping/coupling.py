@@ -141,7 +141,7 @@ class ContactHeat:
         force = _normal(trial.law, j.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
-        return self._rows(np.einsum("pi,pij->pj", direction, trial.law.jacobian))
+        return self._rows(direction, trial)
 
     def power_rows(self, trial: TrialState, elapsed: float) -> PointDerivatives:
         """How the friction power changes."""
@@ -151,15 +151,16 @@ class ContactHeat:
         warm = self.rubbing & (_dot(tangential, slip) > 0)
         along = np.einsum("pi,pki->pk", slip, j.normals)
         slides = slip - np.einsum("pk,pki->pi", along, j.normals)
-        rows = self._rows(np.einsum("pi,pij->pj", slides, trial.law.jacobian))
+        rows = self._rows(slides, trial)
         scale = np.where(warm, 1 / elapsed, 0.0)[:, None]
         return PointDerivatives(scale * rows.by_equilibrium, scale * (rows.by_jump + tangential))
 
-    def _rows(self, by_trial_force: Floats) -> PointDerivatives:
-        """From derivatives by S (n, 3): -de/W as far as S has F in it, r dq."""
+    def _rows(self, along: Floats, trial: TrialState) -> PointDerivatives:
+        """Of the force along directions (n, 3): by -e/W as far as the trial force has it, by q."""
         (j,) = self._problem.jumps
-        by_e = -(j.share / j.weight)[:, None] * by_trial_force
-        return PointDerivatives(by_e, j.stiffness[:, None] * by_trial_force)
+        by_force = np.einsum("pi,pij->pj", along, trial.law.jacobian)
+        by_jump = np.einsum("pi,pij->pj", along, trial.law.by_jump)
+        return PointDerivatives(-(j.share / j.weight)[:, None] * by_force, by_jump)
 
 
 class CoupledSystem(System):

@@ -146,10 +146,7 @@ def _friction(run: Run, name: str) -> float:
     """Friction coefficient of an interface."""
     from mantle.schema import config
 
-    law = config.load(run.folder / "case.yaml").interfaces[name]
-    if isinstance(law, config.Bonded):
-        raise ValueError(f"interface '{name}' is bonded")
-    return law.friction_coefficient
+    return config.load(run.folder / "case.yaml").interfaces[name].friction
 
 
 def _beyond(run: Run) -> str:

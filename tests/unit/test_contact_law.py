@@ -25,6 +25,7 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from mantle.forms.contact import OPEN, SLIP, STICK, contact_law
 from mantle.mechanics import points
 from mantle.mechanics.points import PointLaw, gap_vectors
+from mantle.scene.laws import Coulomb
 
 Floats = NDArray[np.float64]
 
@@ -152,7 +153,8 @@ def law_of(p: Points, friction: bool) -> PointLaw:
     normals = np.zeros((n, 3, 3))
     normals[:, : p.faces] = p.normals
     faces = np.full(n, p.faces)
-    return PointLaw(MPI.COMM_SELF, normals, faces, p.μ, np.full(n, friction))
+    laws = [Coulomb(μ if friction else 0.0) for μ in p.μ]
+    return PointLaw(MPI.COMM_SELF, normals, faces, laws, np.arange(n))
 
 
 def force_of(law: PointLaw, p: Points, F: Floats | None = None) -> points.PointForces:

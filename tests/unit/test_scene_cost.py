@@ -61,9 +61,9 @@ def cost(monkeypatch: pytest.MonkeyPatch, interfaces: str, *overrides: str) -> C
     forms: list[Any] = []
     law = points._compile
 
-    def compile_law(comm: Any, normals: Any, friction: Any, frictional: bool) -> Any:
-        laws.append((normals.shape[1], frictional))
-        return law(comm, normals, friction, frictional)
+    def compile_law(comm: Any, normals: Any, of: Any) -> Any:
+        laws.append((normals.shape[1], of.frictional))
+        return law(comm, normals, of)
 
     def compiled(name: str) -> Any:
         compiler = getattr(mechanics_assembly.fem, name)
