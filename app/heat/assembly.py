@@ -24,10 +24,10 @@ from mantle.errors import everywhere
 from mantle.forms import heat
 from mantle.meshes.distribute import TaggedMesh
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags
+from mantle.scene.loads import Field
 from mantle.scene.terms import (
     ConductorTerm,
     ConvectionTerm,
-    Field,
     FixedTemperatureTerm,
     PerfusionTerm,
 )

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from mantle.heat.assembly import HeatForms
 from mantle.heat.temperature_jumps import TemperatureJumps
 from mantle.scene.bodies import Bodies
+from mantle.scene.loads import Field
 from mantle.scene.terms import (
     ConvectionTerm,
     Course,
-    Field,
     FixedTemperatureTerm,
     HeatFluxTerm,
     HeatSourceTerm,

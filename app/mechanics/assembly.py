@@ -7,7 +7,7 @@ per load. `mechanics.problem` combines them with the contact law.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -24,13 +24,15 @@ from dolfinx.fem.forms import CompiledForm
 from dolfinx.fem.petsc import assemble_matrix, create_vector
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
+from ufl.core.expr import Expr
 
 from mantle.errors import InputError, everywhere
-from mantle.forms import elasticity, loads
+from mantle.forms import elasticity
 from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.interfaces import shape_functions, surface
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
-from mantle.scene.terms import BodyForceTerm, Elastic, ForceTerm, Load, PressureTerm, Scene
+from mantle.scene.loads import Field, LoadTerm, Patch
+from mantle.scene.terms import Elastic, Scene
 from mantle.system.timing import Timing
 
 Floats = NDArray[np.float64]
@@ -41,13 +43,36 @@ Domains = list[tuple[int, NDArray[np.int32]]]
 MOMENT_DEGREE = 8
 
 
-@dataclass(frozen=True)
-class Patch:
-    """A boundary patch: area [mm2], centroid [mm] and second moments about it [mm4]."""
+class OnBody:
+    """One body of the mechanics as loads see it (`scene.loads.Acting`)."""
 
-    area: float
-    centroid: Floats
-    moments: Floats
+    def __init__(self, mechanics: Mechanics, body: int) -> None:
+        """Look at a body."""
+        self._mechanics, self._body = mechanics, body
+        self.x = ufl.SpatialCoordinate(mechanics.mesh)
+        self.n = ufl.FacetNormal(mechanics.mesh)
+
+    def ds(self, boundary: str) -> ufl.Measure | None:
+        """Measure of the part of a boundary that belongs to the body, if any."""
+        return self._mechanics.ds(boundary, self._body)
+
+    def patch(self, boundary: str) -> Patch:
+        """Area, centroid and moments of a boundary, of all bodies; collective."""
+        return self._mechanics.patch(boundary)
+
+    def constant(self, value: Any) -> Expr:
+        """A constant, in UFL."""
+        return self._mechanics.constant(value)
+
+    def spread(self, density: Field, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
+        """A field (3,) and the measure of each of the body's regions among some."""
+        mechanics = self._mechanics
+        tags = [mechanics.tag(r) for r in regions if mechanics.body_of(r) == self._body]
+        if not tags:
+            return []
+        b, degree = mechanics.density(density, tags)
+        dx = mechanics.cells()
+        return [(b, dx(t, degree=degree)) for t in tags]
 
 
 class Mechanics:
@@ -78,9 +103,9 @@ class Mechanics:
         self._facets: Domains = []
         self._surface = self._surface_measure()
         self._constants = {e.region: self._region_constants(e) for e in scene.elastic}
-        self.springs = [self._constant(f.stiffness) for f in scene.foundations]
+        self.springs = [self.constant(f.stiffness) for f in scene.foundations]
         self._amplitude = {
-            (e.region, k): self._constant(0.0)
+            (e.region, k): self.constant(0.0)
             for e in scene.elastic
             for k in range(len(e.eigenstrains))
         }
@@ -90,8 +115,7 @@ class Mechanics:
             for x in scene.expansions
             if x.region not in self.growth
         }
-        pushed = dict.fromkeys(load.boundary for load in scene.loads if isinstance(load, ForceTerm))
-        self.patches = {boundary: self._measure_patch(boundary) for boundary in pushed}
+        self._measured: dict[str, Patch] = {}
 
     @cached_property
     def scalars(self) -> fem.FunctionSpace:
@@ -104,7 +128,7 @@ class Mechanics:
         """Measure with one subdomain per boundary name in use and body."""
         scene = self._scene
         used = {t.boundary for t in scene.foundations}
-        used |= {t.boundary for t in scene.loads if isinstance(t, ForceTerm | PressureTerm)}
+        used |= {boundary for load in scene.loads for boundary in load.boundaries}
         domains = self._facets
         for name in sorted(used):
             f = boundary_facets(self._tagged, name)
@@ -148,11 +172,12 @@ class Mechanics:
         """Cell tag of a region."""
         return self._tagged.regions[region]
 
-    def _constant(self, value: Any) -> fem.Constant:
+    def constant(self, value: Any) -> fem.Constant:
+        """A constant, in UFL."""
         return fem.Constant(self.mesh, np.asarray(value, dtype=default_scalar_type))
 
     def _region_constants(self, e: Elastic) -> tuple[list[fem.Constant], Any]:
-        return [self._constant(c) for c in e.coefficients], self._constant(e.fibre or (0, 0, 1))
+        return [self.constant(c) for c in e.coefficients], self.constant(e.fibre or (0, 0, 1))
 
     # Energies
 
@@ -211,8 +236,17 @@ class Mechanics:
 
     # Loads
 
+    def patch(self, boundary: str) -> Patch:
+        """Area, centroid and second moments of a boundary, as meshed; collective.
+
+        Raises:
+            InputError: It has no facets.
+        """
+        if boundary not in self._measured:
+            self._measured[boundary] = self._measure_patch(boundary)
+        return self._measured[boundary]
+
     def _measure_patch(self, boundary: str) -> Patch:
-        """Area, centroid and second moments of a boundary, as meshed."""
         x, _ = facet_coordinates(self._tagged, boundary_facets(self._tagged, boundary))
         rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
         points, weights = (np.asarray(a) for a in rule)
@@ -232,35 +266,15 @@ class Mechanics:
         second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
         return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
 
-    def load_work(self, load: Load, body: int, v: Any, dx: ufl.Measure) -> Any:
+    def load_work(self, load: LoadTerm, body: int, v: Any) -> Any:
         """Work of a load at full amplitude on one body in a displacement v [N mm]; 0 if none."""
-        match load:
-            case ForceTerm():
-                ds = self.ds(load.boundary, body)
-                if ds is None:
-                    return 0
-                patch = self.patches[load.boundary]
-                t = self._constant(np.array(load.force) / patch.area)
-                if not load.at:
-                    return loads.traction_work(t, v) * ds
-                moment = np.cross(np.array(load.at) - patch.centroid, load.force)
-                ω = self._constant(np.linalg.solve(patch.moments, moment))
-                x = ufl.SpatialCoordinate(self.mesh)
-                return loads.linear_traction_work(t, ω, x, self._constant(patch.centroid), v) * ds
-            case PressureTerm():
-                ds = self.ds(load.boundary, body)
-                if ds is None:
-                    return 0
-                n = ufl.FacetNormal(self.mesh)
-                return loads.pressure_work(self._constant(load.pressure), n, v) * ds
-            case BodyForceTerm():
-                tags = [self.tag(r) for r in load.regions if self._bodies.of_region[r] == body]
-                if not tags:
-                    return 0
-                b, degree = self._density(load, tags)
-                return sum(loads.body_force_work(b, v) * dx(t, degree=degree) for t in tags)
+        return load.work(v, OnBody(self, body))
 
-    def _density(self, load: BodyForceTerm, tags: list[int]) -> tuple[fem.Function, int]:
+    def body_of(self, region: str) -> int:
+        """The body that a region belongs to."""
+        return self._bodies.of_region[region]
+
+    def density(self, values: Field, tags: list[int]) -> tuple[fem.Function, int]:
         """Force density at the quadrature points of regions, and their degree.
 
         A function of points and not an expression in UFL: all densities share one compiled form.
@@ -272,7 +286,7 @@ class Mechanics:
         b = fem.Function(fem.functionspace(self.mesh, element))
         owned = self.mesh.topology.index_map(3).size_local
         cells = np.flatnonzero(np.isin(self._tags[:owned], tags)).astype(np.int32)
-        everywhere(self.comm, lambda: b.interpolate(lambda x: load.density(x.T).T, cells0=cells))
+        everywhere(self.comm, lambda: b.interpolate(lambda x: values(x.T).T, cells0=cells))
         return b, degree
 
     # Assembly

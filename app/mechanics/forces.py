@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -19,7 +20,8 @@ from numpy.typing import NDArray
 from mantle.mechanics.assembly import Mechanics
 from mantle.mechanics.jumps import Jumps
 from mantle.scene.bodies import Bodies
-from mantle.scene.terms import Elastic, Load, Scene, amplitude
+from mantle.scene.loads import LoadTerm
+from mantle.scene.terms import Elastic, Scene, amplitude
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +57,7 @@ class Forces:
         self._mechanics, self._bodies, self._jumps = mechanics, bodies, jumps
         self.comm = mechanics.comm
         self._owned = 3 * mechanics.space.dofmap.index_map.size_local
-        self._full: dict[Load, Action] = {} if known is None else known._full
+        self._full: dict[LoadTerm, Action] = {} if known is None else known._full
         self._full = {load: self._load(load) for load in map(_at_full, scene.loads)}
         self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
         self._eigenstrains: list[tuple[tuple[float, ...], Action]] = (
@@ -69,13 +71,13 @@ class Forces:
         )
         self._free: dict[str, Action] = {}
 
-    def _load(self, load: Load) -> Action:
+    def _load(self, load: LoadTerm) -> Action:
         if load in self._full:
             return self._full[load]
-        v, dx = ufl.TestFunction(self._mechanics.space), self._mechanics.cells()
+        v = ufl.TestFunction(self._mechanics.space)
         parts = {}
         for b in range(len(self._bodies.names)):
-            work = self._mechanics.load_work(load, b, v, dx)
+            work = self._mechanics.load_work(load, b, v)
             if work != 0:
                 parts[b] = self._mechanics.assemble(work)
         return self._action(parts)
@@ -142,6 +144,7 @@ class Forces:
         return sum(float(action.nodal.dot(nodal)) / 2 for action in self._free.values())
 
 
-def _at_full(load: Load) -> Load:
+def _at_full(load: LoadTerm) -> LoadTerm:
     """A load whatever its history and its name."""
-    return replace(load, history=(), name="")
+    record: Any = load
+    return replace(record, history=(), name="")

@@ -204,7 +204,7 @@ class Jumps:
         direction: that follows materials, setting, mesh and order by itself.
         """
         self._met = np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight
-        return self._by_law(lambda law, here, met: law.stiffness(met, self._factor))
+        return self._by_law(lambda law, here, met: law.trial_stiffness(met, self._factor))
 
     def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats]) -> Floats:
         """Values of own points (n,), as the law of each interface has them.
@@ -300,10 +300,10 @@ class Jumps:
         """Stiffness of the trial forces S, and the share of the force of equilibrium in them."""
         full = self.default_stiffness
         self.stiffness = self._by_law(
-            lambda law, here, met: law.softened(full[here], met, self._softness)
+            lambda law, here, met: law.softened_stiffness(full[here], met, self._softness)
         )
         self.share = self._by_law(
-            lambda law, here, met: law.of_multiplier(self.stiffness[here], full[here])
+            lambda law, here, met: law.multiplier_share(self.stiffness[here], full[here])
         )
 
     # Residual and Jacobian

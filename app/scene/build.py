@@ -14,16 +14,12 @@ import numpy as np
 from mantle.forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
 from mantle.scene.build_heat import field, heat
 from mantle.scene.laws import Coulomb, CoulombByPenalty, InterfaceLaw
+from mantle.scene.loads import BodyForceTerm, Field, ForceTerm, LoadTerm, PressureTerm
 from mantle.scene.terms import (
-    BodyForceTerm,
     ContactTerm,
     EigenstrainTerm,
     Elastic,
-    Field,
-    ForceTerm,
     FoundationTerm,
-    Load,
-    PressureTerm,
     RigidBody,
     Scene,
     SceneStage,
@@ -51,7 +47,10 @@ def build_scene(case: config.Case) -> Scene:
         supports=tuple(
             term for name, s in case.supports.items() for term in _support(name, s, case.stages)
         ),
-        loads=tuple(_load(name, load, moduli, stages) for name, load in case.loads.items()),
+        loads=tuple(
+            load_of(load, name, tuple(moduli), _history(load.history, stages))
+            for name, load in case.loads.items()
+        ),
         contacts=tuple(
             term
             for name, law in case.interfaces.items()
@@ -139,17 +138,38 @@ def _support(
     return (Support(name, support.boundary, (x, y, z), values, factors, active),)
 
 
-def _load(name: str, load: config.Load, moduli: Mapping[str, float], stages: int) -> Load:
-    history = _history(load.history, stages)
-    match load:
-        case config.Force():
-            return ForceTerm(name, load.boundary, load.force, tuple(load.at or ()), history)
-        case config.Pressure():
-            return PressureTerm(name, load.boundary, load.pressure, history)
-        case config.BodyForce():
-            regions = tuple(moduli) if load.regions is None else tuple(load.regions)
-            density = {f"density[{i}]": value for i, value in enumerate(load.density)}
-            return BodyForceTerm(name, regions, _vector(f"loads.{name}", density), history)
+@singledispatch
+def load_of(
+    section: config.LoadSection, name: str, regions: Sequence[str], history: tuple[float, ...]
+) -> LoadTerm:
+    """The load that a section of ``loads`` asks for. One from outside registers here.
+
+    Args:
+        section: The section.
+        name: Its name.
+        regions: All elastic regions.
+        history: Amplitudes at the ends of the stages.
+    """
+    raise NotImplementedError(f"no load is registered for {type(section).__name__}")
+
+
+@load_of.register
+def _(section: config.Force, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
+    return ForceTerm(name, section.boundary, section.force, tuple(section.at or ()), history)
+
+
+@load_of.register
+def _(section: config.Pressure, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
+    return PressureTerm(name, section.boundary, section.pressure, history)
+
+
+@load_of.register
+def _(
+    section: config.BodyForce, name: str, regions: Sequence[str], history: tuple[float, ...]
+) -> LoadTerm:
+    chosen = tuple(regions) if section.regions is None else tuple(section.regions)
+    density = {f"density[{i}]": value for i, value in enumerate(section.density)}
+    return BodyForceTerm(name, chosen, _vector(f"loads.{name}", density), history)
 
 
 @singledispatch

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mantle.errors import InputError
+from mantle.scene.loads import Field
 from mantle.scene.terms import (
     AutocatalyticCure,
     ConductorTerm,
@@ -17,7 +18,6 @@ from mantle.scene.terms import (
     Course,
     CureTerm,
     Expansion,
-    Field,
     FixedTemperatureTerm,
     FrictionHeat,
     HeatCondition,

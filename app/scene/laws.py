@@ -118,7 +118,7 @@ class InterfaceLaw(ABC):
         """The law with a share of its friction."""
         return self
 
-    def stiffness(self, met: Floats, factor: float) -> Floats:
+    def trial_stiffness(self, met: Floats, factor: float) -> Floats:
         """Stiffness of the trial force (n,) [MPa/mm].
 
         Args:
@@ -127,11 +127,11 @@ class InterfaceLaw(ABC):
         """
         return factor * met
 
-    def softened(self, stiffness: Floats, met: Floats, share: float) -> Floats:
+    def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
         """The same while the solver asks for a share of it (n,) [MPa/mm]."""
         return share * stiffness
 
-    def of_multiplier(self, softened: Floats, stiffness: Floats) -> Floats:
+    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats:
         """Part of the multiplier in the trial force (n,) [-]."""
         return np.ones_like(stiffness)
 
@@ -174,7 +174,7 @@ class Coulomb(InterfaceLaw):
         """The law with a share of its friction."""
         return replace(self, coefficient=share * self.coefficient)
 
-    def stiffness(self, met: Floats, factor: float) -> Floats:
+    def trial_stiffness(self, met: Floats, factor: float) -> Floats:
         """The augmentation asked for, or the default (n,) [MPa/mm]."""
         return np.full_like(met, self.augmentation) if self.augmentation > 0 else factor * met
 
@@ -190,13 +190,13 @@ class CoulombByPenalty(Coulomb):
 
     augmented: ClassVar[bool] = False
 
-    def softened(self, stiffness: Floats, met: Floats, share: float) -> Floats:
+    def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
         """At most the penalty: with more, S would count F with a negative sign (n,) [MPa/mm]."""
         if share == 1.0:
             return stiffness
         return np.minimum(share * USUAL_AUGMENTATION * met, stiffness)
 
-    def of_multiplier(self, softened: Floats, stiffness: Floats) -> Floats:
+    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats:
         """None the usual way (n,) [-]."""
         return 1.0 - softened / stiffness
 
@@ -249,6 +249,6 @@ class Traction(InterfaceLaw):
         force, slope, pressures = map(strip_variables, (force, slope, pressures))
         return Response(force, slope, pressures, STICK * as_ufl(1.0), stripped)
 
-    def of_multiplier(self, softened: Floats, stiffness: Floats) -> Floats:
+    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats:
         """None (n,) [-]."""
         return np.zeros_like(stiffness)

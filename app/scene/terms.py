@@ -8,7 +8,7 @@ contain is an empty tuple of terms.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,10 +18,9 @@ from ufl.core.expr import Expr
 
 from mantle.forms import elasticity, loads
 from mantle.scene.laws import InterfaceLaw
+from mantle.scene.loads import Field, LoadTerm
 
 Floats = NDArray[np.float64]
-# Values at points (n, 3) [mm].
-Field = Callable[[Floats], Floats]
 
 
 def amplitude(history: Sequence[float], time: float) -> float:
@@ -114,40 +113,6 @@ class Support:
     values: Field
     history: tuple[float, ...]
     active: tuple[bool, ...] = ()
-
-
-@dataclass(frozen=True)
-class ForceTerm:
-    """A resultant force [N] on a patch, through a point [mm] or spread evenly (no point)."""
-
-    name: str
-    boundary: str
-    force: tuple[float, float, float]
-    at: tuple[float, ...]
-    history: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class PressureTerm:
-    """A pressure [MPa] on a boundary, positive when it compresses."""
-
-    name: str
-    boundary: str
-    pressure: float
-    history: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class BodyForceTerm:
-    """A force density (n, 3) [N/mm3] at points in regions."""
-
-    name: str
-    regions: tuple[str, ...]
-    density: Field
-    history: tuple[float, ...]
-
-
-Load = ForceTerm | PressureTerm | BodyForceTerm
 
 
 @dataclass(frozen=True)
@@ -414,7 +379,7 @@ class Scene:
     rigid: tuple[RigidBody, ...]
     foundations: tuple[FoundationTerm, ...]
     supports: tuple[Support, ...]
-    loads: tuple[Load, ...]
+    loads: tuple[LoadTerm, ...]
     contacts: tuple[ContactTerm, ...]
     stages: tuple[SceneStage, ...]
     conductors: tuple[ConductorTerm, ...] = ()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_validator
 
 from mantle.schema.expressions import Varying
-from mantle.schema.fields import ITEMS, Kinds, Name, Section, Word, fail, show
+from mantle.schema.fields import ITEMS, Extensible, Kinds, Name, Section, Word, fail, show
 from mantle.schema.materials import History
 from mantle.schema.units import (
     Dimension,
@@ -141,7 +142,25 @@ Point = Annotated[
 ]
 
 
-class Force(Section):
+class LoadSection(Extensible):
+    """Base of the loads: a subclass with a `kind` is one more (`app/README.md`)."""
+
+    # What a file calls it: a `Literal` of each subclass.
+    kind: Any
+    history: History = None
+    """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
+
+    @property
+    def resultant(self) -> tuple[float, float, float] | None:
+        """The resultant at full amplitude [N], if that is what it gives."""
+        return None
+
+    def traction(self, area: float) -> float:
+        """Size of its traction on a boundary of an area [MPa]; 0 if it acts on none."""
+        return 0.0
+
+
+class Force(LoadSection):
     """A resultant force, as a traction over the boundary; with `at`, with its moment too."""
 
     kind: Literal["force"] = "force"
@@ -151,11 +170,18 @@ class Force(Section):
     """Resultant."""
     at: Point | None = None
     """Point at which the resultant acts (mm); over the boundary evenly by default."""
-    history: History = None
-    """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
+
+    @property
+    def resultant(self) -> tuple[float, float, float]:
+        """The resultant at full amplitude [N]."""
+        return self.force
+
+    def traction(self, area: float) -> float:
+        """Size of its mean traction on a boundary of an area [MPa]."""
+        return math.hypot(*self.force) / area
 
 
-class Pressure(Section):
+class Pressure(LoadSection):
     """A pressure normal to the boundary; positive compresses."""
 
     kind: Literal["pressure"] = "pressure"
@@ -163,11 +189,13 @@ class Pressure(Section):
     """Boundary of the geometry."""
     pressure: Stress
     """Pressure."""
-    history: History = None
-    """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
+
+    def traction(self, area: float) -> float:
+        """Its size [MPa]."""
+        return abs(self.pressure)
 
 
-class BodyForce(Section):
+class BodyForce(LoadSection):
     """A force per volume, such as weight."""
 
     kind: Literal["body_force"] = "body_force"
@@ -178,8 +206,6 @@ class BodyForce(Section):
         Triple("[0 N/mm^3, 0 N/mm^3, -1e-5 N/mm^3]"),
     ]
     """Force per volume along x, y, z; each may vary in space."""
-    history: History = None
-    """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 
-Load = Annotated[Force | Pressure | BodyForce, Kinds()]
+Load = Annotated[LoadSection, Kinds()]

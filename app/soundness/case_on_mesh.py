@@ -5,7 +5,6 @@ What is certainly wrong is an error before anything is solved; what is rarely me
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -240,19 +239,17 @@ def _strained(case: config.Case, found: Parts) -> list[str]:
     notes = []
     loads: Mapping[str, Any] = case.loads
     for name, load in loads.items():
-        if load.kind not in ("force", "pressure"):
-            continue
-        area = found.boundary_areas.get(load.boundary, 0.0)
-        under = {found.pieces[p].region for p in found.boundaries.get(load.boundary, {})}
+        boundary = getattr(load, "boundary", "")
+        area = found.boundary_areas.get(boundary, 0.0)
+        under = {found.pieces[p].region for p in found.boundaries.get(boundary, {})}
         moduli = [m for r in under if (m := modulus(case.regions[r]))]
         if not area or not moduli:
             continue
         factor = max(map(abs, history_of(case, load.history)), default=1.0)
-        stress = abs(load.pressure) if load.kind == "pressure" else math.hypot(*load.force) / area
-        stress *= factor
+        stress = factor * load.traction(area)
         if stress > STRAIN * min(moduli):
             notes.append(
-                f"loads.{name} is {stress:.3g} MPa on boundary '{load.boundary}', beside a modulus "
+                f"loads.{name} is {stress:.3g} MPa on boundary '{boundary}', beside a modulus "
                 f"of {min(moduli):.3g} MPa: strains are not small; a wrong unit?"
             )
     return notes

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mantle.schema.conditions import Force
 from mantle.schema.config import Case, Stage
 from mantle.schema.fields import Section
 from mantle.schema.materials import Conductor, Rigid
@@ -323,11 +322,13 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
 
 def _resultant(case: Case) -> Iterable[str]:
     """The sum of the forces at the end of the last stage."""
-    forces = [load for load in case.loads.values() if isinstance(load, Force)]
+    forces = [(load, load.resultant) for load in case.loads.values() if load.resultant is not None]
     if not forces:
         return
-    factors = [1.0 if f.history is None else f.history[-1] for f in forces]
-    total = [sum(k * f.force[i] for k, f in zip(factors, forces, strict=True)) for i in range(3)]
+    factors = [1.0 if load.history is None else load.history[-1] for load, _ in forces]
+    total = [
+        sum(k * force[i] for k, (_, force) in zip(factors, forces, strict=True)) for i in range(3)
+    ]
     components = ", ".join(f"{c:.6g}" for c in total)
     rest = "" if len(forces) == len(case.loads) else ", without pressures and body forces"
     yield f"  sum at the end: [{components}] N, {math.hypot(*total):.6g} N{rest}"
@@ -385,9 +386,9 @@ def _acts(case: Case) -> bool:
 def _largest_force(case: Case) -> Iterable[float]:
     """The largest force at any time, if there are forces [N]."""
     sizes = [
-        math.hypot(*load.force) * max(map(abs, load.history or (1.0,)))
+        math.hypot(*load.resultant) * max(map(abs, load.history or (1.0,)))
         for load in case.loads.values()
-        if isinstance(load, Force)
+        if load.resultant is not None
     ]
     return [max(sizes)] if any(sizes) else []
 

@@ -57,7 +57,7 @@ def test_force_at_a_point_has_its_resultant_and_moment(order: int) -> None:
 def test_even_force_acts_through_the_centroid() -> None:
     """Without a point the traction is uniform: no moment about the centroid of the patch."""
     solved = support.solve(CYLINDERS, "interfaces={}")
-    moment = nodal_moment(solved, tuple(solved.problem.mechanics.patches["stem_top"].centroid))
+    moment = nodal_moment(solved, tuple(solved.problem.mechanics.patch("stem_top").centroid))
     assert np.abs(moment).max() < 1e-12 * 900 * 30
 
 
