@@ -157,7 +157,7 @@ TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [
             "23:3: interfaces.stem_cement: 'friction_coefficient' is missing",
             "25:5: interfaces.stem_cement.friction_coeficient: unknown key; allowed: kind, "
-            "friction_coefficient, gap, gap_history, augmentation, conductance, friction_heating; "
+            "conductance, friction_coefficient, gap, gap_history, friction_heating, augmentation; "
             "did you mean 'friction_coefficient'?",
         ],
     ),

@@ -452,9 +452,12 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
 
 
 def test_only_bonded_interfaces_join_bodies() -> None:
-    """A law of a kind yet to come, without a friction coefficient, is no bond."""
+    """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
     found = case_on_mesh.look(case, build(case))
-    case = case.model_copy(update={"interfaces": {"bone_metal": SimpleNamespace(gap=0.1)}})
-    assert len(groups_of(case, found)) == 2
-    assert np.allclose(gaps_of(case, found)["bone_metal"], 0.1)
+    law = SimpleNamespace(can_open=True, initial_gap=(0.1, None))
+    opens = case.model_copy(update={"interfaces": {"bone_metal": law}})
+    assert len(groups_of(opens, found)) == 2
+    assert np.allclose(gaps_of(opens, found)["bone_metal"], 0.1)
+    holds = case.model_copy(update={"interfaces": {"bone_metal": SimpleNamespace(can_open=False)}})
+    assert len(groups_of(holds, found)) == 1
