@@ -12,8 +12,6 @@ from petsc4py import PETSc
 import numpy as np
 
 from mantle.numerics.preconditioners import FACTORED, configure, on_one_rank
-from mantle.numerics.sparse import entries
-from mantle.numerics.state import State
 
 # Factors cost as much as so many solutions with them (measured: 8 to 12 for 7 000 to 30 000).
 WORTH = 10
@@ -26,7 +24,6 @@ class KeptFactors:
 
     Attributes:
         made: How often the matrix was factored.
-        of: The entries that were, and a digest of their places (`numerics.sparse.entries`).
     """
 
     def __init__(self) -> None:
@@ -63,16 +60,6 @@ class KeptFactors:
         # A vector of blocks does not see that these have changed, and remembers its norm.
         y.stateIncrease()
 
-    def state(self) -> State:
-        """What the next decision to factor depends on."""
-        return {"solves": self._solves, "applied": self._applied}
-
-    def resume(self, state: State) -> None:
-        """Read it back, with factors of the matrix as it is; collective."""
-        self._factor()
-        self._solves, self._applied = state["solves"], state["applied"]
-        self._seen = self._current = -1
-
     def _moved(self) -> bool:
         """Whether the diagonal is another one, on the whole."""
         diagonal = self._of.getDiagonal()
@@ -92,7 +79,6 @@ class KeptFactors:
         self._pc.setReusePreconditioner(True)
         self._diagonal = self._of.getDiagonal()
         self._size = float(self._diagonal.norm(PETSc.NormType.N1))
-        self.of = entries(self._of)
         self.made += 1
         self._seen = self._current = self._of.stateGet()
         self._solves, self._applied = 1, 0

@@ -205,11 +205,6 @@ class SlidingMotions:
         fill(self._free, free)
         self._free.matMult(self._jump, result=self.jump)
 
-    @property
-    def known(self) -> Floats:
-        """Projectors on the directions that are let go (n, 3, 3)."""
-        return self._known
-
     def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
         """Work of forces on displacement and jumps in each motion: Z^T r."""
         self._free.mult(q, self._let)

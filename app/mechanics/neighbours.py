@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -26,7 +25,6 @@ from numpy.typing import NDArray
 
 from mantle.mechanics.prediction import same, take_better
 from mantle.mechanics.problem import Problem
-from mantle.numerics import state as saved
 from mantle.numerics.newton import Solver
 
 Floats = NDArray[np.float64]
@@ -109,53 +107,6 @@ class Neighbours:
         state = self._state()
         self._now[time], self._last = state, time
         self._new = self._new or self._start is None or not same(self._start, state.x)
-
-    def state(self) -> saved.State:
-        """The states of this run and of those before."""
-        return {
-            "past": [[self._packed(t, s) for t, s in run.items()] for run in self._past],
-            "now": [self._packed(t, s) for t, s in self._now.items()],
-            "new": self._new,
-            "last": self._last,
-        }
-
-    def resume(self, found: saved.State) -> None:
-        """Read them back."""
-        past = [dict(self._unpacked(*s) for s in run) for run in found["past"]]
-        self._past = past or self._past
-        self._now = dict(self._unpacked(*s) for s in found["now"])
-        self._new, self._last = found["new"], found["last"]
-
-    def _packed(self, time: float, s: Neighbour) -> list[Any]:
-        forces = self._problem.K.createVecLeft()
-        forces.array[:] = s.forces
-        return [
-            time,
-            self._solver.pack(s.x),
-            self._problem.reduction.state(forces, self._problem.nodes),
-            [j.rows(s.gaps) for j in self._problem.jumps],
-            [float(f) for f in s.friction],
-        ]
-
-    def _unpacked(
-        self,
-        time: float,
-        x: saved.State,
-        forces: saved.State,
-        gaps: list[saved.Rows],
-        friction: list[float],
-    ) -> tuple[float, Neighbour]:
-        problem = self._problem
-        f = problem.K.createVecLeft()
-        problem.reduction.resume(forces, f, problem.nodes)
-        at = [g.of(j.mine).ravel() for g, j in zip(gaps, problem.jumps, strict=True)]
-        logarithms = np.array(friction if problem.comm.rank == 0 else [], dtype=np.float64)
-        return time, Neighbour(
-            self._solver.unpack(x),
-            f.array.copy(),
-            np.concatenate([np.zeros(0), *at]),
-            logarithms,
-        )
 
     def _try(self, x: PETSc.Vec) -> None:
         if take_better(self._solver, x):

@@ -17,7 +17,6 @@ from petsc4py import PETSc
 import numpy as np
 
 from mantle.numerics.newton import Solver
-from mantle.numerics.state import State
 
 # States before the last that are kept.
 KEPT = 3
@@ -34,12 +33,6 @@ class Predictor(Protocol):
 
     def commit(self, time: float) -> None:
         """The state of the solver at a time is history."""
-
-    def state(self) -> State:
-        """What it remembers."""
-
-    def resume(self, state: State) -> None:
-        """Read it back."""
 
 
 class Extrapolation:
@@ -103,14 +96,6 @@ class Extrapolation:
         """Remember the state; of two at one time the later."""
         state = (time, self._solver.x.copy())
         self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
-
-    def state(self) -> State:
-        """The states."""
-        return {"trail": [[time, self._solver.pack(x)] for time, x in self._trail]}
-
-    def resume(self, state: State) -> None:
-        """Read them back."""
-        self._trail = [(time, self._solver.unpack(x)) for time, x in state["trail"]]
 
 
 def take_better(solver: Solver, x: PETSc.Vec) -> bool:

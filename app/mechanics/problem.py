@@ -101,7 +101,7 @@ class Problem:
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
         options = stiffness_options("auto", self.K, scene.order)
-        own = Inverse(self.K, lambda: self.version, options, self._shape)
+        own = Inverse(self.K, lambda: self.version, options)
         self.inverse: Inverse = like.inverse if like is not None else own
         self.jumps: tuple[Jumps, ...] = (
             (
@@ -162,7 +162,8 @@ class Problem:
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         rows = self.supported_rows()
         self._reaction_rows = [self._supported(K)]
-        K.zeroRowsColumns(rows, diag=_typical(K))
+        self._typical = _typical(K)
+        K.zeroRowsColumns(rows, diag=self._typical)
         self._diagonal = K.getDiagonal()
         return K
 
@@ -217,9 +218,8 @@ class Problem:
             "growth": {r: keyed(self._vertices, g.x.array[:n]) for r, g in growth},
         }
 
-    def _reshape(self, shape: State) -> bool:
-        """Make the stiffness that of a shape, of this stage or a later one; whether it changed."""
-        before = self.version
+    def _reshape(self, shape: State) -> None:
+        """Make the stiffness that of a shape, of this stage or a later one."""
         for k in range(self._stage + 1, shape["stage"] + 1):
             self.set_stage(k, self.K.createVecRight())
         changed = False
@@ -231,13 +231,11 @@ class Problem:
             changed |= not np.array_equal(old, g.x.array)
         if self.comm.allreduce(changed, MPI.LOR):
             self._renew()
-        return self.version != before
 
     def state(self) -> State:
         """All that is history."""
         return {
             "time": self.time,
-            "inverse": self.inverse.state(),
             "shape": self._shape(),
             "contact": [j.state() for j in self.jumps],
             "setting": [s.state() for s in self.setting],
@@ -245,7 +243,6 @@ class Problem:
 
     def resume(self, state: State) -> None:
         """Read it back at rest; collective. `settle` follows."""
-        self.inverse.resume(state["inverse"], self._reshape)
         self._reshape(state["shape"])
         for j, history in zip(self.jumps, state["contact"], strict=True):
             j.resume(history)
@@ -357,12 +354,15 @@ class Problem:
         return TrialState(e, jump, j.law(e, jump))
 
     def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
-        """K u + C q - f, zero in supported rows [N]."""
+        """K u + C q - f [N]; in supported rows what is missing to the given displacements.
+
+        A preconditioner of another stage moves these too: to leave them out would hide it.
+        """
         self.K.mult(u, out)
         for j in self.jumps:
             j.C.multAdd(q, out, out)
         out.axpy(-1.0, self.f)
-        out.array[self.held] = 0
+        out.array[self.held] = self._typical * (u.array_r - self._given)[self.held]
 
     def supported_rows(self) -> NDArray[np.int32]:
         """Global rows that supports hold, of this rank."""

@@ -155,7 +155,6 @@ class ContactSystem(System):
 
     def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
         """Set the rows of the jumps."""
-        self._factors = times, added
         fill(self._rows, times)
         fill(self._added, added)
         self._rows.matMult(self._jumps.Ct, result=self._A_qu)
@@ -166,10 +165,7 @@ class ContactSystem(System):
         """Bodies that slide, lift off or bend away."""
         if self._motions_of != self.version:
             self._motions, self._motions_of = SlidingMotions(self._problem), self.version
-        before = self._motions.version
         self._motions.follow(self.trial.law.jacobian)
-        if self._motions.version != before:
-            self._then = self._factors
         return self._motions
 
     @property
@@ -211,23 +207,3 @@ class ContactSystem(System):
     def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
         """Read them back."""
         self._problem.unpack(state, x[0], x[1])
-
-    def state(self) -> State:
-        """The motions that the law let go, and the rows of the Jacobian then."""
-        if self._motions_of != self.version or not self._motions.version:
-            return {}
-        times, added = self._then
-        values = {"motions": self._motions.known, "times": times, "added": added}
-        return {name: self._jumps.rows(v) for name, v in values.items()}
-
-    def resume(self, state: State) -> SlidingMotions | None:
-        """Let them go again; collective."""
-        if not state:
-            return None
-        self._couple()
-        known, times, added = (state[k].of(self._jumps.mine) for k in ("motions", "times", "added"))
-        self._set_rows(times, added)
-        self._then = self._factors
-        self._motions, self._motions_of = SlidingMotions(self._problem), self.version
-        self._motions.let_go(known)
-        return self._motions

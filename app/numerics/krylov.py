@@ -12,15 +12,10 @@ import logging
 import math
 from collections.abc import Mapping
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
-import numpy as np
-
-from mantle.numerics.deflation import CoarseSpace, Deflated
+from mantle.numerics.deflation import Deflated
 from mantle.numerics.preconditioners import INTERFACE, SWEEP, Inverse, Options
-from mantle.numerics.sparse import entries, put_entries
-from mantle.numerics.state import Ints, Share, State
 from mantle.numerics.system import System
 from mantle.system.timing import Timing
 
@@ -34,8 +29,6 @@ SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative
 KEPT = ("displacement", "temperature")
 # Krylov iterations that making them again is worth, and usual ones for a digit of the residual.
 PRICE, USUAL = 30, 8
-# Bits of the numbers of a rank's entries.
-RANK = 40
 # How the log calls the methods.
 WORDS = {
     "cg": "conjugate gradients",
@@ -46,59 +39,6 @@ WORDS = {
     "lu": "factored",
     "sor": "swept",
 }
-
-
-class Own:
-    """A preconditioner that is kept from one Jacobian to the next: of which one it is."""
-
-    def __init__(self, pc: PETSc.PC) -> None:
-        """Keep one that is set up."""
-        self.pc = pc
-        self._comm = pc.comm.tompi4py()
-        # One that decides by itself when it is made knows of what.
-        self._context = pc.getPythonContext() if pc.getType() == "python" else None
-        self._made()
-
-    def _made(self) -> None:
-        """Remember the matrix as it is."""
-        self.pc.setReusePreconditioner(True)
-        self._of = entries(self.pc.getOperators()[1])
-
-    def refresh(self) -> None:
-        """Set it up for the matrix as it is; collective."""
-        self.pc.setReusePreconditioner(False)
-        self.pc.setUp()
-        self._made()
-
-    def _keys(self, n: int) -> Ints:
-        """Keys of entries of this rank."""
-        return (self._comm.rank << RANK) + np.arange(n)
-
-    def state(self) -> State:
-        """The matrix that it was made of."""
-        values, places = self._of if self._context is None else self._context.of
-        return {
-            "entries": Share(self._keys(len(values)), values),
-            "places": Share(self._keys(1), np.array([places])),
-            "context": self._context and self._context.state(),
-        }
-
-    def resume(self, state: State) -> None:
-        """Make it of that matrix again, unless other ranks had it; collective."""
-        matrix = self.pc.getOperators()[1]
-        values, places = entries(matrix)
-        keys, first = self._keys(len(values)), self._keys(1)
-        found, place = state["entries"], state["places"]
-        same = found.has(keys) and place.has(first) and place.of(first)[0] == places
-        count = self._comm.allreduce(len(values))
-        if not self._comm.allreduce(bool(same and count == len(found.keys)), MPI.LAND):
-            return
-        put_entries(matrix, found.of(keys))
-        if self._context is None:
-            self.refresh()
-        else:
-            self._context.resume(state["context"])
-        put_entries(matrix, values)
 
 
 class Linear:
@@ -138,10 +78,9 @@ class Linear:
         if len(blocks) == 1 and system.inverses:
             self.options |= SYMMETRIC
         self._inverses: list[Inverse] = []
-        self._own: list[Own] = []
+        self._own: list[PETSc.PC] = []
         self._swept: list[PETSc.PC] = []
         self._factored: list[PETSc.PC] = []
-        self._deflated: tuple[Deflated, ...] = ()
         self._sizes = [v.getSize() for v in blocks.values()]
         self._version = system.version
         self._pending = False
@@ -168,14 +107,15 @@ class Linear:
             motions = self._system.motions() if self._split else None
             if motions is not None:
                 context = Deflated(pc, self._names, self._system.motions)
-                self._deflated = (context,)
                 pc = PETSc.PC().createPython(context, comm=self._system.comm)
             ksp.setPC(pc)
             pc.setOperators(self.matrix)
             pc.setUp()
             pc.setUpOnBlocks()
         self._swept = [part for part in parts.values() if part.getType() == SWEEP["pc_type"]]
-        self._own = [Own(part) for part in own]
+        for part in own:
+            part.setReusePreconditioner(True)
+        self._own = own
         log.info("linear: %s%s", self._words(parts), ", motions of bodies apart" if motions else "")
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
@@ -209,8 +149,10 @@ class Linear:
             self._excess = self._spent = self._gained = 0.0
             for inverse in self._inverses:
                 inverse.refresh()
-            for own in self._own:
-                own.refresh()
+            for pc in self._own:
+                pc.setReusePreconditioner(False)
+                pc.setUp()
+                pc.setReusePreconditioner(True)
         self._pending = True
 
     def learn(self) -> None:
@@ -236,30 +178,9 @@ class Linear:
             usual = self._spent / self._gained if self._gained > 0 else USUAL
             self._excess += spent - usual * math.log10(norms[0] / norms[-1])
 
-    def state(self) -> State:
-        """What it has learned."""
-        return {
-            "swept": bool(self._swept),
-            "fresh": self._version == self._system.version,
-            "sums": [self._excess, self._spent, self._gained],
-            "own": [own.state() for own in self._own],
-        }
-
-    def resume(self, state: State, motions: CoarseSpace | None) -> None:
-        """Read it back, with motions that were let go; collective.
-
-        The preconditioners that others share are theirs to make.
-        """
-        if motions is not None:
-            self.matrix.assemble()
-            for context in self._deflated:
-                context.take(motions)
-        if not state["swept"]:
-            self.factor_interfaces()
-        for own, found in zip(self._own, state["own"], strict=True):
-            own.resume(found)
-        self._version = self._system.version - (not state["fresh"])
-        self._excess, self._spent, self._gained = state["sums"]
+    def renew(self) -> None:
+        """Make the preconditioners again at the next Jacobian: the matrices are others now."""
+        self._excess = math.inf
 
     def factor_interfaces(self) -> bool:
         """Factor interfaces that were swept so far; whether there are any."""

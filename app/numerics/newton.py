@@ -185,13 +185,11 @@ class Solver:
         return x
 
     def state(self) -> State:
-        """All that the next solve depends on."""
+        """The unknowns, and what a residual is compared with."""
         return {
             "x": self.pack(self.x),
             "scales": list(self._scales),
             "augmentation": self._augmentation,
-            "linear": self._linear.state(),
-            "system": self._system.state(),
         }
 
     def resume(self, state: State) -> None:
@@ -199,7 +197,7 @@ class Solver:
         self.unpack(state["x"]).copy(self.x)
         self._scales, self._augmentation = state["scales"], state["augmentation"]
         self._system.soften(self._augmentation)
-        self._linear.resume(state["linear"], self._system.resume(state["system"]))
+        self._linear.renew()
 
     def _configure(self) -> None:
         """Hand the options to PETSc under the prefix, and take them out of its database again."""

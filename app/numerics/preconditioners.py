@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 
 from petsc4py import PETSc
 
-from mantle.numerics.state import State
-
 Options = Mapping[str, str | int | float | bool]
 
 # Unknowns above which a block of nodal unknowns is solved by algebraic multigrid. With MUMPS, which
@@ -87,7 +85,6 @@ class Inverse:
         matrix: PETSc.Mat,
         version: Callable[[], int],
         options: Options,
-        shape: Callable[[], State] = dict,
     ) -> None:
         """Take the matrix as it is.
 
@@ -95,10 +92,8 @@ class Inverse:
             matrix: The matrix, which may change in place.
             version: Counts how often it has changed.
             options: PETSc options of the preconditioner, until others are asked for.
-            shape: What the matrix depends on.
         """
-        self._matrix, self._version, self._shape = matrix, version, shape
-        self._fell = False
+        self._matrix, self._version = matrix, version
         self._options = dict(options)
         self._made: int | None = None
         self.pc = PETSc.PC().create(matrix.comm)
@@ -141,23 +136,7 @@ class Inverse:
         if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
             raise MemoryError(f"the factors of {self.size} unknowns")
         pc.setReusePreconditioner(True)
-        self._made, self._of = self._version(), self._shape()
-
-    def state(self) -> State:
-        """What it was made of, and whether it is factored after all."""
-        return {"of": self._of, "fell": self._fell}
-
-    def resume(self, state: State, reshape: Callable[[State], bool]) -> None:
-        """Make it of the same again; collective.
-
-        Args:
-            state: What was said then.
-            reshape: Makes the matrix one of another shape; says whether it is another one then.
-        """
-        if state["fell"]:
-            self.fall_back()
-        if reshape(state["of"]):
-            self.refresh()
+        self._made = self._version()
 
     def fall_back(self) -> bool:
         """Factor the matrix instead of approximating its inverse, if it is not too large."""
@@ -165,7 +144,6 @@ class Inverse:
             return False
         self.use(factors(self._matrix))
         self.make()
-        self._fell = True
         return True
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, rtol: float) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 
 from mpi4py import MPI
@@ -69,37 +68,6 @@ def from_rows(
     # Ranks set their own rows only: no messages about others.
     A.setOption(PETSc.Mat.Option.NO_OFF_PROC_ENTRIES, True)
     return A
-
-
-def blocks(A: PETSc.Mat) -> list[PETSc.Mat]:
-    """The matrix, or the blocks that it is made of."""
-    if A.getType() != "nest":
-        return [A]
-    rows, columns = A.getNestSize()
-    every = [A.getNestSubMatrix(i, j) for i in range(rows) for j in range(columns)]
-    return [B for B in every if B.handle]
-
-
-def entries(A: PETSc.Mat) -> tuple[Floats, int]:
-    """Entries of own rows (n,), and a digest of their places."""
-    digest, values = hashlib.sha256(), []
-    for B in blocks(A):
-        start, columns, v = B.getValuesCSR()
-        digest.update(start.tobytes() + columns.tobytes())
-        values.append(v)
-    places = int.from_bytes(digest.digest()[:8], "little", signed=True)
-    return np.concatenate(values), places
-
-
-def put_entries(A: PETSc.Mat, values: Floats) -> None:
-    """Set all entries of own rows, in the order of `entries`; collective."""
-    begin = 0
-    for B in blocks(A):
-        start, columns, v = B.getValuesCSR()
-        B.setValuesCSR(start, columns, values[begin : begin + len(v)])
-        B.assemble()
-        begin += len(v)
-    A.assemble()
 
 
 def matrix_sum(matrices: Sequence[PETSc.Mat]) -> PETSc.Mat:

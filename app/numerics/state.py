@@ -47,10 +47,6 @@ class Rows:
         return not len(keys) or bool(len(self.keys) and (self.keys[place] == keys).all())
 
 
-class Share(Rows):
-    """Rows that are of use to the same ranks alone: another number of them does without."""
-
-
 def keyed(keys: Ints, values: Array) -> Rows:
     """A copy of values as rows; several to a key where there are more."""
     values = np.array(values)

@@ -118,14 +118,6 @@ class System(Protocol):
         """Solve with interfaces tied that were open everywhere so far; whether there are any."""
         return False
 
-    def state(self) -> State:
-        """What the next solve depends on beside the unknowns."""
-        return {}
-
-    def resume(self, state: State) -> CoarseSpace | None:
-        """Read it back, with the Jacobian in which motions were let go last; collective."""
-        return None
-
 
 def size(vectors: list[PETSc.Vec]) -> float:
     """Norm of a state or residual in several blocks; collective."""

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from mantle.errors import InputError, everywhere
-from mantle.numerics.state import Rows, Share, State
+from mantle.numerics.state import Rows, State
 from mantle.results.output import on_root
 from mantle.schema import config
 from mantle.simulation.model import Model
@@ -415,8 +415,6 @@ def _keep(folder: Path, newest: Path) -> None:
 
 def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None, int]]:
     """For all rows of a model at rest: name, number in a checkpoint if it has those, own number."""
-    if isinstance(here, Share):
-        return
     if isinstance(here, Rows):
         fits = isinstance(there, Rows) and there.has(here.keys)
         yield name, len(there.keys) if fits else None, len(here.keys)

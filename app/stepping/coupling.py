@@ -296,16 +296,6 @@ class CoupledSystem(System):
         self._heat.unpack(state["heat"], x[: self._n])
         self._motion.unpack(state["motion"], x[self._n :])
 
-    def state(self) -> State:
-        """What the mechanics remember."""
-        return self._motion.state()
-
-    def resume(self, state: State) -> CoarseSpace | None:
-        """Read it back; collective."""
-        return self._motion.resume(state)
-
-    # Blocks between the two
-
     def _thermal_forces(self) -> tuple[list[list[PETSc.Mat]], ...]:
         """Forces of temperatures and temperature jumps on displacement and jumps, negative."""
         moves = {

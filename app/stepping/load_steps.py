@@ -122,19 +122,16 @@ class LoadStepper:
         self._way: Progress | None = None
 
     def state(self) -> State:
-        """Where it is, and what it knows of the states before."""
+        """Where it is."""
         return {
             "way": self._way and asdict(self._way),
             "total": asdict(self.total),
-            "predictors": [p.state() for p in self.predictors],
         }
 
     def resume(self, state: State) -> None:
         """Read it back; `load` goes on from there."""
         self._way = state["way"] and Progress(**state["way"])
         self.total = Summary(**state["total"])
-        for p, found in zip(self.predictors, state["predictors"], strict=False):
-            p.resume(found)
 
     def load(self, k: int, stage: SceneStage, mark: Mark = unmarked) -> None:
         """Load steps through a stage that takes no time."""

@@ -25,7 +25,6 @@ from mantle.mechanics.prediction import imbalance, take_better
 from mantle.mechanics.problem import Problem
 from mantle.meshes.interfaces import ContactPoints
 from mantle.numerics.newton import Solver
-from mantle.numerics.state import State
 from mantle.schema import config
 from mantle.stepping.load_steps import LoadStepper
 
@@ -88,7 +87,6 @@ class Nested:
         self._coarse: LoadStepper | None = None
         self._failed = False
         self._past: list[float] = []
-        self._way: list[float] = []
         self._known: list[tuple[float, Floats]] = []
 
     def predict(self, time: float) -> None:
@@ -108,14 +106,6 @@ class Nested:
     def commit(self, time: float) -> None:
         """The coarse model has to go through it too, when it is asked again."""
         self._past.append(time)
-
-    def state(self) -> State:
-        """Where the coarse model has been and has to go: it goes there again."""
-        return {"way": [*self._way, *self._past], "failed": self._failed}
-
-    def resume(self, state: State) -> None:
-        """Read it back."""
-        self._past, self._failed = state["way"], state["failed"]
 
     def _good(self) -> bool:
         """Whether others have found a start that is good enough."""
@@ -150,7 +140,6 @@ class Nested:
         # A start that takes many steps to find is not worth it.
         stage = replace(problem.scene.stages[k], adaptive=False)
         coarse.advance(stage, 1.0, place, begin, time)
-        self._way.append(time)
         (source,) = problem.jumps
         self._known = [*self._known[-1:], (time, self._weights @ replicated(source))]
 
