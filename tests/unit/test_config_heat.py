@@ -325,7 +325,7 @@ def test_the_hot_case_is_that_of_the_paper() -> None:
         {"stem": 37, "cement": 100, "cortical_bone": 37, "cancellous_bone": 37}
     )
     found = build_scene(case)
-    assert {c.friction for c in found.contacts} == {1.0}
+    assert {c.law.friction for c in found.contacts} == {1.0}
     assert [c.open for c in found.thermal_contacts] == [0.3, 0.3]
     assert found.time[0].mechanical_step > 0
     modulus = config.load(support.CONFIGS / "stance_cocr.yaml").regions["stem"]
