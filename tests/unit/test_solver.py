@@ -70,11 +70,11 @@ def test_interfaces_are_swept_again_once_a_step_has_converged(tagged: TaggedMesh
     def failing() -> bool:
         solver.begin()
         solver.snes.setTolerances(max_it=0)
-        return not solver.solve().converged and not solver.state()["linear"]["swept"]
+        return not solver.solve().converged and not solver._linear._swept
 
     assert failing()
     solver.snes.setTolerances(max_it=50)
-    assert solver.solve().converged and solver.state()["linear"]["swept"]
+    assert solver.solve().converged and solver._linear._swept
     # What begins anew after a failure sweeps from the start.
     assert failing()
     solver.snes.setTolerances(max_it=50)
