@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 import tomllib
 from collections import defaultdict
@@ -117,6 +118,15 @@ def test_there_is_no_circle() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_files_of_the_map_exist() -> None:
+    """`app/README.md` names files from `app` or from the top."""
+    text = (ROOT / "app" / "README.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"[\w*]+(?:/[\w*]+)+\.(?:py|md|csv)", text))
+    assert len(names) > 40
+    for name in names:
+        assert any(any(folder.glob(name)) for folder in (ROOT, ROOT / "app")), name
 
 
 def test_no_class_name_stands_for_two_things() -> None:
