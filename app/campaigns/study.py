@@ -16,10 +16,10 @@ from mantle.campaigns import work_precision as wp
 from mantle.campaigns.batch import Job, Result
 from mantle.campaigns.study_model import Measured, Report, StudyRun, percent
 from mantle.errors import InputError, gravest
-from mantle.schema import case_file, config, study_file, study_options
+from mantle.schema import case_file, config, quantities, study_file, study_options
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.study_file import Source
-from mantle.schema.study_options import OF_RUN, STEM_UNITS, Study
+from mantle.schema.study_options import Study
 
 log = logging.getLogger("mantle")
 
@@ -176,37 +176,6 @@ def _number(case: config.Case, point: PlannedRun) -> tuple[float | None, str]:
     return (x, unit) if 0 < x < math.inf else (None, "")
 
 
-def quantity(summary: dict[str, Any], name: str, suffix: str = "") -> float | None:
-    """A number of ``summary.json``.
-
-    Args:
-        summary: Its content; may be empty.
-        name: ``<interface or region>.<key>``, ``stem.<key>``, ``solver.<key>``, ``timing.<key>``,
-            ``balance.<key>``; ``.x`` .. for a component.
-        suffix: Of the key, e.g. ``_error``.
-
-    Returns:
-        The number, or None if it is not there.
-    """
-    owner, _, key = name.partition(".")
-    key, _, axis = key.partition(".")
-    if name in OF_RUN or (owner == "stem" and key in STEM_UNITS):
-        tables = [summary.get(owner, {})]
-    else:
-        tables = [
-            section.get(part, {}).get(owner, {})
-            for section in (summary, summary.get("thermal", {}))
-            for part in ("interfaces", "regions", "cure", "bonds")
-        ]
-    for table in tables:
-        value = table.get(key + suffix)
-        if axis and isinstance(value, list):
-            value = value["xyz".index(axis)]
-        if isinstance(value, int | float):
-            return float(value)
-    return None
-
-
 def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     """Errors, orders, fronts and advice from the runs of a study."""
     curve = [r for r in runs if r.line]
@@ -230,7 +199,7 @@ def _measure(study: Study, name: str, curve: list[StudyRun], ladder: list[StudyR
     points = []
     for r in curve:
         summary = r.result.summary
-        value, estimate = quantity(summary, name), quantity(summary, name, "_error")
+        value, estimate = (quantities.read(summary, name, s) for s in ("", "_error"))
         point = wp.Point(r.line, r.label, r.x, r.time, value, estimate, r.tolerance)
         points.append(wp.compare(point, reference))
     errors = [p.bound for p in points]
@@ -238,7 +207,7 @@ def _measure(study: Study, name: str, curve: list[StudyRun], ladder: list[StudyR
     lines = dict.fromkeys(r.line for r in curve)
     return Measured(
         name=name,
-        unit=study_options.unit(name),
+        quantity=quantities.find(name),
         compared=compared,
         reference=reference,
         points=points,
@@ -254,7 +223,7 @@ def _reference(study: Study, name: str, ladder: list[StudyRun]) -> wp.ReferenceV
     values = study.reference.values
     if values is not None:
         return wp.ReferenceValue(study_options.known_value(name, values[name]), 0.0, None, "given")
-    found = [(r, v) for r in ladder if (v := quantity(r.result.summary, name)) is not None]
+    found = [(r, v) for r in ladder if (v := quantities.read(r.result.summary, name)) is not None]
     if found and len(ladder) == 1:
         return wp.ReferenceValue(found[0][1], 0.0, None, "of one run")
     if len(found) < 2:

@@ -8,6 +8,7 @@ from typing import Any
 
 from mantle.campaigns.batch import Result
 from mantle.campaigns.work_precision import Effectivity, Point, ReferenceValue
+from mantle.schema.quantities import Quantity
 
 # Exponents nearer to 0 say that the error does not depend on the key.
 FLAT = 0.05
@@ -53,7 +54,7 @@ class Measured:
 
     Attributes:
         name: Its name.
-        unit: Its unit.
+        quantity: What it is.
         compared: Whether it has an error; else only its values are shown.
         reference: What it is compared with; None if there is nothing.
         points: A point for each run.
@@ -64,7 +65,7 @@ class Measured:
     """
 
     name: str
-    unit: str
+    quantity: Quantity
     compared: bool
     reference: ReferenceValue | None
     points: Sequence[Point]

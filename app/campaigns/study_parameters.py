@@ -9,8 +9,8 @@ from typing import Any
 
 from mantle.campaigns.study_model import Measured, Report, percent
 from mantle.campaigns.study_picture import COLOURS, MARKERS, MOST_PANELS, panels
+from mantle.schema.quantities import printed
 
-UNITS = {"mm": (1e3, " (µm)"), "mm^2": (1.0, " (mm²)"), "-": (1.0, "")}
 # Largest over smallest value from which an axis is logarithmic.
 DECADES = 30.0
 # Values smaller than the largest by this factor are zero to rounding.
@@ -49,8 +49,9 @@ def picture(report: Report, path: Path) -> bool:
 
 def _panel(axes: Any, report: Report, m: Measured, varying: dict[str, list[int]]) -> None:
     """One quantity: its reference, its curves, and what failed."""
-    factor, unit = UNITS.get(m.unit, (1.0, f" ({m.unit})"))
-    axes.set_title(m.name + unit, fontsize=11, loc="left")
+    factor = m.quantity.factor
+    title = f"{m.name} ({printed(m.quantity.shown)})".removesuffix(" ()")
+    axes.set_title(title, fontsize=11, loc="left")
     axes.set(xscale="log", xlabel=_label(report, varying))
     reference = None if m.reference is None else factor * m.reference.value
     if reference is not None:

@@ -14,18 +14,15 @@ from mantle.campaigns.batch import duration
 from mantle.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
 from mantle.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
 from mantle.errors import StoppedError
+from mantle.schema.quantities import Quantity
 from mantle.schema.study_file import Source
 from mantle.system.folders import remove, write_json, write_text
 from mantle.version import __version__
 
-# Lengths are small where bodies meet.
-SHOWN = {"mm": (1e3, " um"), "-": (1.0, "")}
 
-
-def shown(value: float | None, unit: str) -> str:
-    """A value for people, lengths in micrometres."""
-    factor, name = SHOWN.get(unit, (1.0, f" {unit}"))
-    return "-" if value is None else f"{factor * value:.4g}{name}"
+def shown(value: float | None, q: Quantity) -> str:
+    """A value for people."""
+    return "-" if value is None else f"{q.factor * value:.4g} {q.shown}".removesuffix(" -")
 
 
 def error_text(m: Measured, i: int) -> str:
@@ -36,11 +33,11 @@ def error_text(m: Measured, i: int) -> str:
     return percent(error) if m.points[i].trusted or not error else f"< {percent(error)}"
 
 
-def describe(reference: ReferenceValue | None, unit: str) -> str:
+def describe(reference: ReferenceValue | None, q: Quantity) -> str:
     """The reference in words."""
     if reference is None:
         return "no reference: its runs failed or do not have it"
-    text = f"reference {shown(reference.value, unit)}"
+    text = f"reference {shown(reference.value, q)}"
     if reference.method == "given":
         return f"{text}, given"
     if reference.method == "of one run":
@@ -57,7 +54,7 @@ def table(report: Report) -> str:
     name = max(14, *(len(r.line) for r in report.runs))
     for m in report.quantities:
         estimates = m.compared and any(p.estimate is not None for p in m.points)
-        lines += ["", f"{m.name}: {describe(m.reference, m.unit)}" if m.compared else m.name]
+        lines += ["", f"{m.name}: {describe(m.reference, m.quantity)}" if m.compared else m.name]
         head = f"  {'':<3}{'line':<{name}} {'at':<{wide}} {'value':>12} {'error':>9} {'time':>9}"
         lines.append(head + (f" {'estimated':>10} {'index':>6}" if estimates else ""))
         for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True)):
@@ -67,10 +64,12 @@ def table(report: Report) -> str:
             if r.result.exit_code:
                 lines.append(row + r.status)
                 continue
-            row += f"{shown(p.value, m.unit):>12} {error_text(m, i):>9} {duration(p.time or 0):>9}"
+            row += (
+                f"{shown(p.value, m.quantity):>12} {error_text(m, i):>9} {duration(p.time or 0):>9}"
+            )
             if estimates:
                 index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
-                row += f" {shown(p.estimate, m.unit):>10} {index:>6}"
+                row += f" {shown(p.estimate, m.quantity):>10} {index:>6}"
             lines.append(row.rstrip())
         keys = {r.line: r.key for r in report.runs}
         orders = [
@@ -142,7 +141,7 @@ def _record(report: Report) -> dict[str, Any]:
         "advice": report.advice,
         "quantities": {
             m.name: {
-                "unit": m.unit,
+                "unit": m.quantity.unit,
                 "advice": m.advice,
                 "compared": m.compared,
                 "reference": None if m.reference is None else asdict(m.reference),
@@ -194,7 +193,7 @@ def _csv(report: Report) -> str:
             summary = r.result.summary
             timing, solver = summary.get("timing", {}), summary.get("solver", {})
             rows.writerow(
-                [r.line, r.key, r.label, r.x, r.status, m.name, m.unit, p.value]
+                [r.line, r.key, r.label, r.x, r.status, m.name, m.quantity.unit, p.value]
                 + [ref and ref.value, ref and ref.uncertainty, p.error]
                 + [int(p.trusted), p.estimate, p.effectivity, int(i in m.front), r.time]
                 + [timing.get(k) for k in ("mesh", "compile", "error", "total")]

@@ -9,8 +9,6 @@ Everything goes into one folder, that of a batch (`app/campaigns/batch.py`), and
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import logging
 import os
@@ -22,15 +20,14 @@ from typing import Any
 
 from mantle.campaigns import batch, uncertainty
 from mantle.campaigns.batch import Job, Result
-from mantle.campaigns.study import quantity
 from mantle.errors import InputError, gravest
-from mantle.schema import case_file, study_options, sweep_file
+from mantle.schema import case_file, quantities, sweep_file
 from mantle.schema.sweep_file import SweptRun
 from mantle.schema.sweep_options import Sweep, samples
 from mantle.simulation import variations
 from mantle.soundness import preview
 from mantle.system import identity
-from mantle.system.folders import write_json, write_text
+from mantle.system.folders import csv_text, write_json, write_text
 
 log = logging.getLogger("mantle")
 
@@ -166,7 +163,7 @@ def _row(p: SweptRun, result: Result, folder: Path) -> dict[str, Any]:
     """A case as the tables have it."""
     summary = result.summary
     numbers = variations.headlines(summary)
-    estimates = {name: quantity(summary, name, "_error") for name in numbers}
+    estimates = {name: quantities.read(summary, name, "_error") for name in numbers}
     solver = summary.get("solver", {})
     return {
         "name": p.point.name,
@@ -192,7 +189,7 @@ def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
     for r in rows:
         numbers = {}
         for name, value in r["numbers"].items():
-            unit = study_options.unit(name)
+            unit = quantities.find(name).unit
             numbers[f"{name} [{unit}]"] = value
             if name in r["errors"]:
                 numbers[f"{name} error [{unit}]"] = r["errors"][name]
@@ -209,12 +206,7 @@ def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
                 "folder": r["folder"],
             }
         )
-    text = io.StringIO()
-    header = list(dict.fromkeys(key for row in flat for key in row))
-    table = csv.DictWriter(text, fieldnames=header, lineterminator="\n")
-    table.writeheader()
-    table.writerows(flat)
-    return text.getvalue()
+    return csv_text(flat)
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from mantle.schema import study_options
+from mantle.schema import quantities
 
 # Fewer samples say nothing of a spread.
 FEWEST = 3
@@ -86,7 +86,7 @@ def rows(of: Mapping[str, Any]) -> list[list[str]]:
         causes = sorted(s["correlation"].items(), key=lambda item: -abs(item[1]))
         follows = ", ".join(f"{key.rpartition('.')[2]} {r:+.2f}" for key, r in causes)
         numbers = [f"{s[key]:.4g}" for key in ("mean", "p5", "p95")]
-        found.append([name, study_options.unit(name), *numbers, follows])
+        found.append([name, quantities.find(name).unit, *numbers, follows])
     return found
 
 

@@ -24,6 +24,7 @@ from mantle.report.paper.compare import ComparedNumber
 from mantle.report.paper.figures import Figure
 from mantle.report.paper.trends import VERDICTS, Trend
 from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
+from mantle.schema.quantities import printed
 from mantle.system.folders import write_text
 
 PAGE, COMPARISON, PICTURES = "report.html", "comparison.csv", "report"
@@ -190,7 +191,7 @@ def _comparison(rows: Sequence[ComparedNumber]) -> str:
                 f"{r.thickness:g}" if r.thickness is not None else f.thickness,
                 compare.named(f.place),
                 compare.named(f.quantity),
-                f"{relation}{f.value:g} {compare.UNITS[f.unit]}",
+                f"{relation}{f.value:g} {printed(f.unit)}",
                 "-" if r.peak is None else f"{r.peak:.3g}",
                 "-" if r.number is None else str(r.number),
                 *("-" if x is None else f"{x:.2g}" for x in r.ratios),
@@ -235,7 +236,7 @@ def _cases(cases: Sequence[SweptCase]) -> str:
     names = report_figures.headlines(cases)[:MOST_NUMBERS]
     labels = [report_figures.label(name) for name in names]
     head = ["case", "status", "overrides"]
-    head += [f"{text} ({unit})" if unit else text for text, unit, _ in labels]
+    head += [f"{text} ({unit})" if unit else text for text, unit in labels]
     head += ["unknowns", "ranks", "time", "message"]
     rows = []
     for c in cases:
@@ -246,10 +247,7 @@ def _cases(cases: Sequence[SweptCase]) -> str:
                 c.name,
                 status,
                 [f"{k} = {v}" for k, v in c.overrides.items()],
-                *(
-                    "-" if n is None else str(n.times(factor))
-                    for n, (_, _, factor) in zip(numbers, labels, strict=True)
-                ),
+                *("-" if n is None else str(n) for n in numbers),
                 f"{c.unknowns}" if c.unknowns else "-",
                 f"{c.ranks}",
                 duration(c.seconds),

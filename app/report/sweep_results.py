@@ -14,9 +14,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns import study
 from mantle.errors import InputError
-from mantle.schema import case_file
+from mantle.schema import case_file, quantities
 from mantle.schema.units import NUMBER
 
 CONVERGED = "converged"
@@ -34,10 +33,6 @@ class Number:
 
     value: float
     error: float | None = None
-
-    def times(self, factor: float) -> Number:
-        """The number in another unit."""
-        return Number(factor * self.value, None if self.error is None else factor * self.error)
 
     def __str__(self) -> str:
         """The number for people: to the error's second digit, or to four digits without error."""
@@ -122,15 +117,15 @@ class SweptCase:
             return []
 
     def number(self, name: str) -> Number | None:
-        """A number of the run by ``<interface or region>.<key>``; None if there is none."""
-        if not self.done:
+        """A number by ``<interface or region>.<key>`` in its unit for people, or None."""
+        value, error = (quantities.read(self.summary, name, end) for end in ("", "_error"))
+        if value is None:
+            value, error = self.numbers.get(name), self.errors.get(name)
+        if value is None or not self.done:
             return None
-        value = study.quantity(self.summary, name)
-        if value is not None:
-            return Number(value, study.quantity(self.summary, name, "_error"))
-        if name in self.numbers:
-            return Number(self.numbers[name], self.errors.get(name))
-        return None
+        q = quantities.get(name)
+        factor = q.factor if q else 1.0
+        return Number(factor * value, None if error is None else factor * error)
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ A number X on a mesh of size h is taken as :math:`X_h = X + C h^p`. Companions o
 
 and the larger is reported: unstructured meshes do not nest, so that one difference may be small by
 chance. The order p is not fitted either: fitted to three meshes it was right for half as many
-numbers as the orders in `ORDERS`, the best single ones on the cases ``configs/studies/errors_*``.
-Estimated over true error is within 0.5 and 3 for three numbers in five there; most of the
-others are closer to the truth, by chance, than any estimate can know.
+numbers as the orders in `schema.quantities`, the best single ones on the cases
+``configs/studies/errors_*``. Estimated over true error is within 0.5 and 3 for three numbers in
+five there; most of the others are closer to the truth, by chance, than any estimate can know.
 
 Where friction makes the path matter, the error of n load steps is taken as C / n (the incremental
 minimisation is an implicit Euler method). The coarser companions take half the steps, which is
@@ -22,35 +22,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import getitem
 from typing import Any
 
 import numpy as np
 
 from mantle.schema import config
+from mantle.schema.quantities import TABLE, numbers_of
 
 COARSER = (2.0, 3.0)
-# What converges like the displacement, and what like stress: orders of P1 and P2.
-ORDERS = {1: (1.5, 0.9), 2: (2.0, 1.6)}
-MOTIONS = (
-    *("gap_mean", "gap_p99", "slip_mean", "slip_p99", "dissipation", "force"),
-    *("pressure_mean", "shear_mean", "subsidence", "retroversion", "varus"),
-)
-TRACTIONS = ("pressure_p99", "shear_p99", "von_mises_p99", "hoop_p99", "principal_p99")
-# Temperature is of first order on any mesh. All of its numbers are estimated but these.
-HEAT_ORDER = ORDERS[1][0]
-NOT_ESTIMATED = ("entropy_production_min", "entropy_production_max")
-PEAKS = (
-    *("gap_max", "slip_max", "pressure_max", "shear_max"),
-    *("von_mises_max", "principal_max", "principal_min"),
-)
 # The power of the error of all time steps with which the tolerance of one of them goes.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
 # A peak that still changes by more than this part of itself when the mesh is halved.
 UNSETTLED = 0.1
 # A mesh that is not coarser than this tells nothing.
 LEAST = 1.25
+# Peaks that are compared with each other.
+ALIKE = ("gap_max", "slip_max")
 
 Numbers = dict[str, Any]
 
@@ -134,42 +121,29 @@ def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers
         Peaks that have not converged with the mesh, as ``interface.pressure_max``.
     """
     unsettled: list[str] = []
-    tables = _tables(run)
-    largest = {k: max((abs(q[k]) for _, q in tables if k in q), default=0.0) for k in PEAKS}
-    largest |= dict.fromkeys(("gap_max", "slip_max"), max(largest["gap_max"], largest["slip_max"]))
-    for path, numbers in tables:
-        others = [(c, reduce(getitem, path, o)) for c, o in solved]
-        for key, p in _orders(path, numbers, order).items():
-            if (error := _error(key, p, numbers, others)) is not None:
-                numbers[f"{key}_error"] = error
-        for other in [o for c, o in others if c.coarsening > LEAST][:1]:
-            for k in [k for k in PEAKS if k in numbers]:
-                # What is next to nothing beside its like on other interfaces is no peak.
-                size = max(abs(numbers[k]), UNSETTLED * largest[k])
-                if abs(numbers[k] - other[k]) > UNSETTLED * size:
-                    unsettled.append(f"{path[-1]}.{k}")
-    return unsettled
-
-
-def _tables(run: Numbers) -> list[tuple[tuple[str, ...], Numbers]]:
-    """Each mapping of numbers with its path in the summary."""
-    heat = run.get("thermal", {})
-    sections: list[tuple[tuple[str, ...], Numbers]] = [
-        *(((s,), run[s]) for s in ("interfaces", "regions")),
-        *((("thermal", s), heat[s]) for s in heat),
-        (("cure",), run.get("cure", {})),
+    tables = list(numbers_of(run))
+    relatives = [(c, {(s, n): q for s, n, q in numbers_of(o)}) for c, o in solved]
+    peaks = [
+        ("motion" if k in ALIKE else k, abs(numbers[k]))
+        for section, _, numbers in tables
+        for k, q in TABLE[section].items()
+        if q.peak and k in numbers
     ]
-    named = [((*path, n), q) for path, section in sections for n, q in section.items()]
-    return [*named, (("stem",), run["stem"])]
-
-
-def _orders(path: tuple[str, ...], numbers: Numbers, order: int) -> dict[str, float]:
-    """The numbers of a table that are estimated, and with which order of convergence."""
-    if path[0] in ("thermal", "cure"):
-        known = {k for k, v in numbers.items() if isinstance(v, float)}
-        return dict.fromkeys(sorted(known.difference(NOT_ESTIMATED)), HEAT_ORDER)
-    motion, stress = ORDERS[order]
-    return {k: motion if k in MOTIONS else stress for k in numbers if k in (*MOTIONS, *TRACTIONS)}
+    for section, name, numbers in tables:
+        others = [(c, o.get((section, name), {})) for c, o in relatives]
+        known = [q for k, q in TABLE[section].items() if numbers.get(k) is not None]
+        for q in known:
+            error = q.order and _error(q.key, q.order[order - 1], numbers, others)
+            if error is not None:
+                numbers[f"{q.key}_error"] = error
+        for other in [o for c, o in others if c.coarsening > LEAST][:1]:
+            for k in (q.key for q in known if q.peak):
+                like = "motion" if k in ALIKE else k
+                # What is next to nothing beside its like on other interfaces is no peak.
+                size = max(abs(numbers[k]), UNSETTLED * max(v for of, v in peaks if of == like))
+                if abs(numbers[k] - other[k]) > UNSETTLED * size:
+                    unsettled.append(f"{name}.{k}")
+    return unsettled
 
 
 def _error(

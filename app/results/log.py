@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Any
 
-from mantle.results import heat_log
+from mantle.results import tables
+from mantle.schema.quantities import TABLE
 
 if TYPE_CHECKING:
     from mantle.stepping.heat_steps import HeatStep
@@ -64,49 +65,8 @@ def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: floa
 
 
 def closing_table(summary: dict[str, Any]) -> str:
-    """Interfaces in µm and MPa, regions in MPa, balances, and a plain verdict."""
-    wide = 21 if "error" in summary else 15
-    lines = []
-    if summary["interfaces"]:
-        titles = "".join(f" {q + ' max/p99':>{wide}}" for q in ("gap", "slip"))
-        titles += "".join(f" {q + ' max/p99':>{wide + 2}}" for q in ("pressure", "shear"))
-        lines.append(f"{'interface':<14}{titles} {'open/stick/slip':>18}")
-        units = "".join(f" {u:>{w}}" for u, w in (("um", wide), ("MPa", wide + 2)) for _ in "ab")
-        lines.append(f"{'':<14}{units} {'% of area':>18}")
-    for name, q in summary["interfaces"].items():
-        gap, slip = (_pair(q, k, 1e3, 1) for k in ("gap", "slip"))
-        pressure, shear = (_pair(q, k, 1.0, 2) for k in ("pressure", "shear"))
-        states = " / ".join(f"{100 * q[f'{s}_fraction']:.0f}" for s in ("open", "stick", "slip"))
-        lines.append(
-            f"{name:<14} {gap:>{wide}} {slip:>{wide}} {pressure:>{wide + 2}} "
-            f"{shear:>{wide + 2}} {states:>18}"
-        )
-    if summary["regions"]:
-        lines.append(
-            f"{'region':<16} {'von Mises p99':>{wide}} {'tension max/p99':>{wide + 4}} "
-            f"{'mean stress':>18}"
-        )
-        lines.append(f"{'':<16} {'MPa':>{wide}} {'MPa':>{wide + 4}} {'MPa':>18}")
-    for name, r in summary["regions"].items():
-        tension = _pair(r, "principal", 1.0, 2)
-        mean = f"{r['mean_stress_min']:.2f} .. {r['mean_stress_max']:.2f}"
-        lines.append(
-            f"{name:<16} {with_error(r, 'von_mises_p99', 1.0, 2):>{wide}} {tension:>{wide + 4}} "
-            f"{mean:>18}"
-        )
-    for name, bond in summary.get("bonds", {}).items():
-        lines.append(
-            f"{name}, bonded: {100 * bond['strength_fraction']:.0f} % of its area above its "
-            f"strength; normal {bond['normal_mean']:.2f} MPa (mean), shear "
-            f"{bond['shear_mean']:.2f} MPa"
-        )
-    lines += heat_log.tables(summary)
-    if s := summary["stem"]:
-        lines.append(
-            f"stem against bone: subsidence {with_error(s, 'subsidence', 1e3, 1)} um, "
-            f"retroversion {with_error(s, 'retroversion', 1.0, 3)} deg, "
-            f"varus {with_error(s, 'varus', 1.0, 3)} deg"
-        )
+    """What a run has found, balances, and a plain verdict."""
+    lines = list(tables.lines(summary))
     b = summary["balance"]
     lines.append(
         "balance of " + ", ".join(f"{name} {b[name]:.1e}" for name in BALANCES if name in b)
@@ -117,19 +77,6 @@ def closing_table(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _pair(numbers: dict[str, Any], key: str, scale: float, digits: int) -> str:
-    """Maximum and percentile of a quantity."""
-    peak = f"{scale * numbers[f'{key}_max']:.{digits}f}"
-    return f"{peak} / {with_error(numbers, f'{key}_p99', scale, digits)}"
-
-
-def with_error(numbers: dict[str, Any], key: str, scale: float, digits: int) -> str:
-    """A number as people write it, ``41.3 ± 1.8`` where its error is known."""
-    text = f"{scale * numbers[key]:.{digits}f}"
-    error = numbers.get(f"{key}_error")
-    return text if error is None else f"{text} ± {scale * error:.{digits}f}"
-
-
 def verdict(summary: dict[str, Any]) -> str:
     """One sentence on how far the numbers can be trusted."""
     b, solver, t = summary["balance"], summary["solver"], summary["timing"]
@@ -138,7 +85,8 @@ def verdict(summary: dict[str, Any]) -> str:
     held = "equilibrium exact to rounding" if "force" in b else "no heat lost"
     balanced = held if good else "NOT balanced: do not use"
     if penetration >= 1e-9:
-        balanced += f", the bodies penetrate by {1e3 * penetration:.2g} um"
+        q = TABLE["interfaces"]["penetration_max"]
+        balanced += f", the bodies penetrate by {q.factor * penetration:.2g} {q.shown}"
     elif summary["interfaces"]:
         balanced += ", contact exact to rounding"
     far = [n for n, q in summary["interfaces"].items() if q["slip_max"] > q["facet_size"]]

@@ -6,9 +6,7 @@ Rank 0 writes; an error there is raised on every rank.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import logging
 import platform
 import sys
@@ -30,29 +28,15 @@ from mantle.results import heat_picture
 from mantle.results.field_output import Fields, Layer
 from mantle.results.quantities import Samples
 from mantle.results.thermal_quantities import ThermalRecord
+from mantle.schema import quantities
 from mantle.system import identity
-from mantle.system.folders import saved, write_json, write_text
+from mantle.system.folders import csv_text, saved, write_json, write_text
 from mantle.version import __version__
 
 T = TypeVar("T")
 
-UNITS = {
-    "length": "mm",
-    "area": "mm^2",
-    "volume": "mm^3",
-    "force": "N",
-    "stress": "MPa",
-    "energy": "N mm",
-    "angle": "deg",
-    "time": "s",
-    "temperature": "degC",
-    "temperature difference": "K",
-    "heat flux": "W/m^2",
-    "entropy production": "W/(m^2 K)",
-    "thermal dose": "min",
-    "memory": "MB",
-    "memory per unknown": "kB",
-}
+UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
+UNITS |= {"memory": "MB", "memory per unknown": "kB"}
 HISTORY, SECTION = "temperature.png", "temperature_section.png"
 # What is written at the end; all that a run directory has.
 ENDS = ("DONE", "summary.json", "provenance.json", HISTORY, SECTION)
@@ -186,13 +170,8 @@ class Writer:
 
     def _table(self) -> None:
         """Write history.csv; collective."""
-        text = io.StringIO()
-        names = list(dict.fromkeys(name for row in self._rows for name in row))
-        table = csv.DictWriter(text, fieldnames=names, lineterminator="\n")
-        table.writeheader()
-        table.writerows(self._rows)
         path = self.folder / "history.csv"
-        _write(self._comm, lambda: write_text(path, text.getvalue()), str(path))
+        _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
     def pictures(self, conduction: Conduction, record: ThermalRecord) -> None:
         """Draw temperatures over time, and in a section when the bone was hottest; collective."""

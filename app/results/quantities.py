@@ -23,6 +23,7 @@ from mantle.forms import elasticity
 from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.problem import Problem, TrialState
 from mantle.scene.terms import Elastic
+from mantle.schema.quantities import computed
 from mantle.system.timing import Timing
 
 Floats = NDArray[np.float64]
@@ -183,6 +184,7 @@ def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
         "contact_work": float(s.contact_work[at].sum()),
+        **computed("interfaces", s, at),
     }
 
 
@@ -360,7 +362,7 @@ class Stresses:
                     float(volume[principal > level].sum()) for level in STRESS_LEVELS
                 ],
             }
-        return dict(self._problem.comm.bcast(result))
+        return self._problem.comm.bcast(result) | computed("regions", self, region)
 
 
 def _stiffness(e: Elastic) -> Floats:

@@ -15,7 +15,7 @@ from mantle.schema.case_file import Fault, Path
 from mantle.schema.case_parts import CaseParts
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor, Rigid
-from mantle.schema.study_options import OF_RUN
+from mantle.schema.quantities import of_run
 
 
 def cross_check(parts: CaseParts) -> list[Fault]:
@@ -170,6 +170,6 @@ def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
     known = (*geometry.interface_sides, *geometry.region_names)
     for i, quantity in enumerate(study.quantities):
         name = quantity.partition(".")[0]
-        if name not in known and quantity not in OF_RUN:
+        if name not in known and quantity not in of_run():
             path = ("study", "quantities", i)
             yield _unknown(path, "interface or region", name, known, geometry.kind)

@@ -11,114 +11,9 @@ from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mantle.errors import InputError
-from mantle.schema.fields import ITEMS, MAPPING, Name, Section, Text, did_you_mean, fail, show
-from mantle.schema.units import Dimension, Plain, PositiveNumber, TemperatureDifference
-
-# Keys of summary.json that are numbers, and their units.
-INTERFACE_UNITS = {
-    **{f"{what}_{how}": "mm" for what in ("gap", "slip") for how in ("max", "p99", "mean")},
-    **{f"{what}_{how}": "MPa" for what in ("pressure", "shear") for how in ("max", "p99", "mean")},
-    "slip_accumulated_max": "mm",
-    "penetration_max": "mm",
-    "penetration_sampled": "mm",
-    "open_fraction": "-",
-    "stick_fraction": "-",
-    "slip_fraction": "-",
-    "area_slip_over_30um": "mm^2",
-    "area_gap_over_30um": "mm^2",
-    "force.x": "N",
-    "force.y": "N",
-    "force.z": "N",
-    "dissipation": "N mm",
-}
-REGION_UNITS = {
-    "von_mises_max": "MPa",
-    "von_mises_p99": "MPa",
-    "hoop_p99": "MPa",
-    "principal_max": "MPa",
-    "principal_p99": "MPa",
-    "principal_min": "MPa",
-    "mean_stress_min": "MPa",
-    "mean_stress_max": "MPa",
-}
-BOND_UNITS = {"strength_fraction": "-", "normal_mean": "MPa", "normal_max": "MPa"}
-STEM_UNITS = {"subsidence": "mm", "retroversion": "deg", "varus": "deg"}
-# Sections thermal and cure.
-NECROSIS = ("47C_1min", "cem43_16", "cem43_60", "cem43_240", "henriques_moritz")
-HEATED_REGION_UNITS = {
-    **{f"temperature_{what}": "degC" for what in ("max", "min", "mean", "end_max")},
-    "temperature_max_time": "s",
-    **{f"seconds_over_{level}": "s" for level in (47, 50, 56)},
-    **{f"volume_over_{level}": "mm^3" for level in (47, 50, 56)},
-    "cem43_max": "min",
-    "henriques_moritz_max": "-",
-    **{f"necrosis_{rule}_volume": "mm^3" for rule in NECROSIS},
-    **{f"necrosis_{rule}_depth": "mm" for rule in NECROSIS},
-}
-HEATED_INTERFACE_UNITS = {
-    **{f"temperature_max_{side}": "degC" for side in ("first", "second")},
-    **{f"temperature_max_{side}_time": "s" for side in ("first", "second")},
-    "temperature_jump_max": "K",
-    "heat_flux_max": "W/m^2",
-    "entropy_production_min": "W/(m^2 K)",
-    "entropy_production_max": "W/(m^2 K)",
-}
-CURE_UNITS = {
-    "degree_min": "-",
-    "degree_max": "-",
-    "time_50": "s",
-    "time_90": "s",
-    "rate_max": "1/s",
-}
-# Whole names: what a run costs and how well it balances, which is no approximation of anything.
-OF_RUN = {
-    "solver.newton_iterations": "-",
-    "solver.linear_iterations": "-",
-    "solver.condition": "-",
-    "balance.heat": "-",
-    "balance.heat_quadrature": "-",
-    "timing.solve": "s",
-    "timing.total": "s",
-}
-EXAMPLES: dict[str, Dimension | Plain] = {
-    "mm": Dimension("mm", "a length", "0.05 mm"),
-    "mm^2": Dimension("mm^2", "an area", "20 mm^2"),
-    "MPa": Dimension("MPa", "a pressure", "2 MPa"),
-    "N": Dimension("N", "a force", "1800 N"),
-    "N mm": Dimension("N*mm", "an energy", "2 N*mm"),
-    "mm^3": Dimension("mm^3", "a volume", "500 mm^3"),
-    "deg": Dimension("deg", "an angle", "0.1 deg"),
-    "s": Dimension("s", "a time", "600 s"),
-    "min": Dimension("min", "a time", "60 min"),
-    "1/s": Dimension("1/s", "a rate", "0.1 1/s"),
-    "degC": Dimension("degC", "a temperature", "50 degC"),
-    "K": TemperatureDifference(),
-    "W/m^2": Dimension("W/m^2", "a power per area", "200 W/m^2"),
-    "W/(m^2 K)": Dimension("W/(m^2*K)", "an entropy production", "1 W/(m^2 K)"),
-    "-": Plain(),
-}
-
-
-def unit(quantity: str) -> str:
-    """The unit in which a quantity stands in ``summary.json``.
-
-    Args:
-        quantity: ``<interface or region>.<key>``, ``stem.<key>`` or one of `OF_RUN`.
-
-    Raises:
-        PydanticCustomError: There is no such key.
-    """
-    if quantity in OF_RUN:
-        return OF_RUN[quantity]
-    name, _, key = quantity.partition(".")
-    known = INTERFACE_UNITS | REGION_UNITS | (STEM_UNITS if name == "stem" else {})
-    known |= BOND_UNITS | HEATED_REGION_UNITS | HEATED_INTERFACE_UNITS | CURE_UNITS
-    if key not in known:
-        if name in ("solver", "timing", "balance"):
-            fail(f"{show(quantity)} is not one of {', '.join(OF_RUN)}")
-        hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
-        fail(f"{show(quantity)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
-    return known[key]
+from mantle.schema import quantities
+from mantle.schema.fields import ITEMS, MAPPING, Name, Section, Text, fail, show
+from mantle.schema.units import PositiveNumber
 
 
 def known_value(quantity: str, value: object) -> float:
@@ -127,7 +22,8 @@ def known_value(quantity: str, value: object) -> float:
     Raises:
         PydanticCustomError: It has another dimension.
     """
-    return float(EXAMPLES[unit(quantity)].read(value))
+    _, kind = quantities.UNITS[quantities.find(quantity).unit]
+    return float(kind.read(value))
 
 
 def _changes(value: object) -> dict[str, Any]:
@@ -186,7 +82,7 @@ def _quantity(value: object) -> object:
     """The name of a quantity, which has a unit."""
     if not isinstance(value, str):
         fail(f"{show(value)} is not <interface>.<key>, <region>.<key> or stem.<key>")
-    unit(value)
+    quantities.find(value)
     return value
 
 
@@ -195,7 +91,7 @@ def _values(value: object) -> object:
     if not isinstance(value, dict):
         fail(f"{show(value)} is not a mapping of quantities to values")
     for quantity, entry in value.items():
-        if quantity in OF_RUN:
+        if quantity in quantities.of_run():
             fail("is not compared with anything", at=(quantity,))
         try:
             known_value(quantity, entry)
@@ -245,14 +141,14 @@ class Study(Section):
             if not getattr(self, key):
                 fail("is empty", at=(key,))
         if (values := self.reference.values) is not None:
-            missing = [q for q in self.quantities if q not in values and not _free(q)]
+            missing = [q for q in self.quantities if q not in values and self.compares(q)]
             if missing:
                 fail(f"no value for {', '.join(missing)}", at=("reference", "values"))
         return self
 
     def compares(self, quantity: str) -> bool:
         """Whether a quantity is compared with the reference, or only shown."""
-        return not _free(quantity) or quantity in (self.reference.values or {})
+        return not quantities.find(quantity).exact or quantity in (self.reference.values or {})
 
 
 class StudyFile(Section):
@@ -264,11 +160,6 @@ class StudyFile(Section):
     """Overrides of the case for every point, as after ``--set``."""
     study: Study
     """What varies and what is measured."""
-
-
-def _free(quantity: str) -> bool:
-    """Whether a quantity is no approximation of anything: counts, times, and penetrations."""
-    return quantity in OF_RUN or ".penetration_" in quantity
 
 
 def split_ranks(overrides: Sequence[str]) -> tuple[int | None, list[str]]:

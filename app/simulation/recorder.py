@@ -21,6 +21,7 @@ from mantle.results.output import UNITS, Writer
 from mantle.results.quantities import Samples
 from mantle.scene.terms import SceneStage
 from mantle.schema import config
+from mantle.schema.quantities import TABLE
 from mantle.simulation.model import Mechanical, Model
 from mantle.soundness import uniqueness
 from mantle.stepping.heat_steps import HeatStep
@@ -28,25 +29,6 @@ from mantle.stepping.load_steps import LoadStep, Summary
 from mantle.system.timing import Timing, peak_memory
 
 log = logging.getLogger("mantle")
-
-# Columns of history.csv for each contact interface, with their units.
-COLUMNS = {
-    "gap_max": "mm",
-    "gap_p99": "mm",
-    "slip_max": "mm",
-    "slip_p99": "mm",
-    "pressure_max": "MPa",
-    "pressure_p99": "MPa",
-    "shear_max": "MPa",
-    "shear_p99": "MPa",
-    "penetration_max": "mm",
-    "open_fraction": "-",
-    "stick_fraction": "-",
-    "slip_fraction": "-",
-    "dissipation": "N mm",
-    "dissipation_min": "N mm",
-    "contact_work": "N mm",
-}
 
 
 @dataclass(frozen=True)
@@ -218,8 +200,9 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
+        columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in self._model.interfaces(self._samples).items():
-            row |= {f"{name} {key} [{unit}]": q[key] for key, unit in COLUMNS.items()}
+            row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
         return row
 
     def _row(self, step: LoadStep) -> None:

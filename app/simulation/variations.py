@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,22 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from mantle.schema import study_options
+from mantle.schema import quantities
 from mantle.schema.config import Case, Varied
-from mantle.system.folders import write_json, write_text
+from mantle.system.folders import csv_text, write_json, write_text
 
 # Distance of two runs per step of a key: loads may merely scale, interfaces of other kinds share
 # little.
 LOAD, OTHER = 0.1, 100.0
-# What a row of the table has of the summary.
-OF_INTERFACES = (
-    *("gap_p99", "slip_p99", "pressure_p99", "shear_p99"),
-    *("open_fraction", "slip_fraction", "penetration_max"),
-)
-OF_HEATED_INTERFACES = ("temperature_max_first", "temperature_max_second")
-OF_REGIONS = ("von_mises_p99",)
-OF_HEATED_REGIONS = ("temperature_max",)
-
 Row = dict[str, Any]
 
 
@@ -118,19 +107,11 @@ def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> R
 
 def headlines(summary: Mapping[str, Any]) -> dict[str, float]:
     """The numbers that runs are compared by, as a study names them."""
-    tables = [
-        (summary.get("interfaces", {}), OF_INTERFACES),
-        (summary.get("regions", {}), OF_REGIONS),
-        ({"stem": summary.get("stem", {})}, tuple(study_options.STEM_UNITS)),
-        (summary.get("thermal", {}).get("regions", {}), OF_HEATED_REGIONS),
-        (summary.get("thermal", {}).get("interfaces", {}), OF_HEATED_INTERFACES),
-    ]
     return {
         f"{name}.{key}": numbers[key]
-        for table, keys in tables
-        for name, numbers in table.items()
-        for key in keys
-        if key in numbers
+        for section, name, numbers in quantities.numbers_of(summary)
+        for key, q in quantities.TABLE[section].items()
+        if q.headline and key in numbers
     }
 
 
@@ -142,20 +123,14 @@ def write(rows: Sequence[Row], folder: Path) -> None:
             "name": r["name"],
             **r["overrides"],
             "status": r["status"],
-            **{f"{key} [{study_options.unit(key)}]": n for key, n in r["numbers"].items()},
+            **{f"{key} [{quantities.find(key).unit}]": n for key, n in r["numbers"].items()},
             "newton [-]": r["newton_iterations"],
             "krylov [-]": r["linear_iterations"],
             "wall [s]": r["seconds"],
         }
         for r in rows
     ]
-    text = io.StringIO()
-    table = csv.DictWriter(
-        text, fieldnames=list(dict.fromkeys(k for r in flat for k in r)), lineterminator="\n"
-    )
-    table.writeheader()
-    table.writerows(flat)
-    write_text(folder / "variations.csv", text.getvalue())
+    write_text(folder / "variations.csv", csv_text(flat))
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -172,9 +147,10 @@ def table(rows: Sequence[Row]) -> str:
 
 def most(numbers: Mapping[str, float]) -> str:
     """The largest slip of a run, or its highest temperature."""
-    for key, scale, words in (("slip_p99", 1e3, "um slip on"), ("temperature_max", 1, "degC in")):
+    for key, words in (("slip_p99", "slip on"), ("temperature_max", "in")):
         found = {k: n for k, n in numbers.items() if k.endswith(f".{key}")}
         if found:
             name = max(found, key=lambda k: found[k])
-            return f"{scale * found[name]:.1f} {words} {name.partition('.')[0]}"
+            q = quantities.find(name)
+            return f"{q.factor * found[name]:.1f} {q.shown} {words} {name.partition('.')[0]}"
     return ""

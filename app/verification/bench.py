@@ -6,8 +6,6 @@ coarse problems included, without making the mesh, compiling forms and writing r
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 import math
 import os
@@ -21,7 +19,7 @@ from typing import Any
 
 from mantle.campaigns.work_precision import fitted_order
 from mantle.errors import InputError
-from mantle.system.folders import write_json, write_text
+from mantle.system.folders import csv_text, write_json, write_text
 from mantle.verification.bench_picture import picture
 from mantle.verification.bench_run import BenchCase, Cost, NotMeasured, Runs
 
@@ -152,7 +150,7 @@ def run(pattern: str, folder: Path, full: bool) -> bool:
         # An interrupted benchmark leaves what it has.
         write_json(folder / "bench.json", [o.as_json() for o in outcomes])
     rows = points(runs)
-    write_text(folder / "bench.csv", _table_of(rows))
+    write_text(folder / "bench.csv", csv_text(rows))
     picture(rows, folder / "bench.png")
     log.info("%s\nwritten in %s: bench.json, bench.csv, bench.png", table(outcomes), folder)
     return all(o.figure is not None for o in outcomes)
@@ -362,14 +360,6 @@ def points(runs: Runs) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def _table_of(rows: Sequence[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def table(outcomes: Sequence[BenchResult]) -> str:

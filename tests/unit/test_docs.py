@@ -19,7 +19,8 @@ from ruamel.yaml import YAML
 
 import mantle
 from mantle.command_line.parser import parser
-from mantle.schema import config, study_options
+from mantle.schema import config
+from mantle.schema.quantities import TABLE
 from mantle.schema.study_options import StudyFile
 from mantle.schema.sweep_options import Sweep
 from mantle.system import ranks
@@ -164,8 +165,7 @@ def test_generated_pages_are_up_to_date(name: str) -> None:
 
 def test_results_page_names_every_number_of_a_study() -> None:
     page = (DOCS / "reference" / "results.md").read_text(encoding="utf-8")
-    tables = [value for name, value in vars(study_options).items() if name.endswith("_UNITS")]
-    keys = {key for table in tables for key in table} | set(study_options.OF_RUN)
+    keys = {name for own in TABLE.values() for q in own.values() for name in q.names}
     assert [key for key in sorted(keys) if not re.search(rf"[`.]{re.escape(key)}`", page)] == []
 
 

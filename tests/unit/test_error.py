@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mantle.results import error
-from mantle.schema import config
+from mantle.schema import config, quantities
 from tests import support
 
 STACK = """
@@ -119,7 +119,7 @@ def test_a_steady_state_has_no_time_steps() -> None:
 @pytest.mark.parametrize(("increments", "step"), [(1, 0.02), (8, 0.02), (9, 0.02)])
 def test_the_estimate_is_exact_for_its_model(increments: int, step: float) -> None:
     this = case(f"stages.0.increments={increments}")
-    p = error.ORDERS[2][0]
+    p = quantities.MOTION[1]
     solved = [
         (c, numbers(c.case.mesh.size, c.case.stages[0].increments, p, step))
         for c in error.companions(this)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mantle.results import heat_log, log
+from mantle.results import log, tables
 
 
 def summary() -> dict[str, Any]:
@@ -47,7 +47,7 @@ def summary() -> dict[str, Any]:
 
 
 def test_every_number_has_its_place() -> None:
-    lines = heat_log.tables(summary())
+    lines = list(tables.lines(summary()))
     hottest = next(line for line in lines if line.startswith("bone"))
     assert "54.9 ± 1.6" in hottest and "52.0" in hottest
     sides = next(line for line in lines if line.startswith("cement_bone"))
@@ -60,7 +60,7 @@ def test_every_number_has_its_place() -> None:
 
 
 def test_a_run_without_heat_has_none() -> None:
-    assert heat_log.tables({"interfaces": {}, "regions": {}}) == []
+    assert list(tables.lines({"interfaces": {}, "regions": {}, "stem": {}})) == []
 
 
 def test_a_run_of_heat_alone_says_nothing_of_forces() -> None:

@@ -20,7 +20,7 @@ import pytest
 from mantle.campaigns import batch, study, study_parameters
 from mantle.cli import main
 from mantle.errors import InputError, MantleError, StoppedError
-from mantle.schema import config, study_file, study_options
+from mantle.schema import config, quantities, study_file, study_options
 from tests import support
 
 CASE = """\
@@ -491,13 +491,13 @@ def test_quantities_are_found_in_a_summary() -> None:
         "regions": {"stem": {"von_mises_p99": 7.0}},
         "stem": {"subsidence": 0.2, "subsidence_error": 0.3},
     }
-    assert study.quantity(summary, "a_b.slip_p99") == 0.1
-    assert study.quantity(summary, "a_b.force.y") == 2
-    assert study.quantity(summary, "a_b.force.z", "_error") == 6
-    assert study.quantity(summary, "stem.von_mises_p99") == 7
-    assert study.quantity(summary, "stem.subsidence", "_error") == 0.3
-    assert study.quantity(summary, "a_b.gap_p99") is None
-    assert study.quantity({}, "stem.subsidence") is None
+    assert quantities.read(summary, "a_b.slip_p99") == 0.1
+    assert quantities.read(summary, "a_b.force.y") == 2
+    assert quantities.read(summary, "a_b.force.z", "_error") == 6
+    assert quantities.read(summary, "stem.von_mises_p99") == 7
+    assert quantities.read(summary, "stem.subsidence", "_error") == 0.3
+    assert quantities.read(summary, "a_b.gap_p99") is None
+    assert quantities.read({}, "stem.subsidence") is None
 
 
 @pytest.mark.parametrize(
@@ -516,7 +516,7 @@ def test_quantities_are_found_in_a_summary() -> None:
     ],
 )
 def test_quantities_of_heat(quantity: str, unit: str, given: str | float, value: float) -> None:
-    assert study_options.unit(quantity) == unit
+    assert quantities.find(quantity).unit == unit
     assert study_options.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
     owner, key = quantity.split(".")
     for summary in (
@@ -524,8 +524,8 @@ def test_quantities_of_heat(quantity: str, unit: str, given: str | float, value:
         {"thermal": {"interfaces": {owner: {key: 3.0}}}},
         {"cure": {owner: {key: 3.0}}},
     ):
-        assert study.quantity(summary, quantity) == 3.0
-    assert study.quantity({}, quantity) is None
+        assert quantities.read(summary, quantity) == 3.0
+    assert quantities.read({}, quantity) is None
 
 
 def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -546,13 +546,10 @@ def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     )
     assert re.search("use size at [24] mm", capsys.readouterr().out)
     summary = json.loads((Path(record["runs"][0]["folder"]) / "summary.json").read_text())
-    for known, section in (
-        (study_options.INTERFACE_UNITS, "interfaces"),
-        (study_options.REGION_UNITS, "regions"),
-    ):
+    for section in ("interfaces", "regions"):
         name = next(iter(summary[section]))
-        for key in known:
-            assert study.quantity(summary, f"{name}.{key}") is not None, key
+        for key in (n for q in quantities.TABLE[section].values() for n in q.names):
+            assert quantities.read(summary, f"{name}.{key}") is not None, key
 
 
 def test_a_real_study_by_penalty(tmp_path: Path) -> None:
@@ -573,8 +570,8 @@ def test_a_real_study_by_penalty(tmp_path: Path) -> None:
     assert pressure["reference"]["value"] == pytest.approx(2, rel=1e-9)
     assert all(p["error"] < 1e-9 for p in pressure["points"])
     summary = json.loads((Path(record["runs"][0]["folder"]) / "summary.json").read_text())
-    of_mechanics = [name for name in study_options.OF_RUN if not name.startswith("balance.heat")]
-    assert all(study.quantity(summary, name) is not None for name in of_mechanics)
+    of_mechanics = [name for name in quantities.of_run() if not name.startswith("balance.heat")]
+    assert all(quantities.read(summary, name) is not None for name in of_mechanics)
 
 
 def test_a_case_without_a_study_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Any
 
 from mantle.report.sweep_results import Number, SweepResults, SweptCase, magnitude
+from mantle.schema import quantities
 
 INTERFACES = ("cement_bone", "stem_cement")
 STEMS = {110e3: "titanium", 200e3: "CoCr"}  # Young's modulus [MPa]
@@ -23,20 +24,13 @@ HIP = 1800.0  # N
 STEM_FRICTION, BONE_FRICTION, THICKNESS = 0.4, 1.0, 4.0
 HOT = 100.0  # degC
 # Contact quantities: key in the summary, unit for people, factor.
-QUANTITIES = {
-    "gap": ("µm", 1e3),
-    "slip": ("µm", 1e3),
-    "pressure": ("MPa", 1.0),
-    "shear": ("MPa", 1.0),
+_CONTACT = {
+    key: quantities.TABLE["interfaces"][f"{key}_max"]
+    for key in ("gap", "slip", "pressure", "shear")
 }
-WORDS = {
-    "gap": "debonding",
-    "slip": "slip",
-    "pressure": "pressure",
-    "shear": "shear stress",
-    "cement_bone": "cement-bone",
-    "stem_cement": "stem-cement",
-}
+QUANTITIES = {key: (quantities.printed(q.shown), q.factor) for key, q in _CONTACT.items()}
+WORDS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
+WORDS |= {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
 
 
 @dataclass(frozen=True)
@@ -242,6 +236,11 @@ def same(a: float | None, b: float) -> bool:
 
 
 Numbers = Callable[[SweptCase], Number | None]
+
+
+def contact(place: str, quantity: str, how: str) -> Numbers:
+    """A contact quantity of an interface, of which ``max`` or ``p99``."""
+    return lambda case: case.number(f"{place}.{quantity}_{how}")
 
 
 def series(family: dict[float, SweptCase], of: Numbers) -> dict[float, Number]:

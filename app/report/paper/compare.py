@@ -30,7 +30,6 @@ READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
 # A slip at 2 mm so many times that of a thicker mantle is a jump; the paper's are 32 and 13.
 JUMP = 5.0
 BODY = 37.0  # degC
-UNITS = {"um": "µm", "MPa": "MPa", "degC": "°C"}
 
 
 @dataclass(frozen=True)
@@ -158,7 +157,6 @@ def _stance_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
 
 def _stance_row(fact: Fact, stem: str, thickness: float, case: SweptCase) -> ComparedNumber:
     name = f"{fact.place}.{fact.quantity}"
-    _, factor = QUANTITIES[fact.quantity]
     peak, p99 = case.number(f"{name}_max"), case.number(f"{name}_p99")
     remark = ""
     if fact.kind in ("exceeded", "not exceeded"):
@@ -171,8 +169,8 @@ def _stance_row(fact: Fact, stem: str, thickness: float, case: SweptCase) -> Com
         case.name,
         stem,
         thickness,
-        None if peak is None else factor * peak.value,
-        None if p99 is None else p99.times(factor),
+        None if peak is None else peak.value,
+        p99,
         remark,
     )
 
@@ -248,9 +246,8 @@ def _other(fact: Fact, sweep: SweepResults) -> ComparedNumber:
     if not found:
         return _nothing(fact, "", None, "no case of this sweep has contact")
     value, name = max(found)
-    return ComparedNumber(
-        fact, name, "", None, 1e3 * value, None, "largest of all cases, to rounding zero"
-    )
+    remark = "largest of all cases, to rounding zero"
+    return ComparedNumber(fact, name, "", None, value, None, remark)
 
 
 def csv_rows(rows: Iterable[ComparedNumber]) -> list[list[Any]]:
@@ -311,7 +308,7 @@ def _jump(stem: str, cases: Cases) -> list[str]:
     )
     start = f"The paper's slip of {published:g} µm at the cement-bone interface ({stem}, 2 mm): "
     family = cases.stances(stem)
-    name = "cement_bone.slip_p99"
+    name, (unit, _) = "cement_bone.slip_p99", QUANTITIES["slip"]
     thin = next((c for t, c in family.items() if same(t, 2.0)), None)
     other = next(((t, c) for t, c in family.items() if t > 2.5), None)
     a = thin and thin.number(name)
@@ -322,10 +319,10 @@ def _jump(stem: str, cases: Cases) -> list[str]:
     ratio = a.value / b.value if b.value else math.inf
     jump = "the jump is there" if ratio > JUMP else "there is no such jump"
     return [
-        f"{start}mantle finds {a.times(1e3)} µm (p99; max {1e3 * most.value:.3g} µm) "
-        f"against {b.times(1e3)} µm at {other[0]:g} mm, {ratio:.2g} times as much: {jump}."
+        f"{start}mantle finds {a} {unit} (p99; max {most.value:.3g} {unit}) "
+        f"against {b} {unit} at {other[0]:g} mm, {ratio:.2g} times as much: {jump}."
         if most
-        else f"{start}mantle finds {a.times(1e3)} µm."
+        else f"{start}mantle finds {a} {unit}."
     ]
 
 

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-from pydantic_core import PydanticCustomError
 
 from mantle.report.paper.cases import (
     QUANTITIES,
     STEMS,
     WORDS,
     Cases,
-    Numbers,
+    contact,
     series,
 )
-from mantle.report.paper.compare import READINGS, published
+from mantle.report.paper.compare import READINGS, named, published
 from mantle.report.paper.heat import bone_p99, bone_peak, cement_peak
 from mantle.report.sweep_results import Number, SweptCase, magnitude
-from mantle.schema import study_options
+from mantle.schema import quantities
 
 COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
 STEM_COLOURS = dict(zip(STEMS.values(), COLOURS, strict=False))
@@ -106,11 +103,11 @@ def paper(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
         name = f"figure{number}.png"
         draw(folder / name, panels, "thickness of the mantle (mm)", 2)
         figures.append(Figure(name, f"Figure {number}. {title}", NOTE, _words(panels)))
-    for number, quantities, title in (
+    for number, compared, title in (
         (6, ("gap", "slip"), "Debonding and sliding over the cement-bone friction, mantle of 4 mm"),
         (7, ("pressure", "shear"), "Pressure and shear over the cement-bone friction"),
     ):
-        panels = [_over_friction(cases, p, q) for q in quantities for p in PLACES]
+        panels = [_over_friction(cases, p, q) for q in compared for p in PLACES]
         if _few(panels):
             missing.append(f"figure {number}: no stem at two frictions")
             continue
@@ -138,16 +135,6 @@ def _few(panels: Sequence[Panel]) -> bool:
     return all(max(len(x.numbers), len(x.peaks)) < 2 for p in panels for x in p.lines)
 
 
-def _contact(place: str, quantity: str, how: str) -> Numbers:
-    factor = QUANTITIES[quantity][1]
-
-    def of(case: SweptCase) -> Number | None:
-        n = case.number(f"{place}.{quantity}_{how}")
-        return None if n is None else n.times(factor)
-
-    return of
-
-
 def _panel(
     place: str,
     quantity: str,
@@ -159,8 +146,8 @@ def _panel(
             stem,
             STEM_COLOURS[stem],
             MARKERS[k],
-            series(family, _contact(place, quantity, "p99")),
-            series(family, _contact(place, quantity, "max")),
+            series(family, contact(place, quantity, "p99")),
+            series(family, contact(place, quantity, "max")),
             stars(stem),
         )
         for k, (stem, family) in enumerate(families.items())
@@ -369,18 +356,12 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
     return [name for name in found if any(c.number(name) is not None for c in cases)]
 
 
-def label(name: str) -> tuple[str, str, float]:
-    """A number's name for people, its unit and the factor to it."""
+def label(name: str) -> tuple[str, str]:
+    """A number's name for people, and its unit."""
     place, _, key = name.partition(".")
-    quantity, _, how = key.partition("_")
-    if quantity in QUANTITIES and how in ("p99", "max", "mean"):
-        unit, factor = QUANTITIES[quantity]
-        return f"{WORDS.get(place, place)} {WORDS[quantity]}, {how}", unit, factor
-    text = f"{WORDS.get(place, place)} {key}".replace("_", " ")
-    with suppress(PydanticCustomError):
-        unit = study_options.unit(name).replace("degC", "°C").replace("deg", "°").replace("-", "")
-        return text.replace("von mises", "von Mises"), unit, 1.0
-    return text, "", 1.0
+    if (q := quantities.get(name)) is None:
+        return f"{named(place)} {key}".replace("_", " "), ""
+    return f"{named(place)} {key.replace(q.key, q.label)}", quantities.printed(q.shown)
 
 
 def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
@@ -399,10 +380,10 @@ def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
             continue
         panels = []
         for name in headlines([c for _, own in groups for c in own.values()]):
-            text, unit, factor = label(name)
+            text, unit = label(name)
             lines = []
             for k, (common, own) in enumerate(groups[:MOST_SERIES]):
-                values = {x: n.times(factor) for x, c in own.items() if (n := c.number(name))}
+                values = {x: n for x, c in own.items() if (n := c.number(name))}
                 lines.append(Line(common or "mantle", COLOURS[k], MARKERS[k], values, {}))
             if any(map(_varies, lines)):
                 panels.append(Panel(text, unit or "value", lines))

@@ -16,6 +16,7 @@ from mantle.report.paper.cases import (
     STEMS,
     WORDS,
     Cases,
+    contact,
     series,
 )
 from mantle.report.paper.heat import at_ten_seconds, bone_p99, bone_peak, cement_peak
@@ -109,19 +110,6 @@ def judge(cases: Cases) -> list[Trend]:
     ]
 
 
-def _get(place: str, quantity: str, how: str) -> Callable[[SweptCase], Number | None]:
-    """A contact quantity in the unit for people; of a peak the error is not known."""
-    _, factor = QUANTITIES[quantity]
-
-    def of(case: SweptCase) -> Number | None:
-        n = case.number(f"{place}.{quantity}_{how}")
-        return (
-            None if n is None else Number(n.value, n.error if how == "p99" else None).times(factor)
-        )
-
-    return of
-
-
 def _name(place: str, quantity: str) -> str:
     return f"{WORDS[place]} {WORDS[quantity]}"
 
@@ -138,7 +126,7 @@ def _stems(cases: Cases, how: str) -> list[Part]:
     """T-a."""
     parts = []
     for quantity, tolerance in (("slip", SLIP_LIKE), ("shear", SHEAR_LIKE)):
-        of = _get("cement_bone", quantity, how)
+        of = contact("cement_bone", quantity, how)
         found = [series(cases.stances(stem), of).get(4.0) for stem in STEMS.values()]
         a, b = found
         if a is None or b is None:
@@ -158,7 +146,7 @@ def _thin(cases: Cases, how: str) -> list[Part]:
     parts = []
     for stem in STEMS.values():
         for quantity in ("slip", "gap"):
-            values = series(cases.stances(stem), _get("cement_bone", quantity, how))
+            values = series(cases.stances(stem), contact("cement_bone", quantity, how))
             thicker = {t: n for t, n in values.items() if 3 <= t <= 5}
             if 2.0 not in values or not thicker:
                 parts.append(_missing(f"{stem} at 2 mm and thicker ({WORDS[quantity]})"))
@@ -178,7 +166,7 @@ def _flat(cases: Cases, how: str) -> list[Part]:
     for stem in STEMS.values():
         for place in INTERFACES:
             for quantity in ("pressure", "shear"):
-                values = series(cases.stances(stem), _get(place, quantity, how))
+                values = series(cases.stances(stem), contact(place, quantity, how))
                 thick = {t: n for t, n in values.items() if t > 3}
                 label = f"{stem}, {_name(place, quantity)}"
                 parts.append(_constant(label, thick, quantity, "mm"))
@@ -206,11 +194,11 @@ def _friction(cases: Cases, how: str) -> list[Part]:
     parts = []
     for stem in STEMS.values():
         for quantity, rises in (("slip", False), ("gap", True), ("pressure", True)):
-            values = series(cases.frictions(stem), _get("cement_bone", quantity, how))
+            values = series(cases.frictions(stem), contact("cement_bone", quantity, how))
             parts.append(
                 _ends(f"{stem}, {_name('cement_bone', quantity)}", values, quantity, rises)
             )
-        values = series(cases.frictions(stem), _get("cement_bone", "shear", how))
+        values = series(cases.frictions(stem), contact("cement_bone", "shear", how))
         parts.append(_constant(f"{stem}, {_name('cement_bone', 'shear')}", values, "shear", ""))
     return parts
 
@@ -233,7 +221,7 @@ def _stem_friction(cases: Cases, how: str) -> list[Part]:
     return [
         _ends(
             f"{stem}, {_name('stem_cement', quantity)}",
-            series(cases.frictions(stem), _get("stem_cement", quantity, how)),
+            series(cases.frictions(stem), contact("stem_cement", quantity, how)),
             quantity,
             rises,
         )
@@ -253,7 +241,7 @@ def _order(cases: Cases, how: str) -> list[Part]:
     for more, less in pairs:
         found: dict[str, str] = {}
         for case in stances:
-            a, b = _get(*more, how)(case), _get(*less, how)(case)
+            a, b = contact(*more, how)(case), contact(*less, how)(case)
             if a is not None and b is not None:
                 found[case.name] = exceeds(a, b)
         label = f"{_name(*more)} above {_name(*less)}"
