@@ -17,6 +17,7 @@ import sys
 import time
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
 from mantle.command_line.commands import dispatch
@@ -52,6 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ranks.keep_quiet()
     ranks.end_with_parent()
     try:
+        for name in filter(None, os.environ.get("MANTLE_EXTENSIONS", "").split(",")):
+            import_module(name)  # laws, loads and quantities of other packages
         return dispatch(list(sys.argv[1:] if arguments is None else arguments))
     except MantleError as error:
         return _leave(error)
