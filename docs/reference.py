@@ -354,7 +354,8 @@ def _cell(text: str) -> str:
 
 def _exit_codes() -> Iterator[str]:
     yield "## Exit codes\n\n| code | meaning |\n|---|---|"
-    kinds = [errors.MantleError, *errors.MantleError.__subclasses__()]
+    below = errors.MantleError.__subclasses__()
+    kinds = [errors.MantleError, *(k for k in below if k.__module__ == errors.__name__)]
     codes = {
         kind.exit_code: (kind.__doc__ or "").partition(";")[0].rstrip(".") + "."
         for kind in kinds

@@ -726,7 +726,12 @@ def test_a_stiffer_stem_sinks_less_on_the_same_mesh(coarsened: Coarsened) -> Non
     assert 0 < cobalt["stem"]["subsidence"] < titanium["stem"]["subsidence"]
 
 
-@pytest.mark.parametrize("name", COARSE)
+HEATED = ("thermal_100C.yaml", "cure.yaml", "residual.yaml", "thermal_rings.yaml")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n in HEATED else ()) for n in COARSE]
+)
 def test_shipped_configuration(name: str, coarsened: Coarsened) -> None:
     out, stderr = coarsened(name)
     # Coarsened, some are one linear cell thick: rightly told.

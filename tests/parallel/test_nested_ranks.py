@@ -10,7 +10,8 @@ import pytest
 from tests import support
 
 
-@pytest.mark.parametrize("ranks", [2, 3])
+@pytest.mark.parallel
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_nested_start_on_ranks(ranks: int, tmp_path: Path) -> None:
     """The same jumps as without, from a start that is closer to equilibrium."""
     output = tmp_path / "numbers.json"

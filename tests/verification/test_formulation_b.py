@@ -287,9 +287,9 @@ def shares(state: State, friction: dict[str, float]) -> dict[str, tuple[float, f
     [
         pytest.param(STACK, 4, id="stack"),
         pytest.param(HELD_STACK, 2, id="held_stack"),
-        pytest.param(STEM, 2, id="tapered_stem"),
+        pytest.param(STEM, 2, id="tapered_stem", marks=pytest.mark.slow),
         pytest.param(HALF_STEM, 2, id="half_stem"),
-        pytest.param(CLAMPED_STEM, 2, id="clamped_stem"),
+        pytest.param(CLAMPED_STEM, 2, id="clamped_stem", marks=pytest.mark.slow),
     ],
 )
 def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
