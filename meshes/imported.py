@@ -65,7 +65,7 @@ def _apart(geometry: Any, mesh: Any) -> Any:
         stderr=subprocess.DEVNULL,
     )
     if done.returncode:
-        raise GeometryError(f"{geometry.path}: gmsh crashes on it: it is damaged, or too large")
+        raise GeometryError(f"{geometry.path}: gmsh crashed: the file is damaged or too large")
     result = pickle.loads(done.stdout)
     if isinstance(result, GeometryError):
         raise result
@@ -109,7 +109,7 @@ def _parts(geometry: Any, mesh: Any) -> Any:
         if not regions:
             raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
         if absent := [name for name in geometry.region_names if name not in regions]:
-            raise GeometryError(f"{found}; nothing is in the volumes {_listed(absent)}")
+            raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
         needed = {r for sides in geometry.interfaces.values() for side in sides for r in side}
         if needed - set(regions):
             raise GeometryError(
@@ -134,8 +134,8 @@ def _run_script(gmsh: Any, path: Path, mesh: Any, unit: float) -> None:
     edges = np.linalg.norm(box[3:] - box[:3]) * unit / mesh.size
     if not edges <= MOST_EDGES:
         raise GeometryError(
-            f"mesh.size: {mesh.size:g} mm is {edges:.2g} times in the diagonal of {path}; at most "
-            f"{MOST_EDGES} times"
+            f"mesh.size: {mesh.size:g} mm: the diagonal of {path} is {edges:.1g} cells long; "
+            f"at most {MOST_EDGES}"
         )
     generate(gmsh, mesh.curved)
 

@@ -452,8 +452,8 @@ def _execute(
                 raise  # what is told so far cannot be written
             so_far()
             raise StoppedError(
-                f"stopped after {progress.count} of {total} runs; "
-                f"the same command goes on from there (in {folder})"
+                f"stopped after {progress.count} of {total} runs in {folder}; "
+                "the same command continues"
             ) from None
     progress.tell()
     if slurm is not None:

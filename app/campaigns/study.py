@@ -45,7 +45,7 @@ def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
     cases = _resolve(points, source)
     jobs = [_job(p, source) for p in points]
     if (load := os.getloadavg()[0]) > BUSY:
-        log.warning("other programs are at work (load %.1f): run times will mislead", load)
+        log.warning("the machine is busy (load %.1f): measured times will be too long", load)
     results = batch.run(jobs, folder, cores)
     runs = [_run(*each) for each in zip(points, cases, results, strict=True)]
     report = evaluate(source.study, runs)

@@ -71,7 +71,11 @@ def run(
     log.info("%s", _table(rows))
     if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
         log.info("\n%s", spread)
-    log.info("written in %s: sweep.csv, sweep.json; mantle report %s draws it", folder, folder)
+    log.info(
+        "written in %s: sweep.csv, sweep.json; mantle report %s makes figures and tables",
+        folder,
+        folder,
+    )
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         reasons = [f"{r['name']}: {_reason(r['message'])} (in {r['folder']})" for r in failed]

@@ -46,7 +46,7 @@ def dispatch(arguments: list[str]) -> int:
     if getattr(options, "allow_scripts", False):
         os.environ[gmsh_file.ALLOWED] = "1"
     if petsc_options and options.command != "run":
-        raise InputError(f"mantle {options.command}: there is nothing to solve that -- could tune")
+        raise InputError(f"mantle {options.command}: this command takes no PETSc options after --")
     if options.command == "run":
         return _run(options, petsc_options, count, rest)
     commands = {
@@ -126,7 +126,7 @@ def _mesh(options: argparse.Namespace) -> int:
     """Write the mesh and a picture of it."""
     case = _load(options)
     if options.pictures and not case.config.geometry.mantles:
-        raise InputError("--pictures: only of stems with a mantle of cement; this case has none")
+        raise InputError("--pictures: needs a stem in a cement mantle; this case has none")
     from mantle import meshes
     from mantle.soundness import preview, sizing
 

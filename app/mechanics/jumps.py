@@ -138,7 +138,7 @@ class Jumps:
         self.begin(scene.contacts, augmentation_factor)
 
     def begin(self, contacts: Sequence[ContactTerm], augmentation_factor: float) -> None:
-        """Begin at rest with laws of the same interfaces; collective.
+        """Reset to the unloaded state, with other laws of the same interfaces; collective.
 
         Args:
             contacts: Interfaces of the same surfaces as ever.

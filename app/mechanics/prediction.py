@@ -112,7 +112,7 @@ def take_better(solver: Solver, x: PETSc.Vec) -> bool:
 
 
 def imbalance(solver: Solver, x: PETSc.Vec) -> float:
-    """Norm of the residual of a state [N], once it is what supports say; collective."""
+    """Impose the supports on a state and return the norm of its residual [N]; collective."""
     return float(solver.residual(x).norm())
 
 

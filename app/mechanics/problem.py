@@ -131,7 +131,7 @@ class Problem:
         self.set_time(0.0)
 
     def begin(self, scene: Scene, augmentation_factor: float) -> None:
-        """Begin at rest, with other loads and contact laws; the matrices stay; collective.
+        """Reset to the unloaded state, with other loads and laws; matrices stay; collective.
 
         Args:
             scene: One that differs in the values of loads and in contact laws alone.

@@ -29,15 +29,20 @@ SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative
 KEPT = ("displacement", "temperature")
 # Krylov iterations that making them again is worth, and usual ones for a digit of the residual.
 PRICE, USUAL = 30, 8
-# How the log calls the methods.
-WORDS = {
-    "cg": "conjugate gradients",
-    "fgmres": "flexible GMRES",
-    "gamg": "by multigrid",
-    "cholesky": "factored",
-    "telescope": "factored",
-    "lu": "factored",
-    "sor": "swept",
+# How the log calls the blocks and the methods.
+BLOCKS = {
+    "displacement": "bodies",
+    "jump": "contact",
+    "temperature_jump": "jumps of temperature",
+}
+METHODS = {
+    "cg": "CG",
+    "fgmres": "FGMRES",
+    "gamg": "algebraic multigrid",
+    "cholesky": "Cholesky",
+    "telescope": "direct on one rank",
+    "lu": "LU",
+    "sor": "SOR",
 }
 
 
@@ -103,7 +108,7 @@ class Linear:
                 pc = self._shared(self._names[0], given)
                 parts = {self._names[0]: pc}
             else:
-                own, parts = [pc], {" and ".join(self._names): pc}
+                own, parts = [pc], {" and ".join(BLOCKS.get(n, n) for n in self._names): pc}
             motions = self._system.motions() if self._split else None
             if motions is not None:
                 context = Deflated(pc, self._names, self._system.motions)
@@ -116,7 +121,8 @@ class Linear:
         for part in own:
             part.setReusePreconditioner(True)
         self._own = own
-        log.info("linear: %s%s", self._words(parts), ", motions of bodies apart" if motions else "")
+        deflated = "; rigid sliding modes deflated" if motions is not None else ""
+        log.info("solver: %s%s", self._words(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
         """Blocks in turn, each by its own preconditioner or by the one it shares."""
@@ -168,7 +174,7 @@ class Linear:
         spent = max(len(norms) - 1, 0)
         if self._version == self._system.version:
             if failed and (better := self._fall_back()):
-                log.info("linear: no convergence; %s factored instead", better)
+                log.info("     linear solver did not converge: %s", better)
             if spent and norms[-1] > 0:
                 self._spent += spent
                 self._gained += math.log10(norms[0] / norms[-1])
@@ -199,20 +205,22 @@ class Linear:
         self._swept += factored
 
     def _fall_back(self) -> str:
-        """Factor what has not been factored so far, the interfaces first; what, in words."""
+        """Factorize the contact block, or the stiffness next; return which, in words, or ""."""
         if self.factor_interfaces():
-            return "interfaces are"
-        return "the stiffness is" if any([i.fall_back() for i in self._inverses]) else ""
+            return "factorizing the contact block"
+        if any([i.fall_back() for i in self._inverses]):
+            return "factorizing the stiffness"
+        return ""
 
     def _words(self, parts: Mapping[str, PETSc.PC]) -> str:
-        """What is solved by what."""
+        """Krylov method, and size and preconditioner of each block, in words."""
         krylov, *kinds = [
-            WORDS.get(kind, kind)
+            METHODS.get(kind, kind)
             for kind in (self._ksp.getType(), *(pc.getType() for pc in parts.values()))
         ]
         sizes = dict(zip(self._names, self._sizes, strict=True))
         blocks = [
-            f"{name} ({sizes.get(name, sum(self._sizes))} unknowns) {kind}"
+            f"{BLOCKS.get(name, name)} ({sizes.get(name, sum(self._sizes)):,} dofs): {kind}"
             for name, kind in zip(parts, kinds, strict=True)
         ]
-        return f"{krylov}, {', '.join(blocks)}"
+        return "; ".join([krylov + (" with field split" if len(parts) > 1 else ""), *blocks])

@@ -112,7 +112,7 @@ class Solver:
             linear: direct, multigrid or auto (by size).
             options: Raw PETSc options, without dash, that override the defaults.
             timing: Where the seconds go.
-            stop: Names a signal that asks this rank to stop, or gives an empty text.
+            stop: Returns the name of a pending stop signal, or "".
         """
         self._system = system
         self._timing = timing
@@ -260,7 +260,7 @@ class Solver:
         ]
 
     def residual(self, x: PETSc.Vec) -> PETSc.Vec:
-        """Residual of a state, once it is what supports say, which is put into it; collective."""
+        """Impose the supports on a state, then compute its residual; collective."""
         self._system.impose(self.blocks(x))
         f = self.vector()
         self._system.residual(self.blocks(x), self.blocks(f))
@@ -277,7 +277,7 @@ class Solver:
         newton, krylov = self._newton()
         tried: list[tuple[str, float]] = []
         for words in self._remedies(start):
-            log.info("     %s; %s", self._trouble(), words)
+            log.info("     %s: %s", self._trouble(), words)
             more = self._newton()
             newton, krylov = newton + more[0], krylov + more[1]
             tried.append((words, self._residuals[-1]))
@@ -317,13 +317,13 @@ class Solver:
         if not self._met and self._system.tie(True):
             start.copy(self.x)
             try:
-                yield "what is open everywhere closed and tied"
+                yield "closing and tying interfaces that are open everywhere"
             finally:
                 self._system.tie(False)
-            yield "let go again"
+            yield "releasing the tied interfaces"
         if not self._met and self._linear.factor_interfaces():
             start.copy(self.x)
-            yield "interfaces factored"
+            yield "factorizing the contact block"
         for factor, on in AUGMENTATIONS:
             if self._met:
                 return
@@ -336,7 +336,7 @@ class Solver:
                 yield f"augmentation {factor:g} r{self._values()}"
         if not self._lost() and self._has_kinks:
             self._use_search(self._other)
-            yield "whole steps" if self._other == "basic" else "shorter steps"
+            yield "full Newton steps" if self._other == "basic" else "line search"
         if not self._met:
             yield from self._with_less_friction(start)
         if self._met or (usual := self._system.usual_augmentation()) == 1.0:
@@ -348,7 +348,7 @@ class Solver:
             self._augmentation = share * usual
             self._system.soften(self._augmentation)
             yield (
-                f"augmentation {self._augmentation:.3g} r, {share:g} of the usual one"
+                f"augmentation {self._augmentation:.3g} r, {share:g} times the default"
                 f"{self._values()}"
             )
 
@@ -362,7 +362,7 @@ class Solver:
             for share in FRICTIONS:
                 if not self._system.lessen_friction(share) or not np.isfinite(self.x.norm()):
                     return
-                yield f"{share:.0%} of the friction"
+                yield f"{share:.0%} of the friction coefficients"
         finally:
             self._system.lessen_friction(1.0)
 
@@ -371,13 +371,15 @@ class Solver:
         return self._met or not np.isfinite(self.x.norm())
 
     def _trouble(self) -> str:
-        """Where Newton is, in words."""
+        """How far Newton got, in words."""
         if self._met:
-            return "Newton has converged"
-        changing = f", {self._flips[-1]} contact points change" if self._flips[-1] else ""
+            return "converged"
+        changing = ""
+        if self._flips[-1]:
+            changing = f"; {self._flips[-1]} contact points still change state"
         if period := self._system.active.period():
-            changing += f" and change back, in a cycle of {period} iterations"
-        return f"Newton is stuck at {self._residuals[-1]:.1e} of the force scale{changing}"
+            changing += f", in a cycle of {period} iterations"
+        return f"not converging (residual {self._residuals[-1]:.1e}{changing})"
 
     def _values(self) -> str:
         """The augmentation in force, in words; collective."""
@@ -429,7 +431,7 @@ class Solver:
         factors.setOperators(A)
         configure(factors, INTERFACE)
         if factors.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
-            raise MemoryError(f"the factors of {A.getSize()[0]} unknowns")
+            raise MemoryError(f"factorization of a matrix of {A.getSize()[0]:,} unknowns")
         x, y = A.createVecs()
         sizes = []
         for apply, back in ((A.mult, A.multTranspose), (factors.apply, factors.applyTranspose)):

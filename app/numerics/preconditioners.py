@@ -134,7 +134,7 @@ class Inverse:
         else:
             pc.setUp()
         if pc.getFailedReason() == PETSc.PC.FailedReason.FACTOR_OUTMEMORY:
-            raise MemoryError(f"the factors of {self.size} unknowns")
+            raise MemoryError(f"factorization of a matrix of {self.size:,} unknowns")
         pc.setReusePreconditioner(True)
         self._made = self._version()
 

@@ -89,7 +89,7 @@ def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
 def _geometry(case: SweptCase) -> config.Geometry:
     geometry = config.geometry(case.data, case.folder)
     if geometry is None:
-        raise ValueError("its case.yaml does not tell its geometry")
+        raise ValueError("its case.yaml has no geometry")
     return geometry
 
 

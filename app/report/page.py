@@ -42,8 +42,8 @@ td ul { margin: 0; padding-left: 1.1em; }
 }
 """
 CLASSES = {
-    **dict.fromkeys(("held", "converged"), "good"),
-    **dict.fromkeys(("not held", "failed", "not converged"), "bad"),
+    **dict.fromkeys(("confirmed", "converged"), "good"),
+    **dict.fromkeys(("not confirmed", "failed", "not converged"), "bad"),
     **dict.fromkeys(("undecided", "stopped"), "open"),
 }
 

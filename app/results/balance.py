@@ -96,7 +96,7 @@ class Balance:
         self.begin()
 
     def begin(self) -> None:
-        """Begin at rest, where nothing acts yet, whatever will."""
+        """Reset to the unloaded state."""
         self._work = self._spent = self._scale = 0.0
         self._last = self._rest
         self.force = self.moment = self.energy = 0.0

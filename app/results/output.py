@@ -149,7 +149,7 @@ class Writer:
         ):
             return True
         if self._grids:
-            log.info("no fields.vtkhdf to go on with: it begins here")
+            log.info("fields.vtkhdf is missing or not usable: a new one starts here")
         self._begin()
         return False
 

@@ -54,7 +54,10 @@ class Blocks(Shape):
                 fail("has other x and y edges than the first block", at=("blocks", i, "size"))
         names = [*self.region_names, *self.interface_sides]
         if len(set(names)) < len(names):
-            fail("some blocks' names joined by '_' name two interfaces the same", at=("blocks",))
+            fail(
+                "two interfaces would have the same name, <block>_<block>; rename a block",
+                at=("blocks",),
+            )
         rise = 0.5 * self.blocks[0].size[0] * math.tan(abs(self.tilt))
         if abs(self.tilt) >= math.pi / 4 or rise >= 0.5 * min(b.size[2] for b in self.blocks):
             fail("tilts an interface through its neighbour; expected a smaller angle", at=("tilt",))

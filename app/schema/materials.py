@@ -175,7 +175,7 @@ def _does_not(thermal: Thermal, what: str, *keys: str) -> None:
     """Refuse what a region cannot do."""
     for key in keys:
         if getattr(thermal, key) is not None:
-            fail(f"{what} does not strain; expected an elastic region", at=("thermal", key))
+            fail(f"{what} does not deform; expected an elastic region", at=("thermal", key))
 
 
 def positive_definite(*conditions: tuple[bool, str, str]) -> None:

@@ -39,7 +39,7 @@ class Stage(Section):
     @model_validator(mode="after")
     def _one_end(self) -> Stage:
         if self.steady and self.duration is not None:
-            fail("a steady stage takes as long as it takes: no duration", at=("duration",))
+            fail("a steady stage takes no `duration`", at=("duration",))
         return self
 
     @property

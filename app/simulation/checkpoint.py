@@ -158,11 +158,11 @@ def read(path: Path) -> Checkpoint:
     content = path.read_bytes()
     image = content[BLOCK:]
     if content[:BLOCK].strip() != hashlib.sha256(image).hexdigest().encode():
-        raise DamagedError("it is not as it was written")
+        raise DamagedError("the file is damaged")
     with h5py.File(io.BytesIO(image), "r") as file:
         header, tree = json.loads(bytes(file["state"][:]))
         if header["format"] != FORMAT:
-            raise DamagedError(f"it is of mantle {header['mantle']}, in another format")
+            raise DamagedError(f"written by mantle {header['mantle']} in another format")
         keys = {f"keys/{name}": file["keys"][name][:] for name in file.get("keys", ())}
         count = len(file.get("rows", ()))
         parts = [
@@ -204,12 +204,12 @@ def _choose(wanted: str, folder: Path, case: config.Case, force: bool) -> Path |
         try:
             found = read(path)
         except (OSError, DamagedError) as error:
-            log.warning("%s cannot be used: %s; looking for the one before", path, error)
+            log.warning("%s cannot be used: %s; trying the one before", path, error)
             continue
         _refuse_another(found, case, force)
         return path
-    none = "none of the checkpoints can be used" if paths else "there is no checkpoint"
-    log.info("restart: %s in %s; from the beginning", none, folder)
+    none = "no usable checkpoint" if paths else "no checkpoint"
+    log.info("restart: %s in %s; starting from the beginning", none, folder)
     return None
 
 
@@ -236,8 +236,8 @@ def _refuse_another(found: Checkpoint, case: config.Case, force: bool) -> None:
     """
     if found.header["mantle"] != __version__ and not force:
         raise InputError(
-            f"--restart: {found.path} is of mantle {found.header['mantle']}, this is "
-            f"{__version__}: its numbers may be others (--force: use it all the same)"
+            f"--restart: {found.path} was written by mantle {found.header['mantle']}, this is "
+            f"{__version__}: results may differ (--force: use it all the same)"
         )
     before, now = (dict(_leaves(c)) for c in (found.header["case"], described(case)))
     absent = "nothing"
@@ -336,11 +336,14 @@ class Keeper:
         where = f"--restart: {found.path}"
         if found.header["mesh"] != self._model.mesh_hash:
             raise InputError(
-                f"{where} is of another mesh ({found.header['mesh'][:12]}, here "
-                f"{self._model.mesh_hash[:12]}): its states mean nothing on this one"
+                f"{where}: checkpoint of another mesh ({found.header['mesh'][:12]}; this case has "
+                f"{self._model.mesh_hash[:12]}); restart with the mesh it was written on"
             )
         if found.header["stage"] >= stages:
-            raise InputError(f"{where} is in a stage that this case, of {stages}, has not")
+            raise InputError(
+                f"{where}: checkpoint is in stage {found.header['stage'] + 1}; this case has "
+                f"{stages} stages"
+            )
         faults = list(_misfits(self._model.state(), found.state["model"], ""))
         sizes = self._comm.allreduce(np.array([own for _, _, own in faults]))
         bad = [
@@ -351,7 +354,7 @@ class Keeper:
         bad = sorted(set().union(*self._comm.allgather(bad)))
         if bad:
             raise InputError(
-                f"{where} is of another model: it has other unknowns or records in "
+                f"{where}: checkpoint of another model, with other unknowns or records in "
                 f"{', '.join(bad[:TOLD])}; allowed: cases of the same interfaces, heat and cure"
             )
 
@@ -397,7 +400,7 @@ class Keeper:
         try:
             write(self._comm, path, header, kept["state"])
         except OSError as error:
-            log.warning("no checkpoint: %s: %s", path, error.strerror or error)
+            log.warning("checkpoint %s cannot be written: %s", path, error.strerror or error)
             return None
         on_root(self._comm, lambda: _keep(self._folder, path), share=False)
         self._saved, self._when = recorded["step"], clock.monotonic()

@@ -214,7 +214,7 @@ class Model:
             comm: Communicator.
             options: Raw PETSc options from the command line.
             timing: Where the seconds go.
-            stop: Names a signal that asks this rank to stop, or gives an empty text.
+            stop: Returns the name of a pending stop signal, or "".
             kin: Models before it, with the same options, of which it takes over what it can: their
                 meshes, and their mechanics, after which they are of no use. It joins them.
         """

@@ -70,8 +70,8 @@ def run(
     expected = ranks.world_size()
     if expected and expected != comm.size:
         raise EnvironmentProblem(
-            f"started as one of {expected} ranks, but MPI here sees {comm.size}: that mpirun is of "
-            "another MPI; use this one's, or mantle run -n"
+            f"started as one of {expected} ranks, but MPI sees {comm.size}: mpirun belongs to "
+            "another MPI; use the one of this installation, or mantle run -n"
         )
     blas_check.check(comm)
     here = os.environ.get("OMPI_COMM_WORLD_LOCAL_SIZE", "")
@@ -122,7 +122,7 @@ class Session:
             comm: Communicator.
             case: The case and where it comes from.
             options: Raw PETSc options.
-            stop: Names a signal that asks this rank to stop, or gives an empty text.
+            stop: Returns the name of a pending stop signal, or "".
             begin: When the run began, by `time.perf_counter`.
             started: The same, by the clock.
             restart: Finds the checkpoint of a run directory (``folder``) and case, if wanted.
@@ -325,12 +325,16 @@ def _errors(
             numbers = model.relative(companion.case)
         except (ConvergenceError, GeometryError) as failure:
             agree(model.tagged.mesh.comm, failure)
-            log.warning("no companion on %s: %s", companion, str(failure).splitlines()[0])
+            log.warning(
+                "error estimate: the companion run on %s failed: %s",
+                companion,
+                str(failure).splitlines()[0],
+            )
             failed.append(str(companion))
             continue
         solved.append((companion, numbers))
         seconds = clock.perf_counter() - begin
-        log.info("     error: companion on %s in %.1f s", companion, seconds)
+        log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
         "failed": failed,

@@ -124,16 +124,16 @@ def _contradictions(case: config.Case, found: Parts) -> tuple[list[str], list[st
                 if not differ.any():
                     continue
                 text = (
-                    f"supports.{two}: gives {int(differ.sum())} nodes another displacement along "
-                    f"{axis} than supports.{one} does, such as the one at "
+                    f"supports.{two}: prescribes another displacement along {axis} than "
+                    f"supports.{one} at {int(differ.sum())} nodes, e.g. at "
                     f"{place(x[int(np.argmax(differ))])}"
                 )
                 if differ.sum() == min(len(holding[n]["nodes"]) for n in (one, two)):
-                    errors.append(f"{text}; expected one of them alone")
+                    errors.append(f"{text}; remove one of the two")
                 else:
                     notes.append(
-                        f"{text}: '{two}' is followed, and stresses there grow without limit as "
-                        "the mesh is refined"
+                        f"{text}: '{two}' is used there, and stresses grow without limit as the "
+                        "mesh is refined"
                     )
     return errors, notes
 
@@ -195,9 +195,9 @@ def _too_tight(case: config.Case, found: Parts) -> list[str]:
         if thickness and interference >= TOO_MUCH * sum(thickness):
             errors.append(
                 f"interfaces.{name}.gap: an interference of {interference:.3g} mm is "
-                f"{100 * interference / sum(thickness):.0f} % of the bodies that have to give way "
-                f"to it ({sum(thickness):.3g} mm thick): no contact is admissible within small "
-                "strains; expected a smaller one (in which unit is it?)"
+                f"{100 * interference / sum(thickness):.0f} % of the thickness of the bodies "
+                f"({sum(thickness):.3g} mm): they cannot make room for it within small strains; "
+                "expected a smaller one (a wrong unit?)"
             )
     return errors
 
@@ -210,13 +210,13 @@ def _large(case: config.Case, found: Parts) -> list[str]:
         thickness, size = _sides(case, found, name)
         if thickness and interference > SMALL * sum(thickness):
             notes.append(
-                f"interfaces.{name}.gap: an interference of {interference:.3g} mm strains bodies "
-                f"of {sum(thickness):.3g} mm by more than small strains: a wrong unit?"
+                f"interfaces.{name}.gap: an interference of {interference:.3g} mm in bodies "
+                f"{sum(thickness):.3g} mm thick: strains are not small; a wrong unit?"
             )
         if apart > SMALL * size:
             notes.append(
                 f"interfaces.{name}.gap: the sides are {apart:.3g} mm apart everywhere, on an "
-                f"interface of {size:.3g} mm: small displacements do not bring them together"
+                f"interface of {size:.3g} mm: small displacements do not close it"
             )
     whole = float(np.linalg.norm(np.ptp(found.x, axis=0)))
     for name, s in case.supports.items():
@@ -228,8 +228,8 @@ def _large(case: config.Case, found: Parts) -> list[str]:
         )
         if most > FAR * whole:
             notes.append(
-                f"supports.{name} moves a model of {whole:.3g} mm by {most:.3g} mm, which is no "
-                "small displacement: a wrong unit?"
+                f"supports.{name} moves a model of {whole:.3g} mm by {most:.3g} mm: displacements "
+                "are not small; a wrong unit?"
             )
     return notes
 
@@ -274,8 +274,8 @@ def doubts(case: config.Case, numbers: Mapping[str, Any]) -> list[str]:
         strain = found["von_mises_p99"] / E if E else 0.0
         if strain > STRAIN:
             notes.append(
-                f"region '{name}' is strained by {100 * strain:.2g} % (stress over modulus): small "
-                "strains no longer describe it; is a modulus or a load in a wrong unit?"
+                f"region '{name}' is strained by {100 * strain:.2g} % (stress over modulus), which "
+                "is not small: results are not valid there; a modulus or a load in a wrong unit?"
             )
     return notes
 
@@ -289,9 +289,9 @@ def _cracks(case: config.Case, found: Parts) -> list[str]:
     for (a, b), x in found.doubled.items():
         where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
         notes.append(
-            f"{where}: {len(x)} pairs of nodes coincide but are not one, such as those at "
-            f"{place(x[0])}: a crack that nothing closes or holds together; if it is not meant, "
-            "merge them (in gmsh BooleanFragments before meshing, or Coherence Mesh after it)"
+            f"{where}: {len(x)} pairs of nodes coincide but are not connected, e.g. at "
+            f"{place(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
+            "BooleanFragments before meshing, or Coherence Mesh after it)"
         )
     return notes
 

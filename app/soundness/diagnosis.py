@@ -77,7 +77,7 @@ class Explanation:
             lines.append(f"  largest residual: {self.where}")
         lines += [f"  changing: {line}" for line in self.restless]
         tail = ", ".join(f"{r:.1e}" for r in self.history[-6:])
-        lines.append(f"  last residuals (of the force scale): {tail}")
+        lines.append(f"  last residuals (relative to the forces): {tail}")
         lines.append(f"  tried: {attempts(self.tried, steps)}")
         advice = "more increments, a finer mesh at the interface, or a smaller load"
         if self.notes:
@@ -112,7 +112,7 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
         again = f", the same every {outcome.period} iterations" if outcome.period else ""
         short += f"{again})"
     else:
-        short = f"the residual stays at {outcome.residuals[-1]:.1e} of the force scale"
+        short = f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
     return Explanation(short, where, free, notes, restless, outcome.residuals, outcome.tried)
 
 
@@ -124,7 +124,7 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
         steps: Halved steps that were tried before, as parts of the stage.
     """
     words = [f"{what}: {residual:.1e}" for what, residual in tried]
-    text = f"{'; '.join(words)} (residuals they got to)" if words else "Newton as it is"
+    text = f"{'; '.join(words)} (with final residuals)" if words else "plain Newton only"
     halved = f"; steps of {', '.join(f'{s:.3g}' for s in steps)} of the stage" if steps else ""
     return text + halved
 

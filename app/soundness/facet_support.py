@@ -97,8 +97,8 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     most = problem.comm.allreduce(far, MPI.MAX)
     who, way = problem.bodies.names[body], DIRECTIONS[mode]
     return (
-        f"nothing holds body '{who}' but the facets of the mesh: it is free to {way} on a smooth "
-        f"surface, and moved by {most:.3g} mm; another mesh would give another answer"
+        f"only the facets of the mesh hold body '{who}': on a smooth surface it is free to {way}; "
+        f"it moved by {most:.3g} mm, a distance that depends on the mesh"
     )
 
 

@@ -248,14 +248,14 @@ def loosely_held(case: config.Case, found: Parts, groups: list[list[int]]) -> li
             slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
             smooth = f"contact on {' and '.join(slippery)}"
             by = (
-                f"{smooth} has no friction and is sloped against that by {steepest:.2g} degrees in "
-                "the mean, which may be no more than its facets"
+                f"{smooth} has no friction and resists only by a mean slope of {steepest:.2g} "
+                "degrees, which may come from the facets of the mesh"
                 if steepest > 1e-2
                 else f"{smooth} has no friction"
             )
             notes += [
                 f"{text.replace('nothing holds', 'hardly anything holds')}{_when(case, k)}: {by}; "
-                "how far it goes may be arbitrary: add friction or a support"
+                "the displacement may be arbitrary; add friction or a support"
                 for text in bodies.words(free)
             ]
         begins = {
@@ -266,9 +266,9 @@ def loosely_held(case: config.Case, found: Parts, groups: list[list[int]]) -> li
         free, _ = bodies.free(left, K, M, FREE)
         names = " and ".join(f"'{n}'" for n in gaps if n in open_)
         notes += [
-            f"{text}{_when(case, k)} until {names} closes, open everywhere at first: only loads "
-            "that push it shut find an equilibrium; better hold the body by a support or a weak "
-            "foundation, or begin in contact"
+            f"{text}{_when(case, k)} until {names} closes, which starts open: only loads that "
+            "close it find an equilibrium; hold the body by a support or a weak foundation, or "
+            "start in contact"
             for text in bodies.words(free)
         ]
     return list(dict.fromkeys(notes))

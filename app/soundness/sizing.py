@@ -81,7 +81,7 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
     lines = filter(None, map(str.strip, str(found).splitlines()))
     return EnvironmentProblem(
         f"there is not enough memory: {next(lines, type(found).__name__)}\n{_limits()}; a larger "
-        "mesh.size, solver.linear: multigrid or more machines need less"
+        "mesh.size, solver.linear: multigrid or ranks on more machines need less of it"
     )
 
 
@@ -110,8 +110,8 @@ def _limits() -> str:
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     memory = f"{available({}) / GIGABYTE:.1f} GB"
     if limit == resource.RLIM_INFINITY:
-        return f"a process may have {memory}"
-    return f"a process may have {limit / GIGABYTE:.1f} GB of addresses (ulimit -v)"
+        return f"a process may use {memory}"
+    return f"a process may use {limit / GIGABYTE:.1f} GB of addresses (ulimit -v)"
 
 
 def check(file: CaseFile, case: Case) -> None:

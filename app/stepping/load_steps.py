@@ -192,7 +192,7 @@ class LoadStepper:
                 predictors = ()
                 why = explain(problem, solver, outcome)
                 if led:
-                    self.on_trouble(f"{why.short}; again from the state before the step")
+                    self.on_trouble(f"{why.short}; repeating without extrapolation")
                     continue
                 # A smaller step does not hold a body that nothing holds: one is tried, no more.
                 hopeless = bool(why.free) and way.cuts > 0

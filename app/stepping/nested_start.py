@@ -99,7 +99,7 @@ class Nested:
             raise
         except MantleError as error:
             self._failed = True
-            log.info("     no start from a coarser mesh: %s", str(error).splitlines()[0])
+            log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
             return
         take_better(self._solver, self._state(jump))
 

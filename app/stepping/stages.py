@@ -152,7 +152,7 @@ class HeatStepper:
         if accepted is None:
             raise ConvergenceError(
                 f"no steady state in stage '{stage.name}': "
-                "heat and what depends on it did not converge\n"
+                "heat and the fields coupled to it did not converge\n"
                 "  what to change: give the stage a duration instead"
             )
         self._tell(k, stage, 1.0, accepted, started, True)
@@ -247,7 +247,7 @@ class HeatStepper:
         return (
             f"no convergence in stage '{stage.name}' at {100 * part:.3g} % of it, "
             f"with a time step of {dt:.3g} s\n"
-            f"  last residuals (of the scale of heat or forces): {tail}\n"
+            f"  last residuals (relative to heat or forces): {tail}\n"
             f"  tried: {attempts(self.heating.outcome.tried)}\n"
             f"  what to change: {advice}"
         )

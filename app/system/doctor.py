@@ -84,7 +84,7 @@ def problems() -> list[str]:
         )
     dolfinx = _version("dolfinx")
     if dolfinx != _MISSING and not dolfinx.startswith(_DOLFINX + "."):
-        found.append(f"dolfinx {dolfinx} is not {_DOLFINX}: its interface differs")
+        found.append(f"dolfinx {dolfinx} is not supported; install {_DOLFINX}")
     if shutil.which("mpirun") is None:
         found.append("mpirun is missing: -n does not work; install openmpi-bin")
     if _compiler() == _MISSING:

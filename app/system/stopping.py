@@ -33,7 +33,7 @@ def seconds(text: str) -> float:
             for part, unit in zip(found.groups(), (86400, 3600, 60, 1), strict=True)
         )
     ):
-        raise InputError(f"--walltime {text}: is no span of time; allowed: {FORMS}, e.g. 2:00:00")
+        raise InputError(f"--walltime {text}: not a duration; allowed: {FORMS}, e.g. 2:00:00")
     return float(total)
 
 
@@ -43,7 +43,7 @@ def signals() -> Callable[[], str]:
     A Ctrl-C after that, a second later or more, ends a rank that is alone at once.
 
     Returns:
-        A function that names the signal received so far, or gives an empty text.
+        A function that returns the name of the signal received so far, or "".
     """
     received: list[str] = []
     alone, first = ranks.world_size() is None, 0.0
@@ -87,10 +87,10 @@ class WallTime:
         self._longest = 0.0
 
     def __call__(self) -> str:
-        """Why to stop now, or an empty text."""
+        """Why to stop now, or ""."""
         now = clock.perf_counter()
         if self._last is not None:
             self._longest = max(self._longest, now - self._last)
         self._last = now
         late = now + self._longest >= self._end
-        return f"the end of its wall time, {self._limit:.0f} s" if late else ""
+        return f"the end of its wall time of {self._limit:.0f} s" if late else ""

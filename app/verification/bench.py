@@ -142,7 +142,7 @@ def run(pattern: str, folder: Path, full: bool) -> bool:
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be made: {error.strerror}") from error
     if (load := os.getloadavg()[0]) > BUSY:
-        log.warning("other programs are at work (load %.1f): times will mislead", load)
+        log.warning("the machine is busy (load %.1f): measured times will be too long", load)
     runs = Runs(folder / "runs")
     outcomes = []
     for line in chosen:
@@ -166,7 +166,7 @@ def measure(line: Goal, runs: Runs) -> BenchResult:
     except NotMeasured as error:
         log.warning("%s cannot be measured: %s", line.name, error)
     except KeyError as error:
-        log.warning("%s cannot be measured: its runs do not tell %s", line.name, error)
+        log.warning("%s cannot be measured: the summaries of its runs have no %s", line.name, error)
     return BenchResult(line, None)
 
 

@@ -262,7 +262,7 @@ def test_mesh_draws_the_mantle(
     for line in out[2:4]:
         assert Path(line).read_bytes().startswith(b"\x89PNG")
     assert main(["mesh", str(CONFIGS / "blocks.yaml"), *what]) == 2
-    assert "--pictures: only of stems with a mantle" in capsys.readouterr().err
+    assert "--pictures: needs a stem in a cement mantle" in capsys.readouterr().err
 
 
 def test_a_press_fit_acts_by_penalty_too() -> None:

@@ -154,7 +154,7 @@ def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
         timeout=60,
     )
     assert done.returncode == 69
-    assert "there is too little memory for any case: a process may have 0.5 GB" in done.stderr
+    assert "there is too little memory for any case: a process may use 0.5 GB" in done.stderr
     assert not (tmp_path / "out").exists()
 
 

@@ -204,6 +204,5 @@ def test_friction_grows_to_what_it_is_where_nothing_else_helps(
     assert shares == [1.0, 0.25, 0.5, 0.75, 1.0, 1.0]
     expected.axpy(-1.0, solver.x)
     assert expected.norm() < 1e-6 * solver.x.norm()
-    assert [m.rpartition("; ")[2] for m in caplog.messages if "of the friction" in m] == [
-        f"{share} of the friction" for share in ("25%", "50%", "75%", "100%")
-    ]
+    said = [m.rpartition(": ")[2] for m in caplog.messages if "of the friction" in m]
+    assert [words.split()[0] for words in said] == ["25%", "50%", "75%", "100%"]

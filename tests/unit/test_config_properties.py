@@ -426,7 +426,7 @@ def test_dump_and_load_give_an_equal_case(tmp_path_factory: Any, data: dict[str,
         case = config.resolve(case_file.CaseFile("case.yaml", data), Path())
     except InputError as error:
         # Random block names can make two interfaces of the same name.
-        assert "name two interfaces the same" in str(error)
+        assert "same name" in str(error)
         return
     path = tmp_path_factory.mktemp("case") / "case.yaml"
     path.write_text(config.dump(case), encoding="utf-8", newline="")

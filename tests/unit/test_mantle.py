@@ -130,6 +130,6 @@ def test_it_is_told_in_a_line() -> None:
         "plug_volume": 1238.4,
     }
     assert preview._mantle(note) == (
-        "mantle: 4 mm, achieved 1.59 to 4.81, mean 3.05, median 2.95, p5 1.80, p95 4.08 mm; "
+        "cement mantle: 4 mm, achieved 1.59 to 4.81, mean 3.05, median 2.95, p5 1.80, p95 4.08 mm; "
         "clipped on 61.0% of the stem; 20070 mm3 of cement, 1238 below the tip"
     )

@@ -20,7 +20,7 @@ from mantle.report import sweep_results as rs
 from mantle.report.paper import cases as report_paper
 from mantle.report.paper import compare
 from mantle.report.paper import trends as rt
-from mantle.report.paper.trends import HELD, NOT_HELD, UNDECIDED
+from mantle.report.paper.trends import CONFIRMED, NOT_CONFIRMED, UNDECIDED
 from mantle.report.sweep_results import Number
 from mantle.schema import case_file, config
 
@@ -144,15 +144,15 @@ def test_a_number_is_as_long_as_its_error_allows(number: Number, text: str) -> N
 
 
 def test_a_statement_is_undecided_within_the_errors() -> None:
-    assert rt.exceeds(Number(3.0, 0.4), Number(2.0, 0.5)) == HELD
+    assert rt.exceeds(Number(3.0, 0.4), Number(2.0, 0.5)) == CONFIRMED
     assert rt.exceeds(Number(3.0, 0.5), Number(2.0, 0.5)) == UNDECIDED
-    assert rt.exceeds(Number(2.0, 0.4), Number(3.0, 0.5)) == NOT_HELD
-    assert rt.exceeds(Number(3.0, 0.1), Number(2.0, 0.1), 2.0) == NOT_HELD
-    assert rt.exceeds(Number(100.0), Number(100.0)) == NOT_HELD
+    assert rt.exceeds(Number(2.0, 0.4), Number(3.0, 0.5)) == NOT_CONFIRMED
+    assert rt.exceeds(Number(3.0, 0.1), Number(2.0, 0.1), 2.0) == NOT_CONFIRMED
+    assert rt.exceeds(Number(100.0), Number(100.0)) == NOT_CONFIRMED
     assert rt.exceeds(Number(100.0, 0.1), Number(100.0, 0.1)) == UNDECIDED
-    assert rt.alike(Number(1.0, 0.004), Number(1.01, 0.004), 0.02) == HELD
+    assert rt.alike(Number(1.0, 0.004), Number(1.01, 0.004), 0.02) == CONFIRMED
     assert rt.alike(Number(1.0, 0.02), Number(1.01, 0.02), 0.02) == UNDECIDED
-    assert rt.alike(Number(1.0, 0.02), Number(1.1, 0.02), 0.02) == NOT_HELD
+    assert rt.alike(Number(1.0, 0.02), Number(1.1, 0.02), 0.02) == NOT_CONFIRMED
 
 
 # Recognition
@@ -233,7 +233,7 @@ def test_what_most_cases_agree_in_is_the_papers(maker: Maker) -> None:
 
 def test_trends_hold_where_numbers_are_as_the_paper_says(maker: Maker) -> None:
     found = verdicts(sweep(maker, as_the_paper_says, 1e-3))
-    assert found == dict.fromkeys(["T-a", "T-b", "T-c", "T-d", "T-e", "T-f"], HELD) | {
+    assert found == dict.fromkeys(["T-a", "T-b", "T-c", "T-d", "T-e", "T-f"], CONFIRMED) | {
         "T-g": UNDECIDED,
         "T-h": UNDECIDED,
     }
@@ -260,7 +260,7 @@ def test_a_trend_does_not_hold_where_numbers_say_otherwise(
             return factor(stem, t, mu, name)
         return as_the_paper_says(stem, t, mu, name) * factor(stem, t, mu, name)
 
-    assert verdicts(sweep(maker, other, 1e-3))[trend] == NOT_HELD
+    assert verdicts(sweep(maker, other, 1e-3))[trend] == NOT_CONFIRMED
 
 
 def test_trends_are_undecided_where_errors_are_as_large(maker: Maker) -> None:
@@ -291,8 +291,8 @@ def test_heat_is_judged_by_reading_and_told_after_ten_seconds(maker: Maker) -> N
         heated(maker, t, True, 100.0, 84 - t)
     found = rs.read(maker.write())
     cases = report_paper.Cases(found)
-    assert verdicts(found)["T-g (slice, initial)"] == HELD
-    assert verdicts(found)["T-g (slice, held)"] == NOT_HELD
+    assert verdicts(found)["T-g (slice, initial)"] == CONFIRMED
+    assert verdicts(found)["T-g (slice, held)"] == NOT_CONFIRMED
     rows = [r for r in compare.compare(cases, found) if r.fact.id == "25"]
     assert [(r.case, r.peak) for r in rows] == [("initial 2", 72.0), ("held 2", 100.0)]
     # 72 over 76 degC, above the 37 degC of the body.
@@ -309,10 +309,10 @@ def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
     }
     maker.add("bonded", data, summary)
     found = rs.read(maker.write())
-    assert verdicts(found)["T-h"] == HELD
+    assert verdicts(found)["T-h"] == CONFIRMED
     summary["bonds"]["cement_bone"]["normal_max"] = -1.0
     (maker.folder / "runs" / "r0" / "summary.json").write_text(json.dumps(summary))
-    assert verdicts(rs.read(maker.folder))["T-h"] == NOT_HELD
+    assert verdicts(rs.read(maker.folder))["T-h"] == NOT_CONFIRMED
 
 
 # The comparison
@@ -476,7 +476,7 @@ def test_the_command_tells_verdicts_and_where(
     sweep(maker, as_the_paper_says, 1e-3)
     assert main(["report", str(maker.folder)]) == 0
     said = capsys.readouterr().out
-    assert re.search(r"^T-a +held \(by maxima held\) ", said, re.M)
+    assert re.search(r"^T-a +confirmed \(by maxima confirmed\) ", said, re.M)
     assert "14 of 14 cases have results" in said and "report.html" in said
 
 

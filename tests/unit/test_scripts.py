@@ -175,7 +175,7 @@ def test_scripts_that_are_refused_unread(text: str, expected: str, tmp_path: Pat
     [
         (LAYERS + "Point(5) = {0, 0, nowhere};\n", "line 15: Unknown variable 'nowhere'"),
         (LAYERS + "Physical Volume('x') = ;\n", "line 15: syntax error"),
-        (LAYERS.replace("{high[1]}", "{44}"), "nothing is in the volumes high"),
+        (LAYERS.replace("{high[1]}", "{44}"), "no cells in the volumes high"),
     ],
     ids=["unknown variable", "syntax", "no such volume"],
 )

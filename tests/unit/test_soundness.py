@@ -185,7 +185,7 @@ def test_a_body_that_nothing_holds_is_refused() -> None:
         "supports: nothing holds body 'metal': it is free to move along x, y, z and to turn about "
         "x, y, z, by a support"
     )
-    assert "regions 'bone' and 'metal'" in crack and "coincide but are not one" in crack
+    assert "regions 'bone' and 'metal'" in crack and "nodes coincide" in crack
 
 
 def test_a_turn_that_supports_leave_is_refused() -> None:
@@ -221,7 +221,7 @@ def test_holes_in_an_interface_are_told() -> None:
     (note,) = case_on_mesh.judge(
         case, case_on_mesh.look(case, torn(build(case), case, "bone_metal", 0.4))
     )
-    assert "regions 'bone' and 'metal'" in note and "a crack that nothing closes" in note
+    assert "regions 'bone' and 'metal'" in note and "crack" in note
 
 
 def test_an_interface_of_doubled_nodes_says_so() -> None:
@@ -258,7 +258,7 @@ def test_components_are_those_of_a_graph() -> None:
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["interfaces.bone_metal.gap=-1 mm"], "strains bodies of 10 mm by more than small"),
+        (["interfaces.bone_metal.gap=-1 mm"], "interference of 1 mm in bodies 10 mm thick"),
         (["interfaces.bone_metal.gap=2 mm"], "2 mm apart everywhere"),
         (["loads.press.pressure=20 GPa"], "loads.press is 2e+04 MPa on boundary 'top'"),
         (
@@ -271,7 +271,7 @@ def test_components_are_those_of_a_graph() -> None:
         ),
         (
             ["supports.more={kind: displacement, boundary: bone_x_min, x: 0.01 mm}"],
-            "nodes another displacement along x than supports.floor does",
+            "another displacement along x than supports.floor",
         ),
         (
             [
@@ -289,7 +289,9 @@ def test_what_is_out_of_proportion_is_told(overrides: list[str], words: str) -> 
 
 
 def test_too_much_interference_is_refused() -> None:
-    with pytest.raises(InputError, match=r"interfaces\.bone_metal\.gap: .* no contact is admis"):
+    with pytest.raises(
+        InputError, match=r"interfaces\.bone_metal\.gap: .* small strains; expected"
+    ):
         judged(TWO, "interfaces.bone_metal.gap=-4 mm")
 
 
@@ -297,7 +299,7 @@ def test_two_displacements_of_all_nodes_are_refused() -> None:
     """A boundary that is the whole of another one, by another name."""
     change = "supports.more={kind: displacement, boundary: y_min, z: 0.1 mm}"
     also = "supports.again={kind: displacement, boundary: bone_y_min, z: 0.2 mm}"
-    words = r"supports\.again: gives .* along z than supports\.more does"
+    words = r"supports\.again: .* along z than supports\.more "
     with pytest.raises(InputError, match=words):
         judged(TWO, change, also)
 
@@ -321,7 +323,7 @@ def test_two_displacements_of_one_boundary_are_refused(more: str, wrong: bool) -
     if not wrong:
         assert not any("supports.more" in note for note in judged(text))
         return
-    with pytest.raises(InputError, match=r"supports\.more: gives \d+ nodes another displacement"):
+    with pytest.raises(InputError, match=r"supports\.more: .*another displacement.* \d+ nodes"):
         judged(text)
 
 
@@ -332,7 +334,7 @@ def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
     more = "more: {kind: displacement, boundary: bottom, z: 0.1 mm}"
     path.write_text(TWO.replace("loads:", f"  {more}\nloads:"))
     assert main(["check", str(path), "--mesh"]) == 2
-    assert capsys.readouterr().err.startswith(f"{path}:15:3: supports.more: gives ")
+    assert capsys.readouterr().err.startswith(f"{path}:15:3: supports.more: ")
     path.write_text(TWO.replace("coefficient: 0.4", "coefficient: 0.4, gap: 0.001 / (x - x)"))
     assert main(["check", str(path), "--mesh"]) == 2
     key = "interfaces.bone_metal.gap"
@@ -443,7 +445,7 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
     changing = rf"changing: \w+ <-> .* at {place} on interface '\w+', in \d+ of the last \d+ iter"
     assert len(re.findall(changing, text)) == 3
     (tried,) = [line for line in text.splitlines() if line.startswith("  tried: ")]
-    logged = [m.partition("; ")[2] for m in caplog.messages if "Newton is stuck" in m]
+    logged = [m.partition("): ")[2] for m in caplog.messages if "not converging" in m]
     # Exactly what the log tells, in its order, with the residual that each got to.
     words = [part.rpartition(": ")[0] for part in tried.removeprefix("  tried: ").split("; ")]
     assert words == logged and len(words) > 5

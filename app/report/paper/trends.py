@@ -22,7 +22,7 @@ from mantle.report.paper.cases import (
 from mantle.report.paper.heat import at_ten_seconds, bone_p99, bone_peak, cement_peak
 from mantle.report.sweep_results import Number, SweptCase
 
-VERDICTS = HELD, NOT_HELD, UNDECIDED = "held", "not held", "undecided"
+VERDICTS = CONFIRMED, NOT_CONFIRMED, UNDECIDED = "confirmed", "not confirmed", "undecided"
 SLIP_LIKE, SHEAR_LIKE = 0.02, 0.05  # how alike the paper's two stems are
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
@@ -34,7 +34,7 @@ class Part:
     """One statement of a trend.
 
     Attributes:
-        verdict: held, not held or undecided.
+        verdict: confirmed, not confirmed or undecided.
         text: The numbers that decide it.
     """
 
@@ -60,13 +60,15 @@ class Trend:
 
     @property
     def verdict(self) -> str:
-        """Held if all parts are; not held if any is not."""
+        """Confirmed if all parts are; not confirmed if any is not."""
         return _all(p.verdict for p in self.parts)
 
 
 def _all(verdicts: Iterable[str]) -> str:
     found = set(verdicts)
-    return next((v for v in (NOT_HELD, UNDECIDED) if v in found), HELD if found else UNDECIDED)
+    return next(
+        (v for v in (NOT_CONFIRMED, UNDECIDED) if v in found), CONFIRMED if found else UNDECIDED
+    )
 
 
 def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
@@ -74,22 +76,22 @@ def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
     difference = a.value - factor * b.value
     errors = (a.error or 0.0) + factor * (b.error or 0.0)
     if abs(difference) <= ROUNDING * abs(b.value):
-        return UNDECIDED if errors > abs(difference) else NOT_HELD
+        return UNDECIDED if errors > abs(difference) else NOT_CONFIRMED
     if abs(difference) <= errors:
         return UNDECIDED
-    return HELD if difference > 0 else NOT_HELD
+    return CONFIRMED if difference > 0 else NOT_CONFIRMED
 
 
 def alike(a: Number, b: Number, tolerance: float) -> str:
     """Whether two numbers differ by no more than a part of their mean."""
     mean = 0.5 * (abs(a.value) + abs(b.value))
     if mean == 0.0:
-        return HELD
+        return CONFIRMED
     difference = abs(a.value - b.value) / mean
     errors = ((a.error or 0.0) + (b.error or 0.0)) / mean
     if difference + errors <= tolerance:
-        return HELD
-    return NOT_HELD if difference - errors > tolerance else UNDECIDED
+        return CONFIRMED
+    return NOT_CONFIRMED if difference - errors > tolerance else UNDECIDED
 
 
 def judge(cases: Cases) -> list[Trend]:
@@ -248,8 +250,8 @@ def _order(cases: Cases, how: str) -> list[Part]:
         if not found:
             parts.append(_missing(label))
             continue
-        text = f"{label}: in {sum(v == HELD for v in found.values())} of {len(found)} cases"
-        others = [name for name, v in found.items() if v != HELD]
+        text = f"{label}: in {sum(v == CONFIRMED for v in found.values())} of {len(found)} cases"
+        others = [name for name, v in found.items() if v != CONFIRMED]
         if others:
             more_of = f" and {len(others) - 3} more" if len(others) > 3 else ""
             text += f"; not in {', '.join(others[:3])}{more_of}"
@@ -303,9 +305,9 @@ def _cement_first(family: dict[float, SweptCase], reading: str) -> Part:
             found[t] = exceeds(cement, max(rest, key=lambda n: n.value))
     if not found:
         return _missing("stem and bone beside the cement")
-    held = sum(v == HELD for v in found.values())
+    count = sum(v == CONFIRMED for v in found.values())
     return Part(
-        _all(found.values()), f"cement hottest of all after 10 s: in {held} of {len(found)}"
+        _all(found.values()), f"cement hottest of all after 10 s: in {count} of {len(found)}"
     )
 
 
@@ -316,7 +318,7 @@ def _residual(cases: Cases) -> list[Part]:
     for place in INTERFACES:
         tension = [n.value for c in hot if (n := c.number(f"{place}.normal_max"))]
         if tension:
-            verdict = HELD if min(tension) > 0 else NOT_HELD
+            verdict = CONFIRMED if min(tension) > 0 else NOT_CONFIRMED
             parts.append(Part(verdict, f"{WORDS[place]} bonded: tension of {_range(tension)}"))
     if not parts:
         parts.append(Part(UNDECIDED, "no case cools with a bonded interface and mechanics"))
@@ -324,7 +326,7 @@ def _residual(cases: Cases) -> list[Part]:
     for place in INTERFACES:
         pressure = [n.value for c in hot if (n := c.number(f"{place}.pressure_max"))]
         if pressure:
-            verdict = HELD if min(pressure) > 0 else NOT_HELD
+            verdict = CONFIRMED if min(pressure) > 0 else NOT_CONFIRMED
             text = f"{WORDS[place]} unilateral: compression of {_range(pressure)}"
             parts.append(Part(verdict, f"{text} (its law excludes tension)"))
     if len(parts) == known:
