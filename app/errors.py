@@ -1,4 +1,4 @@
-"""What can go wrong, by exit code.
+"""Errors, by exit code.
 
 Every error that a user can cause or meet is one of these; the command line prints its message once,
 on rank 0, and leaves with its ``exit_code``. Anything else is an internal error (70).

@@ -194,7 +194,7 @@ def _variants(model: type[BaseModel]) -> list[type[BaseModel]]:
 
 
 def _value(annotation: Any, links: Links) -> tuple[str, str]:
-    """What a value is, in words, and the unit in which it is kept."""
+    """Type of a value, in words, and the unit in which it is kept."""
     marks, bare = _marks(annotation)
     for mark in marks:
         if isinstance(mark, Scalar):

@@ -83,7 +83,7 @@ class ContactLaw:
 
 @dataclass(frozen=True)
 class _Touching:
-    """What a point does while a given set of its faces touches; open if there is none."""
+    """State of a point while a given set of its faces touches; open if there is none."""
 
     faces: tuple[int, ...]
     pressures: list[Expr]
@@ -159,7 +159,7 @@ def contact_law(
 
 
 def _states(S: Expr, dS: Expr, normals: Sequence[Expr], μ: Any | None) -> list[_Touching]:
-    """What a point may do, in order of preference; the last state takes what is left.
+    """Possible states of a point in order of preference; the last takes what is left.
 
     Single faces come first: friction then belongs to one face.
     """

@@ -105,7 +105,7 @@ def order(*keys: Ints) -> Ints:
 
 
 def distinct(keys: Ints) -> tuple[Ints, Ints]:
-    """What `np.unique` returns with its inverse, for keys (n,) that are not negative."""
+    """Distinct keys and their inverse as of `np.unique`, for keys (n,) that are not negative."""
     rows = order(keys)
     first = np.diff(keys[rows], prepend=-1) > 0
     inverse = np.empty(len(keys), dtype=np.int64)

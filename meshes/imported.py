@@ -53,7 +53,7 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 
 def _apart(geometry: Any, mesh: Any) -> Any:
-    """What `_parts` returns, from a process of its own.
+    """Call `_parts` in a process of its own.
 
     Raises:
         GeometryError: As `_parts`, or gmsh crashes.
@@ -84,7 +84,7 @@ def serve() -> None:
 
 
 def _parts(geometry: Any, mesh: Any) -> Any:
-    """What gmsh has of a file.
+    """Read the regions, nodes, cells and surfaces of a file by gmsh.
 
     Returns:
         Numbers of the regions; tags and coordinates of the nodes; cells of each region; triangles

@@ -130,7 +130,7 @@ class ContactPoints:
 
 @dataclass(frozen=True)
 class Entries:
-    """What jumps add to the displacement of bodies, as triplets.
+    """Displacement of bodies due to jumps, as triplets.
 
     Body b moves by u + B_b q with q the jumps, three per contact point.
 

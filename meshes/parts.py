@@ -1,4 +1,4 @@
-"""What a mesh consists of: its pieces, where they touch, and what hangs together by accident.
+"""Pieces of a mesh, where they touch, and what is connected by accident.
 
 A piece is a part of a region whose cells are joined by faces. All here is small beside the mesh and
 serves judging a case before anything is solved (`soundness.case_on_mesh`).
@@ -71,7 +71,7 @@ class Touch:
 
 @dataclass(frozen=True)
 class Parts:
-    """What a mesh consists of.
+    """Pieces of a mesh and their contacts.
 
     Attributes:
         pieces: Its pieces.

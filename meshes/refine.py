@@ -89,7 +89,7 @@ def _best(points: Floats, local: Ints) -> Ints:
 
 
 def _partners(made: Swept, best: Ints) -> Ints:
-    """What `match_faces` would find among the children, whose diagonals are the `best` (m,)."""
+    """Partners of the children as of `match_faces`, whose diagonals are the `best` (m,)."""
     first = 32 * np.arange(len(best))
     inner = _INNER[best]
     partner = np.where(inner < 0, -1, inner + first[:, None]).ravel()

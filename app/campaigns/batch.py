@@ -88,7 +88,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a job.
+    """Result of a job.
 
     Attributes:
         job: The job.
@@ -177,7 +177,7 @@ def run(
 
 
 def look(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
-    """What has become of jobs so far; runs nothing.
+    """Results of jobs so far; runs nothing.
 
     Args:
         jobs: As of `run`.
@@ -290,7 +290,7 @@ def finished(folder: Path) -> list[Path]:
 
 
 def _shared(case: config.Case) -> str:
-    """What runs of one process have in common, as text."""
+    """Part of a case shared by the runs of one process, as text."""
     return json.dumps(split(config.plain(case))[0], sort_keys=True)
 
 
@@ -381,7 +381,7 @@ def _text(runs: Sequence[_Run]) -> str:
 
 
 def _environment() -> list[str]:
-    """What Snakemake changes in the environment and a run needs as it was, for ``env``."""
+    """Arguments of ``env`` that restore the variables that Snakemake changes."""
     one_thread = [f"{name}_NUM_THREADS=1" for name in THREADS]
     cache = os.environ.get("XDG_CACHE_HOME")
     return ["-u", "XDG_CACHE_HOME", *one_thread] + ([f"XDG_CACHE_HOME={cache}"] if cache else [])

@@ -87,7 +87,7 @@ def cancel(folder: Path) -> None:
 
 
 def _prefix(folder: Path) -> str:
-    """What the names of all jobs of a batch begin with."""
+    """Prefix of the names of all jobs of a batch."""
     return f"mantle-{hashlib.sha256(bytes(folder.resolve())).hexdigest()[:10]}-"
 
 

@@ -142,7 +142,7 @@ def _located(point: PlannedRun, message: str, file: CaseFile) -> Fault:
 
 
 def _run(point: PlannedRun, case: config.Case, result: Result) -> StudyRun:
-    """What a point gave."""
+    """Run of a point of the study, with its result and time."""
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")
     time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
@@ -219,7 +219,7 @@ def _measure(study: Study, name: str, curve: list[StudyRun], ladder: list[StudyR
 
 
 def _reference(study: Study, name: str, ladder: list[StudyRun]) -> wp.ReferenceValue | None:
-    """What a quantity is compared with; None if the ladder failed."""
+    """Reference value of a quantity; None if the ladder failed."""
     values = study.reference.values
     if values is not None:
         return wp.ReferenceValue(study_options.known_value(name, values[name]), 0.0, None, "given")
@@ -241,7 +241,7 @@ def _advice(
     errors: list[float | None],
     reference: wp.ReferenceValue | None,
 ) -> str:
-    """What to use for one quantity."""
+    """Advice on mesh and order for one quantity."""
     if reference is None or reference.value == 0.0:
         return f"no advice on {name}: it has no reference" + ("" if reference is None else " but 0")
     own = reference.uncertainty / abs(reference.value)
@@ -254,7 +254,7 @@ def _advice(
 
 
 def _advice_on_all(target: float, curve: list[StudyRun], measured: list[Measured]) -> str:
-    """What to use for all quantities together, of those that have a reference good enough."""
+    """Advice for all quantities together that have a reference good enough."""
     compared = [m for m in measured if m.compared]
     good = [
         m

@@ -1,4 +1,4 @@
-"""What a study found, as plain data."""
+"""Results of a study, as plain data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a number does that is no mesh size (a penalty, load steps), as a picture."""
+"""Figure of quantities over a parameter other than mesh size (a penalty, load steps)."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def _text(value: float) -> str:
 
 
 def _label(report: Report, varying: dict[str, list[int]]) -> str:
-    """What the numbers of the lines are: ``penalty, augmentation (MPa/mm)``."""
+    """Names and units of the varied numbers: ``penalty, augmentation (MPa/mm)``."""
     names: dict[str, list[str]] = {}
     for own in varying.values():
         run = report.runs[own[0]]

@@ -1,4 +1,4 @@
-"""What a study found, as a table, ``study.csv``, ``study.json`` and ``study.png``."""
+"""Results of a study as a table, ``study.csv``, ``study.json`` and ``study.png``."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def run(
 
 
 def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
-    """What `run` would do, as a table: cases, their size, what they would cost.
+    """Plan of `run` as a table: cases, their size and cost.
 
     Raises:
         InputError: As `run`.
@@ -226,6 +226,6 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _reason(message: str) -> str:
-    """What a message comes down to: where nothing converged, else its last line."""
+    """Essential line of a message: where nothing converged, else the last."""
     lines = [line.strip() for line in message.splitlines() if line.strip()]
     return next((line for line in lines if line.startswith(NOT_CONVERGED)), ["", *lines][-1])

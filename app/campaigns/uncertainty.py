@@ -1,4 +1,4 @@
-"""What the samples of a Latin hypercube say: how far numbers spread, and which input does it."""
+"""Spread of numbers over a Latin hypercube, and the inputs that cause it."""
 
 from __future__ import annotations
 

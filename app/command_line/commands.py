@@ -1,4 +1,4 @@
-"""What each command does. The one module that prints to standard output.
+"""One function for each command. The one module that prints to standard output.
 
 It imports what a command needs when it needs it, so that ``check`` works without MPI and starts at
 once.

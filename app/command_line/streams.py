@@ -1,4 +1,4 @@
-"""What is said while a command runs, and what becomes of it when nobody listens."""
+"""Standard output and error of a command, also when they are closed."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 @dataclass(frozen=True)
 class _Evaluation:
-    """What residual, Jacobian and reports of one state have in common.
+    """Nodal values of one state, shared by its residual, Jacobian and reports.
 
     Attributes:
         given: The state, and pressures and heat of friction, which are set from outside.
@@ -193,7 +193,7 @@ class Conduction:
         return x
 
     def _added(self, τ: Sequence[PETSc.Vec]) -> list[Floats]:
-        """What jumps add to the temperature of own nodes of each body [K]."""
+        """Temperature of own nodes of each body due to jumps [K]."""
         added = self.forms.zeros()
         for j, vector in zip(self.jumps, τ, strict=True):
             for b, B in j.moves.items():
@@ -235,11 +235,11 @@ class Conduction:
         return {"parts": [keyed(k, v) for k, v in zip(self._keys(), values, strict=False)]}
 
     def unpack(self, state: State) -> list[Floats]:
-        """Read them back."""
+        """Saved temperatures of nodes [K], temperature jumps [K] and degrees of cure."""
         return [r.of(k) for k, r in zip(self._keys(), state["parts"], strict=False)]
 
     def state(self) -> State:
-        """What earlier steps leave to those that come."""
+        """History of the steps so far: bounds of temperatures and memory of the cure."""
         setting = self._keys()[1 + len(self.jumps) :]
         curing = [m for cure in self.cures for m in cure.curing.memory]
         return {
@@ -249,7 +249,7 @@ class Conduction:
         }
 
     def resume(self, state: State) -> None:
-        """Read it back; collective."""
+        """Restore bounds of temperatures and memory of the cure; collective."""
         self._data.resume(state["extremes"])
         self._monotone.resume([r.of(self.nodes) for r in state["flagged"]])
         setting = self._keys()[1 + len(self.jumps) :]

@@ -63,7 +63,7 @@ class Kinetics(Protocol):
 
     @property
     def memory(self) -> Floats:
-        """What it remembers of the step before at each node (k, n), to be written to."""
+        """Values kept of the step before at each node (k, n), to be written to."""
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Solve a = a* + h f(a, T)."""
@@ -92,7 +92,7 @@ class Curing:
 
     @property
     def memory(self) -> list[Floats]:
-        """What the kinetics of each region remember of the step before, to be written to."""
+        """Values kept of the step before by the kinetics of each region, to be written to."""
         return [k.memory for k in self._kinetics]
 
     def initial(self) -> list[Floats]:
@@ -256,7 +256,7 @@ class _Autocatalytic:
         h: float,
         rates: Callable[[Ints, Floats], list[Floats]],
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        r"""What reacts at some nodes, with the rate and its derivatives by degree and temperature.
+        r"""Reacted part at some nodes, with the rate and its derivatives by degree and temperature.
 
         Newton's method for s with a = a* + (a_max - a*) / (1 + exp(-s)), between bounds:
         ln(a - a*) - ln(h f) is nearly linear in s at both ends and, for m <= 1, increases: one
@@ -316,7 +316,7 @@ def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
 
 
 class FreeStrain:
-    """What curing and warming strain without stress, at the nodes of one region."""
+    """Stress-free strain by cure and temperature at the nodes of one region [-]."""
 
     def __init__(self, comm: MPI.Comm, cure: CureTerm, expansion: Expansion, nodes: int) -> None:
         """Compile the increment; collective.

@@ -1,4 +1,4 @@
-"""What happens between and within the steps of a temperature, from the steps around."""
+"""Temperature between the time steps, interpolated from the steps around."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What heats and what holds temperatures: the conditions of a scene at its nodes, body by body."""
+"""Heat sources and prescribed temperatures of a scene at its nodes, body by body."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Extremes:
         self._heated = self._heated or most > -ZERO * least
 
     def state(self) -> State:
-        """What has been seen."""
+        """Lowest and highest temperatures so far, and whether anything heated or cooled."""
         return {
             "low": self._low,
             "high": self._high,
@@ -86,7 +86,7 @@ class Extremes:
         }
 
     def resume(self, state: State) -> None:
-        """Read it back."""
+        """Restore the lowest and highest temperatures so far."""
         self._low, self._high = state["low"], state["high"]
         self._heated, self._cooled = state["heated"], state["cooled"]
 

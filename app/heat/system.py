@@ -80,6 +80,6 @@ class HeatSystem(System):
         return self._conduction.pack([v.array_r for v in x])
 
     def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Read them back."""
+        """Fill x with saved temperatures and temperature jumps [K]."""
         for v, values in zip(x, self._conduction.unpack(state), strict=True):
             v.array[:] = values

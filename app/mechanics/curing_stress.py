@@ -184,7 +184,7 @@ class CuringStress:
         return {r: keyed(number[cells], self._values(r)) for r, cells in self._cells.items()}
 
     def resume(self, state: State, displacements: Sequence[fem.Function]) -> None:
-        """Read it back, once displacements are spread and cure and strain are set."""
+        """Restore stresses [MPa], once displacements are spread and cure and strain are set."""
         number = self._mechanics.mesh.topology.original_cell_index
         for region, cells in self._cells.items():
             dofs = self._stress.function_space.dofmap.list[cells]

@@ -1,4 +1,4 @@
-"""What acts on the bodies of a scene, as nodal forces and as forces on the jumps.
+"""External forces on the bodies of a scene: nodal forces, and forces on the jumps.
 
 Loads and eigenstrains are assembled once at full amplitude; the forces of free strains (heat, cure)
 are handed in as they change.

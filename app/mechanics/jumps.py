@@ -228,7 +228,7 @@ class Jumps:
         return jump[self.mine]
 
     def _find_moves(self, mechanics: Mechanics, entries: Entries, place: Ints) -> None:
-        """What jumps add to each body they move, and the stiffness of the cells they move."""
+        """Find the displacement of each body by jumps, and the stiffness of the cells that move."""
         index_map = mechanics.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
         n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
@@ -388,7 +388,7 @@ class Jumps:
         return {name: self.rows(found) for name, found in (values | own).items()}
 
     def resume(self, state: State) -> None:
-        """Read it back."""
+        """Restore the history of the contact points."""
         values = {name: found.of(self.mine) for name, found in state.items()}
         own = {name: values.pop(f"own {name}") for name in self._law.history}
         self.history = History(**values, own=own)
@@ -439,7 +439,7 @@ class Jumps:
         )
 
     def _tangential(self, step: Floats, opening: Floats, law: PointForces) -> Floats:
-        """What the closed faces of each point leave of a step (n, 3) [mm].
+        """Part of a step tangential to the closed faces of each point (n, 3) [mm].
 
         At an edge that is the part along it: the force of a point that friction on one face holds
         against another acts across the edge too, but nothing slips there.

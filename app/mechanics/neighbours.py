@@ -113,7 +113,7 @@ class Neighbours:
             self._start = x.copy()
 
     def _state(self) -> Neighbour:
-        """What the solver has, and what the problem is at."""
+        """Current solution, with the loads, gaps and friction that it belongs to."""
         problem = self._problem
         gaps = [j.gap.ravel() for j in problem.jumps]
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()

@@ -33,7 +33,7 @@ SOURCES = (contact, laws, pointwise, sys.modules[__name__])
 
 @dataclass(frozen=True)
 class PointForces:
-    """What the laws say at n points.
+    """Forces, derivatives and states of the laws at n points.
 
     Attributes:
         force: Interface force per area (n, 3) [MPa].

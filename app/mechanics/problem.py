@@ -203,14 +203,14 @@ class Problem:
         return state
 
     def unpack(self, state: State, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Read it back."""
+        """Fill u [mm], and q if there are jumps, with a saved displacement and saved jumps."""
         self.reduction.resume(state["displacement"], u, self.nodes)
         for j in self.jumps:
             assert q is not None
             q.array[:] = state["jump"].of(j.mine).ravel()
 
     def _shape(self) -> State:
-        """What the stiffness depends on: supports of the stage, and how far regions have set."""
+        """State that the stiffness depends on: the stage, and the growth of setting regions."""
         n = len(self._vertices) if self.mechanics.growth else 0
         growth = self.mechanics.growth.items()
         return {
@@ -242,7 +242,7 @@ class Problem:
         }
 
     def resume(self, state: State) -> None:
-        """Read it back at rest; collective. `settle` follows."""
+        """Restore the history of a problem in its unloaded state; collective. `settle` follows."""
         self._reshape(state["shape"])
         for j, history in zip(self.jumps, state["contact"], strict=True):
             j.resume(history)

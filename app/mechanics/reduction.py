@@ -34,7 +34,7 @@ _HELD = 1e-9
 
 
 class Reduction(Protocol):
-    """What the problem asks of a reduction.
+    """Interface between the problem and a reduction of its unknowns.
 
     Attributes:
         held: Own unknowns that supports hold (n,).
@@ -67,7 +67,7 @@ class Reduction(Protocol):
         """Own unknowns, given the keys of own nodes."""
 
     def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
-        """Read them back."""
+        """Fill u with the saved own unknowns."""
 
 
 def holds(support: Support, stage: int) -> bool:
@@ -99,7 +99,7 @@ def support_of_dofs(
 
 
 def given_values(scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> list[Floats]:
-    """What each support gives own nodes at full amplitude (n, 3) [mm], else zero; collective."""
+    """Displacement of own nodes by each support at full amplitude (n, 3) [mm]; collective."""
     x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local]
     own = support_of[: 3 * len(x)].reshape(-1, 3)
 
@@ -152,7 +152,7 @@ class AllFree:
         return {"nodes": keyed(nodes, u.array_r)}
 
     def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
-        """Read them back."""
+        """Fill u with the saved nodal displacements."""
         u.array[:] = state["nodes"].of(nodes).ravel()
 
 
@@ -266,7 +266,7 @@ class WithRigid:
         }
 
     def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
-        """Read them back; other ranks may have chosen other axes."""
+        """Fill u with saved displacements and motions; other ranks may have chosen other axes."""
         u.array[: 3 * len(self._free)] = state["nodes"].of(nodes[self._free]).ravel()
         regions = np.arange(len(self._bases))
         motions, axes = (state[name].of(regions) for name in ("rigid", "axes"))

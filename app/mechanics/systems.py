@@ -75,7 +75,7 @@ class BondedSystem(System):
         return self._problem.pack(x[0], None)
 
     def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Read it back."""
+        """Fill x with a saved displacement."""
         self._problem.unpack(state, x[0], None)
 
 
@@ -170,7 +170,7 @@ class ContactSystem(System):
 
     @property
     def rows(self) -> PETSc.Mat:
-        """What multiplies equilibrium in the rows of the jumps: 1 - P' as last set."""
+        """Factor of equilibrium in the rows of the jumps, 1 - P' as last set."""
         return self._rows
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
@@ -205,5 +205,5 @@ class ContactSystem(System):
         return self._problem.pack(x[0], x[1])
 
     def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Read them back."""
+        """Fill x with saved displacement and jumps."""
         self._problem.unpack(state, x[0], x[1])

@@ -162,11 +162,11 @@ class Controller:
         self._last: tuple[float, float] | None = None
 
     def state(self) -> dict[str, Any]:
-        """What it knows of the steps so far."""
+        """Length of the next step [s], and length and error of the last, to be saved."""
         return {"next": self._next, "last": self._last}
 
     def resume(self, state: dict[str, Any]) -> None:
-        """Read it back."""
+        """Restore the lengths of the next and the last step."""
         self._next = state["next"]
         self._last = None if state["last"] is None else tuple(state["last"])
 

@@ -162,7 +162,7 @@ class Linear:
         self._pending = True
 
     def learn(self) -> None:
-        """See how good the preconditioners were in the last linear solve; nothing if that is known.
+        """Rate the preconditioners by the iterations of the last linear solve, once for each.
 
         Old ones are kept until the iterations that they have cost in vain are worth new ones.
         """
@@ -189,7 +189,7 @@ class Linear:
         self._excess = math.inf
 
     def factor_interfaces(self) -> bool:
-        """Factor interfaces that were swept so far; whether there are any."""
+        """Factorize contact blocks preconditioned by SOR so far; return whether there are any."""
         swept, self._swept = self._swept, []
         for pc in swept:
             pc.setType(str(INTERFACE["pc_type"]))
@@ -198,7 +198,7 @@ class Linear:
         return bool(swept)
 
     def sweep_interfaces(self) -> None:
-        """Sweep again what `factor_interfaces` has factored."""
+        """Use SOR again for the contact blocks that `factor_interfaces` has factorized."""
         factored, self._factored = self._factored, []
         for pc in factored:
             pc.setType(str(SWEEP["pc_type"]))

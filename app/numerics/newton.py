@@ -45,25 +45,25 @@ NEWTON: Options = {
 }
 # While contact points change their states, no direction is worth more.
 KINKS: Options = {"snes_ksp_ew_rtol0": 0.1, "snes_ksp_ew_rtolmax": 0.1}
-# A linear residual of this part of what Newton is to reach is as good as none.
+# Absolute tolerance of the linear solver over that of Newton.
 ENOUGH = 0.3
-# A residual that has not fallen to this part of itself in so many iterations is stuck; whole steps
-# may go up before they go down.
+# Newton is not converging if the residual has not fallen to this part of itself in so many
+# iterations; with full steps it may rise before it falls.
 HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
 # Residuals that differ by less than this part after a cycle of the states will go on doing so.
 CYCLING = 1e-2
-# Multiples of the augmentation tried in turn where Newton is stuck, and whether it then goes on
-# from where it is or from the start again: mostly it is too large.
+# Factors of the augmentation tried in turn, and whether Newton then continues from the current
+# state or from the start: mostly the augmentation is too large.
 AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
-# Shares of the usual augmentation, where another one was asked for and nothing else has helped.
+# Factors of the default augmentation, if the case asks for another one and nothing has helped.
 USUAL = (1.0, 0.1, 0.01)
-# Shares of friction on the way to all of it, where it cannot be had at once.
+# Factors of the friction coefficients, in turn, if Newton does not converge with all of it.
 FRICTIONS = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
 class NewtonResult:
-    """What a nonlinear solve ended with.
+    """Outcome of a nonlinear solve.
 
     Attributes:
         converged: Whether the residual met its tolerance.
@@ -146,7 +146,7 @@ class Solver:
         self._configure()
 
     def begin(self) -> None:
-        """Forget all states: the system begins at rest, with the matrices it had."""
+        """Reset to the unloaded state; the matrices stay."""
         self.x.zeroEntries()
         self._linear.sweep_interfaces()
         self._scales, self._augmentation = [], 1.0
@@ -175,17 +175,17 @@ class Solver:
         return dict(zip(self._names, self.blocks(x), strict=True))
 
     def pack(self, x: PETSc.Vec) -> State:
-        """A state of the unknowns, as it is kept."""
+        """A vector of unknowns as rows to be saved."""
         return self._system.pack(self.blocks(x))
 
     def unpack(self, state: State) -> PETSc.Vec:
-        """Read it back."""
+        """Return the vector of unknowns that a saved state holds."""
         x = self.vector()
         self._system.unpack(state, self.blocks(x))
         return x
 
     def state(self) -> State:
-        """The unknowns, and what a residual is compared with."""
+        """Unknowns, scales of the residuals and augmentation, to be saved."""
         return {
             "x": self.pack(self.x),
             "scales": list(self._scales),
@@ -193,7 +193,7 @@ class Solver:
         }
 
     def resume(self, state: State) -> None:
-        """Read it back; collective."""
+        """Restore unknowns, scales of residuals and augmentation; collective."""
         self.unpack(state["x"]).copy(self.x)
         self._scales, self._augmentation = state["scales"], state["augmentation"]
         self._system.soften(self._augmentation)
@@ -304,15 +304,15 @@ class Solver:
         )
 
     def _remedies(self, start: PETSc.Vec) -> Iterator[str]:
-        """Change what may help, one thing after the other, while Newton has not converged.
+        """Apply one remedy after the other while Newton has not converged; yield each in words.
 
-        A body that a clearance leaves free is brought to where it is pushed. It goes on from where
-        it is: a large augmentation makes contact points change their states back and forth, and a
-        smaller one finds its way from there. At a kink of the contact law a line search may cut
-        steps to nothing where whole steps lead on, and the other way round. A sweep over interfaces
-        may leave directions that lead nowhere, where factors do not. With less friction fewer
-        points wait for each other. An augmentation that was asked for may be off by any power of
-        ten: at last it is what it would be without being asked for.
+        In this order: interfaces that are open everywhere are tied and released, so that a body
+        that a clearance leaves free comes into contact. The contact block is factorized, for SOR
+        may give poor directions. The augmentation is scaled: a large one makes contact points
+        change state back and forth, and Newton continues from the current state with a smaller one.
+        The line search is switched on or off: at a kink of the contact law it may cut steps to
+        nothing where full steps converge. Friction starts small and grows. At last an augmentation
+        that the case asked for is replaced by the default, for it may be off by powers of ten.
         """
         if not self._met and self._system.tie(True):
             start.copy(self.x)
@@ -353,7 +353,7 @@ class Solver:
             )
 
     def _with_less_friction(self, start: PETSc.Vec) -> Iterator[str]:
-        """From the start again with less friction, which then grows to what it is."""
+        """Solve from the start with friction that grows in steps to its full value."""
         self._use_search(self._usual)
         self._augmentation = 1.0
         self._system.soften(1.0)
@@ -367,7 +367,7 @@ class Solver:
             self._system.lessen_friction(1.0)
 
     def _lost(self) -> bool:
-        """Whether nothing is left to improve: converged, or without a state to go on from."""
+        """Whether no remedy applies: converged, or the current state is not finite."""
         return self._met or not np.isfinite(self.x.norm())
 
     def _trouble(self) -> str:
@@ -397,13 +397,13 @@ class Solver:
                 # What a callback raised comes back wrapped.
                 raise error.__cause__ or error from None
         if self.snes.getConvergedReason() == REASONS.DIVERGED_FNORM_NAN:
-            # Of such a residual PETSc tells neither monitor nor test.
+            # PETSc calls neither monitor nor test with a residual that is not a number.
             self._residuals.append(math.nan)
             self._flips.append(0)
         return self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
 
     def _use_search(self, kind: str) -> None:
-        """Change the line search."""
+        """Use a line search of PETSc: ``bt``, or ``basic`` for full steps."""
         if kind == self._search:
             return
         database = PETSc.Options(self._system.prefix)

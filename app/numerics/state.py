@@ -1,4 +1,4 @@
-"""What a run remembers, as plain values and rows of arrays that do not depend on who has them.
+"""Saved state of a run: plain values, and rows of arrays that do not depend on ranks.
 
 A state is a nesting of mappings and lists of what JSON knows, the same on every rank, and of
 `Rows`: values that ranks share, each with a key by which any number of ranks finds it again. Keys

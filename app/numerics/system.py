@@ -39,7 +39,7 @@ class Measure:
 
 
 class System(Protocol):
-    """What the solver asks of a system of equations.
+    """Interface between the nonlinear solver and a system of equations.
 
     The answers given here are those of a system without contact; systems inherit them.
     """
@@ -87,15 +87,15 @@ class System(Protocol):
         raise NotImplementedError
 
     def pack(self, x: list[PETSc.Vec]) -> State:
-        """A state of the unknowns, as it is kept."""
+        """The blocks x as rows to be saved."""
         raise NotImplementedError
 
     def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Read it back."""
+        """Fill the blocks x with a saved state."""
         raise NotImplementedError
 
     def motions(self) -> CoarseSpace | None:
-        """Motions that the last Jacobian hardly resists, of displacement and jumps, if any."""
+        """Sliding motions that the last Jacobian hardly resists, to be deflated; None without."""
         return None
 
     def soften(self, factor: float) -> bool:

@@ -1,4 +1,4 @@
-"""What people look at: pages, figures and tables of finished runs.
+"""Pages, figures and tables of finished runs.
 
 It imports everything from `campaigns` down; `verification` and it do not know each other. Begin
 with `sweep_report`.

@@ -26,7 +26,7 @@ THICKNESSES = (4.0, 2.0)
 
 
 def chosen(cases: Cases, sweep: SweepResults) -> list[Chosen]:
-    """What to draw, a group of cases for each series of maps.
+    """Cases to draw, a group for each series of maps.
 
     Of the paper's cases both stems at 4 and 2 mm, and the thinnest and the thickest mantle of each
     reading of hot cement in the femur; of another sweep the first and the last case.

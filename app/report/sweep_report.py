@@ -38,7 +38,7 @@ HONESTY = (
 
 @dataclass(frozen=True)
 class Written:
-    """What a report consists of.
+    """Files of a report, its verdicts and how many cases it covers.
 
     Attributes:
         files: The files, the page first.
@@ -117,7 +117,7 @@ def _uncertain(sweep: SweepResults) -> str:
 
 
 def _summary(sweep: SweepResults, rows: Sequence[ComparedNumber], trends: Sequence[Trend]) -> str:
-    """What the reader should know first."""
+    """Summary at the top of the page, as HTML."""
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
     lines = [f"{len(sweep.cases)} cases: {states}."]

@@ -208,7 +208,7 @@ def read(folder: Path) -> SweepResults:
 
 
 def _problems(data: Any) -> list[str]:
-    """What is wrong with the content of sweep.json."""
+    """Faults in the content of sweep.json."""
     if not isinstance(data, dict) or not isinstance(data.get("cases"), list):
         return ["has no list of cases"]
     if not data["cases"]:

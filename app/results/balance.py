@@ -106,7 +106,7 @@ class Balance:
         return {name: getattr(self, name) for name in _SUMS}
 
     def resume(self, state: State, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Read them back, with the committed state, whose displacements are spread; collective."""
+        """Restore the sums and the committed state, whose displacements are spread; collective."""
         for name in _SUMS:
             setattr(self, name, state[name])
         self._last = self._measure(u, trial)

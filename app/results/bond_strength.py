@@ -64,7 +64,7 @@ class Bond:
         return normal, shear, area
 
     def numbers(self) -> dict[str, float]:
-        """What is published; collective.
+        """Published numbers; collective.
 
         ``strength_fraction`` is the part of the area where
         (tension / 1.35 MPa)^2 + (shear / 2.25 MPa)^2 exceeds 1.

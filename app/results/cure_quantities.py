@@ -21,7 +21,7 @@ LEVELS = (0.5, 0.9)
 
 @dataclass
 class _CuringRegion:
-    """What is kept of the nodes of one region (n,)."""
+    """Cure recorded at the nodes of one region (n,)."""
 
     degree: Floats
     rate: Floats
@@ -94,7 +94,7 @@ class CureRecord:
         }
 
     def resume(self, state: State, keys: Mapping[str, Ints]) -> None:
-        """Read it back."""
+        """Restore the recorded values, given the keys of the nodes of each region."""
         for name, found in state.items():
             degree, rate, *reached = (c.copy() for c in found["nodes"].of(keys[name]).T)
             self._regions[name] = _CuringRegion(degree, rate, np.array(reached), found["fastest"])

@@ -57,13 +57,13 @@ class Companion:
     steps: float
 
     def __str__(self) -> str:
-        """What it is, for people."""
+        """Mesh and steps of the companion, in words."""
         fewer = f", {self.steps:g} times the steps" if self.steps != 1 else ""
         return f"mesh {self.case.mesh.size:g} mm{fewer}"
 
 
 def companions(case: config.Case) -> tuple[Companion, ...]:
-    """What has to be solved to know the errors of a case; nothing unless it asks for them.
+    """Companion runs that the error estimate of a case needs; none unless it asks for one.
 
     The mesh of a ``.msh`` file cannot be made coarser: only its step error is estimated.
     """

@@ -80,7 +80,7 @@ def _energy_and_volume(
 
 
 def _interface(s: Samples, at: NDArray[np.bool_]) -> dict[str, float]:
-    """What the marked points of an interface do; means by area."""
+    """Motion and tractions of the marked points of an interface; means by area."""
     area, weight = s.area[at], s.weight[at]
     result: dict[str, float] = {}
     for name, values in (("gap", np.maximum(s.gap[at], 0.0)), ("slip", s.slip[at])):

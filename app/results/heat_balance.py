@@ -99,7 +99,7 @@ class HeatBalance:
         return {k: dict(v) if isinstance(v, dict) else v for k, v in vars(self).items()}
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Read them back."""
+        """Restore the sums."""
         vars(self).update(state)
 
     def _compare(self, stored: float) -> None:

@@ -1,4 +1,4 @@
-"""What a run says: messages on rank 0 through `logging`, lines per step, the closing table."""
+"""Log of a run: messages on rank 0 through `logging`, lines per step, the closing table."""
 
 from __future__ import annotations
 

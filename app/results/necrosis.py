@@ -97,7 +97,7 @@ def _antiderivative(temperature: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Exposure:
-    """What a number of nodes have been exposed to; `add` counts up in place.
+    """Thermal exposure of n nodes so far; `add` updates it in place.
 
     Attributes:
         over: Time at or above each of `LEVELS` (3, n) [s].
@@ -122,7 +122,7 @@ class Exposure:
         self.damage[:] += henriques_moritz(start, end, seconds)
 
     def levels(self) -> dict[str, Floats]:
-        """What is not negative where nodes are dead (n,), by the name of the criterion.
+        """Level of each criterion (n,), by name; not negative where nodes are dead.
 
         It goes with time where time is what counts, and with temperature where that does:
         equivalent minutes and damage are exponentials of it.

@@ -129,7 +129,7 @@ class Writer:
                 grid.begin()
 
     def state(self) -> State:
-        """What has been written; collective."""
+        """Rows and steps written so far, to be saved; collective."""
         return {"rows": list(self._rows), "fields": [g.state() for g in self._grids]}
 
     def resume(self, state: State) -> bool:

@@ -126,7 +126,7 @@ class Samples:
 
 
 def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
-    """What one interface does: motion, tractions, states; found once for each state."""
+    """Motion, tractions and states of one interface; computed once for each state."""
     if i not in samples.found:
         samples.found[i] = _interface(problem, samples, i)
     return dict(samples.found[i])

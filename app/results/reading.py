@@ -81,7 +81,7 @@ class Results:
 
     @property
     def log(self) -> str:
-        """What the run said, where something kept it beside the directory; else empty."""
+        """Log of the run, if it was kept beside the directory; else empty."""
         path = self.folder.with_name(f"{self.folder.name}.log")
         return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 

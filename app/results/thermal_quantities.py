@@ -52,7 +52,7 @@ _MOST_PIECES = 8
 
 @dataclass
 class _Region:
-    """What is kept of the nodes of one region (n,)."""
+    """Values recorded at the nodes of one region (n,)."""
 
     nodes: ThermalNodes
     now: Floats
@@ -81,7 +81,7 @@ class _Extremes:
 
 @dataclass(frozen=True)
 class HeatPassed:
-    """What passes the interfaces of finite conductance at this rank's points (n,).
+    """Heat flux and entropy production at this rank's points of conducting interfaces (n,).
 
     Attributes:
         names: Names of the interfaces.
@@ -353,7 +353,7 @@ class ThermalRecord:
         }
 
     def resume(self, state: State) -> None:
-        """Read it back; collective."""
+        """Restore times, rows, temperatures, extremes and exposures; collective."""
         nodes, function = node_keys(self._forms.space), fem.Function(self._forms.space)
         self.seconds, self.rows = list(state["seconds"]), list(state["rows"])
         self._watched = state["watched"]
@@ -413,7 +413,7 @@ class ThermalRecord:
         return result
 
     def _dead(self, r: _Region, cells: RegionCells, surface: Floats) -> dict[str, float]:
-        """What heat has done to a region of bone."""
+        """Largest thermal doses of a region of bone, and dead volume and depth by criterion."""
         result = {
             f"{name}_max": float(self._comm.allreduce(float(dose.max(initial=0.0)), MPI.MAX))
             for name, dose in (("cem43", r.exposure.cem43), ("henriques_moritz", r.exposure.damage))

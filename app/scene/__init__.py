@@ -1,4 +1,4 @@
-"""What is solved: the terms of a case and the bodies they act on. Only here choices are made.
+"""Terms of a case and the bodies they act on. Only here a case is translated into terms.
 
 It imports `schema`, `numerics` and `mantle.forms`. Begin with `build`.
 """

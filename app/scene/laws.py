@@ -29,7 +29,7 @@ USUAL_AUGMENTATION = 0.2
 
 @dataclass(frozen=True)
 class AtPoint:
-    """What a law sees of a point, as UFL expressions.
+    """Input of a law at a point, as UFL expressions.
 
     Attributes:
         F: Multiplier: the interface force per area (3,) [MPa].
@@ -56,7 +56,7 @@ class AtPoint:
 
 @dataclass(frozen=True)
 class Response:
-    """What a law answers, as UFL expressions.
+    """Output of a law at a point, as UFL expressions.
 
     Attributes:
         force: Interface force per area (3,) [MPa].
@@ -224,7 +224,7 @@ class Traction(InterfaceLaw):
     def remembered(
         self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]
     ) -> Mapping[str, Expr]:
-        """What a state leaves behind once it has converged, by name (see `history`)."""
+        """History variables after a converged step, by name (see `history`)."""
         return {}
 
     @property

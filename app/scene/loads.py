@@ -32,7 +32,7 @@ class Patch:
 
 
 class Acting(Protocol):
-    """What a load sees of one body of a discrete problem.
+    """Interface between a load and one body of a discrete problem.
 
     Attributes:
         x: Position, in UFL.

@@ -1,4 +1,4 @@
-"""What a scene is made of: small frozen records, each calling one function of `forms`.
+"""Terms of a scene: small frozen records, each calling one function of `forms`.
 
 A term knows the regions or boundaries it acts on, its constants and how it changes over the stages
 (``history``); it does not know the mesh, the other terms or the solver. What a scene does not

@@ -1,4 +1,4 @@
-"""What happens at boundaries: supports and loads."""
+"""Conditions at boundaries: supports and loads."""
 
 from __future__ import annotations
 

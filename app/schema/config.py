@@ -408,7 +408,7 @@ def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Faul
 
 
 def _expected(model: type[BaseModel], location: tuple[str | int, ...]) -> str:
-    """What a missing key stands for: its documentation."""
+    """Documentation of a missing key."""
     text = docstrings(_model_at(model, location)).get(str(location[-1]), "")
     return f"expected: {text[:1].lower()}{text[1:].rstrip('.')}" if text else "expected"
 

@@ -213,7 +213,7 @@ class Femur(_Femur):
 
     @property
     def tissues(self) -> dict[str, str]:
-        """What each region is."""
+        """Tissue of each region."""
         return {"stem": "implant", "cement": "cement", **dict.fromkeys(BONE, "bone")}
 
     @property
@@ -268,7 +268,7 @@ class IntactFemur(_Femur):
 
     @property
     def tissues(self) -> dict[str, str]:
-        """What each region is."""
+        """Tissue of each region."""
         return dict.fromkeys(BONE, "bone")
 
     @property

@@ -1,4 +1,4 @@
-"""What the parts of the schema share: the base model, names, tagged choices, messages."""
+"""Shared parts of the schema: the base model, names, tagged choices, messages."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ class Cylinders(Shape):
 
     @property
     def tissues(self) -> dict[str, str]:
-        """What each region is."""
+        """Tissue of each region."""
         return {"stem": "implant", "cement": "cement", "bone": "bone"}
 
     @property

@@ -1,4 +1,4 @@
-"""What the header of a gmsh ``.msh`` file, or the text of a ``.geo``, tells without gmsh."""
+"""Names in the header of a gmsh ``.msh`` file or in a ``.geo`` script, read without gmsh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a region is made of.
+"""Materials of regions.
 
 A stiffness that is not positive definite is refused. For transverse isotropy that means
 E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margin is

@@ -1,4 +1,4 @@
-"""What the geometries have in common: mesh options, estimates, the mantle."""
+"""Shared parts of the geometries: mesh options, estimates, the cement mantle."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Shape(Section):
 
     @property
     def tissues(self) -> dict[str, str]:
-        """What each region is, unless the case says otherwise; none that it does not know."""
+        """Default tissue of each region, where it is known."""
         return {}
 
 

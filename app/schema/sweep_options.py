@@ -1,4 +1,4 @@
-"""What a sweep varies: a base case, and axes whose values multiply."""
+"""Options of a sweep: a base case, and axes whose values multiply."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def cross_check(parts: CaseParts) -> Iterable[Fault]:
 
 
 def _without_heat(parts: CaseParts, whole: bool) -> Iterable[Fault]:
-    """What has no meaning where no region conducts heat."""
+    """Faults of keys that need a region that conducts heat."""
     if not whole or not parts.regions:
         return  # the region that cannot be read may be the one that conducts
     text = "no region conducts heat; expected `thermal` in every region"

@@ -1,4 +1,4 @@
-"""What a region needs to conduct heat and to set, and what brings heat in or takes it away."""
+"""Options of heat: conduction and cure of regions, and conditions that heat or cool."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def _names(unit: Any) -> str:
 
 
 def _dimension(unit: Any) -> str:
-    """What a unit measures, in words."""
+    """Physical quantity of a unit, in words."""
     if unit.dimensionless:
         return "an angle" if re.search("radian|degree|arc|turn", _names(unit)) else "a plain number"
     exponents = dict(unit.dimensionality)
@@ -174,7 +174,7 @@ def outside(
     at_most: float | None,
     below: float | None = None,
 ) -> str:
-    """What bound a value violates, in words, or nothing."""
+    """Bound that a value violates, in words, or ""."""
     if below is not None and not value < below:
         return f"must be below {below:g}"
     if above is not None and not value > above:

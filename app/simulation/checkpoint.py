@@ -438,7 +438,7 @@ def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None
 
 
 def _told(found: Checkpoint, ranks: int) -> str:
-    """What is restored, for people."""
+    """List of what is restored, as a line of the log."""
     header, state = found.header, found.state
     model, recorded = state["model"], state["recorder"]
     what = []

@@ -166,7 +166,7 @@ class ThermalModel:
         }
 
     def resume(self, state: State) -> None:
-        """Read it back; collective."""
+        """Restore heat, mechanics and their history; collective."""
         self.heating.resume(state["heating"])
         self.record.resume(state["record"])
         for cure, found in zip(self.cure, state["cure"], strict=True):
@@ -246,7 +246,7 @@ class Model:
         return distribute(data, comm), digest, found
 
     def judge(self) -> list[str]:
-        """What is suspicious about the case on its mesh; collective.
+        """Warnings about the case on its mesh; collective.
 
         Raises:
             InputError: It cannot be solved.
@@ -322,7 +322,7 @@ class Model:
         return {name: size for part in parts for name, size in part.items()}
 
     def layers(self) -> list[Layer]:
-        """What the fields are of."""
+        """Groups of fields to be written: mechanical, and of heat."""
         sides = self._case.geometry.interface_sides
         return [
             *(MechanicalFields(m.problem, m.stresses) for m in self.mechanics),
@@ -453,7 +453,7 @@ class Model:
         return numbers
 
     def places(self, samples: Samples | None) -> dict[str, Any]:
-        """What only some geometries have: mantle, layers, Gruen zones; collective."""
+        """Numbers that only some geometries have: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         for m in self.mechanics:
@@ -465,7 +465,7 @@ class Model:
         return found
 
     def interfaces(self, samples: Samples | None) -> dict[str, dict[str, Any]]:
-        """What is published of the contact interfaces; collective."""
+        """Published numbers of the contact interfaces, by name; collective."""
         if samples is None:
             return {}
         (m,) = self.mechanics

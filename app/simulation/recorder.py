@@ -1,4 +1,4 @@
-"""What becomes of the steps of a run: lines, rows, fields and the summary."""
+"""Output of a run: lines of the log, rows of tables, fields and the summary."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Recorder:
         self._mechanical: dict[str, Any] = {}
 
     def state(self) -> State:
-        """What has been recorded; collective."""
+        """Everything recorded so far, to be saved; collective."""
         contact = [
             {"pressures": j.rows(t.law.pressures), "status": j.rows(t.law.status)}
             for t in self._trials

@@ -68,7 +68,7 @@ def _numbers(value: Any) -> tuple[float, ...]:
 
 
 def _at(case: Mapping[str, Any], key: str) -> Any:
-    """What stands at a key of a case, or None; a history that is not given is that of ones.
+    """Value of a key of a case, or None; the default of a history is all ones.
 
     Of ``*`` the first is taken, of an interface its kind: what else differs has keys of its own.
     """
@@ -85,7 +85,7 @@ def _at(case: Mapping[str, Any], key: str) -> Any:
 
 
 def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
-    """What a run says in the table.
+    """Row of the table of variations for one run.
 
     Args:
         v: Its variation.

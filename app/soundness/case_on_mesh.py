@@ -49,7 +49,7 @@ SAME = 1e-9
 
 
 def look(case: config.Case, data: MeshData) -> Parts:
-    """What `judge` has to know of a mesh.
+    """Parts of a mesh that `judge` looks at.
 
     Args:
         case: A case on it.
@@ -59,7 +59,7 @@ def look(case: config.Case, data: MeshData) -> Parts:
 
 
 def judge(case: config.Case, found: Parts) -> list[str]:
-    """What is suspicious about a case on its mesh.
+    """Warnings about a case on its mesh.
 
     Args:
         case: The case.
@@ -92,7 +92,7 @@ def judge(case: config.Case, found: Parts) -> list[str]:
 
 
 def _given(case: config.Case, support: Any, name: str, axis: str, x: Floats) -> Floats:
-    """What a support gives at points, at the end of each stage (stages, n) [mm]."""
+    """Displacement prescribed by a support at points, at the end of each stage (stages, n) [mm]."""
     value = getattr(support, axis, None) or 0.0
     factors = np.array(history_of(case, getattr(support, "history", None)))
     return np.asarray(factors[:, None] * field(f"supports.{name}.{axis}", value)(x))
@@ -262,7 +262,7 @@ def modulus(region: Any) -> float:
 
 
 def doubts(case: config.Case, numbers: Mapping[str, Any]) -> list[str]:
-    """What is suspicious about results: strains that are not small.
+    """Warnings about results: strains that are not small.
 
     Args:
         case: The case.

@@ -117,7 +117,7 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
 
 
 def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) -> str:
-    """What was really tried, in words.
+    """List what the solver tried, in words.
 
     Args:
         tried: Changes of the solver, and the residuals that they got to.

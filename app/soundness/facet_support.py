@@ -103,7 +103,7 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
 
 
 def _resistances(problem: Problem, trial: TrialState, R: Floats) -> tuple[Floats, Floats]:
-    """What contact resists motions of all bodies with, and what the spread of normals would.
+    """Resistance of contact to the motions of all bodies, and that due to the spread of normals.
 
     Args:
         problem: The problem.

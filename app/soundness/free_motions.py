@@ -1,4 +1,4 @@
-"""What holds the bodies of a case: supports, and contact with each other; found before solving."""
+"""Rigid motions that neither supports nor contact hold, found before solving."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class _Bodies:
     def resistance(
         self, shears: Mapping[str, float] | None, absent: Iterable[str] = ()
     ) -> tuple[Floats, Floats]:
-        """What contact that is closed resists, and the same if all were bonded (6 n, 6 n) [mm2].
+        """Resistance of closed contact, and of contact that is all bonded (6 n, 6 n) [mm2].
 
         Args:
             shears: Whether each interface resists sliding; None: all do.

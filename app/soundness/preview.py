@@ -1,4 +1,4 @@
-"""What ``mantle check`` says about a case: its parts as they were understood, and its size."""
+"""Output of ``mantle check``: the parts of a case as they were understood, and its size."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ AREA_PER_NODE = 0.87
 
 @dataclass(frozen=True)
 class CheckedCase:
-    """What a check of a case says.
+    """Result of the check of a case.
 
     Attributes:
         description: The case as it was understood, in words and tables.
@@ -335,7 +335,7 @@ def _resultant(case: Case) -> Iterable[str]:
 
 
 def warnings(case: Case) -> list[str]:
-    """What is allowed but rarely meant, for `mantle check` and the log of a run."""
+    """Warnings about input that is allowed but rarely meant, for `mantle check` and the log."""
     messages = []
     if not case.conducts and not _acts(case):
         messages.append("nothing acts on the model: the result will be zero")

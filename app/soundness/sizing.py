@@ -69,7 +69,7 @@ def _group_limits() -> Iterator[Path]:
 
 
 def explain(error: BaseException) -> EnvironmentProblem | None:
-    """What to say of an error that is for want of memory; None for any other."""
+    """Error that explains a lack of memory; None for any other error."""
     chain: list[BaseException] = []
     link: BaseException | None = error
     while link is not None and link not in chain:  # what PETSc hands back may be its own cause
@@ -106,7 +106,7 @@ def _short() -> bool:
 
 
 def _limits() -> str:
-    """What limits memory, in words."""
+    """Limit of memory of this process, in words."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     memory = f"{available({}) / GIGABYTE:.1f} GB"
     if limit == resource.RLIM_INFINITY:

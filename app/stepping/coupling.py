@@ -57,7 +57,7 @@ class PointDerivatives:
 
 
 class ContactHeat:
-    """What the contact points tell the heat: pressures and the power of friction.
+    """Input of the heat from the contact points: pressures and the power of friction.
 
     Attributes:
         heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
@@ -125,7 +125,7 @@ class ContactHeat:
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
     def rounding(self, trial: TrialState, elapsed: float) -> float:
-        """What rounding of long slips leaves of the power of friction; collective [N mm/s]."""
+        """Rounding error of the power of friction by long slips; collective [N mm/s]."""
         (j,) = self._problem.jumps
         slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may be far from where they were.
@@ -292,7 +292,7 @@ class CoupledSystem(System):
         }
 
     def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Read them back."""
+        """Fill x with the saved blocks of heat and mechanics."""
         self._heat.unpack(state["heat"], x[: self._n])
         self._motion.unpack(state["motion"], x[self._n :])
 
@@ -428,7 +428,7 @@ class Staggered:
         return self._heat.state()
 
     def resume(self, state: State) -> None:
-        """Read it back; collective."""
+        """Restore the state of the solver of the heat; collective."""
         self._heat.resume(state)
 
     def _tell(self) -> None:

@@ -58,14 +58,14 @@ class HeatStep:
 
 
 class Beside(Protocol):
-    """What else is in the system of the heat."""
+    """Fields solved in one system with the heat."""
 
     def place(self, seconds: float) -> None:
         """Set it to the time of a stage [s]."""
 
 
 class Partner(Protocol):
-    """What solves the heat, alone or with what else is in its system."""
+    """Solver of the heat, alone or together with other fields of its system."""
 
     def named(self) -> dict[str, PETSc.Vec]:
         """Blocks of the current state."""
@@ -74,10 +74,10 @@ class Partner(Protocol):
         """Solve from the current state."""
 
     def state(self) -> SavedState:
-        """All that the next solve depends on."""
+        """State that the next solve depends on, to be saved."""
 
     def resume(self, state: SavedState) -> None:
-        """Read it back; collective."""
+        """Restore the state that the next solve depends on; collective."""
 
     @property
     def block_sizes(self) -> dict[str, int]:
@@ -86,7 +86,7 @@ class Partner(Protocol):
 
 @dataclass(frozen=True)
 class Warmth:
-    """What the mechanics have to know of a state of the heat.
+    """Input of the mechanics from a state of the heat.
 
     Attributes:
         temperatures: Of the nodes of each thermal body, ghosts included [K].
@@ -160,7 +160,7 @@ class HeatState:
         }
 
     def resume(self, found: SavedState) -> None:
-        """Read it back; collective."""
+        """Restore time [s], temperatures, history and step control; collective."""
         self.seconds = found["seconds"]
         self.outcome = replace(self.outcome, converged=found["converged"])
         self.total = Summary(**found["total"])
@@ -181,7 +181,7 @@ class HeatState:
         function.x.scatter_forward()
 
     def pack(self, warmth: Warmth) -> SavedState:
-        """What the mechanics know, as it is kept."""
+        """The input of the mechanics as rows to be saved."""
         keys = self.conduction.nodes
         return {
             f.name: [keyed(keys, self._own(values)) for values in getattr(warmth, f.name)]
@@ -189,7 +189,7 @@ class HeatState:
         }
 
     def unpack(self, found: SavedState) -> Warmth:
-        """Read it back; collective."""
+        """Return the input of the mechanics that a saved state holds; collective."""
         function = fem.Function(self.conduction.space)
         parts: dict[str, list[Floats]] = {name: [] for name in found}
         for name, several in found.items():
@@ -358,7 +358,7 @@ class HeatState:
             self._strains[k].x.scatter_forward()
 
     def warmth(self) -> Warmth:
-        """What the mechanics have to know of the state."""
+        """Input of the mechanics at the current state: temperatures, cure and free strains."""
         owned = self.conduction.owned
         for function, values in zip(self._temperatures, self._nodal(self.state), strict=True):
             function.x.array[:owned] = values

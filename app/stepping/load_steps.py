@@ -49,7 +49,7 @@ class LoadStep:
 
 @dataclass
 class Summary:
-    """What a whole loading took, so far."""
+    """Counts of steps and iterations of a loading so far."""
 
     steps: int = 0
     newton_iterations: int = 0
@@ -122,14 +122,14 @@ class LoadStepper:
         self._way: Progress | None = None
 
     def state(self) -> State:
-        """Where it is."""
+        """Progress within the load step and counts so far, to be saved."""
         return {
             "way": self._way and asdict(self._way),
             "total": asdict(self.total),
         }
 
     def resume(self, state: State) -> None:
-        """Read it back; `load` goes on from there."""
+        """Restore progress and counts; `load` goes on from there."""
         self._way = state["way"] and Progress(**state["way"])
         self.total = Summary(**state["total"])
 
@@ -215,7 +215,7 @@ class LoadStepper:
     def commit(
         self, stage: SceneStage, time: float, outcome: NewtonResult, started: float, whole: bool
     ) -> None:
-        """Make the state of the solver history, and tell of it; collective.
+        """Accept the state of the solver as history and report the step; collective.
 
         Args:
             stage: Under way.

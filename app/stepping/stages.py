@@ -40,10 +40,10 @@ class MechanicsBesideHeat(Protocol):
         """A heat step is history that ends at a time, and perhaps ends an increment."""
 
     def state(self) -> State:
-        """Where the mechanics stand."""
+        """Progress of the mechanics within the stage, to be saved."""
 
     def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Read it back within a stage, heat and mechanics being there; collective."""
+        """Restore progress within a stage, after heat and mechanics; collective."""
 
 
 def run_stages(
@@ -105,11 +105,11 @@ class HeatStepper:
 
     @property
     def total(self) -> Summary:
-        """What it took so far."""
+        """Counts of steps and iterations so far."""
         return self.heating.total
 
     def state(self) -> State:
-        """Where in a stage it is."""
+        """Progress within the stage, to be saved."""
         return {
             "under_way": self._under_way,
             "begin": self._begin,
@@ -119,7 +119,7 @@ class HeatStepper:
         }
 
     def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Read it back, heat and mechanics being there; `go` goes on from there; collective."""
+        """Restore progress, after heat and mechanics; `go` goes on from there; collective."""
         self._under_way, self._begin = state["under_way"], state["begin"]
         self._steps = state["steps"]
         if state["controller"]:
@@ -292,11 +292,11 @@ class SolvedAfterHeat:
         self._before, self._time = now, time
 
     def state(self) -> State:
-        """Of which heat the mechanics know, and when that was."""
+        """Input of the mechanics at its last step and the time of that step, to be saved."""
         return {"before": self._heating.pack(self._before), "time": self._time}
 
     def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Read it back; collective."""
+        """Restore the input of the mechanics at its last step; collective."""
         self._stage, self._time = stage, state["time"]
         self._before = self._heating.unpack(state["before"])
         self._heating.warm(self._motion.problem, self._before, self._before, 1.0)
@@ -368,11 +368,11 @@ class SolvedWithHeat:
         self._motion.advance(self._stage, longest, place, time, time)
 
     def state(self) -> State:
-        """When the stage began, and when the mechanics were last history."""
+        """Times at which the stage began and the mechanics were last committed, to be saved."""
         return {"start": self._start, "committed": self._committed}
 
     def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Read it back; collective."""
+        """Restore the times of the beginning and of the last commit; collective."""
         self._k, self._stage = k, stage
         self._start, self._committed = state["start"], state["committed"]
         self._before = self._heating.warmth()

@@ -40,7 +40,7 @@ def check(comm: MPI.Comm) -> None:
 
 
 def problem() -> EnvironmentProblem | None:
-    """What is wrong on this rank."""
+    """Error that names the wrong BLAS results on this rank, or None."""
     wrong = [name for name, error in _errors() if not error <= ROUNDING]
     if not wrong:
         return None
@@ -53,7 +53,7 @@ def problem() -> EnvironmentProblem | None:
 
 
 def _errors() -> Iterator[tuple[str, float]]:
-    """What is computed, as PETSc and its solvers do, and by how much that is wrong."""
+    """Name and relative error of each BLAS and LAPACK operation that the solvers use."""
     n = SIZE
     # Small whole numbers, of which every sum is exact; numpy multiplies them without BLAS.
     i = np.arange(n * n, dtype=np.int64).reshape(n, n) * 7919 % 11 - 5
@@ -110,7 +110,7 @@ def _most(values: np.ndarray) -> float:
 
 
 def crowd(ranks: int, environ: Mapping[str, str] = os.environ) -> str:
-    """What to say of more threads than there are cores on this machine; empty if there are not.
+    """Warning about more threads than cores on this machine; empty if there are not.
 
     Args:
         ranks: How many run here.

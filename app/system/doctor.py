@@ -1,4 +1,4 @@
-"""What mantle finds on this machine, and what is wrong with it.
+"""Report on this machine: versions, libraries, resources, and problems with them.
 
 Nothing here may fail because something is missing: telling what is missing is the purpose.
 """

@@ -170,7 +170,7 @@ def _remove(folder: Path, source: str) -> None:
 
 
 def explain(error: BaseException) -> EnvironmentProblem | None:
-    """What to say of an error met while a form was compiled or loaded; None for any other."""
+    """Error that explains a failed compilation or load of a form; None for any other."""
     frames = traceback.extract_tb(error.__traceback__)
     if not any(frame.filename.endswith(SOURCES) for frame in frames):
         return None

@@ -1,4 +1,4 @@
-"""What the numbers of a run depend on beside its input: the sources of mantle, and the stack below.
+"""Identity of a run beside its input: the sources of mantle and the versions of the stack.
 
 Nothing of the stack is imported for it: who asks for many runs does without MPI.
 """
@@ -89,7 +89,7 @@ def _version_of(petsc: ctypes.CDLL) -> str:
 
 
 def _blas(petsc: ctypes.CDLL) -> str:
-    """What OpenBLAS says of its version and kernel; of another BLAS the file it is in."""
+    """Version and kernel of OpenBLAS; the file of any other BLAS."""
     try:
         tell = petsc.openblas_get_config
     except AttributeError:

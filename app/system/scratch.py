@@ -63,7 +63,7 @@ def _lock(folder: Path) -> int:
 
 
 def variables(folder: Path) -> dict[str, str]:
-    """What has MPI and compilers use it."""
+    """Environment variables that make MPI and compilers use a folder."""
     found = {"TMPDIR": str(folder)}
     if folder.parent == SHARED:
         found["OMPI_MCA_btl_sm_backing_directory"] = str(folder)

@@ -1,4 +1,4 @@
-"""What ends a run before its end: signals, and the time it was given."""
+"""Reasons to stop a run early: signals and the time limit."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What became of a line.
+    """Result of a line.
 
     Attributes:
         line: The line.

@@ -39,7 +39,7 @@ class NotMeasured(MantleError):
 
 @dataclass(frozen=True)
 class BenchCase:
-    """What is run.
+    """A run to be measured.
 
     Attributes:
         name: For people, and of its folder.
@@ -65,13 +65,13 @@ class BenchCase:
 
     @property
     def mesh(self) -> tuple[str, ...]:
-        """What its mesh depends on."""
+        """Options that its mesh depends on."""
         return (self.case, self.size, *(o for o in self.overrides if o.startswith("mesh.")))
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a process cost.
+    """Cost of a process.
 
     Attributes:
         wall: Start to finish [s].
@@ -147,7 +147,7 @@ class Runs:
         self._failed: dict[BenchCase, NotMeasured] = {}
 
     def costs(self, *settings: BenchCase, times: int = 1) -> list[list[Cost]]:
-        """What settings cost, each of them so many times.
+        """Costs of settings, each run so many times.
 
         They run in turn, so that what else happens on the machine meets them all.
 

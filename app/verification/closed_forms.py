@@ -1,4 +1,4 @@
-r"""What the verification problems are compared with: closed forms, each with its source.
+r"""Exact solutions of the verification problems: closed forms, each with its source.
 
 Nothing here comes from the code under test. Lengths in mm, stresses and moduli in MPa, forces in N;
 Young's modulus and Poisson's ratio travel as a pair (E, ν). Positions are arrays (n, 3).

@@ -1,4 +1,4 @@
-r"""What the verification problems of heated elastic bodies are compared with: closed forms.
+r"""Exact solutions of the verification problems of heated elastic bodies: closed forms.
 
 Nothing here comes from the code under test. Units and pairs as in `closed_forms_heat`.
 """
@@ -83,7 +83,7 @@ class ExactLayer:
 
     @property
     def relief(self) -> float:
-        """What the free strain takes off the normal stresses [MPa]."""
+        """Reduction of the normal stresses by the free strain [MPa]."""
         λ, μ = self._lame
         return (3 * λ + 2 * μ) * self.free_strain
 

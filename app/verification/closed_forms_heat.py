@@ -1,4 +1,4 @@
-r"""What the verification problems of heat and cure are compared with: closed forms with sources.
+r"""Exact solutions of the verification problems of heat and cure: closed forms with sources.
 
 Nothing here comes from the code under test. Units as everywhere: conductivity N/(s K) (= W/(m K)),
 capacity per volume N/(mm2 K) (= 1e6 J/(m3 K)), conductance N/(mm s K) (= 1e3 W/(m2 K)), heat flux

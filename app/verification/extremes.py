@@ -31,7 +31,7 @@ REFUSALS = tuple(e.exit_code for e in (InputError, GeometryError, ConvergenceErr
 
 @dataclass(frozen=True)
 class ExtremeResult:
-    """What became of a case.
+    """Result of a case.
 
     Attributes:
         trial: The case.

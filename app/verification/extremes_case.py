@@ -1,4 +1,4 @@
-"""What ``mantle stress`` tries: a case of a row, its runs, and what judges them."""
+"""A case of ``mantle stress``: its runs and their judge."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MESH = 0.02
 
 @dataclass(frozen=True)
 class Judged:
-    """What a judge says.
+    """Verdict of a judge.
 
     Attributes:
         deviation: How far off the answer is, in the judge's own measure.

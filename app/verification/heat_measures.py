@@ -297,7 +297,7 @@ def wavy_displacement(run: Run) -> Sample:
 
 
 def endured(run: Run, low: float, high: float) -> Sample:
-    """What a stiff case must keep, whatever else it does.
+    """Largest violation of what a stiff case must keep.
 
     The error is the largest of: heat lost, over all heat that moved; temperatures [degC] beyond the
     bounds, over their distance; degrees of cure beyond 0 and 1.

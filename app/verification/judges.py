@@ -249,7 +249,7 @@ def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Ju
 
 
 def shakedown(runs: Sequence[Run], count: int) -> Judged:
-    """What a taper sinks in each cycle, the last over the first: it comes to rest."""
+    """Subsidence of a taper in the last cycle over that in the first: it shakes down."""
     run = runs[0]
     top = run.points[:, 2] > run.points[:, 2].max() - 1e-6
     top &= np.hypot(run.points[:, 0], run.points[:, 1]) < 1.0

@@ -1,4 +1,4 @@
-"""What a verification problem is: a case, one or more runs of it, and a measure of each.
+"""Verification problem: a case, one or more runs of it, and a measure of each.
 
 Where the runs are a ladder of mesh sizes or time steps their order is fitted too.
 """

@@ -31,7 +31,7 @@ ORDER_TOLERANCE = 0.2
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What became of a problem.
+    """Result of a problem.
 
     Attributes:
         problem: The problem.

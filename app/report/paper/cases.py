@@ -35,7 +35,7 @@ WORDS |= {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
 
 @dataclass(frozen=True)
 class Physics:
-    """What a case of the paper varies.
+    """Parameters of a case of the paper.
 
     Attributes:
         model: ``stance``, ``femur`` (hot cement in the femur) or ``slice`` (of cylinders).

@@ -71,7 +71,7 @@ class Fact:
 
 @cache
 def facts() -> list[Fact]:
-    """What the paper reports."""
+    """Numbers that the paper reports."""
     with FACTS.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     return [
@@ -233,7 +233,7 @@ def _extreme_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
 
 
 def _other(fact: Fact, sweep: SweepResults) -> ComparedNumber:
-    """What is no result of the paper's."""
+    """Compare a fact that is not a result of the paper."""
     if fact.kind == "input":
         why = "not a result but a property of materials; mantle's unilateral contact has none"
         return _nothing(fact, "", None, why)
@@ -267,7 +267,7 @@ def csv_rows(rows: Iterable[ComparedNumber]) -> list[list[Any]]:
 
 
 def strange(cases: Cases) -> list[str]:
-    """What mantle finds where the paper's numbers are odd, a sentence each."""
+    """Sentences on numbers of the paper that look wrong, with those of mantle."""
     found = [s for stem in STEMS.values() for s in _jump(stem, cases)]
     start = "The paper's +296 MPa (tension) and −97 MPa in the heated hip: "
     told = [t for reading, words in READINGS.items() if (t := _mean_stress(cases, reading, words))]

@@ -1,4 +1,4 @@
-"""What the paper says that grows, falls or stays, judged with mantle's numbers and their errors.
+"""Trends that the paper reports, judged with mantle's numbers and their errors.
 
 A statement is undecided where its numbers differ by less than their errors, which are added: they
 are of one mesh and not independent. The paper's numbers are peaks; mantle's peaks at edges have no
