@@ -433,13 +433,13 @@ def _execute(
             preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL),
             pass_fds=(lock.fileno(),),
         )
-        told, due = progress.count, time.monotonic()
+        reported, due = progress.count, time.monotonic()
         try:
             while child.poll() is None:
                 time.sleep(POLL)
                 progress.tell()
-                if progress.count > told and time.monotonic() > due:
-                    told, due = progress.count, time.monotonic() + OFTEN
+                if progress.count > reported and time.monotonic() > due:
+                    reported, due = progress.count, time.monotonic() + OFTEN
                     so_far()
         except BaseException as error:
             if slurm is None:

@@ -46,7 +46,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
-# A face is closed, when slip is told from opening, if its gap is below this fraction of the step.
+# A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
 
 
@@ -149,7 +149,7 @@ class Jumps:
         self._law = self._law_of([c.law for c in contacts])
         self._tied = np.zeros(len(self.mine), dtype=bool)
         self.default_stiffness = self._default_stiffness()
-        self._softness = 1.0
+        self._augmentation_scale = 1.0
         self._stiffen()
         full = np.zeros(len(self.points.weight))
         for i, c in enumerate(contacts):
@@ -177,8 +177,8 @@ class Jumps:
         self._laws[forms].set(laws)
         return self._laws[forms]
 
-    def lessen_friction(self, share: float) -> None:
-        """Use a share of the friction coefficients, until told otherwise."""
+    def scale_friction(self, share: float) -> None:
+        """Multiply the friction coefficients by a share, until the next call."""
         self._law.set([c.law.with_friction(share) for c in self._contacts])
 
     def tie(self, on: bool) -> bool:
@@ -280,9 +280,9 @@ class Jumps:
         for support, jump in zip(self._supports, self._given, strict=True):
             self.given += amplitude(support.history, time) * jump
 
-    def soften(self, factor: float) -> None:
-        """Use a multiple of the default augmentation, until told otherwise."""
-        self._softness = factor
+    def scale_augmentation(self, factor: float) -> None:
+        """Multiply the default augmentation by a factor, until the next call."""
+        self._augmentation_scale = factor
         self._stiffen()
 
     def usual_augmentation(self) -> float:
@@ -300,7 +300,7 @@ class Jumps:
         """Stiffness of the trial forces S, and the share of the force of equilibrium in them."""
         full = self.default_stiffness
         self.stiffness = self._by_law(
-            lambda law, here, met: law.softened_stiffness(full[here], met, self._softness)
+            lambda law, here, met: law.softened_stiffness(full[here], met, self._augmentation_scale)
         )
         self.share = self._by_law(
             lambda law, here, met: law.multiplier_share(self.stiffness[here], full[here])

@@ -103,7 +103,7 @@ class ContactSystem(System):
         self._A_qu = self._rows.matMult(j.Ct)
         self._A_qq = self._rows.matMult(j.D)
         self._added = block_diagonal(j.comm, len(j.mine))
-        self._motions_of = -1
+        self._coarse_version = -1
         self.active = ActiveSet(self.comm)
 
     @property
@@ -161,12 +161,12 @@ class ContactSystem(System):
         self._rows.matMult(self._jumps.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
-    def motions(self) -> SlidingMotions:
-        """Bodies that slide, lift off or bend away."""
-        if self._motions_of != self.version:
-            self._motions, self._motions_of = SlidingMotions(self._problem), self.version
-        self._motions.follow(self.trial.law.jacobian)
-        return self._motions
+    def coarse_space(self) -> SlidingMotions:
+        """Motions of bodies that slide, lift off or bend away."""
+        if self._coarse_version != self.version:
+            self._coarse, self._coarse_version = SlidingMotions(self._problem), self.version
+        self._coarse.follow(self.trial.law.jacobian)
+        return self._coarse
 
     @property
     def rows(self) -> PETSc.Mat:
@@ -178,9 +178,9 @@ class ContactSystem(System):
         problem = self._problem
         return [Measure(size(f), problem.force_scale(*x), problem.rounding(x[0]))]
 
-    def soften(self, factor: float) -> bool:
+    def scale_augmentation(self, factor: float) -> bool:
         """Solve with this multiple of the default augmentation."""
-        self._jumps.soften(factor)
+        self._jumps.scale_augmentation(factor)
         return True
 
     def augmentation(self) -> dict[str, float]:
@@ -191,9 +191,9 @@ class ContactSystem(System):
         """Multiple of the augmentation asked for that would be chosen; collective."""
         return self._jumps.usual_augmentation()
 
-    def lessen_friction(self, share: float) -> bool:
+    def scale_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""
-        self._jumps.lessen_friction(share)
+        self._jumps.scale_friction(share)
         return any(c.law.frictional for c in self._problem.scene.contacts)
 
     def tie(self, on: bool) -> bool:

@@ -109,9 +109,9 @@ class Linear:
                 parts = {self._names[0]: pc}
             else:
                 own, parts = [pc], {" and ".join(BLOCKS.get(n, n) for n in self._names): pc}
-            motions = self._system.motions() if self._split else None
-            if motions is not None:
-                context = Deflated(pc, self._names, self._system.motions)
+            coarse = self._system.coarse_space() if self._split else None
+            if coarse is not None:
+                context = Deflated(pc, self._names, self._system.coarse_space)
                 pc = PETSc.PC().createPython(context, comm=self._system.comm)
             ksp.setPC(pc)
             pc.setOperators(self.matrix)
@@ -121,7 +121,7 @@ class Linear:
         for part in own:
             part.setReusePreconditioner(True)
         self._own = own
-        deflated = "; rigid sliding modes deflated" if motions is not None else ""
+        deflated = "; rigid sliding modes deflated" if coarse is not None else ""
         log.info("solver: %s%s", self._words(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
@@ -147,7 +147,7 @@ class Linear:
 
     def update(self, x: list[PETSc.Vec]) -> None:
         """Set the Jacobian to a state; preconditioners are made again where that is due."""
-        self.learn()
+        self.observe()
         self._system.jacobian(x)
         self.matrix.assemble()
         if self._excess > PRICE:
@@ -161,7 +161,7 @@ class Linear:
                 pc.setReusePreconditioner(True)
         self._pending = True
 
-    def learn(self) -> None:
+    def observe(self) -> None:
         """Rate the preconditioners by the iterations of the last linear solve, once for each.
 
         Old ones are kept until the iterations that they have cost in vain are worth new ones.

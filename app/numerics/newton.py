@@ -128,7 +128,7 @@ class Solver:
         defaults |= dict(KINKS if self._has_kinks else {}) | dict(system.newton)
         self.options = defaults | self._linear.options | dict(options)
         self.x = self.vector()
-        self.failed = self.vector()
+        self.failed_state = self.vector()
         self._residuals: list[float] = []
         self._flips: list[int] = []
         self._scales: list[float] = []
@@ -196,7 +196,7 @@ class Solver:
         """Restore unknowns, scales of residuals and augmentation; collective."""
         self.unpack(state["x"]).copy(self.x)
         self._scales, self._augmentation = state["scales"], state["augmentation"]
-        self._system.soften(self._augmentation)
+        self._system.scale_augmentation(self._augmentation)
         self._linear.renew()
 
     def _configure(self) -> None:
@@ -272,7 +272,7 @@ class Solver:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._system.impose(self.blocks())
         self._residuals, self._flips = [], []
-        self._system.soften(self._augmentation)
+        self._system.scale_augmentation(self._augmentation)
         start = self.x.copy() if self._has_kinks else self.x
         newton, krylov = self._newton()
         tried: list[tuple[str, float]] = []
@@ -288,9 +288,9 @@ class Solver:
             parts = self._measure(self.x, self.snes.getFunction()[0])
             self._scales = [p.scale for p in parts]
         else:
-            self.x.copy(self.failed)
+            self.x.copy(self.failed_state)
             self._augmentation = 1.0
-        self._linear.learn()
+        self._linear.observe()
         return NewtonResult(
             converged=self._met,
             iterations=newton,
@@ -329,7 +329,7 @@ class Solver:
                 return
             if on and self._lost():
                 continue
-            if factor != self._augmentation and self._system.soften(factor):
+            if factor != self._augmentation and self._system.scale_augmentation(factor):
                 if not on:
                     start.copy(self.x)
                 self._augmentation = factor
@@ -346,7 +346,7 @@ class Solver:
             if self._lost():
                 return
             self._augmentation = share * usual
-            self._system.soften(self._augmentation)
+            self._system.scale_augmentation(self._augmentation)
             yield (
                 f"augmentation {self._augmentation:.3g} r, {share:g} times the default"
                 f"{self._values()}"
@@ -356,15 +356,15 @@ class Solver:
         """Solve from the start with friction that grows in steps to its full value."""
         self._use_search(self._usual)
         self._augmentation = 1.0
-        self._system.soften(1.0)
+        self._system.scale_augmentation(1.0)
         start.copy(self.x)
         try:
             for share in FRICTIONS:
-                if not self._system.lessen_friction(share) or not np.isfinite(self.x.norm()):
+                if not self._system.scale_friction(share) or not np.isfinite(self.x.norm()):
                     return
                 yield f"{share:.0%} of the friction coefficients"
         finally:
-            self._system.lessen_friction(1.0)
+            self._system.scale_friction(1.0)
 
     def _lost(self) -> bool:
         """Whether no remedy applies: converged, or the current state is not finite."""
@@ -408,13 +408,13 @@ class Solver:
             return
         database = PETSc.Options(self._system.prefix)
         self._search = kind
-        # One of another type begins with the defaults of PETSc: it has to be told everything.
-        told = {k: v for k, v in self.options.items() if k.startswith("snes_linesearch_")}
-        told |= {"snes_linesearch_type": kind}
-        for key, value in told.items():
+        # One of another type begins with the defaults of PETSc: it needs all options again.
+        settings = {k: v for k, v in self.options.items() if k.startswith("snes_linesearch_")}
+        settings |= {"snes_linesearch_type": kind}
+        for key, value in settings.items():
             database[key] = value
         self.snes.setFromOptions()
-        for key in told:
+        for key in settings:
             database.delValue(key)
 
     def condition(self) -> float:

@@ -94,11 +94,11 @@ class System(Protocol):
         """Fill the blocks x with a saved state."""
         raise NotImplementedError
 
-    def motions(self) -> CoarseSpace | None:
+    def coarse_space(self) -> CoarseSpace | None:
         """Sliding motions that the last Jacobian hardly resists, to be deflated; None without."""
         return None
 
-    def soften(self, factor: float) -> bool:
+    def scale_augmentation(self, factor: float) -> bool:
         """Solve with this multiple of the augmentation in force; whether there is any."""
         return False
 
@@ -110,7 +110,7 @@ class System(Protocol):
         """Multiple of the augmentation asked for that would be chosen; collective."""
         return 1.0
 
-    def lessen_friction(self, share: float) -> bool:
+    def scale_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients; whether there is friction."""
         return False
 

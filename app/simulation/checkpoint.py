@@ -41,7 +41,7 @@ BLOCK = 512
 MARK = "@rows"
 # Checkpoints that are kept.
 KEPT = 2
-# Differences that are told.
+# Number of differences listed in a message.
 TOLD = 12
 
 
@@ -322,7 +322,7 @@ class Keeper:
         self._recorder.resume(state["recorder"])
         self._saved = int(header["step"])
         self._state = {"stage": k, "time": header["time"], "state": self._now()}
-        log.info("%s", _told(self._found, self._comm.size))
+        log.info("%s", _restored(self._found, self._comm.size))
         self._found = None
         return k
 
@@ -437,7 +437,7 @@ def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None
             yield from _misfits(a, b, name)
 
 
-def _told(found: Checkpoint, ranks: int) -> str:
+def _restored(found: Checkpoint, ranks: int) -> str:
     """List of what is restored, as a line of the log."""
     header, state = found.header, found.state
     model, recorded = state["model"], state["recorder"]

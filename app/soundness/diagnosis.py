@@ -90,7 +90,7 @@ class Explanation:
 
 def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanation:
     """Say why the last solve failed; collective."""
-    x = solver.failed
+    x = solver.failed_state
     where = ""
     free: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

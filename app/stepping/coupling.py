@@ -94,8 +94,8 @@ class ContactHeat:
                 from_triplets(comm, len(found), self._n, on, found[on], np.ones(len(on))),
             )
 
-    def warm(self, heat: Sequence[PETSc.Vec]) -> None:
-        """Hand temperatures to the mechanics."""
+    def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
+        """Set the temperatures that the mechanics use."""
         if self.expands:
             self._conduction.temperatures(heat)
             regions = {r: self._conduction.of_region(r) for r in self.expands}
@@ -109,8 +109,8 @@ class ContactHeat:
         # The rounding of sticking points is no heat, and none cools.
         return np.where(self.rubbing, np.maximum(_dot(tangential, slip), 0.0), 0.0) / elapsed
 
-    def tell(self, trial: TrialState, elapsed: float) -> None:
-        """Hand pressures and friction to the heat."""
+    def to_heat(self, trial: TrialState, elapsed: float) -> None:
+        """Set the pressures and the friction heat that the heat equation uses."""
         (j,) = self._problem.jumps
         pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
         power = self.power(trial, elapsed)
@@ -233,16 +233,16 @@ class CoupledSystem(System):
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Heat that is lacking with the contact as it is, forces with the heat as it is."""
-        self.exchange.warm(x[: self._n])
+        self.exchange.to_mechanics(x[: self._n])
         self._motion.residual(x[self._n :], f[self._n :])
-        self.exchange.tell(self._motion.trial, self.elapsed)
+        self.exchange.to_heat(self._motion.trial, self.elapsed)
         self._heat.residual(x[: self._n], f[: self._n])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """All blocks, of the state whose residual was asked for last."""
         self._motion.jacobian(x[self._n :])
         trial = self._motion.trial
-        self.exchange.tell(trial, self.elapsed)
+        self.exchange.to_heat(trial, self.elapsed)
         self._heat.jacobian(x[: self._n])
         up, back = self._from_motion(trial, x)
         _copy(up, self._up)
@@ -253,9 +253,9 @@ class CoupledSystem(System):
                 S.axpy(1.0, B, structure=SUBSET)
         _copy(self._from_heat(), self._down)
 
-    def motions(self) -> CoarseSpace:
-        """Those of the mechanics, the heat as it is."""
-        return self._motion.motions()
+    def coarse_space(self) -> CoarseSpace:
+        """Sliding motions of the mechanics, at fixed temperatures."""
+        return self._motion.coarse_space()
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""
@@ -264,9 +264,9 @@ class CoupledSystem(System):
         heat = replace(heat, rounding=heat.rounding + noise)
         return [heat, *self._motion.measure(x[self._n :], f[self._n :])]
 
-    def soften(self, factor: float) -> bool:
+    def scale_augmentation(self, factor: float) -> bool:
         """Solve with this multiple of the augmentation in force, if an interface has one."""
-        return self._motion.soften(factor)
+        return self._motion.scale_augmentation(factor)
 
     def augmentation(self) -> dict[str, float]:
         """Augmentation in force on each interface [MPa/mm]; collective."""
@@ -276,9 +276,9 @@ class CoupledSystem(System):
         """Multiple of the augmentation asked for that would be chosen; collective."""
         return self._motion.usual_augmentation()
 
-    def lessen_friction(self, share: float) -> bool:
+    def scale_friction(self, share: float) -> bool:
         """Solve with this share of all friction coefficients, if there is friction."""
-        return self._motion.lessen_friction(share)
+        return self._motion.scale_friction(share)
 
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""
@@ -410,15 +410,15 @@ class Staggered:
         """Solve from the current state."""
         outcome = NewtonResult(False, 0, 0, (), (), False)
         for _ in range(TURNS):
-            self._tell()
+            self._pass_contact_to_heat()
             outcome = _after(outcome, self._heat.solve())
             if not outcome.converged:
                 break
-            self._exchange.warm(self._heat.blocks())
+            self._exchange.to_mechanics(self._heat.blocks())
             outcome = _after(outcome, self._motion.solve())
             if not outcome.converged:
                 break
-            self._tell()
+            self._pass_contact_to_heat()
             if self._holds():
                 return outcome
         return replace(outcome, converged=False)
@@ -431,10 +431,11 @@ class Staggered:
         """Restore the state of the solver of the heat; collective."""
         self._heat.resume(state)
 
-    def _tell(self) -> None:
+    def _pass_contact_to_heat(self) -> None:
+        """Set pressures and friction heat from the current state of the mechanics."""
         u, q = self._motion.parts()
         assert q is not None
-        self._exchange.tell(self._problem.trial(u, q), self.elapsed)
+        self._exchange.to_heat(self._problem.trial(u, q), self.elapsed)
 
     def _holds(self) -> bool:
         """Whether the heat still balances with the contact that follows from it; collective."""

@@ -131,7 +131,7 @@ class HeatState:
         self._slope: State = [np.zeros_like(part) for part in self.state]
         self._stages: list[dict[str, float]] = []
         self.put(self.state)
-        # What the mechanics are told: temperatures of bodies, cure and free strain of regions.
+        # Input of the mechanics: temperatures of bodies, cure and free strain of regions.
         n = len(conduction.bodies.names)
         self._temperatures = [fem.Function(conduction.space) for _ in range(n)]
         self._curing = [node for cure in conduction.cures for node in cure.nodes]
@@ -390,7 +390,7 @@ class HeatState:
         """Largest step of the mechanics between two states, as a part of the way; collective."""
         return 1.0 / max(math.ceil(self.distance(a, b) / self.options.mechanical_step - SAME), 1)
 
-    def warm(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
+    def interpolate(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
         """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.
 
         Free strain grows from gelation on, temperature and cure all the way.

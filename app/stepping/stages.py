@@ -155,7 +155,7 @@ class HeatStepper:
                 "heat and the fields coupled to it did not converge\n"
                 "  what to change: give the stage a duration instead"
             )
-        self._tell(k, stage, 1.0, accepted, started, True)
+        self._finish_step(k, stage, 1.0, accepted, started, True)
 
     def _fixed(self, k: int, stage: SceneStage) -> None:
         """Equal steps, whatever their error."""
@@ -168,7 +168,7 @@ class HeatStepper:
                 done = (self.heating.seconds - self._begin) / stage.duration
                 raise ConvergenceError(self._text(stage, done, dt))
             accepted = self.heating.accept(*found, dt)
-            self._tell(k, stage, part, accepted, started, at_end)
+            self._finish_step(k, stage, part, accepted, started, at_end)
 
     def _equal(self, stage: SceneStage) -> list[tuple[float, float, bool]]:
         """Steps as long as increments, divided at events.
@@ -215,9 +215,9 @@ class HeatStepper:
             accepted = heating.accept(*found, dt)
             at_end = min(abs(heating.seconds - e) for e in ends) < tiny
             part = (heating.seconds - begin) / stage.duration
-            self._tell(k, stage, min(part, 1.0), accepted, started, at_end)
+            self._finish_step(k, stage, min(part, 1.0), accepted, started, at_end)
 
-    def _tell(
+    def _finish_step(
         self,
         k: int,
         stage: SceneStage,
@@ -226,7 +226,7 @@ class HeatStepper:
         started: float,
         whole: bool,
     ) -> None:
-        """Let the mechanics follow, and report."""
+        """Solve the mechanics that follow the heat, and report the step."""
         time = k + (1.0 if part > 1 - SHORTEST else part)
         for c in self.companions:
             c.after(time, whole)
@@ -268,7 +268,7 @@ class SolvedAfterHeat:
         self._motion, self._heating, self._limit = motion, heating, limit
         self._time = 0.0
         self._before = heating.warmth()
-        heating.warm(motion.problem, self._before, self._before, 1.0)
+        heating.interpolate(motion.problem, self._before, self._before, 1.0)
 
     def begin(self, k: int, stage: SceneStage) -> None:
         """Remember where the mechanics stand."""
@@ -285,7 +285,7 @@ class SolvedAfterHeat:
 
         def place(s: float) -> None:
             problem.set_time(begin + s * (time - begin))
-            heating.warm(problem, before, now, s)
+            heating.interpolate(problem, before, now, s)
 
         longest = heating.followed(before, now)
         self._motion.advance(self._stage, longest, place, begin, time)
@@ -299,7 +299,7 @@ class SolvedAfterHeat:
         """Restore the input of the mechanics at its last step; collective."""
         self._stage, self._time = stage, state["time"]
         self._before = self._heating.unpack(state["before"])
-        self._heating.warm(self._motion.problem, self._before, self._before, 1.0)
+        self._heating.interpolate(self._motion.problem, self._before, self._before, 1.0)
 
 
 class SolvedWithHeat:
@@ -313,13 +313,13 @@ class SolvedWithHeat:
         Args:
             motion: The mechanics.
             heating: The heat, whose solver solves both.
-            system: What is told how much time friction has.
+            system: Gets the time that friction has.
         """
         self._motion, self._heating, self._system = motion, heating, system
         heating.beside = (self,)
         self._start = self._committed = heating.seconds
         self._before = heating.warmth()
-        heating.warm(motion.problem, self._before, self._before, 1.0)
+        heating.interpolate(motion.problem, self._before, self._before, 1.0)
 
     def begin(self, k: int, stage: SceneStage) -> None:
         """Begin where the mechanics stand."""
@@ -362,7 +362,7 @@ class SolvedWithHeat:
         self._before = now
 
         def place(s: float) -> None:
-            self._heating.warm(self._motion.problem, before, now, s)
+            self._heating.interpolate(self._motion.problem, before, now, s)
 
         longest = self._heating.followed(before, now)
         self._motion.advance(self._stage, longest, place, time, time)
@@ -376,4 +376,4 @@ class SolvedWithHeat:
         self._k, self._stage = k, stage
         self._start, self._committed = state["start"], state["committed"]
         self._before = self._heating.warmth()
-        self._heating.warm(self._motion.problem, self._before, self._before, 1.0)
+        self._heating.interpolate(self._motion.problem, self._before, self._before, 1.0)

@@ -168,7 +168,7 @@ class Runs:
                     self._failed[setting] = error
                     raise
                 self.known.setdefault(setting, []).append(cost)
-                _tell(setting, cost)
+                _log_cost(setting, cost)
         return [self.known[setting][:times] for setting in settings]
 
     def process(self, name: str, command: Sequence[str]) -> Cost:
@@ -226,7 +226,8 @@ class Runs:
         return replace(cost, memory=memory, summary=summary, history=rows)
 
 
-def _tell(setting: BenchCase, cost: Cost) -> None:
+def _log_cost(setting: BenchCase, cost: Cost) -> None:
+    """Write the cost of a run to the log."""
     if not cost.summary:
         log.info("%-22s %9.1f CPU s start to finish", setting.name, cost.cpu)
         return

@@ -65,7 +65,7 @@ def test_it_follows_the_stiffness_in_force() -> None:
     """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
     problem, _ = support.assemble(support.case(STEM))
     (j,) = problem.jumps
-    j.soften(0.1)
+    j.scale_augmentation(0.1)
     before = j.stiffness.copy()
     coupling = j._coupling
 
@@ -186,7 +186,7 @@ def test_friction_grows_to_what_it_is_where_nothing_else_helps(
     problem.set_time(1.0)
     (jumps,) = problem.jumps
     shares = [1.0]
-    newton, lessen = Solver._newton, type(jumps).lessen_friction
+    newton, lessen = Solver._newton, type(jumps).scale_friction
 
     def note(self: Any, share: float) -> None:
         shares.append(share)
@@ -198,7 +198,7 @@ def test_friction_grows_to_what_it_is_where_nothing_else_helps(
             return 0, 0
         return newton(self)
 
-    monkeypatch.setattr(type(jumps), "lessen_friction", note)
+    monkeypatch.setattr(type(jumps), "scale_friction", note)
     monkeypatch.setattr(Solver, "_newton", refuse)
     assert solver.solve().converged
     assert shares == [1.0, 0.25, 0.5, 0.75, 1.0, 1.0]
