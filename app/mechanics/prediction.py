@@ -1,4 +1,4 @@
-"""Where a load step starts from: the states before it.
+"""Predictors: the start of a load step from the states before it.
 
 Contact with friction is homogeneous of degree one: without gaps, loads that grow in proportion from
 zero make the state grow with them, so that from the second step on the straight line through the
@@ -32,7 +32,7 @@ class Predictor(Protocol):
         """
 
     def commit(self, time: float) -> None:
-        """The state of the solver at a time is history."""
+        """Take in the state of the solver as committed at a time."""
 
 
 class Extrapolation:
@@ -46,17 +46,17 @@ class Extrapolation:
     """
 
     def __init__(self, solver: Solver) -> None:
-        """Begin with nothing known."""
+        """Begin without states."""
         self._solver = solver
         self._trail: list[tuple[float, PETSc.Vec]] = []
 
     def begin(self, time: float) -> None:
-        """A path of loads goes on, or is the first."""
+        """Keep the state at which the first path of loads begins."""
         if not self._trail:
             self._trail = [(time, self._solver.x.copy())]
 
     def predict(self, time: float) -> None:
-        """Follow the line, or go where the states lead, if that is closer to equilibrium."""
+        """Use the line or the state of least residual, if it is closer to equilibrium."""
         if len(self._trail) < 2:
             return
         stage_begins = math.ceil(time) - 1
@@ -72,7 +72,7 @@ class Extrapolation:
         return x
 
     def _mixture(self) -> PETSc.Vec:
-        """The state of least residual that the last ones span, were it linear."""
+        """State of least linearized residual in the span of the last states."""
         solver = self._solver
         *before, x = (state.copy() for _, state in self._trail)
         here = solver.residual(x)

@@ -1,4 +1,4 @@
-"""The states of the contact points from one Newton iteration to the next: which change, and how."""
+"""Active set: states of the contact points over the Newton iterations, and which change."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.int64]
 
-# Iterations that are looked back at, and the longest cycle that is looked for.
+# Iterations that are kept, and the longest cycle that is recognized.
 KEPT, LONGEST = 12, 5
 
 
@@ -37,16 +37,16 @@ class ActiveSet:
     """States of the contact points of this rank at the last Jacobians."""
 
     def __init__(self, comm: MPI.Comm) -> None:
-        """Nothing is known yet."""
+        """Begin without states."""
         self._comm = comm
         self._known: list[Ints] = []
 
     def forget(self) -> None:
-        """Begin again with the next Jacobian."""
+        """Drop all states: a new solve begins."""
         self._known = []
 
     def add(self, status: Ints) -> None:
-        """Take in the states (n,) at a Jacobian."""
+        """Append the states (n,) at a Jacobian."""
         self._known = [*self._known[-KEPT:], status.copy()]
 
     def flips(self) -> int:
@@ -55,7 +55,7 @@ class ActiveSet:
         return int(self._comm.allreduce(changed, MPI.SUM))
 
     def period(self) -> int:
-        """After how many iterations the states come back, twice in turn; 0 if not; collective."""
+        """Length of the cycle in which all states repeat, seen twice; 0 without; collective."""
         known = self._known
         for p in range(2, LONGEST + 1):
             again = len(known) > 2 * p and all(
@@ -72,7 +72,7 @@ class ActiveSet:
             return []
         states = np.array(self._known)
         changes = (states[1:] != states[:-1]).sum(axis=0)
-        # What settled long ago is no trouble.
+        # Points that have not changed lately are left out.
         late = (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
         rows = np.flatnonzero(late)
         return [

@@ -24,8 +24,8 @@ from mantle.numerics.sparse import from_rows, matrix_sum
 
 Floats = NDArray[np.float64]
 
-# Motions that this part of the strongest resistance holds are left to the Krylov method; others are
-# made stiffer by a part, for small boxes may hold motions that are the same.
+# Motions with less than this part of the largest stiffness are left to the Krylov method; the
+# others are made stiffer by a part, for the motions of small boxes may be linearly dependent.
 NOTHING, STIFFER = 1e-10, 1e-8
 
 
@@ -34,7 +34,7 @@ class CoarseSpace(Protocol):
 
     Attributes:
         displacement: The rows of the displacement.
-        jump: Those of the jumps, as of `version`.
+        jump: The rows of the jumps, as of `version`.
         version: Counts changes; 0 as long as there are no motions.
     """
 
@@ -59,12 +59,12 @@ class Deflated:
     def __init__(
         self, inner: PETSc.PC, blocks: Sequence[str], motions: Callable[[], CoarseSpace | None]
     ) -> None:
-        """Take what is to be deflated.
+        """Deflate a preconditioner.
 
         Args:
             inner: The preconditioner.
             blocks: Names of the blocks, "displacement" and "jump" among them; others rest.
-            motions: Gives the motions at the current Jacobian, if there are any.
+            motions: Returns the motions at the current Jacobian, or None.
         """
         self.inner, self._follow = inner, motions
         self._u, self._q = blocks.index("displacement"), blocks.index("jump")
@@ -73,7 +73,7 @@ class Deflated:
         self._moved: PETSc.Vec | None = None
 
     def setUp(self, pc: PETSc.PC) -> None:
-        """Take in a Jacobian; collective."""
+        """Set up for the current Jacobian; collective."""
         self._A = pc.getOperators()[0]
         self.inner.setOperators(self._A)
         self.inner.setUp()
@@ -82,7 +82,7 @@ class Deflated:
             self.take(motions)
 
     def take(self, motions: CoarseSpace) -> None:
-        """Take in motions with the Jacobian as it is, if they are others than before; collective.
+        """Use these motions with the current Jacobian; factorize if they changed; collective.
 
         Args:
             motions: The motions.
@@ -101,7 +101,7 @@ class Deflated:
             self._made = motions.version
 
     def _galerkin(self, motions: CoarseSpace) -> None:
-        """Factor Z^T A Z."""
+        """Factorize Z^T A Z."""
         A, u, q, made = self._A, self._u, self._q, self._products
         Zu, Zq = motions.displacement, motions.jump
         if self._sum is None:
@@ -117,7 +117,7 @@ class Deflated:
         parts = [made[name] for name in ("uu", "uq", "qu", "qq")]
         shift = np.abs(sum(P.getDiagonal().array for P in parts))
         largest = A.comm.tompi4py().allreduce(shift.max(initial=0.0), MPI.MAX)
-        # CoarseSpace without resistance stay where they are.
+        # Motions without stiffness are not moved.
         shift = np.where(shift <= NOTHING * largest, largest or 1.0, STIFFER * shift)
         if self._sum is None:
             self._sum = matrix_sum([*parts, _diagonal(A.comm, shift)])
@@ -129,7 +129,7 @@ class Deflated:
         self._factors.setUp()
 
     def apply(self, pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """The motions first, then the other preconditioner on what they leave."""
+        """Solve for the motions, then apply the other preconditioner to the remaining residual."""
         motions = self._motions
         if motions is None or not self._made:
             self.inner.apply(r, z)

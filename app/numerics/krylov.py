@@ -27,7 +27,7 @@ SYMMETRIC: Options = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
 SPLIT: Options = {"pc_type": "fieldsplit", "pc_fieldsplit_type": "multiplicative"}
 # Blocks of nodal unknowns keep their preconditioners from one Jacobian to the next.
 KEPT = ("displacement", "temperature")
-# Krylov iterations that making them again is worth, and usual ones for a digit of the residual.
+# Excess Krylov iterations after which preconditioners are made again; iterations per digit.
 PRICE, USUAL = 30, 8
 # How the log calls the blocks and the methods.
 BLOCKS = {
@@ -164,7 +164,7 @@ class Linear:
     def observe(self) -> None:
         """Rate the preconditioners by the iterations of the last linear solve, once for each.
 
-        Old ones are kept until the iterations that they have cost in vain are worth new ones.
+        They are kept until the excess of iterations costs more than making them again.
         """
         if not self._pending:
             return

@@ -65,7 +65,7 @@ def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: floa
 
 
 def closing_table(summary: dict[str, Any]) -> str:
-    """What a run has found, balances, and a plain verdict."""
+    """Table of results at the end of a run, with balances and a plain verdict."""
     lines = list(tables.lines(summary))
     b = summary["balance"]
     lines.append(

@@ -1,7 +1,7 @@
-"""Load steps: along a path, cutting back where a step does not converge.
+"""Load steps along a path, with cut-backs where a step does not converge.
 
-A step is committed only when it has converged. When it has not, for all that the solver tried, it
-is halved; an easy step lets a shortened one grow back to the increments the stage asks for.
+A step is committed only when it has converged. If all remedies of the solver fail it is halved;
+after an easy step it grows again, up to the increments of the stage.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class LoadStep:
         number: 1 for the first.
         stage: Name of its stage.
         time: Time at its end: stage k runs from k to k + 1.
-        outcome: What the solver said.
+        outcome: Outcome of the nonlinear solve.
         augmentation: Multiple of the default augmentation that it converged with.
         seconds: Wall time, failed attempts included.
-        whole: Whether it ends an increment of its stage: what is worth a picture.
+        whole: Whether it ends an increment of its stage; fields are written then.
     """
 
     number: int
@@ -194,7 +194,7 @@ class LoadStepper:
                 if led:
                     self.on_trouble(f"{why.short}; repeating without extrapolation")
                     continue
-                # A smaller step does not hold a body that nothing holds: one is tried, no more.
+                # Smaller steps do not help a free body: one is tried, no more.
                 hopeless = bool(why.free) and way.cuts > 0
                 if not stage.adaptive or way.cuts == stage.max_cut_backs or hopeless:
                     at = begin + reach * (end - begin)
@@ -220,7 +220,7 @@ class LoadStepper:
         Args:
             stage: Under way.
             time: At the end of the step.
-            outcome: What the solver said.
+            outcome: Outcome of the nonlinear solve.
             started: When the step began.
             whole: Whether it ends an increment.
 

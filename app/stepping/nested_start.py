@@ -2,8 +2,8 @@ r"""Nested start: a fine mesh starts from the jumps of a coarse one.
 
 The case is solved on a mesh three times as coarse too, load step by load step before the run, and
 that one from a still coarser mesh where it is large itself. The jumps are interpolated on the
-interface and the displacement follows from them, K u = f - C q, roughly: what Newton is left with
-is the state of single points, and not the way the loads take through the model.
+interface and the displacement follows from them, K u = f - C q, to a rough tolerance: Newton only
+has to find the states of single points, not the load path through the model.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 log = logging.getLogger("mantle")
 
-# Unknowns from which a coarser mesh pays, and the part of them that may be jumps: where most of a
-# mesh is interface, as in a thin mantle, what is left to find is what points do that the coarse
-# mesh does not have.
+# Unknowns from which a coarser mesh pays, and the largest part of them that may be jumps: where
+# most of a mesh is interface, as in a thin cement mantle, most of the work is to find the states of
+# points that the coarse mesh does not have.
 LARGE, SHARE = 40_000, 0.25
 # Mesh size of the coarser one over that of the run, and what it takes at least to be worth it.
 COARSER, LEAST = 3.0, 2.5
-# Residual of a coarse solve over scale: far below what the mesh gets wrong.
+# Tolerance of the coarse solve, relative to the forces: far below its discretization error.
 TOLERANCE = 1e-4
 # Residual of the displacement that follows from interpolated jumps.
 ROUGH = 1e-2
-# Imbalance over that of no start at all below which the start that is there is good enough.
+# A start is good enough if its residual is below this part of that of the unloaded state.
 GOOD = 0.1
 # Triangles among which the nearest to a point is looked for, by their centres.
 NEAREST = 8
