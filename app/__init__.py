@@ -175,7 +175,7 @@ def read(folder: str | os.PathLike[str]) -> Results:
     """Read the results of a run.
 
     Args:
-        folder: What a run was told to write into.
+        folder: Output folder of a run.
 
     Returns:
         Its numbers (``summary``), its histories as arrays by column (``history``), its ``fields``

@@ -59,7 +59,7 @@ DIGITS = 10  # of a digest
 LOG_LINES = 12
 MEGABYTE = 1e6
 POLL = 0.1  # s
-OFTEN = 10.0  # s between what is told of all that has ended so far
+OFTEN = 10.0  # s between reports on all runs that have ended so far
 SAME_SIGNAL = 1.0  # s
 LOST = 70  # the exit code of a run that left none
 _PR_SET_PDEATHSIG = 1
@@ -449,7 +449,7 @@ def _execute(
                 log.info("stopping; the jobs are cancelled")
                 _cancel(child, folder)
             if not isinstance(error, KeyboardInterrupt):
-                raise  # what is told so far cannot be written
+                raise  # the report so far cannot be written
             so_far()
             raise StoppedError(
                 f"stopped after {progress.count} of {total} runs in {folder}; "

@@ -40,7 +40,7 @@ def check() -> None:
     try:
         version = metadata.version("snakemake")
     except metadata.PackageNotFoundError:
-        return  # which is told elsewhere
+        return  # which is reported elsewhere
     if not version.startswith("7."):
         raise EnvironmentProblem(f"Slurm needs Snakemake 7 (as in Debian 13); this is {version}")
 

@@ -95,7 +95,7 @@ class Neighbours:
         for weight, state in zip(weights, known, strict=True):
             x.axpy(weight, state.x)
         self._try(x)
-        # By the step before they can be told how far off they are.
+        # The step before shows how far off they are.
         if self._last in self._now and all(self._last in states for states in runs):
             x.axpy(1.0, self._now[self._last].x)
             for weight, factor, states in zip(weights, factors, runs, strict=True):

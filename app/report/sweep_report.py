@@ -32,7 +32,7 @@ MOST_NUMBERS = 11  # in the table of cases
 HONESTY = (
     "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
     "published; mantle's are its own and nothing was tuned. Agreement in size and in trend is the "
-    "most that can be asked, and disagreement is told as such."
+    "most that can be asked, and disagreement is reported as such."
 )
 
 

@@ -1,6 +1,6 @@
 """How hot it gets, where and when, for how long, and what that kills: sections thermal and cure.
 
-A record is told the temperatures after every accepted step. Peaks are those of the nodes; between
+A record takes the temperatures of every accepted step. Peaks are those of the nodes; between
 steps the peak in time is that of a parabola, where the steps before and after leave room for it.
 Heat doses follow the parabola through the step and the one before it in straight pieces, bent no
 further than leaves it between the ends of the step; after a kink in what heats, the parabola that

@@ -163,7 +163,7 @@ def kinds_of(base: Any) -> tuple[type[BaseModel], ...]:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Marks a union of models told apart by their `kind`, or by a key that only one of them has.
+    """Marks a union of models with different `kind`, or by a key that only one of them has.
 
     Of an `Extensible` base instead of a union: all its kinds.
 

@@ -95,7 +95,7 @@ def content(path: Path) -> str:
 
 
 def counts(path: Path) -> int:
-    """Number of elements of all dimensions that the file announces, or 0 if it cannot be told."""
+    """Number of elements of all dimensions that the file announces, or 0 if that is unknown."""
     if is_script(path):
         return 0
     data = path.read_bytes()

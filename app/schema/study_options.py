@@ -115,7 +115,7 @@ class Reference(Section):
             fail("expected either values or run")
         if self.run is not None and varying(self.run) and len(steps(self.run)) < 2:
             fail(
-                "has a single run; expected at least two, or its error cannot be told; "
+                "has a single run; expected at least two, or its error is unknown; "
                 "without a list the run is the reference as it is",
                 at=("run",),
             )

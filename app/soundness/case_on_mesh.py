@@ -1,6 +1,6 @@
 """Whether a case on its mesh can be solved at all, and whether it says what was meant.
 
-What is certainly wrong is an error before anything is solved; what is rarely meant is told.
+What is certainly wrong is an error before anything is solved; what is rarely meant is a note.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ STRAIN = 0.05
 # A piece is a shell if its volume over half its surface is below this part of its middle extent; it
 # is one cell thick if nearly all of its cells have all their corners on its surface.
 THIN, ONE_CELL = 0.2, 0.8
-# Part of the points of an interface that supports have to hold on both sides before it is told.
+# Part of the points of an interface that supports have to hold on both sides to be noted.
 MOSTLY = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
 SIZES = (1.0, 3000.0)

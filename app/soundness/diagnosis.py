@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 _FREE = 1e-10
 # What a contact point does, by its status.
 STATES = ("open", "stick", "slip")
-# Points told of that keep changing.
+# Changing points that a message lists.
 SHOWN = 3
 # A body slides when so much of the area that holds it bears so much of the most friction can.
 SLIDES, ALL_OF_IT = 0.95, 1 - 1e-6

@@ -115,11 +115,11 @@ def _wait(
             _compiling.append(file)
             with suppress(OSError):
                 os.fchmod(file, 0o666)
-            at, told = int(hashlib.sha256(name.encode()).hexdigest()[:12], 16), False
+            at, logged = int(hashlib.sha256(name.encode()).hexdigest()[:12], 16), False
             while not _locked(file, at):
-                if not told:
+                if not logged:
                     log.info("another run compiles the same form: waiting for it")
-                told = True
+                logged = True
                 time.sleep(POLL)
             # What was begun and is not ready now was left by one that was killed.
             if not ready.exists():

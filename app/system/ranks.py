@@ -38,7 +38,7 @@ ONE_NODE = {
 }
 _RULE = b"-" * 74
 _PR_SET_PDEATHSIG = 1
-_CRASHED = 59  # how PETSc leaves after a signal such as SIGSEGV, of which it has told
+_CRASHED = 59  # exit code of PETSc after a signal such as SIGSEGV, which it has reported
 SAME_SIGNAL = 1.0  # s
 # The folder that holds the package: not resolved, for in a checkout it is made of links.
 _FOLDER = str(Path(__file__).parents[2])
@@ -82,7 +82,7 @@ def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
         environ: The environment variables.
 
     Returns:
-        The number, 0 where it is not told, ``None`` outside of any.
+        The number, 0 where it is unknown, ``None`` outside of any.
     """
     if not any(mark in environ for mark in _WORLD_MARKS):
         return None
@@ -99,7 +99,7 @@ def rank(environ: Mapping[str, str] = os.environ) -> int:
         environ: The environment variables.
 
     Returns:
-        The rank, 0 where it is not told.
+        The rank, 0 where it is unknown.
     """
     told = (environ.get(name, "") for name in RANK_VARIABLES)
     return next((int(value) for value in told if value.isdigit()), 0)
@@ -224,7 +224,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
         tell("stopped" if len(received) == 1 else "stopped before the state was saved")
         return StoppedError.exit_code if len(received) == 1 else 130
-    # 128 + a signal: a rank crashed or was killed, which mpirun has told.
+    # 128 + a signal: a rank crashed or was killed, which mpirun has reported.
     return 70 if code < 0 or code > 128 or code == _CRASHED else code
 
 

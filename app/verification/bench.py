@@ -157,7 +157,7 @@ def run(pattern: str, folder: Path, full: bool) -> bool:
 
 
 def measure(line: Goal, runs: Runs) -> BenchResult:
-    """Measure a line; what fails is told and is no figure."""
+    """Measure a line; a failure is logged and gives no number."""
     try:
         figure = line.measure(runs)
         if math.isfinite(figure):

@@ -143,7 +143,7 @@ def judge(t: ExtremeCase, results: Sequence[batch.Result]) -> ExtremeResult:
         return ExtremeResult(t, WRONG, "converged, though there is no answer", None, seconds)
     try:
         judged = t.judge([Run(r.folder) for r in results])
-    except Exception as error:  # of any kind: the other cases are still to be told of
+    except Exception as error:  # of any kind: the other cases are still to be reported
         log.debug("%s", t.name, exc_info=True)
         return ExtremeResult(t, FAILED, f"cannot be judged: {error!r}", None, seconds)
     right = judged.deviation <= t.tolerance

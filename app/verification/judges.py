@@ -41,7 +41,7 @@ def _partners(run: Run, points: Floats, other: Run) -> NDArray[np.int64]:
 
     def labelled(r: Run, x: Floats) -> Floats:
         # The two sides of an interface are at one place and in different regions, which a mesh
-        # file may number in another order: they are told by how many cells they have.
+        # file may number in another order: they are identified by their number of cells.
         cells = np.bincount(r.region)[r.region].astype(float)
         first = np.full(len(x), len(r.cells) + 1.0)
         np.minimum.at(first, r.cells, np.repeat(cells[:, None], r.cells.shape[1], axis=1))

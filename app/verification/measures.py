@@ -24,7 +24,7 @@ BONE = exact.Fibrous(E_l=17000, E_t=11500, nu_l=0.31, nu_t=0.51, mu_l=3280)
 class Sample:
     """Value of a run, the exact value, and the error in the problem's own measure.
 
-    What else is to be told of it is the ``note``.
+    The ``note`` holds anything else to report.
     """
 
     value: float

@@ -154,7 +154,7 @@ def measure(p: Check, results: Sequence[batch.Result]) -> CheckResult:
     try:
         samples = [point.measure(Run(r.folder)) for point, r in zip(p.points, results, strict=True)]
         samples += [p.direct()] if p.direct else []
-    except Exception as error:  # of any kind: the other problems are still to be told of
+    except Exception as error:  # of any kind: the other problems are still to be reported
         log.debug("%s", p.name, exc_info=True)
         return CheckResult(p, (), seconds, runs, f"cannot be measured: {error!r}")
     return CheckResult(p, tuple(samples), seconds, runs)

@@ -15,7 +15,7 @@ from mantle.results.reading import Run
 from mantle.results.unrolled import facets
 from mantle.schema import config
 
-# When the temperature of cement that starts at 100 degC is told [s].
+# When the temperature of cement that starts at 100 degC is reported [s].
 AT = 10.0
 # Until then the first instant, an average over the nodes of a perfect interface, is in the numbers.
 SETTLED = 2.0

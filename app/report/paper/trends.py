@@ -2,7 +2,7 @@
 
 A statement is undecided where its numbers differ by less than their errors, which are added: they
 are of one mesh and not independent. The paper's numbers are peaks; mantle's peaks at edges have no
-error, so that 99th percentiles decide and peaks are told beside them.
+error, so that 99th percentiles decide and peaks are given beside them.
 """
 
 from __future__ import annotations
