@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .data import EDGES, Floats, Ints
+from mantle.arrays import Floats, Ints
+
+from .data import EDGES
 from .quality import POOR, sicn
 
 STEPS = 8  # halvings; what is still bad then is made straight

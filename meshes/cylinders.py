@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from mantle.arrays import Floats
 from mantle.errors import GeometryError
 
-from .data import Floats, MeshData, exterior_facets
+from .data import MeshData, exterior_facets
 from .quality import POOR, sicn
 from .session import extract, generate, grade, session
 from .tags import assemble, number

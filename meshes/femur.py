@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from mantle.arrays import Floats, Ints
+
 from . import femur_bone, layers, swept
-from .data import Floats, Ints, MeshData, facet_areas
+from .data import MeshData, facet_areas
 from .femur_bone import PATCH_RADIUS
 from .femur_surfaces import FemurSurfaces
 from .tags import assemble, number

@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from mantle.arrays import Floats
+
 from . import layers, swept
-from .data import Floats, MeshData
+from .data import MeshData
 from .femur import patches
 from .femur_surfaces import CLEAR, SPREAD, FemurSurfaces
 from .layers import Lines

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .data import Floats
+from mantle.arrays import Floats
 
 CORNERS = 0.35  # of a quarter's length: what its corner counts more
 

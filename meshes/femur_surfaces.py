@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize.elementwise import find_root
 
+from mantle.arrays import Floats, Ints
 from mantle.errors import GeometryError
 
 from . import femur_bone, femur_stem
-from .data import Floats, Ints
 from .layers import Lines
 from .swept import SPOKES
 

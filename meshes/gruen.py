@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from mantle.arrays import Floats, Ints
+
 from . import femur_bone, femur_stem
-from .data import Floats, Ints
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
 # Layered meshes put points on the planes between zones, where rounding must not decide [mm].

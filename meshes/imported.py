@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from mantle.arrays import Ints
 from mantle.errors import GeometryError
 
 from .curving import untangle
-from .data import Ints, MeshData, cell_volumes, exterior_facets
+from .data import MeshData, cell_volumes, exterior_facets
 from .session import generate, session
 from .tags import assemble, number
 

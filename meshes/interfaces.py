@@ -30,9 +30,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from mantle.arrays import Bools, Floats, Ints
 
 FACE_ANGLE = np.deg2rad(30.0)
 MAX_FACES = 3

@@ -15,7 +15,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .data import Floats, Ints, distinct, faces_of
+from mantle.arrays import Floats, Ints
+
+from .data import distinct, faces_of
 
 Bools = npt.NDArray[np.bool_]
 

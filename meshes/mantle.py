@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from .data import Floats, Ints, MeshData, cell_volumes, facet_areas, interface_facets
+from mantle.arrays import Floats, Ints
+
+from .data import MeshData, cell_volumes, facet_areas, interface_facets
 from .interfaces import shape_functions
 
 CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .data import Floats, Ints, MeshData, interface_facets
+from mantle.arrays import Floats, Ints
+
+from .data import MeshData, interface_facets
 from .mantle import distance, triangles
 from .picture import colours_of, cut
 from .refine import AROUND, CORNERS

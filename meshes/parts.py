@@ -11,15 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .data import (
-    Floats,
-    Ints,
-    MeshData,
-    cell_faces,
-    cell_volumes,
-    components,
-    facet_areas,
-)
+from mantle.arrays import Floats, Ints
+
+from .data import MeshData, cell_faces, cell_volumes, components, facet_areas
 
 # Nodes this close, in parts of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .data import EDGES, Floats, Ints, MeshData
+from mantle.arrays import Floats, Ints
+
+from .data import EDGES, MeshData
 
 COLOURS = {
     "stem": "#7f8fa6",

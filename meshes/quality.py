@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from mantle.arrays import Floats, Ints
 from mantle.errors import GeometryError
 
-from .data import Floats, Ints, MeshData, cross, determinants, dot, edge_vectors, jacobians
+from .data import MeshData, cross, determinants, dot, edge_vectors, jacobians
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes

@@ -6,18 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from mantle.arrays import Floats, Ints
+
 from .curving import untangle
-from .data import (
-    EDGES,
-    FACES,
-    FACES_QUADRATIC,
-    Floats,
-    Ints,
-    cell_faces,
-    corners,
-    distinct,
-    match_faces,
-)
+from .data import EDGES, FACES, FACES_QUADRATIC, cell_faces, corners, distinct, match_faces
 from .layers import Nodes, Swept, lines_of, place
 from .quality import straight
 

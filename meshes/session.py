@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mantle.arrays import Floats, Ints
 from mantle.errors import GeometryError, MantleError
 
 from .curving import untangle
-from .data import Floats, Ints
 
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
 GROWTH = 0.4  # mm of element size per mm of distance from an interface

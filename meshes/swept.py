@@ -16,11 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from mantle.arrays import Bools, Floats, Ints
 from mantle.errors import GeometryError
 
 from . import refine
-from .data import Floats, Ints, cell_volumes, match_faces
-from .layers import ALONG, DIGITS, FLOOR, Bools, Nodes, Surfaces, Swept, place
+from .data import cell_volumes, match_faces
+from .layers import ALONG, DIGITS, FLOOR, Nodes, Surfaces, Swept, place
 
 COARSEST = 5.0  # mm: meshes of this size and below are refinements of one that is coarser
 SPOKES = 8  # least number around: two in each quarter

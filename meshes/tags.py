@@ -11,7 +11,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from .data import Floats, Ints, MeshData, exterior_facets
+from mantle.arrays import Floats, Ints
+
+from .data import MeshData, exterior_facets
 
 UNTAGGED = 0
 

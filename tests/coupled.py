@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.mechanics.problem import TrialState
 from mantle.numerics.newton import Solver
 from mantle.scene.build import build_scene
@@ -19,8 +18,6 @@ from mantle.stepping.heat_steps import HeatStep
 from mantle.stepping.load_steps import LoadStep, Summary
 from mantle.system.timing import Timing
 from tests import support
-
-Floats = NDArray[np.float64]
 
 # A hot block tilts and rubs on a cold one: points are open, stick and slip, and heat goes through
 # where they are pressed.

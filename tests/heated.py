@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
 from mantle.mechanics.systems import mechanical
 from mantle.numerics.newton import Solver
@@ -19,7 +19,6 @@ from mantle.scene.terms import Expansion, Scene
 from mantle.system.timing import Timing
 from tests import support
 
-Floats = NDArray[np.float64]
 Field = Callable[[Floats], Floats]
 
 

@@ -14,11 +14,11 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 import mantle
 from mantle import meshes
+from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem, TrialState
 from mantle.mechanics.systems import mechanical
 from mantle.meshes.distribute import TaggedMesh, distribute
@@ -32,8 +32,6 @@ from mantle.stepping.load_steps import LoadStep, LoadStepper
 from mantle.stepping.stages import run_stages
 from mantle.system import form_cache, ranks
 from mantle.system.timing import Timing
-
-Floats = NDArray[np.float64]
 
 # Tests compile into the cache that runs of other tests use at the same time.
 form_cache.mend()

@@ -20,6 +20,7 @@ from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.errors import everywhere
 from mantle.forms import heat
 from mantle.meshes.distribute import TaggedMesh
@@ -32,9 +33,6 @@ from mantle.scene.terms import (
     PerfusionTerm,
 )
 from mantle.system.timing import Timing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class HeatForms:

@@ -21,8 +21,8 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.errors import InputError
 from mantle.heat.assembly import HeatForms
 from mantle.heat.cure_heat import CureHeat
@@ -36,9 +36,6 @@ from mantle.numerics.system import Measure
 from mantle.scene.bodies import Bodies, bodies_of
 from mantle.scene.terms import Scene, multiplier
 from mantle.system.timing import Timing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
 ROUNDING = 2.0

@@ -11,15 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.heat.assembly import HeatForms
 from mantle.heat.curing import Curing, Degrees
 from mantle.scene.bodies import Bodies
 from mantle.scene.terms import Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

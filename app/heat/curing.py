@@ -14,17 +14,14 @@ from typing import Protocol
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from ufl import as_ufl, diff, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats, Ints
 from mantle.forms import cure as forms
 from mantle.numerics.pointwise import Pointwise
 from mantle.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure, multiplier
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # A reaction ends this far below its limit. What would be left takes ever longer and warms by less
 # than any tolerance, but the stages of a long step would overshoot the limit for it.

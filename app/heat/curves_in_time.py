@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from mantle.arrays import Floats
+
 # A time [s] and the temperatures then (n,) [K].
 State = tuple[float, Floats]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.heat.assembly import HeatForms
 from mantle.heat.temperature_jumps import TemperatureJumps
 from mantle.scene.bodies import Bodies
@@ -21,9 +21,6 @@ from mantle.scene.terms import (
     Scene,
     multiplier,
 )
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,10 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Bools, Floats
 from mantle.heat.temperature_jumps import TemperatureJumps
 from mantle.numerics.sparse import from_rows, matrix_sum
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN

@@ -21,13 +21,10 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Bools, Floats
 from mantle.numerics.sparse import from_rows
 from mantle.numerics.state import State
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 # What counts as outside, and as near a bound, in parts of the range of the data.
 OUTSIDE = 1e-9

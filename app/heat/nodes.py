@@ -13,15 +13,12 @@ from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.errors import InputError
 from mantle.heat.assembly import HeatForms
 from mantle.meshes.distribute import TaggedMesh
 from mantle.scene.bodies import cell_tags
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # How far outside its cell a point may be, in barycentric coordinates: curved surfaces are cut.
 _OUTSIDE = 0.1

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.forms import interface_heat
 from mantle.heat.assembly import HeatForms
 from mantle.meshes.distribute import TaggedMesh
@@ -28,9 +28,6 @@ from mantle.numerics.pointwise import Pointwise
 from mantle.numerics.sparse import from_triplets, owners
 from mantle.scene.bodies import Bodies, contact_facets
 from mantle.scene.terms import Scene, ThermalContact
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class TemperatureJumps:

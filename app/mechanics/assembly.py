@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats
 from mantle.errors import InputError, everywhere
 from mantle.forms import elasticity
 from mantle.meshes.distribute import TaggedMesh
@@ -35,7 +36,6 @@ from mantle.scene.loads import Field, LoadTerm, Patch
 from mantle.scene.terms import Elastic, Scene
 from mantle.system.timing import Timing
 
-Floats = NDArray[np.float64]
 # Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
 Domains = list[tuple[int, NDArray[np.int32]]]
 

@@ -10,16 +10,12 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem, la
-from numpy.typing import NDArray
 
+from mantle.arrays import Bools, Floats, Ints
 from mantle.mechanics.problem import Problem
 from mantle.numerics.rigid_motions import rigid_modes
 from mantle.numerics.sparse import block_diagonal, fill, from_triplets, matrix_sum
 from mantle.scene.bodies import cell_tags
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 # A direction of which a law resists less than this is free.
 RESISTED = 0.5

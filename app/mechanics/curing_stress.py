@@ -28,8 +28,8 @@ import basix.ufl
 import numpy as np
 import ufl
 from dolfinx import fem
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.errors import InputError
 from mantle.forms import cure, elasticity, loads
 from mantle.mechanics.assembly import Mechanics
@@ -38,8 +38,6 @@ from mantle.numerics.state import State, keyed
 from mantle.scene.bodies import Bodies
 from mantle.scene.terms import CureTerm, Elastic, Scene
 from mantle.system.timing import Timing
-
-Floats = NDArray[np.float64]
 
 # Rows and columns of the components of elasticity.symmetric.
 ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])

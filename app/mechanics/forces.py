@@ -15,15 +15,13 @@ from petsc4py import PETSc
 
 import numpy as np
 import ufl
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.mechanics.assembly import Mechanics
 from mantle.mechanics.jumps import Jumps
 from mantle.scene.bodies import Bodies
 from mantle.scene.loads import LoadTerm
 from mantle.scene.terms import Elastic, Scene, amplitude
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

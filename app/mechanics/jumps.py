@@ -28,6 +28,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from mantle.arrays import Bools, Floats, Ints
 from mantle.errors import InputError
 from mantle.forms.contact import SLIP, STICK
 from mantle.mechanics.assembly import Mechanics
@@ -41,10 +42,6 @@ from mantle.scene.bodies import Bodies, contact_facets, held_vertices
 from mantle.scene.laws import USUAL_AUGMENTATION, InterfaceLaw
 from mantle.scene.terms import ContactTerm, Scene, Support, amplitude, gap_at
 from mantle.system.timing import Timing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6

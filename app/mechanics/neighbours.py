@@ -21,13 +21,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.mechanics.prediction import same, take_better
 from mantle.mechanics.problem import Problem
 from mantle.numerics.newton import Solver
-
-Floats = NDArray[np.float64]
 
 # Runs whose states are kept; one that is a multiple of another is not.
 KEPT = 6

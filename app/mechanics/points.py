@@ -14,18 +14,15 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats, Ints
 from mantle.forms import contact
 from mantle.numerics import kernels, pointwise
 from mantle.numerics.pointwise import Pointwise
 from mantle.scene import laws
 from mantle.scene.laws import AtPoint, InterfaceLaw
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # All that says what a law is, beside the module it is in: another text is another law.
 SOURCES = (contact, laws, pointwise, sys.modules[__name__])

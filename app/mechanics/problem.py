@@ -17,6 +17,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.mechanics.assembly import Mechanics
 from mantle.mechanics.curing_stress import CuringStress
 from mantle.mechanics.expansion import Expansions, ThermalStiffness
@@ -30,10 +31,6 @@ from mantle.numerics.state import State, keyed, node_keys
 from mantle.scene.bodies import bodies_of, boundary_facets, cell_tags
 from mantle.scene.terms import Scene, amplitude
 from mantle.system.timing import Timing
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
 ROUNDING = 2.0

@@ -14,8 +14,8 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
+from mantle.arrays import Bools, Floats, Ints
 from mantle.errors import InputError, everywhere
 from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.interfaces import gather
@@ -23,10 +23,6 @@ from mantle.numerics.rigid_motions import rigid_modes
 from mantle.numerics.state import State, keyed
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags
 from mantle.scene.terms import Scene, Support
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.int64]
 
 # A motion of a rigid region counts as held when its supports resist it by more than this fraction
 # of the motion they resist most.

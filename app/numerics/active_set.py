@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
+from mantle.arrays import Ints
 
 # Iterations that are kept, and the longest cycle that is recognized.
 KEPT, LONGEST = 12, 5

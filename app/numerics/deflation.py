@@ -18,11 +18,9 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.numerics.sparse import from_rows, matrix_sum
-
-Floats = NDArray[np.float64]
 
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the
 # others are made stiffer by a part, for the motions of small boxes may be linearly dependent.

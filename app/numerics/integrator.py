@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from mantle.arrays import Floats
+
 State = list[Floats]
 # Solves y = start + h f(seconds, y) from (start, h, seconds, guess of y); None: did not converge.
 Solve = Callable[[State, float, float, State], State | None]

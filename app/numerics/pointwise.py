@@ -21,14 +21,11 @@ import ufl
 from dolfinx import fem, jit
 from dolfinx.cpp.fem import create_expression_float64
 from dolfinx.mesh import create_mesh
-from numpy.typing import NDArray
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats, Ints
 from mantle.numerics import kernels
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class Pointwise:

@@ -11,8 +11,7 @@ import numpy as np
 from dolfinx.common import IndexMap
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from mantle.arrays import Floats, Ints
 
 
 def owners(comm: MPI.Comm, index_map: IndexMap, dof: Ints) -> tuple[Ints, Ints]:

@@ -15,8 +15,9 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from mantle.arrays import Ints
+
 Array = NDArray[Any]
-Ints = NDArray[np.int64]
 State = dict[str, Any]
 
 # Vertices of each node of a tetrahedron in basix's order: itself, or the ends of its edge.

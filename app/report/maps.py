@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from mantle.arrays import Floats
 from mantle.errors import MantleError
 from mantle.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
 from mantle.report.paper.figures import Figure
 from mantle.report.sweep_results import SweepResults, SweptCase
 from mantle.results import unrolled
-from mantle.results.reading import Floats, Run
+from mantle.results.reading import Run
 from mantle.results.unrolled import MapRow, Sheet
 from mantle.schema import config
 

@@ -10,15 +10,13 @@ from petsc4py import PETSc
 import numpy as np
 import ufl
 from dolfinx import fem
-from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats
 from mantle.forms import elasticity, loads
 from mantle.mechanics.problem import Problem, TrialState
 from mantle.numerics.state import State
 from mantle.scene.terms import Elastic, amplitude
-
-Floats = NDArray[np.float64]
 
 _SUMS = ("_work", "_spent", "_scale", "force", "moment", "energy")
 

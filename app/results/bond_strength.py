@@ -9,14 +9,12 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
 from mantle.meshes.interfaces import QUADRATURE, surface
 from mantle.results.quantities import Stresses
 from mantle.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
-
-Floats = NDArray[np.float64]
 
 # Strength of the cement-bone interface [MPa]: Mann, Werner & Ayers 1999, as quoted by the paper in
 # its section 4.5.

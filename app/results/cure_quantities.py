@@ -9,12 +9,9 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.numerics.state import Rows, State
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LEVELS = (0.5, 0.9)
 

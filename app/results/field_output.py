@@ -19,6 +19,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.mechanics.problem import Problem
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import ENDS, Rows, State
@@ -28,9 +29,6 @@ from mantle.results.thermal_quantities import W_PER_M2, Interfaces, ThermalRecor
 from mantle.results.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
 from mantle.scene.bodies import Bodies, cell_tags
 from mantle.stepping.heat_steps import HeatState
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
-from mantle.results.quantities import Floats, Samples, Stresses, face_average
+from mantle.results.quantities import Samples, Stresses, face_average
 
 if TYPE_CHECKING:
     from mantle.meshes.gruen import Zones

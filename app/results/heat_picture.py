@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.picture import AXES, cut, middle_plane
 from mantle.results.necrosis import CELSIUS
 from mantle.scene.bodies import cell_tags
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
 # A run whose last step is this many times as late as its first is drawn on a logarithmic axis.

@@ -12,9 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from mantle.arrays import Floats
 
 CELSIUS = 273.15  # K at 0 degC
 LEVELS = (47.0, 50.0, 56.0)  # degC

@@ -19,14 +19,13 @@ from dolfinx import fem
 from numpy.typing import NDArray
 from ufl import as_vector
 
+from mantle.arrays import Floats
 from mantle.forms import elasticity
 from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.problem import Problem, TrialState
 from mantle.scene.terms import Elastic
 from mantle.schema.quantities import computed
 from mantle.system.timing import Timing
-
-Floats = NDArray[np.float64]
 
 PERCENTILE = 0.99
 MICROMOTION = 0.030  # mm: where biology reacts

@@ -22,6 +22,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.forms import interface_heat
 from mantle.heat import curves_in_time
 from mantle.heat.assembly import HeatForms
@@ -41,7 +42,6 @@ from mantle.numerics.state import Rows, State, keyed, node_keys
 from mantle.results.level_sets import RegionCells
 from mantle.results.necrosis import CELSIUS, LEVELS, Exposure
 
-Floats = NDArray[np.float64]
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
 
 W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)

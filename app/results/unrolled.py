@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.results.reading import EDGES, FACES, Run
 from mantle.schema.geometries import Sides
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # The angle runs from here by 360 degrees.
 SEAM = -90.0

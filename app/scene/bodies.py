@@ -17,12 +17,11 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from mantle.arrays import Ints
 from mantle.errors import InputError
 from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.interfaces import Holds, InterfaceFacets, gather, sorted_facets
 from mantle.scene.terms import ContactTerm, RigidBody, Support, ThermalContact
-
-Ints = NDArray[np.int64]
 
 FACET_VERTICES = basix.topology(basix.CellType.tetrahedron)[2]
 FACET_EDGES = basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2]

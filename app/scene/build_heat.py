@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.errors import InputError
 from mantle.scene.loads import Field
 from mantle.scene.terms import (
@@ -30,8 +30,6 @@ from mantle.scene.terms import (
 )
 from mantle.schema import config
 from mantle.schema.shapes import Sides
-
-Floats = NDArray[np.float64]
 
 
 def heat(case: config.Case, sides: Mapping[str, Sides]) -> dict[str, Any]:

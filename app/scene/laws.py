@@ -13,14 +13,13 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from ufl import as_ufl, as_vector, diff, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats
 from mantle.forms.contact import STICK, components, contact_law
 
-Floats = NDArray[np.float64]
 Shapes = Mapping[str, tuple[int, ...]]
 
 # Augmentation over the stiffness that a jump meets per area, by default.

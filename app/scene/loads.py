@@ -12,12 +12,11 @@ from typing import Any, Protocol
 
 import numpy as np
 import ufl
-from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats
 from mantle.forms import loads
 
-Floats = NDArray[np.float64]
 # Values at points (n, 3) [mm].
 Field = Callable[[Floats], Floats]
 

@@ -13,14 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from ufl.core.expr import Expr
 
+from mantle.arrays import Floats
 from mantle.forms import elasticity, loads
 from mantle.scene.laws import InterfaceLaw
 from mantle.scene.loads import Field, LoadTerm
-
-Floats = NDArray[np.float64]
 
 
 def amplitude(history: Sequence[float], time: float) -> float:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.errors import InputError
 from mantle.meshes.parts import Parts, parts
 from mantle.scene.build_heat import field
@@ -30,7 +31,6 @@ from mantle.soundness.free_motions import (
 if TYPE_CHECKING:
     from mantle.meshes import MeshData
 
-Floats = NDArray[np.float64]
 
 # Gaps beyond this part of the interface or of the bodies are no small displacements, interferences
 # beyond that part of the bodies cannot be; given displacements may slide a body, but not so far.

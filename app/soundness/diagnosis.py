@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.errors import Reason
 from mantle.forms.contact import OPEN
 from mantle.mechanics.jumps import Jumps
@@ -18,8 +18,6 @@ from mantle.numerics.active_set import ActiveSet
 from mantle.numerics.newton import NewtonResult, Solver
 from mantle.numerics.rigid_motions import add_relative, describe, rigid_modes
 from mantle.soundness import uniqueness
-
-Floats = NDArray[np.float64]
 
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
 _FREE = 1e-10

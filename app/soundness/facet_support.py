@@ -10,15 +10,13 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.forms.contact import OPEN
 from mantle.mechanics.problem import Problem, TrialState
 from mantle.meshes.interfaces import ContactPoints
 from mantle.numerics.rigid_motions import DIRECTIONS, add_relative, rigid_modes
 from mantle.soundness.diagnosis import held_bodies
-
-Floats = NDArray[np.float64]
 
 # A motion that contact resists by less than this part of what the spread of normals would give at
 # random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists).

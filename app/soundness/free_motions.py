@@ -7,15 +7,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.meshes.parts import Parts, Piece
 from mantle.numerics.rigid_motions import describe, rigid_modes
 from mantle.scene.build_heat import field
 from mantle.scene.terms import gap_at
 from mantle.schema import config
-
-Floats = NDArray[np.float64]
 
 # A motion is free if what resists it is below this part of what resists any; contact without
 # friction hardly resists one that it is sloped against by less than so many degrees in the mean, or

@@ -48,13 +48,12 @@ import logging
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.errors import Reason
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.problem import Problem
 
-Floats = NDArray[np.float64]
 log = logging.getLogger("mantle")
 
 

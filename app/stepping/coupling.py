@@ -22,8 +22,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.forms import interface_heat
 from mantle.heat.conduction import Conduction
 from mantle.heat.system import HeatSystem
@@ -38,9 +38,6 @@ from mantle.numerics.state import State
 from mantle.numerics.system import Measure, System
 from mantle.scene.bodies import contact_facets
 from mantle.scene.terms import FrictionHeat, Scene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN

@@ -16,8 +16,8 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.heat.conduction import Conduction
 from mantle.heat.curing import FreeStrain, as_temperature, since_gelation
 from mantle.mechanics.problem import Problem
@@ -28,9 +28,6 @@ from mantle.numerics.state import State as SavedState
 from mantle.numerics.state import keyed
 from mantle.scene.terms import Expansion, Scene
 from mantle.stepping.load_steps import Summary
-
-Floats = NDArray[np.float64]
-
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
 FIRST = 1e-3

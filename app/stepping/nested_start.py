@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.errors import MantleError, StoppedError
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.prediction import imbalance, take_better
@@ -31,8 +31,6 @@ from mantle.stepping.load_steps import LoadStepper
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 log = logging.getLogger("mantle")
 
 # Unknowns from which a coarser mesh pays, and the largest part of them that may be jumps: where

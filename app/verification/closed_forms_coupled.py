@@ -9,12 +9,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.verification.closed_forms import Elastic, lame_pressure
 from mantle.verification.closed_forms_heat import two_bars
-
-Floats = NDArray[np.float64]
 
 
 def hot_fit_pressure(

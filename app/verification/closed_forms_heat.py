@@ -12,12 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import erfc, erfcx, expi, j0, j1, jn_zeros
 
-Floats = NDArray[np.float64]
+from mantle.arrays import Floats
+
 Conductor = tuple[float, float]
 
 GAS = 8.314462618  # J/(mol K)

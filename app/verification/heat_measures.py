@@ -9,15 +9,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.results.reading import Run
 from mantle.verification import closed_forms_coupled as coupled
 from mantle.verification import closed_forms_heat as exact
 from mantle.verification.measures import Sample, relative
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Conductivity [N/(s K)] and capacity [N/(mm2 K)] of the cases.
 CEMENT, BONE = (0.2, 1.74), (0.58, 2.331)

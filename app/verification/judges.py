@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.campaigns.work_precision import fitted_order
 from mantle.errors import Reason
 from mantle.results.reading import Run
@@ -17,8 +18,6 @@ from mantle.verification import closed_forms as exact
 from mantle.verification.extremes_case import Judged
 from mantle.verification.measures import corner
 from mantle.verification.problem import CheckRun
-
-Floats = NDArray[np.float64]
 
 OPEN, STICK = 0, 1
 # A share of what friction may bear that still counts as nothing.

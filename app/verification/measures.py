@@ -7,13 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats, Ints
 from mantle.results.reading import Run
 from mantle.verification import closed_forms as exact
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Materials of the cases (MPa, -).
 CEMENT, TITANIUM = (2200.0, 0.3), (110e3, 0.3)

@@ -36,11 +36,9 @@ from dolfinx.mesh import create_submesh, entities_to_geometry
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 
+from mantle.arrays import Floats, Ints
 from mantle.meshes.distribute import TaggedMesh
 from mantle.schema import config
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 TOLERANCE = 1e-11

@@ -12,8 +12,8 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.campaigns.work_precision import fitted_order
 from mantle.errors import InputError
 from mantle.heat.conduction import Conduction
@@ -39,7 +39,6 @@ from mantle.scene.terms import (
 from mantle.system.timing import Timing
 from tests import support
 
-Floats = NDArray[np.float64]
 ZERO = 273.15
 PERFECT = np.inf
 SDIRK4, BACKWARD_EULER = METHODS["sdirk4"], METHODS["backward_euler"]

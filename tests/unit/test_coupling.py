@@ -9,12 +9,10 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mantle.stepping.coupling import Staggered
 from tests import coupled
 
-Floats = NDArray[np.float64]
 OPEN, STICK, SLIP = 0, 1, 2
 # Of these units, of which rounding leaves LITTLE in the remainder.
 SIZES = {"temperature": 1.0, "temperature_jump": 1.0, "displacement": 1e-5, "jump": 1e-5}

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
+from mantle.arrays import Floats
 from mantle.forms import cure as forms
 from mantle.heat.curing import UNREACTED, Curing, Degrees, FreeStrain, as_temperature
 from mantle.numerics.integrator import (
@@ -32,8 +32,6 @@ from mantle.numerics.integrator import (
 )
 from mantle.numerics.pointwise import Pointwise
 from mantle.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure
-
-Floats = NDArray[np.float64]
 
 R = 8.314462618
 BALIGA = AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ())

@@ -17,13 +17,12 @@ from dolfinx import fem
 from dolfinx.mesh import create_unit_cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives, strip_variables
 
+from mantle.arrays import Floats
 from mantle.forms import elasticity
 from mantle.verification.closed_forms import Fibrous
 
-Floats = NDArray[np.float64]
 Stiffness = Callable[[Sequence[float], Sequence[float]], Floats]
 
 FIBRES = [

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.numerics.integrator import (
     METHODS,
     Controller,
@@ -21,7 +21,6 @@ from mantle.numerics.integrator import (
     step,
 )
 
-Floats = NDArray[np.float64]
 SDIRK4, EULER = METHODS["sdirk4"], METHODS["backward_euler"]
 BOTH = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 

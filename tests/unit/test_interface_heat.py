@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.forms import heat, interface_heat
 from mantle.numerics.pointwise import Pointwise
-
-Floats = NDArray[np.float64]
 
 N = 60
 NAMES = ("p", "τ", "open", "per_pressure", "cap")

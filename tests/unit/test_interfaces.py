@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.campaigns.work_precision import fitted_order
 from mantle.meshes.interfaces import (
     ContactPoints,
@@ -21,9 +22,6 @@ from mantle.meshes.interfaces import (
     sorted_facets,
 )
 from tests import support
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
 

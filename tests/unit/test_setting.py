@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.errors import InputError
 from mantle.scene.terms import CureTerm, PrescribedCure, Scene
 from tests.heated import Heated, expanding
 from tests.unit.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
-
-Floats = NDArray[np.float64]
 
 E, α_T = 2200.0, 8e-5
 

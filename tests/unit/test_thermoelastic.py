@@ -7,13 +7,11 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from dolfinx import fem
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.results import quantities
 from mantle.results.bond_strength import bonds
 from tests.heated import Heated, expanding
-
-Floats = NDArray[np.float64]
 
 # A bar of two materials, each with a fibre of its own direction; rollers on three faces, so that it
 # is free to grow.

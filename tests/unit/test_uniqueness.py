@@ -6,13 +6,11 @@ import logging
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.soundness import uniqueness
 from mantle.soundness.uniqueness import critical_friction
 from tests import support
-
-Floats = NDArray[np.float64]
 
 # Relative distance from the critical coefficient at which sides are told apart.
 NEAR = 1e-3

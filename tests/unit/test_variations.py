@@ -12,8 +12,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.errors import InputError
 from mantle.mechanics.neighbours import kriging
 from mantle.mechanics.problem import TrialState
@@ -24,8 +24,6 @@ from mantle.simulation.model import Model
 from mantle.stepping.load_steps import LoadStep
 from mantle.system.timing import Timing
 from tests import coupled, support
-
-Floats = NDArray[np.float64]
 
 # A tapered stem pushed down and aside in two steps: the first sticks in part, the second slips.
 STEM = """

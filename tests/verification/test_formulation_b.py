@@ -12,9 +12,9 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mantle import meshes
+from mantle.arrays import Floats, Ints
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.problem import Problem, TrialState
 from mantle.mechanics.systems import mechanical
@@ -27,9 +27,6 @@ from mantle.stepping.stages import run_stages
 from mantle.system.timing import Timing
 from tests.reference import formulation_b
 from tests.reference.formulation_b import InterfaceState, State
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 TOLERANCE = 1e-6
 # Ten times the rounding errors of the residual on these meshes, for either solver.

@@ -12,15 +12,13 @@ from pathlib import Path
 import gmsh
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.campaigns.work_precision import fitted_order
 from mantle.forms.contact import SLIP
 from tests import support
 from tests.support import Solved
 from tests.verification.test_full_slip import BAR
-
-Floats = NDArray[np.float64]
 
 # Of the largest increment.
 NEGATIVE = -1e-12
