@@ -39,8 +39,9 @@ from mantle.meshes.interfaces import ContactPoints, Entries, Holds, InterfaceFac
 from mantle.numerics.sparse import from_triplets, matrix_sum, owners
 from mantle.numerics.state import Rows, State, keyed
 from mantle.scene.bodies import Bodies, contact_facets, held_vertices
-from mantle.scene.laws import USUAL_AUGMENTATION, InterfaceLaw
+from mantle.scene.laws import InterfaceLaw
 from mantle.scene.terms import ContactTerm, Scene, Support, amplitude, gap_at
+from mantle.schema.run_options import USUAL_AUGMENTATION
 from mantle.system.timing import Timing
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.

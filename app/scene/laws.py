@@ -19,11 +19,9 @@ from ufl.core.expr import Expr
 
 from mantle.arrays import Floats
 from mantle.forms.contact import STICK, components, contact_law
+from mantle.schema.run_options import USUAL_AUGMENTATION
 
 Shapes = Mapping[str, tuple[int, ...]]
-
-# Augmentation over the stiffness that a jump meets per area, by default.
-USUAL_AUGMENTATION = 0.2
 
 
 @dataclass(frozen=True)

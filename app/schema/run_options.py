@@ -17,7 +17,7 @@ from mantle.schema.conditions import Point
 from mantle.schema.fields import MAPPING, Name, Section, Truth, Word, fail, show
 from mantle.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
 
-AUGMENTATION_FACTOR = 0.2  # `scene.laws.USUAL_AUGMENTATION`
+USUAL_AUGMENTATION = 0.2
 
 
 class Stage(Section):
@@ -75,7 +75,7 @@ class SolverOptions(Section):
         default_factory=dict
     )
     """Raw PETSc options, without the leading dash."""
-    augmentation_factor: PositiveNumber = AUGMENTATION_FACTOR
+    augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
     """Augmentation r over the stiffness per area that a point meets, where r is not given."""
     coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
     """How heat and mechanics that depend on each other are solved: as one system, or in turn."""
