@@ -32,10 +32,14 @@ def untangle(points: Floats, cells: Ints) -> Floats:
     straight[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
     least = np.minimum(POOR, 0.7 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
+    near: Ints = np.arange(len(cells))  # cells whose nodes have moved
     for step in range(STEPS):
         current = straight + bend * (points - straight)
-        bad = sicn(current, cells) < least
-        if not bad.any():
+        bad = near[sicn(current, cells[near]) < least[near]]
+        if not len(bad):
             break
-        bend[np.unique(cells[bad, 4:])] *= 0.5 if step < STEPS - 1 else 0.0
+        moved = np.zeros(len(points), dtype=bool)
+        moved[cells[bad, 4:]] = True
+        bend[moved] *= 0.5 if step < STEPS - 1 else 0.0
+        near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
     return straight + bend * (points - straight)

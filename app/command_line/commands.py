@@ -20,6 +20,7 @@ from mantle.command_line.streams import configure_log
 from mantle.errors import InputError, stack_needed
 from mantle.schema import gmsh_file
 from mantle.system import ranks
+from mantle.system.progress import doing
 from mantle.system.ranks import rank
 
 if TYPE_CHECKING:
@@ -85,10 +86,13 @@ def _run(
             print(f"{output} is finished already")
         return 0
     if size is None and count is not None and count > 1:
+        if options.log_level in ("debug", "info"):
+            print(f"starting {count} ranks", flush=True)
         return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     configure_log(options.log_level)
+    doing("loading DOLFINx and PETSc")
     mantle.run(
         case,
         output,

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import sys
+import threading
+import time
 from typing import TextIO
 
+from mantle.system.progress import LEVEL
 from mantle.system.ranks import rank
+
+# What goes on is printed after so many seconds of silence, later after this share of the run.
+SILENCE, SHARE = 1.5, 0.02
+# What blocks is printed earlier.
+BEFORE_BLOCKING = 0.3
+LOOK = 0.25  # s
 
 
 def silence(stream: TextIO) -> None:
@@ -15,22 +25,80 @@ def silence(stream: TextIO) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
+class Handler(logging.StreamHandler[TextIO]):
+    """Goes on without its reader: what a run is for stands in its folder."""
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Forget a stream that has been closed."""
+        if isinstance(sys.exc_info()[1], BrokenPipeError):
+            silence(self.stream)
+        else:
+            super().handleError(record)
+
+
+class ProgressHandler(Handler):
+    """Prints what goes on (`system.progress`) where nothing has been printed for a while.
+
+    A thread of its own repeats it with its seconds. It sleeps while PETSc computes, which does not
+    let other threads run; therefore solvers tell of each iteration.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        """Begin to print to a stream."""
+        super().__init__(stream)
+        self._begun = self._printed = time.monotonic()
+        self._current: tuple[str, float] | None = None
+        self._ended = threading.Event()
+        self._watch: threading.Thread | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record, or keep what goes on until the silence has lasted."""
+        if record.levelno != LEVEL:
+            self._current = None
+            self._print(record)
+            return
+        self._current = (record.getMessage(), time.monotonic())
+        self._tell(BEFORE_BLOCKING if getattr(record, "blocking", False) else 1.0)
+        if self._watch is None:
+            self._watch = threading.Thread(target=self._repeat, daemon=True)
+            self._watch.start()
+            atexit.register(self.end)
+
+    def _print(self, record: logging.LogRecord) -> None:
+        super().emit(record)
+        self._printed = time.monotonic()
+
+    def _tell(self, share: float = 1.0) -> None:
+        """Print what goes on if the silence has lasted, or this share of it."""
+        now = time.monotonic()
+        patience = share * max(SILENCE, SHARE * (now - self._begun))
+        if self._current is None or now - self._printed < patience:
+            return
+        text, since = self._current
+        took = f" ({now - since:.0f} s)" if now - since >= 1 else ""
+        self._print(logging.makeLogRecord({"msg": f"     {text}{took}"}))
+
+    def _repeat(self) -> None:
+        while not self._ended.wait(LOOK):
+            self.acquire()
+            try:
+                self._tell()
+            finally:
+                self.release()
+
+    def end(self) -> None:
+        """End before the interpreter does: a thread that prints then would hang it."""
+        self._ended.set()
+        if self._watch is not None:
+            self._watch.join()
+
+
 def configure_log(level: str) -> None:
     """Send progress to standard output and warnings to standard error, from rank 0 only."""
     logger = logging.getLogger("mantle")
     logger.propagate = False
-    logger.setLevel(level.upper() if rank() == 0 else logging.CRITICAL)
-
-    class Handler(logging.StreamHandler[TextIO]):
-        """Goes on without its reader: what a run is for stands in its folder."""
-
-        def handleError(self, record: logging.LogRecord) -> None:
-            if isinstance(sys.exc_info()[1], BrokenPipeError):
-                silence(self.stream)
-            else:
-                super().handleError(record)
-
-    progress, trouble = Handler(sys.stdout), Handler(sys.stderr)
+    logger.setLevel(logging.CRITICAL if rank() else LEVEL if level == "info" else level.upper())
+    progress, trouble = ProgressHandler(sys.stdout), Handler(sys.stderr)
     progress.addFilter(lambda record: record.levelno < logging.WARNING)
     trouble.setLevel(logging.WARNING)
     logger.handlers = [progress, trouble]

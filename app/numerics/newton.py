@@ -138,6 +138,7 @@ class Solver:
         self.snes.setJacobian(self._jacobian, self._A)
         self.snes.setMonitor(self._monitor)
         self.snes.setConvergenceTest(self._converged)
+        self.snes.getKSP().setMonitor(self._watch)
         self._search = self._usual = str(self.options["snes_linesearch_type"])
         self._other = "basic" if self._usual == "bt" else "bt"
         self._augmentation = 1.0
@@ -223,6 +224,10 @@ class Solver:
         if names:
             raise StoppedError(f"stopped by {names[0]}")
         self._flips.append(self._system.active.flips())
+        self._timing.tell(f"Newton iteration {iteration}, residual {self._residuals[-1]:.1e}")
+
+    def _watch(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
+        self._timing.tell(f"Newton iteration {len(self._flips)}, Krylov iteration {iteration}")
 
     def _converged(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]

@@ -413,8 +413,8 @@ class Model:
 
     def _coarse(self, case: config.Case) -> LoadStepper:
         """The mechanics of a coarser model on their way; collective."""
-        comm = self.tagged.mesh.comm
-        other = Model(case, comm, self.options, self._timing, self.stop, self._kin)
+        comm, timing = self.tagged.mesh.comm, self._timing.of("start from a coarser mesh")
+        other = Model(case, comm, self.options, timing, self.stop, self._kin)
         (m,) = other.mechanics
         predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))
         return LoadStepper(m.problem, m.solver, lambda step, trial: None, log.debug, predictors)
@@ -476,7 +476,8 @@ class Model:
 
     def relative(self, case: config.Case) -> dict[str, Any]:
         """Solve another case in the same way; collective."""
-        other = Model(case, self.tagged.mesh.comm, self.options, Timing(), self.stop, self._kin)
+        comm, timing = self.tagged.mesh.comm, Timing("estimating errors")
+        other = Model(case, comm, self.options, timing, self.stop, self._kin)
         last: list[Samples | None] = [None]
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:

@@ -6,21 +6,45 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+
+from mantle.system.progress import doing
+
+# What a run does in each phase, in words.
+DOING = {
+    "mesh": "meshing",
+    "assemble": "setting the equations up",
+    "compile": "compiling forms, which later runs find",
+    "factorize": "setting the preconditioner up",
+    "solve": "solving",
+    "output": "computing and writing results",
+    "error": "estimating errors",
+}
+BLOCKING = ("factorize",)
 
 
 @dataclass
 class Timing:
-    """Seconds by phase, of the wall's clock and of the CPU; a phase inside another counts alone."""
+    """Seconds by phase, of the wall's clock and of the CPU; a phase inside another counts alone.
 
+    Attributes:
+        part: What part of a run this is, in words, or nothing.
+        seconds: Of the wall's clock [s].
+        cpu: Of this process [s].
+    """
+
+    part: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
     cpu: dict[str, float] = field(default_factory=dict)
     _open: list[tuple[float, float]] = field(default_factory=list)
+    _names: list[str] = field(default_factory=list)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Count the time of the block for a phase."""
+        """Count the time of the block for a phase, and tell that it goes on."""
+        self._names.append(name)
+        self.tell(DOING[name], blocking=name in BLOCKING)
         wall, cpu = time.perf_counter(), time.process_time()
         self._open.append((0.0, 0.0))
         try:
@@ -28,11 +52,22 @@ class Timing:
         finally:
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             inner = self._open.pop()
+            self._names.pop()
+            if self._names:
+                self.tell(DOING[self._names[-1]])
             self.seconds[name] = self.seconds.get(name, 0.0) + wall - inner[0]
             self.cpu[name] = self.cpu.get(name, 0.0) + cpu - inner[1]
             if self._open:
                 outer = self._open[-1]
                 self._open[-1] = (outer[0] + wall, outer[1] + cpu)
+
+    def tell(self, text: str, blocking: bool = False) -> None:
+        """Tell what goes on in this part, as `progress.doing`."""
+        doing(f"{self.part}: {text}" if self.part else text, blocking)
+
+    def of(self, part: str) -> Timing:
+        """The same seconds, told as those of a part."""
+        return replace(self, part=part)
 
     def clear(self) -> None:
         """Begin again."""

@@ -24,17 +24,17 @@ def test_a_phase_inside_another_counts_alone(monkeypatch: pytest.MonkeyPatch) ->
     clock = Clock()
     monkeypatch.setattr(timing, "time", clock)
     t = timing.Timing()
-    with t.phase("outer"):
+    with t.phase("output"):
         clock.now += 1
-        with t.phase("inner"):
+        with t.phase("compile"):
             clock.now += 4
-            with pytest.raises(ValueError), t.phase("failed"):
+            with pytest.raises(ValueError), t.phase("solve"):
                 clock.now += 16
                 raise ValueError
         clock.now += 64
-    with t.phase("inner"):
+    with t.phase("compile"):
         clock.now += 256
-    assert t.cpu == {"outer": 65, "inner": 260, "failed": 16}
+    assert t.cpu == {"output": 65, "compile": 260, "solve": 16}
     assert t.seconds == {name: 2 * cpu for name, cpu in t.cpu.items()}
     t.clear()
     assert t.cpu == t.seconds == {}
