@@ -61,6 +61,7 @@ MEGABYTE = 1e6
 POLL = 0.1  # s
 OFTEN = 10.0  # s between reports on all runs that have ended so far
 SAME_SIGNAL = 1.0  # s
+BUSY = 0.5  # load of the machine beside runs whose time is compared
 LOST = 70  # the exit code of a run that left none
 _PR_SET_PDEATHSIG = 1
 
@@ -166,6 +167,8 @@ def run(
         every = {r.id: r for r in runs}.values()
         pending = [r for r in every if _summary(r) is None]
         log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
+        if any(r.alone for r in pending) and (load := os.getloadavg()[0]) > BUSY:
+            log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
             _write(pending, folder, cores if slurm is None else None)
 
@@ -268,7 +271,8 @@ def _processes(
     several processes have the same matrices.
     """
     ranks = {digest: job.ranks for job, digest in zip(jobs, digests, strict=True)}
-    longest = math.ceil(sum(ranks.values()) / cores) if cores else len(ranks)
+    several = cores and not any(job.alone for job in jobs)  # what runs alone is one process
+    longest = math.ceil(sum(ranks.values()) / cores) if cores and several else len(ranks)
     groups: dict[str, list[str]] = {}
     for job, case, digest in zip(jobs, cases, digests, strict=True):
         if job.share:

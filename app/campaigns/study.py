@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
-import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns import batch, study_report
+from mantle.campaigns import batch, many, study_report
 from mantle.campaigns import work_precision as wp
 from mantle.campaigns.batch import Job, Result
+from mantle.campaigns.many import Options
 from mantle.campaigns.study_model import Measured, Report, StudyRun, percent
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, config, quantities, study_file, study_options
@@ -23,38 +23,74 @@ from mantle.schema.study_options import Study
 
 log = logging.getLogger("mantle")
 
-BUSY = 0.5  # load of the machine beside a study
+QUICK = 2  # points of each line
 
 
-def run(case: Path, overrides: list[str], folder: Path, cores: int) -> None:
+def run(case: Path, overrides: list[str], options: Options) -> None:
     """Run all points of a study and report them.
 
     Args:
         case: The case file, with a study section, or a study of another case.
         overrides: ``--set`` options; they hold for every point, so not for what varies.
-        folder: Where everything goes; what is done there already is not run again.
-        cores: Cores to use. Runs go one at a time, so that their times can be compared.
+        options: Where everything goes, how it is run, which lines. Runs go one at a time, so that
+            their times can be compared.
 
     Raises:
         InputError: The case or any point is wrong: everything at once, before anything runs.
         MantleError: Every run failed, of which it has the gravest exit code.
         StoppedError: Interrupted; the same command goes on from there.
     """
-    source = study_file.read(case, overrides)
+    folder = options.folder
+    source = _chosen(study_file.read(case, overrides), options)
     points = plan(source.study)
     cases = _resolve(points, source)
     jobs = [_job(p, source) for p in points]
-    if (load := os.getloadavg()[0]) > BUSY:
-        log.warning("the machine is busy (load %.1f): measured times will be too long", load)
-    results = batch.run(jobs, folder, cores)
+    results = batch.run(jobs, folder, options.cores, options.slurm)
     runs = [_run(*each) for each in zip(points, cases, results, strict=True)]
     report = evaluate(source.study, runs)
-    written = study_report.write(report, source, cores, folder)
+    written = study_report.write(report, source, options.cores, folder)
     log.info("%s", study_report.table(report))
     log.info("written in %s: %s", folder, ", ".join(written))
     if all(r.exit_code for r in results):
         text = f"every run of the study failed:\n{results[0].message}"
         raise gravest([r.exit_code for r in results], text)
+
+
+def dry_run(case: Path, overrides: list[str], options: Options) -> str:
+    """What `run` would run, as a table.
+
+    Raises:
+        InputError: As `run`.
+    """
+    source = _chosen(study_file.read(case, overrides), options)
+    points = plan(source.study)
+    _resolve(points, source)
+    jobs = [_job(p, source) for p in points]
+    return many.plan(f"{source.file.name}: {len(jobs)} runs", jobs, options)
+
+
+def _chosen(source: Source, options: Options) -> Source:
+    """A study with the lines that are wanted; a quick one has the first points of each.
+
+    Raises:
+        InputError: No line has such a name.
+    """
+    study = source.study
+    lines = {name: line for name, line in study.lines.items() if options.pattern in name}
+    if not lines:
+        names = ", ".join(study.lines)
+        raise InputError(f"-k {options.pattern}: no line has this in its name; allowed: {names}")
+    reference = study.reference
+    if options.tier == "quick":
+        lines = {name: _first(line) for name, line in lines.items()}
+        if reference.run is not None:
+            reference = reference.model_copy(update={"run": _first(reference.run)})
+    chosen = study.model_copy(update={"lines": lines, "reference": reference})
+    return replace(source, study=chosen)
+
+
+def _first(line: dict[str, Any]) -> dict[str, Any]:
+    return {k: v[:QUICK] if isinstance(v, list) else v for k, v in line.items()}
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from mantle.campaigns.study_model import Measured, Report, percent
-from mantle.campaigns.study_picture import COLOURS, MARKERS, MOST_PANELS, panels
+from mantle.campaigns.study_picture import MOST_PANELS, panels
 from mantle.schema.quantities import printed
+from mantle.system.figures import COLOURS, MARKERS
 
 # Largest over smallest value from which an axis is logarithmic.
 DECADES = 30.0

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from mantle.campaigns.study_model import FLAT, Measured, Report, percent
+from mantle.system import figures
+from mantle.system.figures import COLOURS, MARKERS
 
 MOST_PANELS = 6
-COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
-MARKERS = "osD^vP*X"
 EXACT = 1e-16  # what an error of zero is drawn as
 
 
@@ -49,18 +49,13 @@ def panels(
         columns: How many stand beside each other, at most.
         size: Width and height of a panel [inch].
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = min(len(shown), columns)
     rows = math.ceil(len(shown) / columns)
-    figure = Figure(figsize=(size[0] * columns, size[1] * rows + 0.7), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = figures.new(size[0] * columns, size[1] * rows + 0.7)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, m in zip(panels, shown, strict=False):
         axes.set_title(m.name, fontsize=11, loc="left")
-        axes.grid(True, which="major", color="0.9")
-        axes.set_axisbelow(True)
+        figures.grid(axes)
         panel(axes, m)
     for axes in panels[len(shown) :]:
         axes.set_visible(False)

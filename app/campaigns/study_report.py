@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import platform
 from dataclasses import asdict
 from pathlib import Path
@@ -16,7 +14,8 @@ from mantle.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
 from mantle.errors import StoppedError
 from mantle.schema.quantities import Quantity
 from mantle.schema.study_file import Source
-from mantle.system.folders import remove, write_json, write_text
+from mantle.system import layout
+from mantle.system.folders import csv_text, remove, write_json, write_text
 from mantle.version import __version__
 
 
@@ -50,27 +49,12 @@ def describe(reference: ReferenceValue | None, q: Quantity) -> str:
 def table(report: Report) -> str:
     """The report for the terminal."""
     lines = []
-    wide = max(26, *(len(r.key) + len(r.label) + 1 for r in report.runs))
-    name = max(14, *(len(r.line) for r in report.runs))
     for m in report.quantities:
         estimates = m.compared and any(p.estimate is not None for p in m.points)
         lines += ["", f"{m.name}: {describe(m.reference, m.quantity)}" if m.compared else m.name]
-        head = f"  {'':<3}{'line':<{name}} {'at':<{wide}} {'value':>12} {'error':>9} {'time':>9}"
-        lines.append(head + (f" {'estimated':>10} {'index':>6}" if estimates else ""))
-        for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True)):
-            mark = "*" if i in m.front else ""
-            at = f"{r.key} {r.label}"
-            row = f"  {mark:<3}{r.line:<{name}} {at:<{wide}} "
-            if r.result.exit_code:
-                lines.append(row + r.status)
-                continue
-            row += (
-                f"{shown(p.value, m.quantity):>12} {error_text(m, i):>9} {duration(p.time or 0):>9}"
-            )
-            if estimates:
-                index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
-                row += f" {shown(p.estimate, m.quantity):>10} {index:>6}"
-            lines.append(row.rstrip())
+        head = ["", "line", "at", "value", "error", "time", *["estimated", "index"] * estimates]
+        rows = [_row(r, m, i)[: len(head)] for i, r in enumerate(report.runs)]
+        lines.append(layout.table(head, rows))
         keys = {r.line: r.key for r in report.runs}
         orders = [
             f"{keys[n]}^{p:.1f} along {n}"
@@ -85,6 +69,17 @@ def table(report: Report) -> str:
     if report.effectivity.pairs:
         lines += _effectivity(report.effectivity)
     return "\n".join([*lines, *([report.advice] if report.advice else [])])
+
+
+def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
+    """A point of a quantity."""
+    start = ["*" if i in m.front else "", r.line, f"{r.key} {r.label}"]
+    if r.result.exit_code:
+        return [*start, r.status, "", "", "", ""]
+    p, q = m.points[i], m.quantity
+    index = "" if p.effectivity is None else f"{p.effectivity:.2f}"
+    numbers = [shown(p.value, q), error_text(m, i), duration(p.time or 0)]
+    return [*start, *numbers, shown(p.estimate, q), index]
 
 
 def _effectivity(e: Effectivity) -> list[str]:
@@ -179,26 +174,35 @@ def _run_record(r: StudyRun) -> dict[str, Any]:
 
 def _csv(report: Report) -> str:
     """A row for each run and quantity; values in the unit of their row."""
-    text = io.StringIO()
-    rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(
-        "line,key,at,number [internal],status,quantity,unit,value,reference,"
-        "reference uncertainty,error [-],error exceeds uncertainty,estimated error,"
-        "effectivity [-],pareto,time [s],mesh [s],compile [s],error [s],total [s],unknowns,steps,"
-        "newton iterations,krylov iterations,condition,ranks".split(",")
-    )
-    for m in report.quantities:
-        ref = m.reference
-        for i, (r, p) in enumerate(zip(report.runs, m.points, strict=True)):
-            summary = r.result.summary
-            timing, solver = summary.get("timing", {}), summary.get("solver", {})
-            rows.writerow(
-                [r.line, r.key, r.label, r.x, r.status, m.name, m.quantity.unit, p.value]
-                + [ref and ref.value, ref and ref.uncertainty, p.error]
-                + [int(p.trusted), p.estimate, p.effectivity, int(i in m.front), r.time]
-                + [timing.get(k) for k in ("mesh", "compile", "error", "total")]
-                + [solver.get(k) for k in ("dofs", "steps", "newton_iterations")]
-                + [solver.get(k) for k in ("linear_iterations", "condition")]
-                + [r.result.job.ranks]
-            )
-    return text.getvalue()
+    return csv_text([_flat(r, m, i) for m in report.quantities for i, r in enumerate(report.runs)])
+
+
+def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
+    """A point of a quantity with what it cost."""
+    p, ref, summary = m.points[i], m.reference, r.result.summary
+    timing, solver = summary.get("timing", {}), summary.get("solver", {})
+    return {
+        "line": r.line,
+        "key": r.key,
+        "at": r.label,
+        "number [internal]": r.x,
+        "status": r.status,
+        "quantity": m.name,
+        "unit": m.quantity.unit,
+        "value": p.value,
+        "reference": ref and ref.value,
+        "reference uncertainty": ref and ref.uncertainty,
+        "error [-]": p.error,
+        "error exceeds uncertainty": int(p.trusted),
+        "estimated error": p.estimate,
+        "effectivity [-]": p.effectivity,
+        "pareto": int(i in m.front),
+        "time [s]": r.time,
+        **{f"{key} [s]": timing.get(key) for key in ("mesh", "compile", "error", "total")},
+        "unknowns": solver.get("dofs"),
+        "steps": solver.get("steps"),
+        "newton iterations": solver.get("newton_iterations"),
+        "krylov iterations": solver.get("linear_iterations"),
+        "condition": solver.get("condition"),
+        "ranks": r.result.job.ranks,
+    }

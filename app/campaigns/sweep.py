@@ -18,15 +18,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns import batch, uncertainty
+from mantle.campaigns import batch, many, uncertainty
 from mantle.campaigns.batch import Job, Result
+from mantle.campaigns.many import Options
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, quantities, sweep_file
 from mantle.schema.sweep_file import SweptRun
 from mantle.schema.sweep_options import Sweep, samples
 from mantle.simulation import variations
-from mantle.soundness import preview
-from mantle.system import identity
+from mantle.system import identity, layout
 from mantle.system.folders import csv_text, write_json, write_text
 
 log = logging.getLogger("mantle")
@@ -34,25 +34,15 @@ log = logging.getLogger("mantle")
 STATUS = {0: "converged", 4: "not converged", 5: "stopped"}
 FAILED = "failed"
 NOT_CONVERGED = "no convergence"
-# How much of the cores' time runs of different length leave unused at the end of a sweep.
-IDLE = 1.1
 
 
-def run(
-    path: Path,
-    overrides: Sequence[str],
-    folder: Path,
-    cores: int,
-    slurm: Sequence[str] | None = None,
-) -> None:
+def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """Run the cases of a sweep that are not done yet, and write their table.
 
     Args:
         path: The sweep file.
         overrides: ``--set`` options: they hold for every case, so not for what varies.
-        folder: Where everything goes; what is done there already is not run again.
-        cores: Cores to use.
-        slurm: Run each case as a Slurm job, with these further options of sbatch.
+        options: Where everything goes, and how it is run.
 
     Raises:
         InputError: The file or any case of it is wrong: everything at once, before anything runs.
@@ -60,14 +50,14 @@ def run(
         StoppedError: Interrupted; the same command goes on from there.
     """
     sweep, planned = sweep_file.read(path, overrides)
-    jobs = [_job(p) for p in planned]
+    jobs, folder = [_job(p) for p in planned], options.folder
     begin = time.monotonic() - _spent(folder)
     log.info("%s: %d cases", sweep.title or path.stem, len(planned))
 
     def write(results: Sequence[Result]) -> list[dict[str, Any]]:
-        return _write(sweep, path, overrides, planned, results, folder, cores, begin)
+        return _write(sweep, path, overrides, planned, results, options, begin)
 
-    rows = write(batch.run(jobs, folder, cores, slurm, write))
+    rows = write(batch.run(jobs, folder, options.cores, options.slurm, write))
     log.info("%s", _table(rows))
     if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
         log.info("\n%s", spread)
@@ -83,36 +73,15 @@ def run(
         raise gravest([r["exit_code"] for r in failed], text)
 
 
-def plan(path: Path, overrides: Sequence[str], folder: Path, cores: int) -> str:
+def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
     """Plan of `run` as a table: cases, their size and cost.
 
     Raises:
         InputError: As `run`.
     """
     sweep, planned = sweep_file.read(path, overrides)
-    jobs = [_job(p) for p in planned]
-    results = batch.look(jobs, folder, cores)
-    wide = max(len(p.point.name) for p in planned)
-    lines = [
-        f"{sweep.title or path.stem}: {len(planned)} cases",
-        "",
-        f"{'case':<{wide}} {'ranks':>5} {'unknowns':>10} {'about':>9}",
-    ]
-    total, seen = 0.0, set[object]()
-    for p, result in zip(planned, results, strict=True):
-        seconds = preview.seconds(p.case, result.process not in seen)  # of one core
-        about = batch.duration(seconds / min(p.ranks, cores))
-        note = f"shares the matrices of {result.process}" if result.process in seen else ""
-        if result.folder in seen:
-            note, seconds, about = "the same as one above", 0.0, "-"
-        elif not result.exit_code:
-            note, seconds, about = f"done in {batch.duration(result.seconds)}", 0.0, "-"
-        seen |= {result.process, result.folder}
-        total += seconds
-        size = f"{round(preview.unknowns(p.case), -2):,.0f}".replace(",", " ")
-        lines.append(f"{p.point.name:<{wide}} {p.ranks:>5} {size:>10} {about:>9}  {note}".rstrip())
-    wall = batch.duration(IDLE * total / cores)
-    return "\n".join([*lines, "", f"about {wall} for what is not done, on {cores} cores"])
+    title = f"{sweep.title or path.stem}: {len(planned)} cases"
+    return many.plan(title, [_job(p) for p in planned], options)
 
 
 def _spent(folder: Path) -> float:
@@ -133,11 +102,11 @@ def _write(
     overrides: Sequence[str],
     planned: Sequence[SweptRun],
     results: Sequence[Result],
-    folder: Path,
-    cores: int,
+    options: Options,
     begin: float,
 ) -> list[dict[str, Any]]:
     """Write the tables; the rows."""
+    folder = options.folder
     rows = [_row(p, r, folder) for p, r in zip(planned, results, strict=True)]
     keys = list(dict.fromkeys(key for p in planned for key in p.point.varied))
     try:
@@ -148,7 +117,7 @@ def _write(
                 "file": str(path),
                 "overrides": list(overrides),
                 "program": identity.program(),
-                "cores": cores,
+                "cores": options.cores,
                 "seconds": round(time.monotonic() - begin, 1),
                 "uncertainty": uncertainty.of_parts(rows, samples(sweep)),
                 "cases": rows,
@@ -215,14 +184,12 @@ def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     """A line for each case, for people."""
-    wide = max(len(r["name"]) for r in rows)
-    lines = [f"{'case':<{wide}} {'unknowns':>9} {'newton':>6} {'wall':>8}  most"]
+    lines = []
     for r in rows:
         size, newton = ("-" if r[k] is None else r[k] for k in ("unknowns", "newton_iterations"))
         said = r["status"] if r["exit_code"] else variations.most(r["numbers"])
-        wall = batch.duration(r["seconds"])
-        lines.append(f"{r['name']:<{wide}} {size:>9} {newton:>6} {wall:>8}  {said}")
-    return "\n".join(lines)
+        lines.append((r["name"], size, newton, batch.duration(r["seconds"]), said))
+    return layout.table(("case", "unknowns", "newton", "wall", "most"), lines)
 
 
 def _reason(message: str) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from mantle.schema import quantities
+from mantle.system import layout
 
 # Fewer samples say nothing of a spread.
 FEWEST = 3
@@ -95,16 +96,7 @@ HEAD = ("number", "unit", "mean", "5 %", "95 %", "follows (rank correlation)")
 
 def table(found: Mapping[str, Mapping[str, Any]]) -> str:
     """All parts as text."""
-    blocks = []
-    for part, of in found.items():
-        lines = [list(HEAD), *rows(of)]
-        wide = [max(len(line[k]) for line in lines) for k in range(len(HEAD))]
-        blocks.append(f"{part or 'samples'}: {of['samples']} samples")
-        blocks += [
-            "  ".join(
-                text.rjust(w) if 2 <= k <= 4 else text.ljust(w)
-                for k, (text, w) in enumerate(zip(line, wide, strict=True))
-            ).rstrip()
-            for line in lines
-        ]
-    return "\n".join(blocks)
+    return "\n".join(
+        f"{part or 'samples'}: {of['samples']} samples\n{layout.table(HEAD, rows(of))}"
+        for part, of in found.items()
+    )

@@ -24,6 +24,7 @@ from mantle.system.progress import doing
 from mantle.system.ranks import rank
 
 if TYPE_CHECKING:
+    from mantle.campaigns.many import Options
     from mantle.schema.loaded_case import LoadedCase
 
 CHECK_FAILED = 1
@@ -56,9 +57,9 @@ def dispatch(arguments: list[str]) -> int:
         "study": _study,
         "sweep": _sweep,
         "report": _report,
-        "verify": _verify,
-        "stress": _stress,
-        "bench": _bench,
+        "verify": _suite,
+        "stress": _suite,
+        "bench": _suite,
         "schema": _schema,
         "doctor": _doctor,
         "version": _version,
@@ -193,8 +194,11 @@ def _study(options: argparse.Namespace) -> int:
     configure_log("info")
     from mantle.campaigns import study
 
-    output = options.output or Path("out") / f"{options.case.stem}-study"
-    study.run(options.case, options.overrides, output, options.cores)
+    many = _many(options, Path("out") / f"{options.case.stem}-study")
+    if options.dry_run:
+        print(study.dry_run(options.case, options.overrides, many))
+    else:
+        study.run(options.case, options.overrides, many)
     return 0
 
 
@@ -203,13 +207,43 @@ def _sweep(options: argparse.Namespace) -> int:
     configure_log("info")
     from mantle.campaigns import sweep
 
-    output = options.output or Path("out") / f"{options.sweep.stem}-sweep"
+    many = _many(options, Path("out") / f"{options.sweep.stem}-sweep")
     if options.dry_run:
-        print(sweep.plan(options.sweep, options.overrides, output, options.cores))
+        print(sweep.dry_run(options.sweep, options.overrides, many))
     else:
-        slurm = None if options.slurm is None else shlex.split(options.slurm)
-        sweep.run(options.sweep, options.overrides, output, options.cores, slurm)
+        sweep.run(options.sweep, options.overrides, many)
     return 0
+
+
+def _suite(options: argparse.Namespace) -> int:
+    """Known answers, extremes or costs; 1 if a check is not as it should be."""
+    configure_log("info")
+    from mantle.verification import engine
+
+    for old in ("fine", "full"):
+        if getattr(options, old, False):
+            print(
+                f"note: --{old} is now --tier long, and goes in the next version", file=sys.stderr
+            )
+            options.tier = "long"
+    many = _many(options, Path("out") / options.command)
+    if options.dry_run:
+        print(engine.dry_run(options.command, many))
+        return 0
+    return 0 if engine.run(options.command, many) else CHECK_FAILED
+
+
+def _many(options: argparse.Namespace, folder: Path) -> Options:
+    """Options of a command that makes many runs."""
+    from mantle.campaigns.many import Options
+
+    return Options(
+        folder=options.output or folder,
+        cores=options.cores,
+        pattern=getattr(options, "pattern", ""),
+        tier=getattr(options, "tier", "default"),
+        slurm=None if options.slurm is None else shlex.split(options.slurm),
+    )
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -228,33 +262,6 @@ def _report(options: argparse.Namespace) -> int:
     page, *others = written.files
     print(f"{page}, and {len(others)} files in {page.parent / sweep_report.PICTURES}")
     return 0
-
-
-def _verify(options: argparse.Namespace) -> int:
-    """Compare with what is known; 1 if a problem fails."""
-    configure_log("info")
-    from mantle.verification import verify
-
-    passed = verify.run(options.pattern, options.output, options.fine, options.cores)
-    return 0 if passed else CHECK_FAILED
-
-
-def _stress(options: argparse.Namespace) -> int:
-    """Stiff and extreme cases; 1 if any is wrong or fails unexplained."""
-    configure_log("info")
-    from mantle.verification import extremes
-
-    stable = extremes.run(options.pattern, options.output, options.full, options.cores)
-    return 0 if stable else CHECK_FAILED
-
-
-def _bench(options: argparse.Namespace) -> int:
-    """Measure what contact costs; 1 if anything cannot be measured."""
-    configure_log("info")
-    from mantle.verification import bench
-
-    measured = bench.run(options.pattern, options.output, options.full)
-    return 0 if measured else CHECK_FAILED
 
 
 def _schema(options: argparse.Namespace) -> int:

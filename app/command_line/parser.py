@@ -71,6 +71,27 @@ def parser() -> argparse.ArgumentParser:
     def add_case(command: argparse.ArgumentParser) -> None:
         add_file(command, "case", "the case", "a key")
 
+    def add_many(command: argparse.ArgumentParser, folder: str) -> None:
+        command.add_argument("-o", "--output", type=Path, metavar="DIR", help=f"default: {folder}")
+        command.add_argument(
+            "--cores",
+            type=int,
+            default=len(os.sched_getaffinity(0)),
+            metavar="N",
+            help="cores to use (default: all that this process may)",
+        )
+        command.add_argument(
+            "--dry-run", action="store_true", help="list the runs and what they would cost"
+        )
+        command.add_argument(
+            "--slurm",
+            nargs="?",
+            const="",
+            metavar="OPTIONS",
+            help="make each run a Slurm job, with these further options of sbatch in one word, "
+            "e.g. --slurm='--partition=long --time=2:00:00'",
+        )
+
     run = add(
         "run",
         "solve a case",
@@ -133,44 +154,35 @@ def parser() -> argparse.ArgumentParser:
     )
     study = add("study", "error against run time of a case, by its study section")
     add_case(study)
-    study.add_argument(
-        "-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>-study"
-    )
     sweep = add("sweep", "run many cases of one base case, and compare them")
     add_file(sweep, "sweep", "what varies", "a key of every case")
-    sweep.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name>-sweep")
-    sweep.add_argument(
-        "--dry-run", action="store_true", help="list the cases and what they would cost"
-    )
-    sweep.add_argument(
-        "--slurm",
-        nargs="?",
-        const="",
-        metavar="OPTIONS",
-        help="run each case as a Slurm job, with these further options of sbatch in one word, "
-        "e.g. --slurm='--partition=long --time=2:00:00'",
-    )
     report = add("report", "figures, tables and verdicts of a sweep, as a page")
     report.add_argument("folder", type=Path, metavar="DIR", help="written by mantle sweep")
     verify = add("verify", "solve the verification problems and compare with what is known")
-    verify.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
-    verify.add_argument("-o", "--output", type=Path, default=Path("out/verify"), metavar="DIR")
-    verify.add_argument("--fine", action="store_true", help="finer meshes too, for the orders")
     stress = add("stress", "stiff and extreme cases: right, refused with a reason, or wrong")
-    stress.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
-    stress.add_argument("-o", "--output", type=Path, default=Path("out/stress"), metavar="DIR")
-    stress.add_argument("--full", action="store_true", help="the long ones too")
-    bench = add("bench", "measure what contact costs, from 50 000 unknowns up (20 minutes)")
-    bench.add_argument("-k", dest="pattern", default="", metavar="NAME", help="only these")
-    bench.add_argument("-o", "--output", type=Path, default=Path("out/bench"), metavar="DIR")
-    bench.add_argument("--full", action="store_true", help="a million unknowns too")
-    for command in (study, sweep, verify, stress):
+    bench = add("bench", "measure what contact costs, from 20 000 unknowns up (20 minutes)")
+    add_many(study, "out/<name of CASE>-study")
+    add_many(sweep, "out/<name>-sweep")
+    suites = {
+        verify: ("verify", "--fine"),
+        stress: ("stress", "--full"),
+        bench: ("bench", "--full"),
+    }
+    for command, (name, old) in suites.items():
+        add_many(command, f"out/{name}")
+        command.add_argument(old, action="store_true", help=argparse.SUPPRESS)  # until 0.2
+    for command, what in (
+        (study, "lines of this name"),
+        *((suite, "checks of this name") for suite in suites),
+    ):
         command.add_argument(
-            "--cores",
-            type=int,
-            default=len(os.sched_getaffinity(0)),
-            metavar="N",
-            help="cores to use (default: all that this process may)",
+            "-k", dest="pattern", default="", metavar="NAME", help=f"only {what}, or a part of it"
+        )
+        command.add_argument(
+            "--tier",
+            choices=("quick", "default", "long"),
+            default="default",
+            help="how much: what takes seconds, the usual, or also what takes long",
         )
     add("schema", "print the JSON schema of case files, for editors")
     add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")

@@ -11,6 +11,7 @@ import numpy as np
 
 from mantle.schema import quantities
 from mantle.schema.config import Case, Varied
+from mantle.system import layout
 from mantle.system.folders import csv_text, write_json, write_text
 
 # Distance of two runs per step of a key: loads may merely scale, interfaces of other kinds share
@@ -135,14 +136,12 @@ def write(rows: Sequence[Row], folder: Path) -> None:
 
 def table(rows: Sequence[Row]) -> str:
     """The table for people: what all have in common of the numbers, a line per run."""
-    wide = max(len(r["name"]) for r in rows)
-    lines = [f"{'variation':<{wide}} {'newton':>6} {'krylov':>6} {'wall':>8}  most"]
+    lines = []
     for r in rows:
-        counts = [r[f"{kind}_iterations"] for kind in ("newton", "linear")]
-        newton, krylov = ("-" if n is None else n for n in counts)
+        newton, krylov = (r[f"{kind}_iterations"] for kind in ("newton", "linear"))
         said = most(r["numbers"]) if r["status"] == "converged" else r["status"]
-        lines.append(f"{r['name']:<{wide}} {newton:>6} {krylov:>6} {r['seconds']:>6.1f} s  {said}")
-    return "\n".join(lines)
+        lines.append((r["name"], newton, krylov, f"{r['seconds']:.1f} s", said))
+    return layout.table(("variation", "newton", "krylov", "wall", "most"), lines)
 
 
 def most(numbers: Mapping[str, float]) -> str:

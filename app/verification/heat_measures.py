@@ -14,7 +14,8 @@ from mantle.arrays import Floats, Ints
 from mantle.results.reading import Run
 from mantle.verification import closed_forms_coupled as coupled
 from mantle.verification import closed_forms_heat as exact
-from mantle.verification.measures import Sample, relative
+from mantle.verification.check import Sample, worst
+from mantle.verification.measures import in_l2, relative
 
 # Conductivity [N/(s K)] and capacity [N/(mm2 K)] of the cases.
 CEMENT, BONE = (0.2, 1.74), (0.58, 2.331)
@@ -45,7 +46,7 @@ def temperatures(
             should = field(run.points[nodes], int(region), seconds)
             off = np.abs(T[nodes] - should) / scale
             at = int(np.argmax(off))
-            samples.append(Sample(float(T[nodes[at]]), float(should[at]), float(off[at])))
+            samples.append(Sample(float(off[at]), float(T[nodes[at]]), float(should[at])))
     return worst(samples)
 
 
@@ -64,7 +65,7 @@ def mean_square(run: Run, field: Field, zero: float, ends: Sequence[float] = ())
             partial(_by_region, field=field, zero=zero, seconds=seconds),
             run.temperature(step)[:, None] - zero,
         )
-        samples.append(Sample(norm, reference, error / reference))
+        samples.append(Sample(error / reference, norm, reference))
     return worst(samples)
 
 
@@ -82,11 +83,6 @@ def _written(run: Run, ends: Sequence[float]) -> list[tuple[int, float]]:
         return [(len(run.times) - 1, math.inf)]
     seconds = np.interp(run.times, np.arange(len(ends)), ends)
     return [(k, float(s)) for k, s in enumerate(seconds) if s > 0]
-
-
-def worst(samples: Sequence[Sample]) -> Sample:
-    """The sample with the largest error."""
-    return max(samples, key=lambda s: math.inf if math.isnan(s.error) else s.error)
 
 
 def bars(run: Run, conductance: float) -> Sample:
@@ -187,7 +183,7 @@ def heat_of_cure(run: Run) -> Sample:
     q = run.summary["cure"]["cube"]
     rise = 155 / 1.74 * (q["degree_max"] - 1e-3)
     value = run.summary["thermal"]["regions"]["cube"]["temperature_max"]
-    return Sample(value, 37 + rise, abs(value - 37 - rise) / rise)
+    return Sample(abs(value - 37 - rise) / rise, value, 37 + rise)
 
 
 def layers_stress(run: Run, joined: tuple[bool, bool]) -> Sample:
@@ -211,7 +207,7 @@ def layers_stress(run: Run, joined: tuple[bool, bool]) -> Sample:
         for at in (6.0, 10.0):
             value, reference = float(A + B / at**2), should(1, at)
             scale = abs(law.hoop(1, 6.0))
-            samples.append(Sample(value, reference, abs(value - reference) / scale))
+            samples.append(Sample(abs(value - reference) / scale, value, reference))
     return worst(samples)
 
 
@@ -260,7 +256,7 @@ def walls(run: Run, closed: bool) -> Sample:
 
     pressure = run.summary["interfaces"]["metal_cement"]["pressure_mean"]
     off = abs(pressure - state.pressure) / WALLS.states()[-1].pressure
-    return worst([temperatures(run, field, 43.0), Sample(pressure, state.pressure, off)])
+    return worst([temperatures(run, field, 43.0), Sample(off, pressure, state.pressure)])
 
 
 WAVY = coupled.WavyContact(
@@ -289,8 +285,7 @@ def wavy_displacement(run: Run) -> Sample:
         below, above = WAVY.displacement(x, upper=False), WAVY.displacement(x, upper=True)
         return np.where((region == 1)[:, None], below, above)
 
-    error, norm, reference = run.norms(field)
-    return Sample(norm, reference, error / reference)
+    return in_l2(run, field)
 
 
 def endured(run: Run, low: float, high: float) -> Sample:
@@ -323,5 +318,5 @@ def endured(run: Run, low: float, high: float) -> Sample:
     steps = f"steps {solver['steps']}, rejected {solver['rejected_steps']}"
     note = f"{steps}, balance {balance:.0e}, {coldest:.2f} to {hottest:.2f} degC"
     off = max(0.0, *beyond)
-    sample = worst([Sample(balance, 0.0, abs(balance)), Sample(hottest, high, off)])
+    sample = worst([Sample(abs(balance), balance, 0.0), Sample(off, hottest, high)])
     return replace(sample, note=note)

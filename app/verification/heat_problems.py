@@ -3,110 +3,103 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 from mantle.verification import closed_forms_heat as exact
 from mantle.verification import heat_measures as measures
+from mantle.verification.check import Check, CheckRun, Judge, Measure, each, finest, ladder
 from mantle.verification.heat_measures import BONE, CEMENT
-from mantle.verification.measures import Measure
-from mantle.verification.problem import Check, CheckRun, ladder
 
 KINETICS = (2.6397e8, 62866.0)
 PMMA = exact.ExactKinetics(*KINETICS, 0.98, 1.064)
 RISE = 155 / 1.74  # K
-TIME_STEP = "time step (s)"
 
 
-def heat_problems(fine: bool = False) -> list[Check]:
-    """All of them.
-
-    Args:
-        fine: Whether ladders have their finest rungs too.
-    """
+def heat_problems() -> list[Check]:
+    """All of them."""
     return [
-        *_steady(fine),
-        *_transient(fine),
+        *_steady(),
+        *_transient(),
         *_rubbing(),
         *_setting(),
-        *_expanding(fine),
+        *_expanding(),
         *_stiff(),
         *_stiff_contact(),
     ]
 
 
-def _sizes(*sizes: float, fine: bool) -> list[float]:
-    """The sizes of a ladder, whose last is for those who have time."""
-    return list(sizes if fine else sizes[:-1])
+def _one(
+    name: str, what: str, case: str, judge: Judge, tolerance: float, overrides: Sequence[str] = ()
+) -> Check:
+    """A problem of one run."""
+    run = CheckRun(f"verification/{case}.yaml", tuple(overrides))
+    return Check(name, what, (run,), judge, tolerance)
 
 
 # A slice of cylinders as long as its cells, a mesh of one size.
 _SLICE = ("geometry.length={} mm", "mesh.size={} mm", "mesh.far_size={} mm")
 
 
-def _steady(fine: bool) -> Iterator[Check]:
+def _steady() -> Iterator[Check]:
+    conductances = (1.0, 300.0, 1e6)
     yield Check(
         "heat_bars",
         "temperatures of two bars, over their range, and flux; 1 to 1e6 W/(m2 K)",
-        1e-6,
-        "two_bars.yaml",
         tuple(
             CheckRun(
-                (f"interfaces.cement_bone.conductance={h} W/(m^2 K)",),
-                partial(measures.bars, conductance=1e-3 * h),
+                "verification/two_bars.yaml", (f"interfaces.cement_bone.conductance={h} W/(m^2 K)",)
             )
-            for h in (1.0, 300.0, 1e6)
+            for h in conductances
         ),
+        each(*(partial(measures.bars, conductance=1e-3 * h) for h in conductances)),
+        1e-6,
     )
     yield Check(
         "heat_rings",
         "temperatures of two rings, relative in L2",
+        ladder("verification/two_rings.yaml", _SLICE, (1, 0.5, 0.35), 0.25),
+        finest(measures.rings),
         1e-4,
-        "two_rings.yaml",
-        ladder(_sizes(1, 0.5, 0.35, 0.25, fine=fine), _SLICE, measures.rings),
         2.0,
     )
-    yield Check(
+    yield _one(
         "heat_slab",
         "temperatures of a perfused slab, relative in L2",
+        "perfused_slab",
+        each(measures.slab),
         1e-3,
-        "perfused_slab.yaml",
-        (CheckRun((), measures.slab),),
     )
     yield Check(
         "heat_fibre",
         "temperatures with a fibre in any direction, relative in L2",
-        5e-3,
-        "fibre_heat.yaml",
         ladder(
-            _sizes(1 / 3, 1 / 4, 1 / 6, 1 / 8, fine=fine), ("mesh.size={!r} mm",), measures.in_fibre
+            "verification/fibre_heat.yaml", ("mesh.size={!r} mm",), (1 / 3, 1 / 4, 1 / 6), 1 / 8
         ),
+        finest(measures.in_fibre),
+        5e-3,
         2.0,
     )
 
 
-def _transient(fine: bool) -> Iterator[Check]:
+def _transient() -> Iterator[Check]:
     yield Check(
         "heat_cylinder",
         "temperatures of a cooling cylinder, relative in L2",
+        ladder("verification/cooling_cylinder.yaml", _SLICE, (2, 1, 0.5), 0.3),
+        finest(measures.cylinder),
         0.005,
-        "cooling_cylinder.yaml",
-        ladder(_sizes(2, 1, 0.5, 0.3, fine=fine), _SLICE, measures.cylinder),
         2.0,
     )
     for name, h in (("perfect", math.inf), ("resistance", 1.0)):
         text = "perfect" if math.isinf(h) else f"{1e3 * h} W/(m^2 K)"
-        yield Check(
+        yield _one(
             f"heat_contact_{name}",
             "temperatures of two half-spaces in contact, over their range",
+            "half_spaces",
+            each(partial(measures.half_spaces, conductance=h)),
             0.01,
-            "half_spaces.yaml",
-            (
-                CheckRun(
-                    (f"interfaces.cement_bone.conductance={text}",),
-                    partial(measures.half_spaces, conductance=h),
-                ),
-            ),
+            (f"interfaces.cement_bone.conductance={text}",),
         )
 
 
@@ -116,21 +109,17 @@ def _rubbing() -> Iterator[Check]:
         "interfaces.cement_bone.friction_heating=0.7",
         "interfaces.cement_bone.conductance=0 W/(m^2 K)",
     )
-    one = "interfaces.cement_bone.conductance=perfect"
-    rows: list[tuple[str, str, float, tuple[str, ...], Measure]] = [
-        ("split", "shared by effusivity", 0.01, (), partial(measures.rubbed, share=e / (e + f))),
-        ("given", "shared as given", 0.01, insulated, partial(measures.rubbed, share=0.7)),
-        ("perfect", "perfect contact", 0.01, (one,), partial(measures.rubbed, share=e / (e + f))),
-        ("energy", "heat stored over work lost", 1e-6, (), measures.rubbing_heat),
+    perfect = ("interfaces.cement_bone.conductance=perfect",)
+    split = partial(measures.rubbed, share=e / (e + f))
+    rows: list[tuple[str, str, Measure, float, tuple[str, ...]]] = [
+        ("split", "shared by effusivity", split, 0.01, ()),
+        ("given", "shared as given", partial(measures.rubbed, share=0.7), 0.01, insulated),
+        ("perfect", "perfect contact", split, 0.01, perfect),
+        ("energy", "heat stored over work lost", measures.rubbing_heat, 1e-6, ()),
     ]
-    for name, quantity, tolerance, overrides, measure in rows:
-        yield Check(
-            f"rubbing_{name}",
-            f"heat of friction, {quantity}, relative",
-            tolerance,
-            "rubbing.yaml",
-            (CheckRun(overrides, measure),),
-        )
+    for name, quantity, measure, tolerance, overrides in rows:
+        what = f"heat of friction, {quantity}, relative"
+        yield _one(f"rubbing_{name}", what, "rubbing", each(measure), tolerance, overrides)
 
 
 def _setting() -> Iterator[Check]:
@@ -155,19 +144,20 @@ def _setting() -> Iterator[Check]:
         ),
     }
     for name, (overrides, reference) in cases.items():
-        yield Check(
+        yield _one(
             f"cure_{name}",
             "when half of it has set, default tolerances [s], relative",
+            "exotherm",
+            each(partial(measures.setting_time, reference=reference)),
             1e-4,
-            "exotherm.yaml",
-            (CheckRun(overrides, partial(measures.setting_time, reference=reference)),),
+            overrides,
         )
-    yield Check(
+    yield _one(
         "cure_heat",
         "temperature after it has set without losing heat, over its rise",
+        "exotherm",
+        each(measures.heat_of_cure),
         1e-9,
-        "exotherm.yaml",
-        (CheckRun((), measures.heat_of_cure),),
     )
     end, reference = 300.0, PMMA.degree(300.0, 310.15, 1e-3, RISE)
     for method, order, counts, tolerance in (
@@ -177,60 +167,57 @@ def _setting() -> Iterator[Check]:
         yield Check(
             f"cure_order_{method}",
             "degree of cure after 300 s in steps of one length, relative",
-            tolerance,
-            "exotherm.yaml",
             tuple(
                 CheckRun(
+                    "verification/exotherm.yaml",
                     (f"time={{method: {method}}}", *_forced(end / n, n)),
-                    partial(measures.degree, reference=reference),
-                    end / n,
+                    size=end / n,
                 )
                 for n in counts
             ),
+            finest(partial(measures.degree, reference=reference)),
+            tolerance,
             order,
-            rung=TIME_STEP,
+            rung="time step (s)",
         )
 
 
-def _expanding(fine: bool) -> Iterator[Check]:
+def _expanding() -> Iterator[Check]:
     yield Check(
         "hot_fit",
         "mean pressure of a hot stem in a cooled ring [MPa], relative",
+        ladder("verification/hot_fit.yaml", _SLICE, (1.2, 0.6, 0.3), 0.2),
+        finest(measures.hot_fit),
         0.005,
-        "hot_fit.yaml",
-        ladder(_sizes(1.2, 0.6, 0.3, 0.2, fine=fine), _SLICE, measures.hot_fit),
         2.0,
     )
-    yield Check(
+    yield _one(
         "layers_bonded",
         "stresses of a mantle cooled between stem and bone [MPa], over the largest",
+        "cooled_layers",
+        each(partial(measures.layers_stress, joined=(True, True))),
         0.01,
-        "cooled_layers.yaml",
-        (CheckRun((), partial(measures.layers_stress, joined=(True, True))),),
     )
     law = "{kind: contact, friction_coefficient: 0}"
     free = (f"interfaces.stem_cement={law}", f"interfaces.cement_bone={law}")
-    stress = partial(measures.layers_stress, joined=(True, False))
     yield Check(
         "layers_unilateral",
         "the same without tension; pressure, gap [mm], relative",
+        2 * (CheckRun("verification/cooled_layers.yaml", free),),
+        each(partial(measures.layers_stress, joined=(True, False)), measures.layers_contact),
         0.01,
-        "cooled_layers.yaml",
-        (CheckRun(free, stress), CheckRun(free, measures.layers_contact)),
     )
     warm = ("regions.cement.thermal.initial_temperature=75 degC",)
     for name, overrides, closed in (("open", (), False), ("closed", warm, True)):
         yield Check(
             f"walls_{name}",
             "conductance that depends on pressure: one of two states, relative",
-            1e-4,
-            "heated_walls.yaml",
             tuple(
-                CheckRun(
-                    (*overrides, f"solver.coupling={how}"), partial(measures.walls, closed=closed)
-                )
+                CheckRun("verification/heated_walls.yaml", (*overrides, f"solver.coupling={how}"))
                 for how in ("monolithic", "staggered")
             ),
+            each(partial(measures.walls, closed=closed)),
+            1e-4,
         )
     fields: dict[str, Measure] = {
         "temperature": measures.wavy_temperature,
@@ -240,13 +227,9 @@ def _expanding(fine: bool) -> Iterator[Check]:
         yield Check(
             f"wavy_{name}",
             f"{name} of a manufactured contact, conductance by pressure, relative in L2",
+            ladder("verification/wavy_contact.yaml", _SLICE[1:], (0.125, 0.0833, 0.0625), 0.05),
+            finest(measure),
             0.005,
-            "wavy_contact.yaml",
-            ladder(
-                _sizes(0.125, 0.0833, 0.0625, 0.05, fine=fine),
-                ("mesh.size={} mm", "mesh.far_size={} mm"),
-                measure,
-            ),
             2.0,
         )
 
@@ -306,24 +289,24 @@ def _stiff() -> Iterator[Check]:
     }
     for name, (overrides, high) in cases.items():
         low = 23.0 if any("23 degC" in o for o in overrides) else 37.0
-        yield Check(
+        yield _one(
             f"stiff_{name}",
             "heat lost, temperatures beyond the data, degrees beyond 0 and 1",
+            "stiff",
+            each(partial(measures.endured, low=low, high=high)),
             1e-6,
-            "stiff.yaml",
-            (CheckRun(overrides, partial(measures.endured, low=low, high=high)),),
+            overrides,
         )
 
 
 def _stiff_contact() -> Iterator[Check]:
-    for name, overrides, low, high in (
-        ("", (), -163.0, 237.0),
-        ("_rubbing", ("interfaces.stem_cement.friction_heating=effusivity",), -163.0, math.inf),
-    ):
-        yield Check(
+    rubbing = ("interfaces.stem_cement.friction_heating=effusivity",)
+    for name, overrides, high in (("", (), 237.0), ("_rubbing", rubbing, math.inf)):
+        yield _one(
             f"stiff_contact{name}",
             "the same as contact opens and closes under 200 K",
+            "stiff_contact",
+            each(partial(measures.endured, low=-163.0, high=high)),
             1e-6,
-            "stiff_contact.yaml",
-            (CheckRun(overrides, partial(measures.endured, low=low, high=high)),),
+            overrides,
         )

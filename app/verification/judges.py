@@ -5,7 +5,7 @@ Each takes the runs of a case, the one in question first, and says how far off i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,7 @@ from mantle.campaigns.work_precision import fitted_order
 from mantle.errors import Reason
 from mantle.results.reading import Run
 from mantle.verification import closed_forms as exact
-from mantle.verification.extremes_case import Judged
-from mantle.verification.measures import corner
-from mantle.verification.problem import CheckRun
+from mantle.verification.check import Sample, worst
 
 OPEN, STICK = 0, 1
 # A share of what friction may bear that still counts as nothing.
@@ -58,7 +56,7 @@ def same(
     stresses: float = 1.0,
     points: float = 1.0,
     turn: Floats | None = None,
-) -> Judged:
+) -> Sample:
     """Every field after every step is that of the second run, times a factor.
 
     Args:
@@ -71,18 +69,12 @@ def same(
     run, other = runs
     R = np.eye(3) if turn is None else turn
     if len(run.times) != len(other.times) or not np.allclose(run.times, other.times):
-        return Judged(np.inf, f"{len(run.times)} steps instead of {len(other.times)}")
+        return Sample(np.inf, note=f"{len(run.times)} steps instead of {len(other.times)}")
     k = _partners(run, np.asarray(run.points @ R / points, dtype=float), other)
-    worst, where = 0.0, ""
-
-    def note(value: float, what: str) -> None:
-        nonlocal worst, where
-        if not value <= worst:
-            worst, where = value, what
-
+    found = []
     for step, time in enumerate(run.times):
         u = other.displacement(step)[k] @ R.T * lengths
-        note(_off(run.displacement(step), u), f"displacement at time {time:g}")
+        found.append(Sample(_off(run.displacement(step), u), note=f"displacement at time {time:g}"))
         for name in run.contacts:
             pressure = other.at_interface(name, "pressure", step)[k] * stresses
             # Gap and slip are one vector. One that is nothing but rounding has no scale of its own.
@@ -97,29 +89,27 @@ def same(
                 reference = other.at_interface(name, quantity, step)[k] * factor
                 scale = jump if quantity in ("gap", "slip") else float(pressure.max())
                 value = run.at_interface(name, quantity, step)
-                note(_off(value, reference, scale), f"{quantity} of {name} at time {time:g}")
-    return Judged(worst, where)
+                words = f"{quantity} of {name} at time {time:g}"
+                found.append(Sample(_off(value, reference, scale), note=words))
+    return worst(found)
 
 
-def augmented(runs: Sequence[Run], factor: float) -> Judged:
+def augmented(runs: Sequence[Run], factor: float) -> Sample:
     """The same as with the default augmentation; tells what was used of it."""
     run, other = runs
     judged = same(runs)
     used, usual = (r.summary["solver"]["augmentation"] for r in (run, other))
     multiple = ", ".join(sorted({f"{used[name] / usual[name]:.3g}" for name in used}))
-    q = run.summary["solver"]
-    return Judged(
-        judged.deviation,
-        f"asked for {factor:g} r, used {multiple} r, {q['newton_iterations']} Newton iterations "
-        f"({other.summary['solver']['newton_iterations']} by default); {judged.note}",
-    )
+    newton, by_default = (r.summary["solver"]["newton_iterations"] for r in (run, other))
+    note = f"asked for {factor:g} r, used {multiple} r, {newton} Newton iterations "
+    return Sample(judged.error, note=f"{note}({by_default} by default); {judged.note}")
 
 
-def lawful(runs: Sequence[Run]) -> Judged:
+def lawful(runs: Sequence[Run]) -> Sample:
     """Balances close; no tension, no penetration, no more friction than Coulomb's, none created."""
     run = runs[0]
     balance = run.summary["balance"]
-    worst = {f"balance of {key}": float(abs(balance[key])) for key in balance}
+    off = {f"balance of {key}": float(abs(balance[key])) for key in balance}
     for name, q in run.summary["interfaces"].items():
         law = _friction(run, name)
         p, t = run.at_interface(name, "pressure"), run.at_interface(name, "shear")
@@ -128,17 +118,21 @@ def lawful(runs: Sequence[Run]) -> Judged:
         peak = float(p.max())
         if not peak:
             continue
-        worst[f"friction of {name}"] = float((t - law * p).max()) / peak
-        worst[f"pressure across a gap of {name}"] = float((p * gap).max()) / (peak * moved)
-        worst[f"penetration of {name}"] = q["penetration_max"] / moved
+        off[f"friction of {name}"] = float((t - law * p).max()) / peak
+        off[f"pressure across a gap of {name}"] = float((p * gap).max()) / (peak * moved)
+        off[f"penetration of {name}"] = q["penetration_max"] / moved
         lost = abs(q["dissipation"]) or 1.0
-        worst[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
-    what = max(worst, key=lambda key: worst[key])
-    beyond = _beyond(run)
+        off[f"friction of {name} that drives"] = max(0.0, -q["dissipation_min"]) / lost
+    most, beyond = _worst(off), _beyond(run)
     if beyond and Reason.NOT_UNIQUE not in Reason.within(run.log):
-        return Judged(np.inf, f"friction beyond the critical one of {beyond} and no warning")
+        return Sample(np.inf, note=f"friction beyond the critical one of {beyond} and no warning")
     warned = f"; warns that {beyond} may have several solutions" if beyond else ""
-    return Judged(max(worst[what], 0.0), what + warned)
+    return Sample(most.error, note=most.note + warned)
+
+
+def _worst(errors: Mapping[str, float]) -> Sample:
+    """The largest error, by what it is of."""
+    return worst([Sample(error, note=what) for what, error in errors.items()])
 
 
 def _friction(run: Run, name: str) -> float:
@@ -157,24 +151,24 @@ def _beyond(run: Run) -> str:
     )
 
 
-def nothing_moves(runs: Sequence[Run]) -> Judged:
+def nothing_moves(runs: Sequence[Run]) -> Sample:
     """Without load: no displacement [mm], no pressure [MPa]."""
     run = runs[0]
     u = float(np.abs(run.displacement()).max())
     p = max(float(np.abs(run.at_interface(name, "pressure")).max()) for name in run.contacts)
-    return Judged(max(u, p), "displacement and pressure")
+    return Sample(max(u, p), note="displacement and pressure")
 
 
-def mirrored(runs: Sequence[Run]) -> Judged:
+def mirrored(runs: Sequence[Run]) -> Sample:
     """A load the other way gives the displacement along it the other way."""
     ours, theirs = (np.array([r.displacement(k)[:, 0] for k in range(len(r.times))]) for r in runs)
-    return Judged(_off(ours, -theirs), "displacement along the load")
+    return Sample(_off(ours, -theirs), note="displacement along the load")
 
 
 # Closed forms
 
 
-def stack(runs: Sequence[Run], moduli: Sequence[float], ratios: Sequence[float]) -> Judged:
+def stack(runs: Sequence[Run], moduli: Sequence[float], ratios: Sequence[float]) -> Sample:
     """Blocks of 5 mm in a smooth box under 2 MPa: displacement and pressure are exact."""
     run = runs[0]
     p, h = 2.0, 5.0
@@ -186,14 +180,12 @@ def stack(runs: Sequence[Run], moduli: Sequence[float], ratios: Sequence[float])
     u = run.displacement()
     should = np.zeros_like(u)
     should[:, 2] = np.interp(run.points[:, 2], levels, falls)
-    worst = {"displacement": _off(u, should)}
+    off = {"displacement": _off(u, should)}
     for name in run.contacts:
         on = run.on_interface(name)
-        worst[f"pressure of {name}"] = _off(
-            run.at_interface(name, "pressure")[on], np.full(on.sum(), p)
-        )
-    what = max(worst, key=lambda key: worst[key])
-    return Judged(worst[what], what)
+        pressure = run.at_interface(name, "pressure")[on]
+        off[f"pressure of {name}"] = _off(pressure, np.full(on.sum(), p))
+    return _worst(off)
 
 
 def shrink_fit(
@@ -201,34 +193,20 @@ def shrink_fit(
     interference: float,
     radii: Sequence[float],
     materials: Sequence[exact.Elastic],
-) -> Judged:
+) -> Sample:
     """Mean pressures of a core in a mantle in a ring [MPa]; the outer where it is in contact."""
     numbers = runs[0].summary["interfaces"]
     should = exact.compound_pressures(interference, radii, materials)
-    worst, notes = 0.0, []
+    off, notes = {}, []
     for name, p in zip(("stem_cement", "cement_bone"), should, strict=True):
         if name in numbers:
             value = numbers[name]["pressure_mean"]
-            worst = max(worst, abs(value / p - 1))
+            off[name] = abs(value / p - 1)
             notes.append(f"{name} {value:.5g} MPa, exact {p:.5g}")
-    return Judged(worst, "; ".join(notes))
+    return Sample(_worst(off).error, note="; ".join(notes))
 
 
-def bar(runs: Sequence[Run], force: float, friction: float) -> Judged:
-    """End of the bar on a frictional bed after loading, and what it keeps after unloading."""
-    run = runs[0]
-    law = exact.FoundationBar(force, friction, 1.1e6)
-    end = np.isclose(run.points[:, 0], 110)
-    end &= np.isclose(run.points[:, 2], run.points[:, 2].max())
-    values = [
-        float(run.displacement(int(np.argmin(np.abs(run.times - t))))[end, 0].mean())
-        for t in (2.0, 3.0)
-    ]
-    errors = [abs(v / r - 1) for v, r in zip(values, (law.end, law.residual), strict=True)]
-    return Judged(max(errors), f"end {values[0]:.6g} mm, left {values[1]:.6g} mm")
-
-
-def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Judged:
+def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Sample:
     """Work lost in each cycle of the bar against F^3 / (12 EA f); its end comes back each time."""
     run = runs[0]
     law = exact.FoundationBar(force, friction, 1.1e6)
@@ -240,14 +218,14 @@ def cycles(runs: Sequence[Run], count: int, force: float, friction: float) -> Ju
         [run.displacement(int(np.argmin(np.abs(run.times - t))))[at, 0].mean() for t in ends]
     )
     creep = float(np.abs(np.diff(left)).max()) / law.end
-    return Judged(
+    return Sample(
         max(float(np.abs(lost / law.cycle - 1).max()), creep),
-        f"{count} cycles, {lost[0]:.5g} to {lost[-1]:.5g} N mm each, exact {law.cycle:.5g}; "
+        note=f"{count} cycles, {lost[0]:.5g} to {lost[-1]:.5g} N mm each, exact {law.cycle:.5g}; "
         f"the end creeps by {creep:.1e} of its stroke in a cycle",
     )
 
 
-def shakedown(runs: Sequence[Run], count: int) -> Judged:
+def shakedown(runs: Sequence[Run], count: int) -> Sample:
     """Subsidence of a taper in the last cycle over that in the first: it shakes down."""
     run = runs[0]
     top = run.points[:, 2] > run.points[:, 2].max() - 1e-6
@@ -259,10 +237,10 @@ def shakedown(runs: Sequence[Run], count: int) -> Judged:
     lost = np.diff(np.interp(np.arange(count + 1) * 2 + 1.0, times, work))
     share = abs(sunk[-1]) / down[0]
     words = f"sinks {1e3 * down[0]:.4g} um, then {1e3 * sunk[0]:.2e} .. {1e3 * sunk[-1]:.2e} um"
-    return Judged(share, f"{words} in a cycle; loses {lost[0]:.3g} .. {lost[-1]:.3g} N mm")
+    return Sample(share, note=f"{words} in a cycle; loses {lost[0]:.3g} .. {lost[-1]:.3g} N mm")
 
 
-def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) -> Judged:
+def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) -> Sample:
     """Force over integral of pressure of a cone pushed in by 100 N, then let go to a part.
 
     Where it slides it is sin a +- m cos a; where friction holds it, the law of friction and the
@@ -285,12 +263,12 @@ def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) 
     words = f"{100 * now / pushed:.0f} % of the pressure stays; sliding in off by {into:.1e}"
     if friction <= s / c:
         out = abs(100 * left / (now * (s - friction * c)) - 1)
-        return Judged(max(into, out), f"{words}, sliding out by {out:.1e}")
+        return Sample(max(into, out), note=f"{words}, sliding out by {out:.1e}")
     held = lawful(runs)
-    return Judged(held.deviation if now > 0.1 * pushed else np.inf, f"held; {words}")
+    return Sample(held.error if now > 0.1 * pushed else np.inf, note=f"held; {words}")
 
 
-def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> Judged:
+def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> Sample:
     """Penetration and error of a penalty against the augmented Lagrangian: of order -1 in it."""
     *penalized, other = runs
     reference = other.summary["interfaces"][name]["pressure_mean"]
@@ -299,17 +277,10 @@ def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> J
     ]
     depths = [r.summary["interfaces"][name]["penetration_max"] for r in penalized]
     orders = [fitted_order(penalties, values) for values in (errors, depths)]
-    return Judged(
+    return Sample(
         max(abs(p + 1) for p in orders),
-        f"order of the pressure's error {orders[0]:.3f}, of the penetration {orders[1]:.3f}",
+        note=f"order of the pressure's error {orders[0]:.3f}, of the penetration {orders[1]:.3f}",
     )
-
-
-def penetrates(runs: Sequence[Run], stiffness: float, motion: float, penalty: float) -> Judged:
-    """Penetration of the bar into the wall is that of springs in series."""
-    value = runs[0].summary["interfaces"]["wall_bar"]["penetration_max"]
-    should = exact.penalty_penetration(stiffness, motion, penalty)
-    return Judged(abs(value / should - 1), f"{value:.4g} mm, exact {should:.4g}")
 
 
 # Steps and paths
@@ -321,7 +292,7 @@ def _final(run: Run) -> Floats:
     return np.concatenate([run.displacement().ravel(), *slips])
 
 
-def first_order(runs: Sequence[Run], counts: Sequence[int]) -> Judged:
+def first_order(runs: Sequence[Run], counts: Sequence[int]) -> Sample:
     """The answer goes to that of the finest steps with the first power of their length."""
     *coarse, finest = map(_final, runs)
     scale = float(np.linalg.norm(finest))
@@ -330,10 +301,10 @@ def first_order(runs: Sequence[Run], counts: Sequence[int]) -> Judged:
     sizes = [1 / n - 1 / counts[-1] for n in counts[:-1]]
     order = fitted_order(sizes, errors)
     tail = f"{errors[0]:.1e} with {counts[0]}, {errors[-1]:.1e} with {counts[-2]}"
-    return Judged(max(0.0, 1.0 - order), f"order {order:.2f}; error {tail} increments")
+    return Sample(max(0.0, 1.0 - order), note=f"order {order:.2f}; error {tail} increments")
 
 
-def path_matters(runs: Sequence[Run]) -> Judged:
+def path_matters(runs: Sequence[Run]) -> Sample:
     """Two orders of the same loads end apart, by more than the steps are wrong.
 
     Runs: one order with fine and coarse steps, the other with fine steps.
@@ -341,37 +312,16 @@ def path_matters(runs: Sequence[Run]) -> Judged:
     one, coarse, other = map(_final, runs)
     apart, wrong = np.linalg.norm(one - other), np.linalg.norm(one - coarse)
     words = f"{apart / np.linalg.norm(one):.1e} apart, steps wrong by"
-    return Judged(float(wrong / apart), f"{words} {wrong / np.linalg.norm(one):.1e}")
+    return Sample(float(wrong / apart), note=f"{words} {wrong / np.linalg.norm(one):.1e}")
 
 
-def close(runs: Sequence[Run], factor: float = 1.0) -> Judged:
+def close(runs: Sequence[Run], factor: float = 1.0) -> Sample:
     """Numbers of each interface are those of the second run, forces so many times those."""
     run, other = runs
-    worst, where = 0.0, ""
+    off = {}
     for name, q in other.summary["interfaces"].items():
         mine = run.summary["interfaces"][name]
         for key in ("slip_mean", "pressure_mean", "shear_mean"):
-            off = abs(mine[key] - q[key]) / (abs(q[key]) or 1.0)
-            worst, where = max((worst, where), (off, f"{key} of {name}"))
-        off = abs(mine["force"][2] / (factor * q["force"][2]) - 1)
-        worst, where = max((worst, where), (off, f"force of {name}"))
-    return Judged(worst, where)
-
-
-def verified(runs: Sequence[Run], point: CheckRun) -> Judged:
-    """As `mantle verify` measures it."""
-    sample = point.measure(runs[0])
-    return Judged(sample.error, sample.note)
-
-
-def cook(runs: Sequence[Run], ratio: float) -> Judged:
-    """Rise of the corner of Cook's membrane."""
-    sample = corner(runs[0], ratio)
-    return Judged(sample.error, f"{sample.value:.5g} mm, exact {sample.reference:.5g}")
-
-
-def incline(runs: Sequence[Run], friction: float) -> Judged:
-    """Horizontal force over weight of the block pushed up a slope."""
-    value = abs(runs[0].summary["interfaces"]["slope_block"]["force"][0]) / (0.01 * 800)
-    should = exact.push_up(0.1, friction)
-    return Judged(abs(value / should - 1), f"{value:.6g}, exact {should:.6g}")
+            off[f"{key} of {name}"] = abs(mine[key] - q[key]) / (abs(q[key]) or 1.0)
+        off[f"force of {name}"] = abs(mine["force"][2] / (factor * q["force"][2]) - 1)
+    return _worst(off)

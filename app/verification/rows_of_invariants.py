@@ -10,31 +10,20 @@ import numpy as np
 from mantle.errors import Reason
 from mantle.verification import judges
 from mantle.verification.changed_meshes import ROTATION
-from mantle.verification.extremes_case import (
-    BAR,
-    MESH,
-    STACK,
-    STEM,
-    TAPER,
-    ExtremeCase,
-    Judge,
-    Wanted,
-    trial,
-)
+from mantle.verification.check import Check, Judge
+from mantle.verification.rows import BAR, MESH, STACK, STEM, TAPER, row, run
+
+SIDES = ("stem_cement", "cement_bone")
 
 
-def invariants(full: bool) -> list[ExtremeCase]:
-    """The cases.
-
-    Args:
-        full: Whether those too that take long.
-    """
+def invariants() -> list[Check]:
+    """The checks."""
     return [
         *_loads(),
         *_units(),
         *_floating(),
         *_taper(),
-        *_cycles(full),
+        *_cycles(),
         *_increments(),
         *_symmetry(),
     ]
@@ -51,285 +40,157 @@ def _pushed(force: float) -> tuple[str, ...]:
 
 def _gaps(c: float) -> tuple[str, ...]:
     """Interfaces that are tight above and open below, by c times 4 um."""
-    return tuple(
-        f"interfaces.{name}.gap={text}"
-        for name, text in (
-            ("stem_cement", f"{0.004 * c!r} * (1 - z / 10)"),
-            ("cement_bone", f"{-0.002 * c!r} * (1 + x / 20)"),
-        )
+    return (
+        f"interfaces.stem_cement.gap={0.004 * c!r} * (1 - z / 10)",
+        f"interfaces.cement_bone.gap={-0.002 * c!r} * (1 + x / 20)",
     )
 
 
-def _loads() -> Iterator[ExtremeCase]:
+def _loads() -> Iterator[Check]:
     """Loads of any size, either way, and none."""
-    for force in (0.0, 1e-6, 1e-3, 1.0, 1e2, 1e4, 1e6):
-        c = force / 900
-        judge = partial(judges.same, lengths=c, stresses=c) if c else judges.nothing_moves
-        yield trial(
-            "loads",
-            "stem",
-            f"{force:g} N",
-            {"force": force},
-            (Wanted(STEM, _pushed(force)), *((Wanted(STEM),) if c else ())),
-            judge,
-            1e-10 if c else 1e-14,
-        )
+    nothing = run(STEM, *_pushed(0.0))
+    yield row("loads/stem/0 N", nothing, judges.nothing_moves, 1e-14)
+    for force in (1e-6, 1e-3, 1.0, 1e2, 1e4, 1e6):
+        same = partial(judges.same, lengths=force / 900, stresses=force / 900)
+        yield row(f"loads/stem/{force:g} N", (run(STEM, *_pushed(force)), run(STEM)), same, 1e-10)
     for c in (1e-6, 1e-3, 1e-1, 10.0, 1e2):
-        yield trial(
-            "loads",
-            "stem and gaps",
-            f"x {c:g}",
-            {"factor": c},
-            (
-                Wanted(STEM, (*_gaps(c), *_pushed(900 * c))),
-                Wanted(STEM, _gaps(1.0)),
-            ),
-            partial(judges.same, lengths=c, stresses=c),
-            1e-10,
-        )
-    yield trial(
-        "loads",
-        "reversed",
-        "bar",
-        {"force": -500},
-        (Wanted(BAR, ("loads.pull.force=[-500 N, 0 N, 0 N]",)), Wanted(BAR)),
-        judges.mirrored,
-        1e-2,
-    )
-    yield trial(
-        "loads",
-        "reversed",
-        "stem",
-        {"force": -900},
-        Wanted(STEM, ("loads.push.force=[0 N, 0 N, 900 N]",)),
-        None,
-        0.0,
-        Reason.LOOSE_BODY,
-    )
+        runs = run(STEM, *_gaps(c), *_pushed(900 * c)), run(STEM, *_gaps(1.0))
+        same = partial(judges.same, lengths=c, stresses=c)
+        yield row(f"loads/stem and gaps/x {c:g}", runs, same, 1e-10)
+    bars = run(BAR, "loads.pull.force=[-500 N, 0 N, 0 N]"), run(BAR)
+    yield row("loads/reversed/bar", bars, judges.mirrored, 1e-2)
+    up = run(STEM, "loads.push.force=[0 N, 0 N, 900 N]")
+    yield row("loads/reversed/stem", up, None, refusal=Reason.LOOSE_BODY)
 
 
-def _units() -> Iterator[ExtremeCase]:
+def _units() -> Iterator[Check]:
     """Other units, and the same model a thousand times as small or large."""
     words = (
-        "geometry.stem_radius=0.007 m",
-        "geometry.cement_thickness=0.4 cm",
-        "geometry.bone_thickness=5000 um",
-        "geometry.length=0.024 m",
-        "geometry.taper=0.02617993877991494 rad",
-        "mesh.size=0.0035 m",
-        "mesh.far_size=0.5 cm",
-        "regions.stem.youngs_modulus=1.1e11 Pa",
-        "regions.cement.youngs_modulus=2.2 GPa",
+        *("geometry.stem_radius=0.007 m", "geometry.cement_thickness=0.4 cm"),
+        *("geometry.bone_thickness=5000 um", "geometry.length=0.024 m"),
+        *("geometry.taper=0.02617993877991494 rad", "mesh.size=0.0035 m", "mesh.far_size=0.5 cm"),
+        *("regions.stem.youngs_modulus=1.1e11 Pa", "regions.cement.youngs_modulus=2.2 GPa"),
         "regions.bone.youngs_modulus=1.7e10 N/m^2",
-        "loads.push.force=[0 N, 0 N, -0.9 kN]",
-        "loads.lateral.force=[3e5 mN, 0.2 kN, 0 N]",
+        *("loads.push.force=[0 N, 0 N, -0.9 kN]", "loads.lateral.force=[3e5 mN, 0.2 kN, 0 N]"),
     )
-    yield trial(
-        "units",
-        "",
-        "m, Pa, kN",
-        {"units": "m, Pa, kN"},
-        (Wanted(STEM, words), Wanted(STEM)),
-        judges.same,
-        1e-8,
-    )
-    stiff = tuple(
-        f"regions.{n}.youngs_modulus={E * 1e6!r} MPa"
-        for n, E in (("stem", 110e3), ("cement", 2200.0), ("bone", 17e3))
-    )
-    yield trial(
-        "units",
-        "",
-        "numbers of m, Pa",
-        {"lengths": 1e-3, "stresses": 1e6},
-        (Wanted(STEM, stiff, "metres"), Wanted(STEM)),
-        partial(judges.same, lengths=1e-3, stresses=1e6, points=1e-3),
-        1e-8,
-    )
-    soft = tuple(
-        f"regions.{n}.youngs_modulus={E * 1e-6!r} MPa"
-        for n, E in (("stem", 110e3), ("cement", 2200.0), ("bone", 17e3))
-    )
-    yield trial(
-        "units",
-        "",
-        "numbers of um",
-        {"lengths": 1e3, "stresses": 1e-6},
-        (Wanted(STEM, soft, "micrometres"), Wanted(STEM)),
-        partial(judges.same, lengths=1e3, stresses=1e-6, points=1e3),
-        1e-8,
-    )
+    yield row("units/m, Pa, kN", (run(STEM, *words), run(STEM)), judges.same, 1e-8)
+    for name, mesh, lengths, stresses in (
+        ("m, Pa", "metres", 1e-3, 1e6),
+        ("um", "micrometres", 1e3, 1e-6),
+    ):
+        moduli = {"stem": 110e3, "cement": 2200.0, "bone": 17e3}
+        own = (f"regions.{n}.youngs_modulus={E * stresses!r} MPa" for n, E in moduli.items())
+        judge = partial(judges.same, lengths=lengths, stresses=stresses, points=lengths)
+        runs = run(STEM, *own, mesh=mesh), run(STEM)
+        yield row(f"units/numbers of {name}", runs, judge, 1e-8)
 
 
-def _floating() -> Iterator[ExtremeCase]:
+def _floating() -> Iterator[Check]:
     """Bodies that nothing holds: refused by name."""
-    both = ("interfaces.stem_cement.gap=0.1 mm", "interfaces.cement_bone.gap=0.1 mm")
-    smooth = tuple(f"interfaces.{n}.friction_coefficient=0" for n in ("stem_cement", "cement_bone"))
-    pull = ("loads.push.force=[0 N, 0 N, 900 N]",)
-    free = Reason.LOOSE_BODY
-    cases: dict[str, tuple[tuple[str, ...], Judge | None, Reason]] = {
-        "both open": ((*both, *pull), None, free),
-        "both open, pushed aside": (
-            (*both, *smooth, "loads.push.history=[0, 0]"),
-            judges.lawful,
-            free,
-        ),
-        "both open, no load": ((*both, *_pushed(0.0)), judges.nothing_moves, free),
-        "smooth, straight": ((*smooth, "geometry.taper=0 deg"), None, free),
-        "smooth, twisted": (
-            (
-                *smooth,
-                "loads.lateral={kind: force, boundary: stem_top, force: [0 N, 10 N, 0 N], "
-                "at: [100 mm, 0 mm, 24 mm]}",
-            ),
-            None,
-            free,
-        ),
-        "no support": (("supports={}",), None, free),
-        "held along x": (
-            ("supports={outer: {kind: roller, boundary: bone_surface, axis: x}}",),
-            None,
-            free,
-        ),
-        "rigid on rigid": (
-            ("regions.stem={rigid: true}", "regions.cement={rigid: true}"),
-            None,
-            Reason.RIGID_CONTACT,
-        ),
+    both = tuple(f"interfaces.{side}.gap=0.1 mm" for side in SIDES)
+    smooth = tuple(f"interfaces.{side}.friction_coefficient=0" for side in SIDES)
+    pull = "loads.push.force=[0 N, 0 N, 900 N]"
+    twist = (
+        "loads.lateral={kind: force, boundary: stem_top, force: [0 N, 10 N, 0 N], "
+        "at: [100 mm, 0 mm, 24 mm]}"
+    )
+    roller = "supports={outer: {kind: roller, boundary: bone_surface, axis: x}}"
+    cases: dict[str, tuple[tuple[str, ...], Judge | None]] = {
+        "both open": ((*both, pull), None),
+        "both open, pushed aside": ((*both, *smooth, "loads.push.history=[0, 0]"), judges.lawful),
+        "both open, no load": ((*both, *_pushed(0.0)), judges.nothing_moves),
+        "smooth, straight": ((*smooth, "geometry.taper=0 deg"), None),
+        "smooth, twisted": ((*smooth, twist), None),
+        "no support": (("supports={}",), None),
+        "held along x": ((roller,), None),
+        "rigid on rigid": (("regions.stem={rigid: true}", "regions.cement={rigid: true}"), None),
     }
-    for at, (overrides, judge, refused) in cases.items():
-        yield trial("floating", "", at, {"case": at}, Wanted(STEM, overrides), judge, 1e-7, refused)
+    for at, (overrides, judge) in cases.items():
+        refusal = Reason.RIGID_CONTACT if at.startswith("rigid") else Reason.LOOSE_BODY
+        yield row(f"floating/{at}", run(STEM, *overrides), judge, 1e-7, refusal, "quick")
 
 
-def _taper() -> Iterator[ExtremeCase]:
+def _taper() -> Iterator[Check]:
     """A taper of 5 degrees, which friction holds from 0.0875 on."""
     angle = float(np.radians(5))
+
+    def pushed(μ: float, left: float) -> tuple[str, str]:
+        law = f"interfaces.stem_cement.friction_coefficient={μ}"
+        return law, f"loads.push.history=[1, {left}]"
+
     for μ in (0.02, 0.05, 0.12, 0.2, 0.5):
         locks = μ > np.tan(angle)
         left = 0.0 if locks else 0.05
-        yield trial(
-            "taper",
-            "let go",
-            f"mu {μ:g}",
-            {"friction": μ, "locking": float(np.tan(angle))},
-            Wanted(
-                TAPER,
-                (
-                    f"interfaces.stem_cement.friction_coefficient={μ}",
-                    f"loads.push.history=[1, {left}]",
-                ),
-            ),
-            partial(judges.wedge, half_angle=angle, friction=μ, left=left),
-            1e-7 if locks else MESH,
-        )
+        judge = partial(judges.wedge, half_angle=angle, friction=μ, left=left)
+        tolerance = 1e-7 if locks else MESH
+        yield row(f"taper/let go/mu {μ:g}", run(TAPER, *pushed(μ, left)), judge, tolerance)
     for μ, back in ((0.05, -0.05), (0.2, -0.2), (0.2, -0.8)):
         # Of the force that pushed it in, (m - tan a) / (m + tan a) pulls it out.
-        limit = (μ - np.tan(angle)) / (μ + np.tan(angle))
-        holds = -back < limit
-        yield trial(
-            "taper",
-            "pulled",
-            f"mu {μ:g} by {-back:g}",
-            {"friction": μ, "pull": -back, "limit": float(limit)},
-            Wanted(
-                TAPER,
-                (
-                    f"interfaces.stem_cement.friction_coefficient={μ}",
-                    f"loads.push.history=[1, {back}]",
-                ),
-            ),
-            partial(judges.wedge, half_angle=angle, friction=μ, left=back) if holds else None,
+        holds = -back < (μ - np.tan(angle)) / (μ + np.tan(angle))
+        held = partial(judges.wedge, half_angle=angle, friction=μ, left=back)
+        yield row(
+            f"taper/pulled/mu {μ:g} by {-back:g}",
+            run(TAPER, *pushed(μ, back)),
+            held if holds else None,
             1e-7,
             None if holds else Reason.LOOSE_BODY,
         )
 
 
-def _turns(count: int, low: str, rest: int = 1) -> tuple[str, str]:
+def _turns(count: int, low: str) -> tuple[str, str]:
     """Stages and history of a first load, then so many cycles."""
     names = ["first", "back"] + [f"{way}{k}" for k in range(count) for way in ("up", "down")]
     stages = "[" + ", ".join(f"{{name: {n}, increments: 4}}" for n in names) + "]"
     return stages, ", ".join(f"1, {low}" for _ in range(count + 1))
 
 
-def _cycles(full: bool) -> Iterator[ExtremeCase]:
+def _cycles() -> Iterator[Check]:
     """Load and unload: work lost in each cycle, and coming to rest."""
-    for count in (10, 100) if full else (10,):
+    for count, tier in ((10, "default"), (100, "long")):
         stages, turns = _turns(count, "0")
         press = stages.replace("[", "[{name: press}, ", 1)
-        yield trial(
-            "cycles",
-            "bar on a bed",
-            f"{count}",
-            {"cycles": count},
-            Wanted(
-                BAR,
-                (
-                    f"stages={press}",
-                    f"loads.press.history=[1, {', '.join(['1'] * 2 * (count + 1))}]",
-                    f"loads.pull.history=[0, {turns}]",
-                ),
-            ),
-            partial(judges.cycles, count=count, force=500.0, friction=6.0),
-            MESH,
+        bar = run(
+            BAR,
+            f"stages={press}",
+            f"loads.press.history=[1, {', '.join(['1'] * 2 * (count + 1))}]",
+            f"loads.pull.history=[0, {turns}]",
         )
+        lost = partial(judges.cycles, count=count, force=500.0, friction=6.0)
+        yield row(f"cycles/bar on a bed/{count}", bar, lost, MESH, tier=tier)
         stages, turns = _turns(count, "0.1")
-        yield trial(
-            "cycles",
-            "taper",
-            f"{count}",
-            {"cycles": count},
-            Wanted(TAPER, (f"stages={stages}", f"loads.push.history=[{turns}]")),
-            partial(judges.shakedown, count=count),
-            1e-4,
-        )
+        taper = run(TAPER, f"stages={stages}", f"loads.push.history=[{turns}]")
+        rests = partial(judges.shakedown, count=count)
+        yield row(f"cycles/taper/{count}", taper, rests, 1e-4, tier=tier)
 
 
-# The stem pushed down, then its side load carried round by a quarter turn.
-_ROUND = (
-    "loads={{push: {{kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], "
-    "history: [1, 1]}}, "
-    "one: {{kind: force, boundary: stem_top, force: [300 N, 0 N, 0 N], history: {}}}, "
-    "two: {{kind: force, boundary: stem_top, force: [0 N, 300 N, 0 N], history: {}}}}}"
-)
+def _round(first: str, count: int) -> tuple[str, str]:
+    """The stem pushed down, then its side load carried round by a quarter turn, in so many steps.
 
-
-def _steps(count: int) -> str:
-    return (
-        f"stages=[{{name: push, increments: {count}, adaptive: false}}, "
-        f"{{name: turn, increments: {count}, adaptive: false}}]"
+    Args:
+        first: History of the load along x.
+        count: Increments of each stage.
+    """
+    loads = (
+        "loads={push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], "
+        "history: [1, 1]}, "
+        f"one: {{kind: force, boundary: stem_top, force: [300 N, 0 N, 0 N], history: {first}}}, "
+        "two: {kind: force, boundary: stem_top, force: [0 N, 300 N, 0 N], history: [0, 1]}}"
     )
+    stages = (f"{{name: {n}, increments: {count}, adaptive: false}}" for n in ("push", "turn"))
+    return loads, f"stages=[{', '.join(stages)}]"
 
 
-def _increments() -> Iterator[ExtremeCase]:
+def _increments() -> Iterator[Check]:
     """One to 64 increments along a path that turns."""
-    counts = (1, 2, 4, 8, 16, 32, 64)
-    path = _ROUND.format("[1, 0]", "[0, 1]")
-    yield trial(
-        "increments",
-        "",
-        "1 to 64",
-        {"increments": counts},
-        tuple(Wanted(STEM, (path, _steps(n))) for n in (*counts, 128)),
-        partial(judges.first_order, counts=(*counts, 128)),
-        0.2,
-    )
-    other = _ROUND.format("[0, 0]", "[0, 1]")
-    yield trial(
-        "increments",
-        "",
-        "two paths",
-        {"increments": 64},
-        (
-            Wanted(STEM, (path, _steps(64))),
-            Wanted(STEM, (path, _steps(32))),
-            Wanted(STEM, (other, _steps(64))),
-        ),
-        judges.path_matters,
-        0.2,
-    )
+    counts = (1, 2, 4, 8, 16, 32, 64, 128)
+    runs = tuple(run(STEM, *_round("[1, 0]", n)) for n in counts)
+    yield row("increments/1 to 64", runs, partial(judges.first_order, counts=counts), 0.2)
+    paths = (("[1, 0]", 64), ("[1, 0]", 32), ("[0, 0]", 64))
+    runs = tuple(run(STEM, *_round(first, n)) for first, n in paths)
+    yield row("increments/two paths", runs, judges.path_matters, 0.2)
 
 
-def _symmetry() -> Iterator[ExtremeCase]:
+def _symmetry() -> Iterator[Check]:
     """A quarter and the whole, a model turned, cells of bad shape."""
     mesh = ("mesh.size=4 mm", "mesh.far_size=6 mm", "mesh.order=1")
     planes = "".join(
@@ -342,44 +203,20 @@ def _symmetry() -> Iterator[ExtremeCase]:
         "[100 MPa/mm, 100 MPa/mm, 0 MPa/mm]}, "
         "push: {kind: displacement, boundary: stem_top, z: -0.1 mm, history: [0, 1]}"
     )
-    quarter = Wanted("cylinders.yaml", (*mesh, f"supports={{{planes}{held}}}"))
-    whole = Wanted("cylinders.yaml", (*mesh, f"supports={{{held}}}"), "mirrored")
-    yield trial(
-        "symmetry",
-        "",
-        "whole and quarter",
-        {"sector": "full"},
-        (whole, quarter),
-        partial(judges.close, factor=4.0),
-        MESH / 2,
-    )
-    yield trial(
-        "symmetry",
-        "",
-        "turned",
-        {"angle": 40},
-        (
-            Wanted(
-                STEM,
-                (
-                    f"loads.push.force={_turned(0, 0, -900)}",
-                    f"loads.lateral.force={_turned(300, 200, 0)}",
-                ),
-                "turned",
-            ),
-            Wanted(STEM),
-        ),
-        partial(judges.same, turn=ROTATION),
-        1e-8,
-    )
+    quarter = run("cylinders.yaml", *mesh, f"supports={{{planes}{held}}}")
+    whole = run("cylinders.yaml", *mesh, f"supports={{{held}}}", mesh="mirrored")
+    four = partial(judges.close, factor=4.0)
+    yield row("symmetry/whole and quarter", (whole, quarter), four, MESH / 2)
+    loads = {"push": (0, 0, -900), "lateral": (300, 200, 0)}
+    own = (f"loads.{name}.force={_turned(*force)}" for name, force in loads.items())
+    turned = run(STEM, *own, mesh="turned")
+    same = partial(judges.same, turn=ROTATION)
+    yield row("symmetry/turned", (turned, run(STEM)), same, 1e-8)
     for name, quality in (("bad", 0.1), ("worst", 0.012)):
         for order in (1, 2):
-            yield trial(
-                "bad cells",
-                f"P{order}",
-                f"quality {quality:g}",
-                {"quality": quality, "order": order},
-                Wanted(STACK, (f"mesh.order={order}", "mesh.size=3 mm"), name),
+            yield row(
+                f"bad cells/P{order}/quality {quality:g}",
+                run(STACK, f"mesh.order={order}", "mesh.size=3 mm", mesh=name),
                 partial(judges.stack, moduli=(17e3, 2200, 110e3), ratios=(0.3, 0.3, 0.3)),
                 1e-8,
             )

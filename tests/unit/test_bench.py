@@ -1,235 +1,166 @@
-"""``mantle bench``: figures from made-up costs, and processes that are what they are."""
+"""``mantle bench``: figures from made-up runs, and the cases that are run."""
 
 from __future__ import annotations
 
-import csv
-import json
 import math
-import resource
-import sys
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
 
-from mantle import cli
-from mantle.errors import InputError
 from mantle.schema import config
-from mantle.verification import bench, bench_picture
-from mantle.verification.bench import Goal, growth, later_steps, spread, stance
-from mantle.verification.bench_run import CASES, BenchCase, Cost, NotMeasured, Runs
+from mantle.verification import benchmarks
+from mantle.verification.benchmarks import INTERFACES, RUNGS, growth, later_steps, spread
+from mantle.verification.check import CONFIGS, Check, within
 
 
-def cost(
+@dataclass
+class Made:
+    """A run that cost what is said."""
+
+    summary: dict[str, Any]
+    history: dict[str, list[float]] = field(default_factory=dict)
+    seconds: float = 9.0
+
+
+def made(
     solution: float = 1.0,
     unknowns: int = 1000,
     newton: int = 8,
     slip: tuple[float, float] = (1.0, 1.0),
     **more: Any,
-) -> Cost:
+) -> Any:
     summary = {
         "solver": {"dofs": unknowns, "newton_iterations": newton, "linear_iterations": 10 * newton},
         "cpu": {"assemble": 0.2 * solution, "solve": 0.8 * solution, "mesh": 7.0, "output": 3.0},
-        "timing": {"solve": 2 * solution, "compile": 50.0, "total": 99.0},
+        "timing": {"solve": 2 * solution, "mesh": 5.0, "compile": 50.0, "total": 99.0},
+        "memory": {"peak": 700.0},
         "interfaces": {
             name: {"slip_p99": s, "penetration_max": 1e-3 * s}
-            for name, s in zip(bench.INTERFACES, slip, strict=True)
+            for name, s in zip(INTERFACES, slip, strict=True)
         },
     }
-    return Cost(wall=9.0, cpu=8.0, memory=700.0, summary=summary, **more)
+    return Made(summary, **more)
 
 
-class Made(Runs):
-    """Costs by the name of a setting, in their order; notes what runs when."""
-
-    def __init__(self, folder: Path, costs: dict[str, list[Cost]]) -> None:
-        super().__init__(folder)
-        self.costs_of, self.order = costs, list[str]()
-
-    def _warm(self, setting: BenchCase) -> None:
-        self.meshing[setting.mesh] = 1.0
-
-    def _run(self, setting: BenchCase) -> Cost:
-        self.order.append(setting.name)
-        if not self.costs_of.get(setting.name):
-            raise NotMeasured(f"{setting.name} failed with exit code 4")
-        return self.costs_of[setting.name].pop(0)
-
-
-def line(name: str) -> Goal:
-    (found,) = [x for x in bench.lines(full=True) if x.name == name]
+def goal(name: str) -> Check:
+    (found,) = [c for c in benchmarks.benchmarks() if c.name == name]
     return found
 
 
+def figure(name: str, *runs: Any) -> float:
+    judge = goal(name).judge
+    assert judge is not None
+    return judge(runs).error
+
+
 def test_solution_leaves_out_what_is_no_solution() -> None:
-    assert cost(4.0).solution == pytest.approx(4.0)
-    assert cost(4.0).solution_wall == pytest.approx(8.0)
+    assert benchmarks.cpu(made(4.0)) == pytest.approx(4.0)
+    assert benchmarks.wall(made(4.0)) == pytest.approx(8.0)
+    assert figure("stem_cpu", made(4.0), made(6.0), made(9.0)) == pytest.approx(6.0)
+    assert figure("stem_memory", made()) == 700 and figure("million_memory", made()) == 0.7
+    assert figure("million_minutes", made()) == pytest.approx(44 / 60)
 
 
-def test_a_ratio_is_the_median_of_pairs_run_in_turn(tmp_path: Path) -> None:
+def test_a_ratio_is_the_median_of_pairs_run_in_turn() -> None:
     # The machine slows down threefold, and something disturbs one contact run and one bonded one:
     # the ratio of the medians would be 8 / 3.
     contact, bonded = [2.0, 90.0, 8.0], [1.0, 3.0, 40.0]
-    runs = Made(
-        tmp_path,
-        {"contact_20k": [cost(t) for t in contact], "bonded_20k": [cost(t) for t in bonded]},
-    )
-    assert line("contact_over_bonded_20k").measure(runs) == pytest.approx(2.0)
-    assert runs.order == ["contact_20k", "bonded_20k"] * 3
-
-
-def test_what_was_run_is_not_run_again(tmp_path: Path) -> None:
-    rungs = {f"contact_{r}": [cost(n, 1000 * n)] * 3 for n, r in enumerate(bench.RUNGS, start=1)}
-    runs = Made(tmp_path, rungs)
-    assert line("growth_exponent").measure(runs) == pytest.approx(1.0)
-    assert line("newton_spread").measure(runs) == 0.0
-    assert runs.order == ["contact_20k"] * 3 + ["contact_100k"] * 3 + [
-        *("contact_170k", "contact_1m")
-    ]
+    ratio = figure("contact_over_bonded_20k", *map(made, contact), *map(made, bonded))
+    assert ratio == pytest.approx(2.0)
+    assert [run.times for run in goal("contact_over_bonded_20k").runs] == [3, 3]
+    assert [run.times for run in goal("contact_over_bonded_170k").runs] == [1, 1]
 
 
 def test_growth_is_the_slope_of_median_times() -> None:
     sizes = (50_000, 100_000, 200_000, 1_000_000)
-    ladder = [[cost(3e-6 * n**1.1, n)] * 2 + [cost(1e3, n)] for n in sizes]
-    assert growth(ladder) == pytest.approx(1.1)
+    ladder = [made(t, n) for n in sizes for t in [3e-6 * n**1.1] * 2 + [1e3]]
+    assert growth(ladder).error == pytest.approx(1.1)
 
 
 @pytest.mark.parametrize(("newton", "met"), [((7, 9, 13), True), ((7, 9, 14), False)])
 def test_newton_may_go_three_up_and_down(newton: tuple[int, ...], met: bool) -> None:
-    figure = spread([[cost(newton=n)] for n in newton])
-    assert figure == (newton[-1] - newton[0]) / 2
-    assert line("newton_spread").met(figure) is met
+    found = spread([made(newton=n) for n in newton]).error
+    assert found == (newton[-1] - newton[0]) / 2
+    assert (found <= goal("newton_spread").tolerance) is met
 
 
-def test_ranks_are_compared_on_the_wall_and_asked_for_at_least(tmp_path: Path) -> None:
-    runs = Made(tmp_path, {"contact_170k": [cost(9.0)], "contact_170k_2_ranks": [cost(5.0)]})
-    ranks = line("ranks_2_over_1")
-    assert ranks.measure(runs) == pytest.approx(1.8)
-    assert ranks.met(1.8) and ranks.met(1.7) and not ranks.met(1.6)
+def test_ranks_are_compared_on_the_wall() -> None:
+    """1.7 times as fast is asked for at least."""
+    ranks = goal("ranks_2_over_1")
+    assert [run.ranks for run in ranks.runs] == [2, 1]
+    assert figure("ranks_2_over_1", made(5.0), made(9.0)) == pytest.approx(1 / 1.8)
+    assert 1 / 1.8 < ranks.tolerance < 1 / 1.6
 
 
 def test_penetration_may_be_rounding_and_no_more() -> None:
-    asked = line("stem_penetration")
-    assert asked.asked == 0.0
-    assert asked.met(1e-15) and not asked.met(1e-9)
+    assert 1e-15 < goal("stem_penetration").tolerance < 1e-9
+    assert figure("stem_penetration", made(slip=(1.0, 2.0))) == 2e-3
 
 
 def test_later_steps_over_the_first() -> None:
-    rows = tuple({"step [s]": str(t)} for t in (8.0, 2.0, 3.0, 1.0))
-    assert later_steps(cost(history=rows)) == pytest.approx(3 / 8)
+    run = made(history={"step [s]": [8.0, 2.0, 3.0, 1.0]})
+    assert later_steps([run]).error == pytest.approx(3 / 8)
+
+
+def test_variations_over_one() -> None:
+    """With all that they do but mesh and forms."""
+    assert figure("variations_12", *[made(2.0)] * 3, *[made(1.0)] * 12) == pytest.approx(48 / 5)
 
 
 def test_equal_error_is_found_between_two_runs() -> None:
     # First order: error 0.4, 0.2, 0.1 in 1, 4, 16 s (~ t^-1/2, so 0.15 in 64/9 s); the worse
     # interface counts.
-    ones = [cost(t, slip=(1 - e, 1 + e / 2)) for t, e in ((1.0, 0.4), (4.0, 0.2), (16.0, 0.1))]
-    two = cost(2.0, slip=(1.01, 0.85))
-    assert bench.equal_error(two, ones, cost()) == pytest.approx(2 / (64 / 9))
+    ones = [
+        made(t, n, slip=(1 - e, 1 + e / 2))
+        for n, (t, e) in enumerate(((1.0, 0.4), (4.0, 0.2), (16.0, 0.1)))
+    ]
+    two = made(2.0, slip=(1.01, 0.85))
+    assert figure("order_2_over_1", two, made(), *ones) == pytest.approx(2 / (64 / 9))
 
 
 @pytest.mark.parametrize(("error", "ratio"), [(0.01, 2 / 16), (0.5, 2 / 1)])
 def test_equal_error_beyond_the_runs_is_against_the_nearest(error: float, ratio: float) -> None:
-    ones = [cost(t, slip=(1 - e, 1.0)) for t, e in ((1.0, 0.4), (16.0, 0.1))]
-    assert bench.equal_error(cost(2.0, slip=(1 - error, 1)), ones, cost()) == pytest.approx(ratio)
+    ones = [made(t, slip=(1 - e, 1.0)) for t, e in ((1.0, 0.4), (16.0, 0.1))]
+    two = made(2.0, slip=(1 - error, 1))
+    assert benchmarks.equal_error(two, ones, made()) == pytest.approx(ratio)
 
 
-def test_what_fails_is_told_and_the_others_are_measured(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    costs = {"stem": [cost(4.0, slip=(0.0, 0.0))] * 3}
-    monkeypatch.setattr(bench, "Runs", lambda folder: Made(folder, costs))
-    monkeypatch.setattr(bench, "picture", lambda rows, path: False)
-    assert bench.run("stem", tmp_path, full=False)
-    entries = json.loads((tmp_path / "bench.json").read_text())
-    assert entries == [
-        {"name": "stem_cpu", "figure": 4.0, "asked": 5.0, "unit": "s", "met": True},
-        {"name": "stem_memory", "figure": 700.0, "asked": 500.0, "unit": "MB", "met": False},
-        {"name": "stem_penetration", "figure": 0.0, "asked": 0.0, "unit": "mm", "met": True},
+def test_every_goal_runs_cases_that_are_right() -> None:
+    """Each can be read, and is of the kind that its goal says."""
+    for check in benchmarks.benchmarks():
+        assert check.timed and check.runs
+        for run in check.runs:
+            case = config.load(CONFIGS / run.case, run.overrides)
+            second = check.name.startswith(("cylinders", "order_2"))
+            first = any(o == "mesh.order=1" for o in run.overrides) or "stem" in run.case
+            assert case.mesh.order == (1 if first or not second else 2), check.name
+            if "bonded" in check.name:
+                bonded = any("kind: bonded" in o for o in run.overrides)
+                kinds = {type(i) for i in case.interfaces.values()}
+                assert kinds == {config.Bonded if bonded else config.Contact}, check.name
+            if run.case == "stance.yaml":
+                assert not case.output.error
+    twelve = goal("variations_12").runs[1:]
+    assert len(twelve) == 12 and all(run.share for run in twelve)
+    assert len({config.dump(config.load(CONFIGS / r.case, r.overrides)) for r in twelve}) == 12
+    (steps,) = goal("later_load_steps").runs
+    assert [s.increments for s in config.load(CONFIGS / steps.case, steps.overrides).stages] == [
+        *(1, 3)
     ]
-    (row,) = csv.DictReader((tmp_path / "bench.csv").read_text().splitlines())
-    assert (row["name"], row["runs"], row["solution [CPU s]"]) == ("stem", "3", "4.0")
-
-    runs = Made(tmp_path, {"contact_20k": [cost()] * 3})
-    monkeypatch.setattr(bench, "Runs", lambda folder: runs)
-    assert not bench.run("0k", tmp_path, full=False)
-    entries = json.loads((tmp_path / "bench.json").read_text())
-    assert len(entries) == 5
-    assert all(e["figure"] is None and e["met"] is False for e in entries)
-    assert "contact_over_bonded_20k cannot be measured: bonded_20k failed with exit" in caplog.text
-    # What has failed is not tried again.
-    assert bench.measure(line("contact_over_bonded_20k"), runs).figure is None
-    assert runs.order.count("bonded_20k") == 1
 
 
-def test_what_a_run_does_not_tell_is_no_figure(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    outcome = bench.measure(
-        line("later_load_steps"),
-        Made(tmp_path, {"load_steps": [cost(history=({"wall [s]": "1"},))]}),
+def test_the_million_is_of_the_long_tier() -> None:
+    default = [c for c in benchmarks.benchmarks() if within(c.tier, "default")]
+    assert len(default) == 16 and not [c for c in default if "1m" in c.name or "million" in c.name]
+    assert len(goal("growth_exponent").up_to("default").runs) == len(RUNGS) - 1
+    assert not any(
+        f"mesh.size={RUNGS['1m']}" in r.overrides for c in default for r in c.up_to("default").runs
     )
-    assert outcome.figure is None
-    assert "step [s]" in caplog.text
-
-
-def test_a_name_that_no_line_has(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"allowed: stem_cpu, .*million_minutes"):
-        bench.run("nothing", tmp_path, full=False)
-
-
-@pytest.mark.parametrize(("measured", "code"), [(True, 0), (False, 1)])
-def test_exit_code(measured: bool, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    called = []
-
-    def run(pattern: str, folder: Path, full: bool) -> bool:
-        called.append((pattern, folder, full))
-        return measured
-
-    monkeypatch.setattr(bench, "run", run)
-    assert cli.main(["bench", "-k", "stem", "-o", "there", "--full"]) == code
-    assert called == [("stem", Path("there"), True)]
-
-
-def test_every_line_runs_cases_that_are_right(tmp_path: Path) -> None:
-    """Each case that any line asks for can be read, and is of the kind that its name says."""
-    seen: dict[str, BenchCase] = {}
-
-    class Looked(Runs):
-        def _warm(self, setting: BenchCase) -> None:
-            seen[setting.name] = setting
-
-        def _run(self, setting: BenchCase) -> Cost:
-            return cost(unknowns=1000 * len(seen), history=({"step [s]": "1"},) * 2)
-
-        def process(self, name: str, command: Any) -> Cost:
-            return cost()
-
-    looked = Looked(tmp_path)
-    lines = bench.lines(full=True)
-    for each in lines:
-        each.measure(looked)
-    assert {x.name for x in lines} >= {x.name for x in bench.lines(full=False)}
-    cases = {}
-    for name, s in seen.items():
-        path, *sets = s.options
-        cases[name] = config.load(Path(path), sets[1::2])
-    for name, case in cases.items():
-        first = name.partition("_")[0]
-        assert case.mesh.order == (2 if first == "order" or first == "cylinders" else 1), name
-        if first in ("contact", "bonded", "stem"):
-            kinds = {type(i) for i in case.interfaces.values()}
-            assert kinds == {config.Bonded if "bonded" in name else config.Contact}, name
-            assert not case.output.error
-    twelve = seen["variations"]
-    path, *sets = twelve.options
-    assert len(config.variations(Path(path), sets[1::2])) == 12
-    assert [s.increments for s in cases["load_steps"].stages] == [1, 3]
-    assert seen["contact_170k_2_ranks"].ranks == 2
-    assert seen["stem_moderate_50k"].mesh != seen["stem"].mesh != seen["stem_bonded_50k"].mesh
 
 
 def test_the_stem_is_as_described() -> None:
-    case = config.load(CASES / "bench" / "stem.yaml")
+    case = config.load(CONFIGS / "bench" / "stem.yaml")
     g = case.geometry
     assert isinstance(g, config.Cylinders)
     radii = (8.0, 12.0, 18.0)
@@ -238,42 +169,3 @@ def test_the_stem_is_as_described() -> None:
     assert radii[1] + g.bone_thickness == radii[2]
     assert math.degrees(g.taper) == pytest.approx(2.5)
     assert (g.length, g.sector, case.mesh.order) == (80.0, "full", 1)
-
-
-def test_a_process_is_measured(tmp_path: Path) -> None:
-    # 300 MB are touched, 1 s is slept, and CPU time is spent until there are 0.3 s of it.
-    code = (
-        "import time; b = b'x' * 300_000_000; time.sleep(1)\nwhile time.process_time() < 0.3: pass"
-    )
-    measured = Runs(tmp_path).process("busy", [sys.executable, "-c", code])
-    # A child's peak counts that of the process it is forked from, here of all tests before.
-    tests = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
-    assert 300 < measured.memory < max(400, 1.1 * tests)
-    assert 0.3 <= measured.cpu < measured.wall - 0.9
-
-
-def test_a_process_that_fails_says_why(tmp_path: Path) -> None:
-    code = "import sys; print('because of this'); sys.exit(4)"
-    with pytest.raises(NotMeasured, match=r"exit code 4, see .*bad\.log:\nbecause of this"):
-        Runs(tmp_path).process("bad", [sys.executable, "-c", code])
-
-
-def test_a_run_is_measured(tmp_path: Path) -> None:
-    ((measured,),) = Runs(tmp_path).costs(BenchCase("blocks", "blocks.yaml"))
-    assert 0 < measured.solution < measured.cpu
-    assert measured.newton > 0 and measured.unknowns > 100
-    assert len(measured.history) == measured.summary["solver"]["steps"]
-    assert 100 < measured.memory < 2000
-
-
-def test_the_picture(tmp_path: Path) -> None:
-    runs = Made(tmp_path, {})
-    for kind in ("contact", "bonded"):
-        for rung, n in (("20k", 20_000), ("100k", 100_000)):
-            runs.known[stance(kind, rung)] = [cost(n / 1e4, n)]
-            runs.meshing[stance(kind, rung).mesh] = 1.0
-    path = tmp_path / "bench.png"
-    assert bench_picture.picture(bench.points(runs), path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert not bench_picture.picture([], tmp_path / "none.png")
-    assert not (tmp_path / "none.png").exists()

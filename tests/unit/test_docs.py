@@ -24,8 +24,7 @@ from mantle.schema.quantities import TABLE
 from mantle.schema.study_options import StudyFile
 from mantle.schema.sweep_options import Sweep
 from mantle.system import ranks
-from mantle.verification import extremes_cases
-from mantle.verification.problems import problems
+from mantle.verification.suites import SUITES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -174,9 +173,7 @@ def test_proofs_of_the_verification_page_exist() -> None:
     table = parts(DOCS / "verification.md")[0].partition("| quantity or property |")[2]
     rows = re.findall(r"^\|[^|]*\|[^|]*\|([^|]*)\|$", table.partition("\n\n")[0], re.MULTILINE)
     named = [name for row in rows for name in re.findall("`([^`]*)`", row)]
-    known = {check.name for check in problems()} | {
-        trial.row for trial in extremes_cases.trials(full=True)
-    }
+    known = {c.name for c in SUITES["verify"]()} | {c.group for c in SUITES["stress"]()}
     for name in named:
         if "/" in name:
             folder = ROOT if name.startswith("configs") else ROOT / "tests"

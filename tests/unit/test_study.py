@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from mantle.campaigns import batch, study, study_parameters
+from mantle.campaigns.many import Options
 from mantle.cli import main
 from mantle.errors import InputError, MantleError, StoppedError
 from mantle.schema import config, quantities, study_file, study_options
@@ -90,7 +91,7 @@ def read(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
 def test_errors_orders_front_and_advice(case: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
     out = case.parent / "out"
-    study.run(case, [], out, 2)
+    study.run(case, [], Options(out, 2))
     record, rows = read(out)
     slip, pressure = record["quantities"].values()
     # The ladder ends at h = 0.25: what it corrects there is its uncertainty.
@@ -126,7 +127,7 @@ def test_given_values_estimates_and_a_target(case: Path, caplog: pytest.LogCaptu
     caplog.set_level(logging.INFO, "mantle")
     values = "{lower_upper.slip_p99: 40 um, lower_upper.pressure_p99: 5 MPa}"
     overrides = ["output.error=true", f"study.reference={{values: {values}}}", "study.target=0.05"]
-    study.run(case, overrides, case.parent / "out", 2)
+    study.run(case, overrides, Options(case.parent / "out", 2))
     record, rows = read(case.parent / "out")
     assert record["effectivity"]["pairs"] == 12 and record["effectivity"]["useful"] == 6
     assert [float(r["effectivity [-]"]) for r in rows] == pytest.approx([2] * 6 + [8] * 6)
@@ -148,7 +149,7 @@ def test_given_values_estimates_and_a_target(case: Path, caplog: pytest.LogCaptu
 def test_what_varies_cannot_be_set_for_every_point(case: Path, option: str, place: str) -> None:
     """As in a sweep."""
     with pytest.raises(InputError) as error:
-        study.run(case, [option], case.parent / "out", 1)
+        study.run(case, [option], Options(case.parent / "out", 1))
     key = option.partition("=")[0]
     told = [m for m in error.value.messages if f" study.{place}: varies, but --set {key} " in m]
     assert len(told) == 1 and re.match(rf"{case}:\d+:\d+: ", told[0]), error.value.messages
@@ -159,23 +160,36 @@ def test_ranks_are_set_for_every_point(case: Path, monkeypatch: pytest.MonkeyPat
     """As in a sweep."""
     wanted: list[batch.Job] = []
 
-    def run(jobs: list[batch.Job], folder: Path, cores: int) -> None:
+    def run(jobs: list[batch.Job], folder: Path, cores: int, slurm: None) -> None:
         wanted.extend(jobs)
         raise StoppedError("enough")
 
     monkeypatch.setattr(batch, "run", run)
     with pytest.raises(StoppedError):
-        study.run(case, ["ranks=2"], case.parent / "out", 2)
+        study.run(case, ["ranks=2"], Options(case.parent / "out", 2))
     assert {job.ranks for job in wanted} == {2}
     with pytest.raises(InputError, match="--set ranks: 0 is not a number of ranks"):
-        study.run(case, ["ranks=0"], case.parent / "out", 2)
+        study.run(case, ["ranks=0"], Options(case.parent / "out", 2))
+
+
+def test_some_lines_and_a_quick_look(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By ``-k``, and the first two points of each line and of the reference; or told only."""
+    options = ["study", str(case), "-o", str(case.parent / "out"), "--cores", "2", "-k", "P2"]
+    assert main([*options, "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert "case.yaml: 6 runs" in said and "P2-4mm" in said and "P1-4mm" not in said
+    assert not (case.parent / "out").exists()
+    assert main([*options, "--tier", "quick", "--dry-run"]) == 0
+    assert "case.yaml: 4 runs" in capsys.readouterr().out
+    assert main([*options[:-1], "P3"]) == 2
+    assert "-k P3: no line has this in its name; allowed: P1, P2" in capsys.readouterr().err
 
 
 def test_failed_points_are_shown_as_failed(case: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
     (case.parent / "broken").touch()
     out = case.parent / "out"
-    study.run(case, [], out, 2)
+    study.run(case, [], Options(out, 2))
     record, rows = read(out)
     failed = "failed (exit code 1)"
     assert [r["status"] for r in rows[:4]] == [failed, "done", "done", failed]
@@ -186,7 +200,7 @@ def test_failed_points_are_shown_as_failed(case: Path, caplog: pytest.LogCapture
     with pytest.raises(MantleError, match="every run of the study failed") as error:
         text = CASE + STUDY.replace("[1 mm, 0.5 mm, 0.25 mm]", "[4 mm, 4 mm]")
         case.write_text(text)
-        study.run(case, only[:1], out, 2)
+        study.run(case, only[:1], Options(out, 2))
     assert error.value.exit_code == 70  # the stand-in leaves with 1, which mantle run never does
     record, _ = read(out)
     assert record["quantities"]["lower_upper.slip_p99"]["reference"] is None
@@ -200,7 +214,7 @@ def test_bad_points_are_told_together_where_they_stand(case: Path) -> None:
     case.write_text(CASE + text)
     line = (CASE + text).splitlines().index("  lines:") + 2
     with pytest.raises(InputError) as error:
-        study.run(case, [], case.parent / "out", 2)
+        study.run(case, [], Options(case.parent / "out", 2))
     messages = error.value.messages
     assert not (case.parent / "out").exists()
     start = f"{case}:{line}:"
@@ -316,7 +330,7 @@ def test_a_study_apart_from_its_case(apart: Path, caplog: pytest.LogCaptureFixtu
     """Values of what has no error; one run as the reference; a picture over the penalty."""
     caplog.set_level(logging.INFO, "mantle")
     out = apart.parent / "out"
-    study.run(apart, ["mesh.far_size=6 mm", "study.target=0.1"], out, 2)
+    study.run(apart, ["mesh.far_size=6 mm", "study.target=0.1"], Options(out, 2))
     record, rows = read(out)
     assert Path(record["case"]).samefile(apart.parent.parent / "case.yaml")
     assert record["overrides"][-1] == "mesh.far_size=6 mm" and record["target"] == 0.1
@@ -350,7 +364,7 @@ def test_a_study_apart_of_nothing_that_is_compared(apart: Path) -> None:
     (apart.parent / "out").mkdir()
     (apart.parent / "out" / "study.png").write_bytes(b"another")
     overrides = ["mesh.far_size=6 mm", "study.quantities=[timing.total]"]
-    study.run(apart, overrides, apart.parent / "out", 2)
+    study.run(apart, overrides, Options(apart.parent / "out", 2))
     names = {p.name for p in (apart.parent / "out").iterdir()}
     assert "study_parameters.png" in names and "study.png" not in names
 
@@ -393,7 +407,7 @@ def test_a_bad_study_apart_is_told(old: str, new: str, complaint: str, apart: Pa
     assert old in APART
     apart.write_text(APART.replace(old, new))
     with pytest.raises(InputError) as error:
-        study.run(apart, [], apart.parent / "out", 2)
+        study.run(apart, [], Options(apart.parent / "out", 2))
     assert any(m.startswith(f"{apart}{complaint}") for m in error.value.messages), str(error.value)
 
 

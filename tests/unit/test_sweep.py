@@ -29,6 +29,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mantle.campaigns import batch, sweep, uncertainty
+from mantle.campaigns.many import Options
 from mantle.cli import main
 from mantle.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
 from mantle.report import sweep_results
@@ -116,7 +117,7 @@ class Bench:
         (folder / "awaited").write_text(".")
 
     def run(self, *overrides: str) -> None:
-        sweep.run(self.sweep, overrides, self.out, 2)
+        sweep.run(self.sweep, overrides, Options(self.out, 2))
 
     def calls(self) -> list[str]:
         """Modulus and friction of the runs finished since the last time."""
@@ -459,7 +460,7 @@ def test_a_dry_run_tells_what_cores_take_together(
 ) -> None:
     """Eight cases of half a minute of one core, on two: two minutes and some idling at the end."""
     monkeypatch.setattr(preview, "seconds", lambda case, alone: 30.0)
-    said = sweep.plan(bench.sweep, [f"ranks={ranks}"], bench.out, 2)
+    said = sweep.dry_run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2))
     assert said.splitlines()[-1].startswith("about 2 min for what is not done, on 2 cores")
     shown = [re.search(r"(\S+) s(  |$)", line) for line in said.splitlines()[3:-2]]
     assert [float(found[1]) for found in shown if found] == [each] * 8
@@ -579,9 +580,9 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from mantle.campaigns import batch; from mantle.campaigns import sweep
+from mantle.campaigns import batch, sweep; from mantle.campaigns.many import Options
 batch.MANTLE_RUN = tuple(sys.argv[3:])
-sweep.run(Path(sys.argv[1]), (), Path(sys.argv[2]), 2)
+sweep.run(Path(sys.argv[1]), (), Options(Path(sys.argv[2]), 2))
 """
 
 
@@ -624,7 +625,7 @@ def kill_again_and_again(path: Path, out: Path, times: int, longest: float) -> N
         assert len(now) >= more and {path: now.get(path) for path in done} == done
         done = now
     assert done
-    sweep.run(path, (), out, 2)
+    sweep.run(path, (), Options(out, 2))
     now = finished()
     assert {path: now.get(path) for path in done} == done
     assert len(now) == every
@@ -662,12 +663,12 @@ def test_shared_and_separate_runs_give_the_same(tmp_path: Path) -> None:
     )
     path = tmp_path / "sweep.yaml"
     path.write_text(f"base: case.yaml\ngrid: {{{FRICTION}: [0.2, 0.6]}}\n")
-    sweep.run(path, (), tmp_path / "shared", 1)
+    sweep.run(path, (), Options(tmp_path / "shared", 1))
     together = json.loads((tmp_path / "shared" / "sweep.json").read_text())["cases"]
     assert {c["folder"].split("/")[1] for c in together} == {together[0]["folder"].split("/")[1]}
     for friction, case in zip((0.2, 0.6), together, strict=True):
         path.write_text(f"base: case.yaml\nset: {{{FRICTION}: {friction}}}\n")
-        sweep.run(path, (), tmp_path / "alone", 1)
+        sweep.run(path, (), Options(tmp_path / "alone", 1))
         (alone,) = json.loads((tmp_path / "alone" / "sweep.json").read_text())["cases"]
         assert alone["folder"].count("/") == 1
         for name, value in case["numbers"].items():
@@ -725,7 +726,7 @@ def test_the_sweep_for_learning(tmp_path: Path) -> None:
     """As shipped, but on a coarse mesh: friction holds the stem back, the mantle's modulus less."""
     path = support.ROOT / "configs" / "sweeps" / "friction_cylinders.yaml"
     overrides = ["mesh.size=6 mm", "mesh.far_size=6 mm", "mesh.order=1", "stages.1.increments=1"]
-    sweep.run(path, overrides, tmp_path, 2)
+    sweep.run(path, overrides, Options(tmp_path, 2))
     found = json.loads((tmp_path / "sweep.json").read_text())
     shear = {c["name"]: c["numbers"]["stem_cement.shear_p99"] for c in found["cases"]}
     for thickness in (2, 4):

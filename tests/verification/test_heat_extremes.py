@@ -9,16 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from mantle.verification import verify
+from mantle.campaigns.many import Options
+from mantle.verification import engine
 
 
 @pytest.mark.slow
 def test_stiff_cases_pass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Bounds of temperature and cure, and heat, in every case; steps told for each."""
     caplog.set_level(logging.INFO, "mantle")
-    passed = verify.run("stiff", tmp_path, fine=False, cores=2)
+    passed = engine.run("verify", Options(tmp_path, 2, "stiff"))
     entries = json.loads((tmp_path / "verify-stiff.json").read_text())
-    assert passed, [(e["name"], e["error"], e["message"]) for e in entries if not e["passed"]]
+    assert passed, [
+        (e["name"], e["error"], e["message"]) for e in entries if e["outcome"] != "passed"
+    ]
     assert len(entries) > 15
     for e in entries:
         assert re.match(r"steps \d+, rejected \d+, balance \d", e["note"])

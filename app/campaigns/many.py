@@ -1,0 +1,68 @@
+"""Many runs as a command asks for them, and what they would cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mantle.campaigns import batch
+from mantle.campaigns.batch import Job, duration
+from mantle.schema import config
+from mantle.soundness import preview
+from mantle.system import layout
+
+# How much of the cores' time runs of different length leave unused at the end of a batch.
+IDLE = 1.1
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a command that makes many runs.
+
+    Attributes:
+        folder: Where everything goes; what is done there already is not run again.
+        cores: Cores to use.
+        pattern: Part of the names of what is wanted; empty for all.
+        tier: How much of it: quick, default or long.
+        slurm: Run each case as a Slurm job, with these further options of sbatch.
+    """
+
+    folder: Path
+    cores: int
+    pattern: str = ""
+    tier: str = "default"
+    slurm: Sequence[str] | None = None
+
+
+def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
+    """Runs with their size and cost, and what is done already; runs nothing.
+
+    Args:
+        title: What stands above it.
+        jobs: The runs.
+        options: As they would be run.
+
+    Raises:
+        InputError: Any job is wrong.
+    """
+    results = batch.look(jobs, options.folder, options.cores)
+    rows, wall, seen = [], 0.0, set[object]()
+    for job, result in zip(jobs, results, strict=True):
+        case = config.load(job.case, job.overrides)
+        seconds = preview.seconds(case, result.process not in seen)  # of one core
+        alone = seconds / min(job.ranks, options.cores)
+        about = duration(alone)
+        note = f"shares the matrices of {result.process}" if result.process in seen else ""
+        if result.folder in seen:
+            note, about = "the same as one above", "-"
+        elif not result.exit_code:
+            note, about = f"done in {duration(result.seconds)}", "-"
+        seen |= {result.process, result.folder}
+        if about != "-":
+            wall += alone if job.alone else seconds / options.cores
+        size = f"{round(preview.unknowns(case), -2):,.0f}".replace(",", " ")
+        rows.append((job.name, job.ranks, size, about, note))
+    listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
+    about = duration(IDLE * wall)
+    return f"{title}\n\n{listed}\n\nabout {about} for what is not done, on {options.cores} cores"

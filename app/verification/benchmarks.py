@@ -1,0 +1,283 @@
+"""The checks of ``mantle bench``: what frictional contact costs, beside what is asked.
+
+CPU time is that of assembly, set-up and solution with coarse problems included, without making the
+mesh, compiling forms and writing results. Ratios are of runs made in turn.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+from mantle.campaigns.work_precision import fitted_order
+from mantle.results.reading import Run
+from mantle.verification.check import Check, CheckRun, Judge, Sample
+
+# Mesh sizes of the femur, by about how many unknowns they give at first order.
+RUNGS = {"20k": "2.8 mm", "100k": "2.4 mm", "170k": "1.3 mm", "1m": "1 mm"}
+TIMES = 3  # of which the median is taken, where that is cheap
+CHEAP = ("20k", "50k", "100k")
+LONG = "1m"
+STANCE = ("output.error=false", "stages.0.increments=1")
+INTERFACES = ("stem_cement", "cement_bone")
+BONDED = tuple(f"interfaces.{name}={{kind: bonded}}" for name in INTERFACES)
+# The stem a little too large for its hole: a quarter of its points slip, no others.
+STEM = "bench/stem.yaml"
+STEM_RUNGS = {"50k": "1.79 mm", "100k": "1.35 mm"}
+MODERATE = ("interfaces.stem_cement.gap=-0.004 mm",)
+# Twelve cases of one mesh and stiffness: friction by hip force.
+TWELVE = tuple(
+    (f"interfaces.stem_cement.friction_coefficient={μ}", f"loads.hip.history=[{force}]")
+    for μ, force in product((0.2, 0.3, 0.4, 0.6), (0.8, 1.0, 1.2))
+)
+# All loads at once, then the hip's alone by a tenth more in each of three steps: all in proportion
+# would leave nothing to do after the first.
+STEPS = (
+    "stages=[{name: stance, adaptive: false}, {name: more, increments: 3, adaptive: false}]",
+    "loads.hip.history=[1, 1.3]",
+)
+# Half an hour of setting cement, and the same time steps of conduction through bonded regions.
+HALF_AN_HOUR = "stages=[{name: setting, duration: 30 min, increments: 60, adaptive: false}]"
+CONDUCTION = (
+    "regions.cement.thermal.cure=",
+    *(f"interfaces.{name}.conductance=perfect" for name in INTERFACES),
+)
+# Second order: what is timed, and what it and first order are compared with.
+SECOND, REFERENCE = "5 mm", "3 mm"
+# Phases of a run that are no part of set-up and solution.
+APART = ("mesh", "compile", "output", "error", "total")
+ROUNDING = 1e-12  # mm
+
+
+def benchmarks() -> list[Check]:
+    """All checks."""
+    stem = (CheckRun(STEM, times=TIMES),)
+    middle = stance("contact", "100k")
+    ladder = tuple(stance("contact", rung) for rung in RUNGS)
+    second = tuple(
+        CheckRun("stance.yaml", (f"mesh.size={h}", *STANCE)) for h in (SECOND, REFERENCE)
+    )
+    largest = stance("contact", "170k")
+    half = CheckRun("cure.yaml", (HALF_AN_HOUR,), times=TIMES)
+    bonded = CheckRun("cure.yaml", (HALF_AN_HOUR, *CONDUCTION), times=TIMES)
+    twelve = tuple(CheckRun("stance.yaml", (*middle.overrides, *o), share=True) for o in TWELVE)
+    steps = (CheckRun("stance.yaml", (*middle.overrides, *STEPS)),)
+    two = CheckRun("stance.yaml", largest.overrides, ranks=2)
+    million = (stance("contact", LONG),)
+    return [
+        _goal("stem_cpu", "CPU time [s]", stem, _median(cpu), 5.0, "quick"),
+        _goal("stem_memory", "peak memory [MB]", stem, _median(memory), 500.0, "quick"),
+        _goal("stem_penetration", "penetration [mm]", stem, _penetration, ROUNDING, "quick"),
+        *(
+            _goal(
+                f"contact_over_bonded_{rung}",
+                "CPU time of contact over that of bonded interfaces",
+                (stance("contact", rung), stance("bonded", rung)),
+                _ratio(cpu),
+                2.5,
+                {"20k": "quick", LONG: "long"}.get(rung, "default"),
+            )
+            for rung in RUNGS
+        ),
+        *(
+            _goal(
+                f"moderate_over_bonded_{rung}",
+                "the same of a stem pressed in, of which a quarter slips",
+                (_stem(rung, MODERATE), _stem(rung, BONDED)),
+                _ratio(cpu),
+                1.5,
+            )
+            for rung in STEM_RUNGS
+        ),
+        _goal("growth_exponent", "of CPU time over unknowns", ladder, growth, 1.15),
+        _goal("newton_spread", "of iterations about their middle", ladder, spread, 3.0),
+        _goal(
+            "ranks_2_over_1", "time on two ranks over one", (two, largest), _ratio(wall), 1 / 1.7
+        ),
+        _goal("variations_12", "CPU time over that of one", (middle, *twelve), _variations, 2.5),
+        _goal("later_load_steps", "the longest over the first", steps, later_steps, 0.5),
+        _goal(
+            "order_2_over_1",
+            "CPU time of second order over first at equal error of slip",
+            (*second, *ladder[:3]),
+            _orders,
+            1.0,
+        ),
+        _goal("cure_over_conduction", "CPU time", (half, bonded), _ratio(cpu), 3.0),
+        _goal(
+            "cylinders_start_to_finish",
+            "wall time over that of importing dolfinx",
+            (CheckRun("cylinders.yaml", times=TIMES),),
+            _start_to_finish,
+            3.0,
+        ),
+        _goal(
+            "million_memory", "[GB]", million, _median(lambda run: memory(run) / 1e3), 12.0, "long"
+        ),
+        _goal("million_minutes", "start to finish", million, _median(_minutes), 5.0, "long"),
+    ]
+
+
+def _goal(
+    name: str,
+    what: str,
+    runs: Sequence[CheckRun],
+    judge: Judge,
+    tolerance: float,
+    tier: str = "default",
+) -> Check:
+    """A figure that is asked to be at most so much."""
+    return Check(name, what, tuple(runs), judge, tolerance, tier=tier, group="bench", timed=True)
+
+
+def stance(kind: str, rung: str) -> CheckRun:
+    """The femur at first order, its interfaces in contact or bonded."""
+    own = BONDED if kind == "bonded" else ()
+    overrides = ("mesh.order=1", *STANCE, *own, f"mesh.size={RUNGS[rung]}")
+    tier = "long" if rung == LONG else "quick"
+    return CheckRun("stance.yaml", overrides, tier=tier, times=TIMES if rung in CHEAP else 1)
+
+
+def _stem(rung: str, overrides: Sequence[str]) -> CheckRun:
+    """The press-fitted stem, its interfaces in contact or bonded."""
+    size = STEM_RUNGS[rung]
+    sizes = (f"mesh.size={size}", f"mesh.far_size={size}")
+    return CheckRun(STEM, (*overrides, *sizes), times=TIMES if rung in CHEAP else 1)
+
+
+def solution(seconds: Mapping[str, float]) -> float:
+    """Seconds of assembly, set-up and solution, coarse problems included."""
+    return sum(value for phase, value in seconds.items() if phase not in APART)
+
+
+def cpu(run: Run) -> float:
+    """CPU time of the solution [s]."""
+    return solution(run.summary["cpu"])
+
+
+def wall(run: Run) -> float:
+    """The same on the wall's clock, which is what more ranks make shorter [s]."""
+    return solution(run.summary["timing"])
+
+
+def memory(run: Run) -> float:
+    """Peak memory of all ranks [MB]."""
+    return float(run.summary["memory"]["peak"])
+
+
+def _minutes(run: Run) -> float:
+    """Minutes of a run without the mesh and the forms, which are made once."""
+    timing = run.summary["timing"]
+    return float(timing["total"] - timing["mesh"] - timing["compile"]) / 60
+
+
+def _median(figure: Callable[[Run], float]) -> Judge:
+    return lambda runs: Sample(median(map(figure, runs)))
+
+
+def _ratio(figure: Callable[[Run], float]) -> Judge:
+    """Median of ratios of two cases, run in turn: the first half of the runs over the second."""
+
+    def judge(runs: Sequence[Run]) -> Sample:
+        half = len(runs) // 2
+        return Sample(
+            median(figure(a) / figure(b) for a, b in zip(runs[:half], runs[half:], strict=True))
+        )
+
+    return judge
+
+
+def _penetration(runs: Sequence[Run]) -> Sample:
+    return Sample(max(x for run in runs for x in _numbers(run, "penetration_max").values()))
+
+
+def _numbers(run: Run, key: str) -> dict[str, float]:
+    """A number of each interface, by its name."""
+    return {name: float(q[key]) for name, q in run.summary["interfaces"].items()}
+
+
+def _rungs(runs: Iterable[Run]) -> list[list[Run]]:
+    """Runs by their number of unknowns, the smallest first."""
+    found: dict[int, list[Run]] = {}
+    for run in runs:
+        found.setdefault(int(run.summary["solver"]["dofs"]), []).append(run)
+    return [found[unknowns] for unknowns in sorted(found)]
+
+
+def growth(runs: Sequence[Run]) -> Sample:
+    """The p of time ~ unknowns^p by least squares in logarithms, of median times."""
+    rungs = _rungs(runs)
+    unknowns = [rung[0].summary["solver"]["dofs"] for rung in rungs]
+    times = [median(map(cpu, rung)) for rung in rungs]
+    return Sample(fitted_order(unknowns, times), errors=tuple(times))
+
+
+def spread(runs: Sequence[Run]) -> Sample:
+    """How far Newton iterations go up and down from the middle of their range."""
+    newton = [run.summary["solver"]["newton_iterations"] for run in runs]
+    return Sample((max(newton) - min(newton)) / 2, note=f"{min(newton)} to {max(newton)}")
+
+
+def _variations(runs: Sequence[Run]) -> Sample:
+    """Twelve cases in one process over one of them, with all but mesh and forms."""
+
+    def whole(run: Run) -> float:
+        seconds: dict[str, Any] = run.summary["cpu"]
+        return sum(v for phase, v in seconds.items() if phase not in ("mesh", "compile", "total"))
+
+    alone, twelve = runs[: -len(TWELVE)], runs[-len(TWELVE) :]
+    return Sample(sum(map(whole, twelve)) / median(map(whole, alone)))
+
+
+def later_steps(runs: Sequence[Run]) -> Sample:
+    """The longest later load step of a run over its first."""
+    first, *later = runs[0].history["step [s]"]
+    return Sample(float(max(later) / first))
+
+
+def _orders(runs: Sequence[Run]) -> Sample:
+    second, reference, *ones = runs
+    return Sample(equal_error(second, [rung[0] for rung in _rungs(ones)], reference))
+
+
+def equal_error(two: Run, ones: Sequence[Run], reference: Run) -> float:
+    """Time of a run over that of others of the same case at the same error of slip_p99.
+
+    Args:
+        two: The run.
+        ones: The others, from coarse to fine.
+        reference: The run that errors are against.
+
+    Returns:
+        The ratio, by the straight line in logarithms between the two others about it. Where none of
+        the others is as good, the last is taken: one as good takes longer, the ratio is smaller.
+    """
+    known = _numbers(reference, "slip_p99")
+
+    def error(run: Run) -> float:
+        have = _numbers(run, "slip_p99")
+        return max(abs(have[name] / known[name] - 1) for name in known)
+
+    wanted = error(two)
+    k = next((k for k, one in enumerate(ones) if error(one) <= wanted), None)
+    if not k:
+        return cpu(two) / cpu(ones[-1 if k is None else 0])
+    worse, better = ones[k - 1], ones[k]
+    part = math.log(wanted / error(worse)) / math.log(error(better) / error(worse))
+    return cpu(two) / (cpu(worse) * (cpu(better) / cpu(worse)) ** part)
+
+
+def _start_to_finish(runs: Sequence[Any]) -> Sample:
+    """A small case start to finish over importing the library that it needs."""
+    seconds = []
+    for _ in runs:
+        begin = perf_counter()
+        subprocess.run([sys.executable, "-c", "import dolfinx"], check=True)
+        seconds.append(perf_counter() - begin)
+    return Sample(median(run.seconds for run in runs) / median(seconds))

@@ -1,0 +1,155 @@
+"""A check: runs of cases, and a judge that says how far off they are.
+
+`verify`, `stress` and `bench` are lists of them; `engine` runs and judges all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from mantle import configs
+from mantle.errors import Reason
+from mantle.results.reading import Run
+
+CONFIGS = configs.FOLDER
+# Each tier contains those before it.
+TIERS = ("quick", "default", "long")
+
+
+@dataclass(frozen=True)
+class CheckRun:
+    """A run that a check needs.
+
+    Attributes:
+        case: The case file, below `CONFIGS`.
+        overrides: As after ``--set``.
+        mesh: How its mesh is changed first, a name in `changed_meshes`; empty if it is not.
+        size: What goes to zero where the runs are a ladder, else 0.
+        tier: The tier from which on it is one of the runs.
+        ranks: Number of MPI ranks.
+        times: How often it is run, where its time is measured.
+        share: Whether it shares a process with others of the check.
+    """
+
+    case: str
+    overrides: tuple[str, ...] = ()
+    mesh: str = ""
+    size: float = 0.0
+    tier: str = "quick"
+    ranks: int = 1
+    times: int = 1
+    share: bool = False
+
+
+@dataclass(frozen=True)
+class Sample:
+    """How far off an answer is.
+
+    Attributes:
+        error: In the check's own measure.
+        value: The answer, where it is one number.
+        reference: What it should be.
+        note: What else is worth telling.
+        errors: Of each run, where several are judged one by one.
+    """
+
+    error: float
+    value: float | None = None
+    reference: float | None = None
+    note: str = ""
+    errors: tuple[float, ...] = ()
+
+
+Measure = Callable[[Run], Sample]
+Judge = Callable[[Sequence[Run]], Sample]
+
+
+@dataclass(frozen=True)
+class Check:
+    """Runs and what they must satisfy.
+
+    Attributes:
+        name: Unique in its suite.
+        what: What is compared, with its unit, and what its error is relative to.
+        runs: The run in question first, then those that it is compared with; a ladder goes from
+            coarse to fine. Empty where the judge needs none.
+        judge: How far off the answer is; None if there is no answer, and mantle has to say so.
+        tolerance: Largest error; of the last run if they are a ladder.
+        order: Order that theory gives; None where the runs are no ladder.
+        refusal: Why mantle may, or has to, refuse it; None where it may not.
+        tier: The first of `TIERS` that it belongs to.
+        group: What it is about, shared with others; the first word of its name by default.
+        rung: What a ladder makes smaller, with its unit.
+        timed: Whether nothing else runs beside its runs, and they are run in turn.
+    """
+
+    name: str
+    what: str
+    runs: tuple[CheckRun, ...]
+    judge: Judge | None
+    tolerance: float = 0.0
+    order: float | None = None
+    refusal: Reason | None = None
+    tier: str = "default"
+    group: str = ""
+    rung: str = "mesh size (mm)"
+    timed: bool = False
+
+    def __post_init__(self) -> None:
+        """A check without a group belongs to that of the first word of its name."""
+        object.__setattr__(self, "group", self.group or self.name.partition("_")[0])
+
+    def up_to(self, tier: str) -> Check:
+        """The check with the runs of a tier."""
+        return replace(self, runs=tuple(r for r in self.runs if within(r.tier, tier)))
+
+
+def within(tier: str, wanted: str) -> bool:
+    """Whether a tier is part of another."""
+    return TIERS.index(tier) <= TIERS.index(wanted)
+
+
+def ladder(
+    case: str, overrides: Sequence[str], sizes: Sequence[float], finest: float | None = None
+) -> tuple[CheckRun, ...]:
+    """Runs from coarse to fine; ``{}`` in an override stands for the size.
+
+    Args:
+        case: The case file.
+        overrides: As after ``--set``.
+        sizes: Mesh sizes or time steps.
+        finest: One more, for those who have time.
+    """
+    runs = [CheckRun(case, tuple(o.format(h) for o in overrides), size=h) for h in sizes]
+    if finest is not None:
+        own = tuple(o.format(finest) for o in overrides)
+        runs.append(CheckRun(case, own, size=finest, tier="long"))
+    return tuple(runs)
+
+
+def each(*measures: Measure) -> Judge:
+    """The worst of what the runs give, by a measure for each or one for all."""
+
+    def judge(runs: Sequence[Run]) -> Sample:
+        by_run = measures * len(runs) if len(measures) == 1 else measures
+        samples = [measure(run) for measure, run in zip(by_run, runs, strict=True)]
+        return replace(worst(samples), errors=tuple(s.error for s in samples))
+
+    return judge
+
+
+def finest(measure: Measure) -> Judge:
+    """What the last run of a ladder gives, with the errors of all."""
+
+    def judge(runs: Sequence[Run]) -> Sample:
+        samples = [measure(run) for run in runs]
+        return replace(samples[-1], errors=tuple(s.error for s in samples))
+
+    return judge
+
+
+def worst(samples: Sequence[Sample]) -> Sample:
+    """The sample with the largest error, where none is worse than one that is no number."""
+    return max(samples, key=lambda s: math.inf if math.isnan(s.error) else s.error)

@@ -1,0 +1,324 @@
+"""The engine of ``mantle verify``, ``stress`` and ``bench``: it runs checks, judges and tells.
+
+Writes ``SUITE.json``, ``SUITE.csv`` (what each run cost) and ``SUITE.png`` beside the runs, of a
+selection ``SUITE-TIER-NAME.json`` and so on. Finished runs are not done again.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count, takewhile
+from pathlib import Path
+from typing import Any
+
+from mantle.campaigns import batch, many
+from mantle.campaigns.batch import Job, Result
+from mantle.campaigns.many import Options
+from mantle.campaigns.work_precision import fitted_order
+from mantle.errors import ConvergenceError, GeometryError, InputError, Reason
+from mantle.results.reading import Run
+from mantle.schema import config
+from mantle.system import layout
+from mantle.system.folders import csv_text, remove, write_json, write_text
+from mantle.verification import picture
+from mantle.verification.benchmarks import solution
+from mantle.verification.check import CONFIGS, Check, Sample, within
+from mantle.verification.suites import SUITES
+
+log = logging.getLogger("mantle")
+
+PASSED, REFUSED, MISSED, FAILED = OUTCOMES = ("passed", "refused", "missed", "failed")
+# Exit codes of a refusal.
+REFUSALS = tuple(e.exit_code for e in (InputError, GeometryError, ConvergenceError))
+ORDER_TOLERANCE = 0.2
+
+
+class TimedRun(Run):
+    """A run directory with the wall time of its process [s]."""
+
+    def __init__(self, result: Result) -> None:
+        """Open it.
+
+        Args:
+            result: Of its job.
+        """
+        super().__init__(result.folder)
+        self.seconds = result.seconds
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """Result of a check.
+
+    Attributes:
+        check: The check.
+        outcome: One of `OUTCOMES`.
+        message: Why, in words.
+        results: Of its runs.
+        sample: What its judge says; None if there is nothing to be judged.
+        order: Fitted order of a ladder.
+    """
+
+    check: Check
+    outcome: str
+    message: str
+    results: Sequence[Result] = ()
+    sample: Sample | None = None
+    order: float | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of its runs, those it shares with others included."""
+        return sum(r.seconds for r in self.results)
+
+    @property
+    def ratio(self) -> float:
+        """Error over tolerance; zero may be tolerated, and met."""
+        error = self.sample.error if self.sample else math.inf
+        if math.isnan(error):
+            return math.inf
+        return error / self.check.tolerance if self.check.tolerance else error and math.inf
+
+    def as_json(self) -> dict[str, Any]:
+        """The entry of the JSON file."""
+        c, s = self.check, self.sample or Sample(math.nan)
+        return {
+            "name": c.name,
+            "group": c.group,
+            "tier": c.tier,
+            "outcome": self.outcome,
+            "error": _number(s.error),
+            "tolerance": c.tolerance if c.judge else None,
+            "order": _number(self.order),
+            "expected_order": c.order,
+            "quantity": c.what,
+            "value": _number(s.value),
+            "reference": _number(s.reference),
+            "rung": c.rung,
+            "sizes": [r.size for r in c.runs] if c.order else [],
+            "errors": [_number(e) for e in s.errors],
+            "note": s.note,
+            "message": self.message,
+            "seconds": round(self.seconds, 2),
+            "runs": [
+                {"folder": str(r.folder), "case": str(r.job.case), "overrides": r.job.overrides}
+                for r in self.results
+            ],
+        }
+
+
+def run(suite: str, options: Options) -> bool:
+    """Run the checks of a suite and judge them.
+
+    Args:
+        suite: One of `SUITES`.
+        options: What is wanted of it, and where it goes.
+
+    Returns:
+        Whether all are as they should be; of a benchmark, whether all could be measured.
+
+    Raises:
+        InputError: No check has such a name, or the folder cannot be written.
+    """
+    checks = _chosen(suite, options)
+    planned = {c.name: list(_planned(c, options.folder)) for c in checks}
+    found = _run(checks, planned, options)
+    outcomes = []
+    for check in checks:
+        results = [
+            result
+            for run, (job, why) in zip(check.runs, planned[check.name], strict=True)
+            for result in (
+                [Result(job, options.folder, InputError.exit_code, 0.0, {}, why)]
+                if why
+                else [found[job, k] for k in range(run.times)]
+            )
+        ]
+        outcomes.append(judge(check, results))
+    log.info("%s", table(outcomes))
+    _write(suite, options, outcomes)
+    log.info("%s\nresults in %s", verdict(outcomes), options.folder)
+    right = {PASSED, REFUSED} | ({MISSED} if suite == "bench" else set())
+    return all(o.outcome in right for o in outcomes)
+
+
+def dry_run(suite: str, options: Options) -> str:
+    """What `run` would run, as a table.
+
+    Raises:
+        InputError: As `run`.
+    """
+    checks = _chosen(suite, options)
+    jobs = [job for c in checks for job, why in _planned(c, options.folder) if not why]
+    return many.plan(f"{suite}: {len(checks)} checks", jobs, options)
+
+
+def _chosen(suite: str, options: Options) -> list[Check]:
+    """The checks that are wanted.
+
+    Raises:
+        InputError: No check has such a name.
+    """
+    everything = [c for c in SUITES[suite]() if within(c.tier, options.tier)]
+    chosen = [c.up_to(options.tier) for c in everything if options.pattern in c.name]
+    if not chosen:
+        names = ", ".join(c.name for c in everything)
+        text = f"-k {options.pattern}: no check of this tier has this in its name; allowed: {names}"
+        raise InputError(text)
+    return chosen
+
+
+def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
+    """The job of each run, and why it is refused before it begins; empty if it is not."""
+    for k, run in enumerate(check.runs, start=1):
+        name = f"{check.name}_{k}" if len(check.runs) > 1 else check.name
+        path, overrides, why = CONFIGS / run.case, run.overrides, ""
+        try:
+            case = config.load(path, overrides)
+            if run.mesh:
+                from mantle.verification.changed_meshes import change  # needs gmsh
+
+                overrides = (*change(case, run.mesh, folder / "meshes"), *overrides)
+        except InputError as error:
+            why = str(error)
+        yield Job(name, path, overrides, run.ranks, alone=check.timed, share=run.share), why
+
+
+def _run(
+    checks: Sequence[Check], planned: Mapping[str, Sequence[tuple[Job, str]]], options: Options
+) -> dict[tuple[Job, int], Result]:
+    """Results by job and by how often it was run before.
+
+    Timed checks go one after the other, their runs in turn, so that what else happens on the
+    machine meets them all.
+    """
+    found: dict[tuple[Job, int], Result] = {}
+    together = [[c for c in checks if not c.timed], *([c] for c in checks if c.timed)]
+    for some in together:
+        pairs = [
+            (job, run.times)
+            for c in some
+            for run, (job, why) in zip(c.runs, planned[c.name], strict=True)
+            if not why
+        ]
+        rounds = ([job for job, times in pairs if times > k] for k in count())
+        for k, jobs in enumerate(takewhile(bool, rounds)):
+            folder = options.folder / f"again-{k}" if k else options.folder
+            results = batch.run(jobs, folder, options.cores, options.slurm)
+            found |= {(job, k): r for job, r in zip(jobs, results, strict=True)}
+    return found
+
+
+def judge(check: Check, results: Sequence[Result]) -> CheckResult:
+    """Say what became of a check.
+
+    Args:
+        check: The check.
+        results: Of its runs, in their order.
+    """
+    failed = [r for r in results if r.exit_code]
+    if failed:
+        first = failed[0]
+        explained = first is results[0] and first.exit_code in REFUSALS
+        if explained and check.refusal in Reason.within(first.message):
+            return CheckResult(check, REFUSED, first.message, results)
+        why = "\n".join(f"{r.job.name}: exit code {r.exit_code}: {r.message}" for r in failed)
+        return CheckResult(check, FAILED, why, results)
+    if check.judge is None:
+        return CheckResult(check, MISSED, "converged, though there is no answer", results)
+    try:
+        sample = check.judge([TimedRun(r) for r in results])
+        sizes = [run.size for run in check.runs]
+        order = None if check.order is None else fitted_order(sizes, sample.errors)
+    except Exception as error:  # of any kind: the other checks are still to be reported
+        log.debug("%s", check.name, exc_info=True)
+        return CheckResult(check, FAILED, f"cannot be judged: {error!r}", results)
+    right = sample.error <= check.tolerance
+    right &= order is None or abs(order - (check.order or 0.0)) <= ORDER_TOLERANCE
+    return CheckResult(check, PASSED if right else MISSED, "", results, sample, order)
+
+
+def table(outcomes: Sequence[CheckResult]) -> str:
+    """A line for each check, one for each group if there are several, and what went wrong."""
+    head = ("check", "error", "tolerance", "order", "expected", "seconds", "outcome", "")
+    text = [layout.table(head, map(_line, outcomes))]
+    groups: dict[str, list[CheckResult]] = {}
+    for o in outcomes:
+        groups.setdefault(o.check.group, []).append(o)
+    if len(groups) > 1:
+        titles = ("group", "checks", *OUTCOMES, "seconds", "worst", "of", "")
+        text.append(layout.table(titles, (_summed(name, own) for name, own in groups.items())))
+    for o in outcomes:
+        if o.outcome in (MISSED, FAILED) and o.message:
+            text.append(f"{o.check.name} {o.outcome}: {o.message}".replace("\n", "\n  "))
+    return "\n\n".join(text)
+
+
+def _line(o: CheckResult) -> Sequence[object]:
+    c, s = o.check, o.sample
+    orders = [f"{value:.2f}" if value is not None else "" for value in (o.order, c.order)]
+    error = f"{s.error:.2e}" if s else "-"
+    tolerance = f"{c.tolerance:.1e}" if c.judge else "-"
+    note = s.note if s else ""
+    return (c.name, error, tolerance, *orders, f"{o.seconds:.1f}", o.outcome, note)
+
+
+def _summed(name: str, own: Sequence[CheckResult]) -> Sequence[object]:
+    counts = Counter(o.outcome for o in own)
+    judged = [o for o in own if o.sample]
+    worst = max(judged, key=lambda o: o.ratio, default=None)
+    last: Sequence[object] = ("", "", "")
+    if worst is not None and worst.sample:
+        c = worst.check
+        last = (f"{worst.sample.error:.1e}", f"{c.tolerance:.1e}", c.name)
+    seconds = f"{sum(o.seconds for o in own):.1f}"
+    return (name, len(own), *(counts[x] or "" for x in OUTCOMES), seconds, *last)
+
+
+def verdict(outcomes: Sequence[CheckResult]) -> str:
+    """One sentence."""
+    names = {x: [o.check.name for o in outcomes if o.outcome == x] for x in OUTCOMES}
+    said = ", ".join(f"{len(own)} {x}" for x, own in names.items() if own)
+    off = ", ".join(names[MISSED] + names[FAILED])
+    plural = "s" if len(outcomes) > 1 else ""
+    return f"{len(outcomes)} check{plural}: {said}" + (f": {off}" if off else "")
+
+
+def _write(suite: str, options: Options, outcomes: Sequence[CheckResult]) -> None:
+    """Write JSON, costs and picture."""
+    tier = options.tier if options.tier != "default" else ""
+    name = "-".join(filter(None, (suite, tier, options.pattern)))
+    options.folder.mkdir(parents=True, exist_ok=True)
+    entries = [o.as_json() for o in outcomes]
+    drawing = options.folder / f"{name}.png"
+    remove([drawing])  # should the new one fail, the old one is not beside new numbers
+    write_json(options.folder / f"{name}.json", entries)
+    write_text(options.folder / f"{name}.csv", csv_text(list(costs(outcomes))))
+    picture.draw(entries, drawing)
+
+
+def costs(outcomes: Iterable[CheckResult]) -> Iterator[dict[str, Any]]:
+    """What each run cost: a row for each that is done."""
+    done = {r.folder: r for o in outcomes for r in o.results if r.summary}
+    for r in done.values():
+        solver, timing = r.summary.get("solver", {}), r.summary.get("timing", {})
+        yield {
+            "run": r.job.name,
+            "ranks": r.job.ranks,
+            "unknowns": solver.get("dofs"),
+            "newton": solver.get("newton_iterations"),
+            "krylov": solver.get("linear_iterations"),
+            "solution [CPU s]": round(solution(r.summary.get("cpu", {})), 3),
+            "wall [s]": round(r.seconds, 3),
+            "mesh [s]": timing.get("mesh"),
+            "memory [MB]": r.summary.get("memory", {}).get("peak"),
+        }
+
+
+def _number(value: float | None) -> float | None:
+    """A number that JSON has."""
+    return None if value is None or not math.isfinite(value) else float(value)

@@ -1,0 +1,27 @@
+"""The suites: lists of checks by the command that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from mantle.verification.benchmarks import benchmarks
+from mantle.verification.check import Check
+from mantle.verification.heat_problems import heat_problems
+from mantle.verification.problems import problems
+from mantle.verification.rows_of_extremes import extremes
+from mantle.verification.rows_of_invariants import invariants
+
+
+def rows() -> list[Check]:
+    """Those of ``mantle stress``: the stiff problems of ``mantle verify`` are among them."""
+    stiff = [p for p in heat_problems() if p.group == "stiff"]
+    heat = [replace(p, name=p.name.replace("stiff", "heat", 1), group="heat") for p in stiff]
+    return [*extremes(), *invariants(), *heat]
+
+
+SUITES: dict[str, Callable[[], list[Check]]] = {
+    "verify": problems,
+    "stress": rows,
+    "bench": benchmarks,
+}
