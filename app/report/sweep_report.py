@@ -15,7 +15,7 @@ from mantle.campaigns.batch import duration
 from mantle.errors import StoppedError
 from mantle.report import gruen, page
 from mantle.report import maps as report_maps
-from mantle.report.page import bullets, heading, paragraph, table
+from mantle.report.page import Blocks, bullets, heading, paragraph, table
 from mantle.report.paper import compare
 from mantle.report.paper import figures as report_figures
 from mantle.report.paper import trends as report_trends
@@ -78,8 +78,8 @@ def run(folder: Path) -> Written:
         rows = compare.compare(cases, sweep) if cases.curves else []
         trends = report_trends.judge(cases) if cases.curves else []
 
-        def drawn(own: Sequence[Figure]) -> str:
-            return "".join(page.figure(f, pictures) for f in own)
+        def drawn(own: Sequence[Figure]) -> Blocks:
+            return [block for f in own for block in page.figure(f, pictures)]
 
         sections = [
             ("trends", "Trends", _trends(trends)),
@@ -93,8 +93,13 @@ def run(folder: Path) -> Written:
             ("uncertain", "What is not known well", _uncertain(sweep)),
             ("cases", "All cases", _parts(sweep.cases)),
         ]
-        head = _summary(sweep, rows, trends)
-        text = page.page(sweep.title, sections, head)
+        text = page.page(
+            sweep.title,
+            sections,
+            facts=_facts(sweep),
+            summary=_summary(sweep, rows, trends),
+            note=HONESTY if trends else "",
+        )
         every = [*figures, *maps, *shields, *multiples]
         files = [folder / PAGE, *(pictures / f.name for f in every)]
         if rows:
@@ -107,17 +112,29 @@ def run(folder: Path) -> Written:
     return Written(files, trends, done, len(sweep.cases))
 
 
-def _uncertain(sweep: SweepResults) -> str:
+def _uncertain(sweep: SweepResults) -> Blocks:
     """How far numbers spread over samples of uncertain inputs."""
-    parts = []
+    parts: Blocks = []
     for part, of in sweep.uncertainty.items():
         words = f"{of['samples']} samples{f' ({part})' if part else ''}"
-        parts.append(paragraph(words) + table(uncertainty.HEAD, uncertainty.rows(of)))
-    return "".join(parts)
+        parts += paragraph(words) + table(uncertainty.HEAD, uncertainty.rows(of))
+    return parts
 
 
-def _summary(sweep: SweepResults, rows: Sequence[ComparedNumber], trends: Sequence[Trend]) -> str:
-    """Summary at the top of the page, as HTML."""
+def _facts(sweep: SweepResults) -> str:
+    """Which sweep, how long it took, and by which program."""
+    took = (
+        [duration(sweep.seconds), "on", f"{sweep.cores} core{'s' * (sweep.cores > 1)}"]
+        if sweep.seconds
+        else []
+    )
+    return " · ".join(filter(None, (sweep.file, " ".join(took), f"mantle {sweep.program}")))
+
+
+def _summary(
+    sweep: SweepResults, rows: Sequence[ComparedNumber], trends: Sequence[Trend]
+) -> list[str]:
+    """Summary at the top of the page."""
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
     lines = [f"{len(sweep.cases)} cases: {states}."]
@@ -128,16 +145,7 @@ def _summary(sweep: SweepResults, rows: Sequence[ComparedNumber], trends: Sequen
         names = {v: [t.name for t in trends if t.verdict == v] for v in VERDICTS}
         each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
         lines.append(f"Trends that the paper reports: {each}.")
-    lines += _ratios(rows)
-    took = (
-        [duration(sweep.seconds), "on", f"{sweep.cores} core{'s' * (sweep.cores > 1)}"]
-        if sweep.seconds
-        else []
-    )
-    facts = filter(None, (sweep.file, " ".join(took), f"mantle {sweep.program}"))
-    head = paragraph(" · ".join(facts), "quiet")
-    head += f'<div class="summary">{bullets(lines)}</div>\n'
-    return head + (paragraph(HONESTY, "quiet") if trends else "")
+    return lines + _ratios(rows)
 
 
 def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
@@ -156,10 +164,10 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
     ]
 
 
-def _trends(trends: Sequence[Trend]) -> str:
+def _trends(trends: Sequence[Trend]) -> Blocks:
     """The verdicts with their reasons."""
     if not trends:
-        return ""
+        return []
     text = (
         "By 99th percentiles: undecided where the difference is smaller than the estimated errors "
         "in sum; numbers without ± have no estimate and were taken as they are. Beside it the "
@@ -173,10 +181,10 @@ def _trends(trends: Sequence[Trend]) -> str:
     return paragraph(text) + table(head, rows)
 
 
-def _comparison(rows: Sequence[ComparedNumber]) -> str:
+def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
     """The paper's numbers beside mantle's."""
     if not rows:
-        return ""
+        return []
     head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, p99 ± error"]
     head += ["max / paper", "p99 / paper", "case, remarks"]
     lines = []
@@ -211,27 +219,27 @@ def _odd(cases: Cases) -> list[str]:
     return compare.strange(cases) if cases.curves else []
 
 
-def _zones(cases: Cases, sweep: SweepResults) -> str:
+def _zones(cases: Cases, sweep: SweepResults) -> Blocks:
     """A table for each representative case that has zones."""
-    html = ""
+    found: Blocks = []
     for group in report_maps.chosen(cases, sweep):
         for title, case in group:
             own = table(*gruen.table(case))
-            html += heading(title) + own if own else ""
+            found += heading(title) + own if own else []
     note = "Of each interface: largest / mean value in the zone."
-    return paragraph(note, "quiet") + html if html else ""
+    return paragraph(note, "quiet") + found if found else []
 
 
-def _parts(cases: Sequence[SweptCase]) -> str:
+def _parts(cases: Sequence[SweptCase]) -> Blocks:
     """A table for each part of the sweep."""
     parts: dict[str, list[SweptCase]] = {}
     for case in cases:
         parts.setdefault(case.part, []).append(case)
-    html = (heading(part) * bool(part) + _cases(own) for part, own in parts.items())
-    return "".join(html)
+    blocks = (heading(part) * bool(part) + _cases(own) for part, own in parts.items())
+    return [block for own in blocks for block in own]
 
 
-def _cases(cases: Sequence[SweptCase]) -> str:
+def _cases(cases: Sequence[SweptCase]) -> Blocks:
     """Every case with what became of it."""
     names = report_figures.headlines(cases)[:MOST_NUMBERS]
     labels = [report_figures.label(name) for name in names]

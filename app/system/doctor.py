@@ -33,6 +33,7 @@ _MODULES = (
     ("ruamel.yaml", "ruamel.yaml"),
     ("pint", "pint"),
     ("matplotlib", "matplotlib"),
+    ("jinja2", "jinja2"),
 )
 _DOLFINX = "0.9"
 _SHARED_MEMORY = 256 * 2**20  # bytes; Docker gives 64 MiB, in which ranks cannot exchange
