@@ -133,7 +133,7 @@ def plan(study: Study) -> list[PlannedRun]:
 def _overrides(point: PlannedRun, common: Sequence[str]) -> list[str]:
     """The options that make a case the point's."""
     own = {key: value for key, value in point.changes.items() if key != "ranks"}
-    return [*common, *study_options.options(own)]
+    return [*common, *study_options.options(own), *study_file.ALONE]
 
 
 def _job(point: PlannedRun, source: Source) -> Job:
@@ -170,7 +170,7 @@ def _resolve(points: Sequence[PlannedRun], source: Source) -> list[config.Case]:
 
 def _located(point: PlannedRun, message: str, file: CaseFile) -> Fault:
     """A defect of a point, where its cause stands in the study."""
-    if found := case_file.located(message, point.changes, point.path):
+    if found := case_file.located(message, {k: (*point.path, k) for k in point.changes}):
         item = (*found.path, point.index)
         return Fault(item, found.text) if item in file.places else found
     at = f"with {point.key} = {point.label}: " if point.key else ""

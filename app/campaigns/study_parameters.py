@@ -10,7 +10,7 @@ from typing import Any
 from mantle.campaigns.study_model import Measured, Report, percent
 from mantle.campaigns.study_picture import MOST_PANELS, panels
 from mantle.schema.quantities import printed
-from mantle.system.figures import COLOURS, MARKERS
+from mantle.system import style
 
 # Largest over smallest value from which an axis is logarithmic.
 DECADES = 30.0
@@ -67,30 +67,10 @@ def _panel(axes: Any, report: Report, m: Measured, varying: dict[str, list[int]]
         if (value := m.points[i].value) is not None
     }
     for k, (name, own) in enumerate(varying.items()):
-        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
         good = [i for i in own if i in known]
-        axes.plot(
-            [report.runs[i].x for i in good],
-            [known[i] for i in good],
-            color=colour,
-            marker=marker,
-            ms=5,
-            lw=1.5,
-            label=name,
-            zorder=3,
-        )
+        style.curve(axes, [report.runs[i].x for i in good], [known[i] for i in good], k, name)
         failed = [report.runs[i].x for i in own if report.runs[i].result.exit_code]
-        axes.plot(
-            failed,
-            [0.93 - 0.08 * k] * len(failed),  # two lines may fail at the same number
-            "x",
-            transform=axes.get_xaxis_transform(),
-            color=colour,
-            ms=8,
-            mew=2,
-            label="failed" if failed else None,
-            zorder=4,
-        )
+        style.crosses(axes, failed, k, 0.93 - 0.08 * k)  # two lines may fail at the same number
     _ticks(axes.xaxis, [report.runs[i].x or 1.0 for own in varying.values() for i in own])
     _scale(axes, [*known.values(), *([] if reference is None else [reference])])
 

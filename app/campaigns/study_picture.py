@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from mantle.campaigns.study_model import FLAT, Measured, Report, percent
-from mantle.system import figures
-from mantle.system.figures import COLOURS, MARKERS
+from mantle.system import style
+from mantle.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 6
 EXACT = 1e-16  # what an error of zero is drawn as
@@ -49,20 +48,12 @@ def panels(
         columns: How many stand beside each other, at most.
         size: Width and height of a panel [inch].
     """
-    columns = min(len(shown), columns)
-    rows = math.ceil(len(shown) / columns)
-    figure = figures.new(size[0] * columns, size[1] * rows + 0.7)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, m in zip(panels, shown, strict=False):
+    figure, every = style.panels(len(shown), columns, *size)
+    for axes, m in zip(every, shown, strict=True):
         axes.set_title(m.name, fontsize=11, loc="left")
-        figures.grid(axes)
+        style.grid(axes)
         panel(axes, m)
-    for axes in panels[len(shown) :]:
-        axes.set_visible(False)
-    handles: dict[str, Any] = {}
-    for axes in panels[: len(shown)]:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
+    handles = style.handles(every)
     if "failed" in handles:
         handles["failed"] = handles.pop("failed")  # last
     figure.legend(
@@ -137,16 +128,7 @@ def _line(
     above = k % 2 == 0  # so that the labels of two lines side by side can be read
     own = [i for i, r in enumerate(report.runs) if r.line == name]
     good = [i for i in own if error[i] is not None and m.points[i].time is not None]
-    axes.plot(
-        [m.points[i].time for i in good],
-        [error[i] for i in good],
-        color=colour,
-        marker=marker,
-        ms=6,
-        lw=1.5,
-        label=name,
-        zorder=3,
-    )
+    style.curve(axes, [m.points[i].time for i in good], [error[i] for i in good], k, name)
     for i in good:
         hollow = not m.points[i].trusted
         if hollow:
@@ -176,19 +158,8 @@ def _line(
             path_effects=halo,
             zorder=2,
         )
-    for i in own:
-        if report.runs[i].result.exit_code:
-            axes.plot(
-                max(report.runs[i].result.seconds, 1e-2),
-                0.97,
-                "x",
-                transform=axes.get_xaxis_transform(),
-                color=colour,
-                ms=9,
-                mew=2.2,
-                label="failed",
-                zorder=5,
-            )
+    failed = [r.result for r in (report.runs[i] for i in own) if r.result.exit_code]
+    style.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
 
 
 def _limits(axes: Any, report: Report, m: Measured, error: list[float | None]) -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from mantle.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
-from mantle.report.paper.figures import Figure
+from mantle.report.paper.figures import STEM_COLOURS, Figure
 from mantle.report.sweep_results import SweptCase, magnitude
+from mantle.system import style
 
 ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 KJ = 1e3  # kJ/m3 of a MPa
-COLOURS = {"titanium": "#1f5fa8", "CoCr": "#d1682c"}
 
 Table = tuple[list[str], list[list[str]]]
 
@@ -98,11 +98,7 @@ def shielding_picture(cases: Cases, without: SweptCase | None, folder: Path) -> 
     if not changes:
         return []
     bones = [b for b in BONES if any(b in c for c in changes.values())]
-    from matplotlib import figure as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    figure = mpl.Figure(figsize=(9.4, 2.9 * len(bones) + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.new(9.4, 2.9 * len(bones) + 0.5)
     grid = figure.subplots(len(bones), 1, squeeze=False, sharex=True).ravel()
     width = 0.8 / len(changes)
     for axes, bone in zip(grid, bones, strict=True):
@@ -110,13 +106,12 @@ def shielding_picture(cases: Cases, without: SweptCase | None, folder: Path) -> 
             values = by_bone.get(bone, {})
             at = [int(z) + (k - 0.5 * (len(changes) - 1)) * width for z in values]
             percent = [100 * v for v in values.values()]
-            axes.bar(at, percent, 0.94 * width, color=COLOURS[stem], label=stem)
+            axes.bar(at, percent, 0.94 * width, color=STEM_COLOURS[stem], label=stem)
         axes.axhline(0, color="0.2", lw=0.8)
         axes.axvline(FRONTAL + 0.5, color="0.6", lw=0.8, ls=":")
         axes.set_title(BONES[bone], fontsize=11, loc="left")
         axes.set_ylabel("change of strain\nenergy density (%)")
-        axes.grid(True, axis="y", color="0.9")
-        axes.set_axisbelow(True)
+        style.grid(axes, "y")
         axes.set_xticks(range(1, 15))
     grid[-1].set_xlabel("Gruen zone (1 to 7 frontal, 8 to 14 lateral view)")
     handles, labels = grid[0].get_legend_handles_labels()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import statistics
 from collections import Counter
 from collections.abc import Sequence
@@ -25,7 +23,7 @@ from mantle.report.paper.figures import Figure
 from mantle.report.paper.trends import VERDICTS, Trend
 from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
 from mantle.schema.quantities import printed
-from mantle.system.folders import write_text
+from mantle.system.folders import csv_text, write_text
 
 PAGE, COMPARISON, PICTURES = "report.html", "comparison.csv", "report"
 MOST_NUMBERS = 11  # in the table of cases
@@ -104,7 +102,7 @@ def run(folder: Path) -> Written:
         files = [folder / PAGE, *(pictures / f.name for f in every)]
         if rows:
             files.append(pictures / COMPARISON)
-            write_text(files[-1], _csv(rows))
+            write_text(files[-1], csv_text(compare.csv_rows(rows)))
         write_text(folder / PAGE, text)
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
@@ -263,9 +261,3 @@ def _cases(cases: Sequence[SweptCase]) -> Blocks:
             ]
         )
     return table(head, rows)
-
-
-def _csv(rows: Sequence[ComparedNumber]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(compare.csv_rows(rows))
-    return text.getvalue()

@@ -13,8 +13,9 @@ from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.picture import AXES, cut, middle_plane
 from mantle.results.necrosis import CELSIUS
 from mantle.scene.bodies import cell_tags
+from mantle.system import style
+from mantle.system.style import COLOURS
 
-COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
 # A run whose last step is this many times as late as its first is drawn on a logarithmic axis.
 _SPAN = 300.0
 # Curves closer than this part of the range of all are drawn as one.
@@ -32,15 +33,11 @@ def history(path: Path, seconds: Sequence[float], curves: Mapping[str, Floats]) 
         seconds: Times, the initial one first (n,) [s].
         curves: Temperatures by label (n,) [degC]; probes, whose labels say so, are dashed.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     t = np.array(seconds)
     late = t[t > 0]
     logarithmic = len(late) > 1 and late[-1] / late[0] > _SPAN
     shown = t > 0 if logarithmic else np.ones(len(t), dtype=bool)
-    figure = Figure(figsize=(8.5, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.new(8.5, 4.8)
     axes = figure.subplots()
     for k, (label, values) in enumerate(_distinct(curves).items()):
         axes.plot(
@@ -66,8 +63,7 @@ def history(path: Path, seconds: Sequence[float], curves: Mapping[str, Floats]) 
         )
     axes.set(xlabel="time (s)", ylabel="temperature (°C)")
     axes.set_xscale("log" if logarithmic else "linear")
-    axes.grid(True, which="major", color="0.9")
-    axes.set_axisbelow(True)
+    style.grid(axes)
     axes.margins(x=0.01)
     figure.legend(loc="outside right upper", frameon=False, fontsize=8)
     figure.savefig(path, dpi=130)
@@ -185,9 +181,6 @@ def _draw(
     seconds: float,
     at: Sequence[float],
 ) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     T = np.concatenate([triangles[:, :, 3].ravel() for triangles, _ in pieces])
     low, high = float(T.min()), max(float(T.max()), float(T.min()) + 0.1)
     sizes = [
@@ -198,8 +191,7 @@ def _draw(
     widths = [max(size[0], 0.25 * tall) for size in sizes]
     height = 7.0
     width = float(np.clip(height * sum(widths) / tall + 3.0, 8.0, 16.0))
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.new(width, height)
     axes = figure.subplots(1, len(planes), width_ratios=widths)
     for ax, (axis, level), (triangles, outline) in zip(axes, planes, pieces, strict=True):
         shade = _panel(ax, axis, triangles, outline, (low, high))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mantle.arrays import Floats, Ints
 from mantle.results.reading import EDGES, FACES, Run
 from mantle.schema.geometries import Sides
+from mantle.system import style
 
 # The angle runs from here by 360 degrees.
 SEAM = -90.0
@@ -181,19 +182,13 @@ def draw(
     Returns:
         The labels of the rows that there are; no picture if there is none.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     found = [(row, [row.values(run) for _, run, _ in columns]) for row in rows]
     found = [(row, values) for row, values in found if any(v is not None for v in values)]
     if not found:
         return []
     round = all(s.round for _, _, s in columns)
     wide, high = (3.0, 2.9) if round else (3.4, 3.0)
-    figure = Figure(
-        figsize=(wide * len(columns) + 1.6, high * len(found) + 0.5), layout="constrained"
-    )
-    FigureCanvasAgg(figure)
+    figure = style.new(wide * len(columns) + 1.6, high * len(found) + 0.5)
     grid = figure.subplots(len(found), len(columns), squeeze=False, sharey=round)
     for axes_row, (row, values) in zip(grid, found, strict=True):
         shown = [v[s.nodes] for (_, _, s), v in zip(columns, values, strict=True) if v is not None]

@@ -129,31 +129,31 @@ def path_text(path: Path) -> str:
     return text
 
 
-def located(message: str, changes: Iterable[str], path: Path) -> Fault | None:
-    """A defect of a value that overrides put into a case, at its key; None if it is of no such.
+def located(message: str, places: Mapping[str, Path]) -> Fault | None:
+    """A defect of a value that overrides put into a case, at its place; None if it is of no such.
 
     Args:
         message: A message about the case.
-        changes: Keys of the overrides.
-        path: Where they stand in the file.
+        places: Where each override stands in the file, by its key.
     """
-    for key in changes:
+    for key, place in places.items():
         if message.startswith(start := f"--set {key}: "):
-            return Fault((*path, key), message.removeprefix(start))
+            return Fault(place, message.removeprefix(start))
     return None
 
 
-def clashes(overrides: Iterable[str], varied: Mapping[Path, str]) -> list[Fault]:
+def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> list[Fault]:
     """Options that hold for every case, of keys that vary from case to case: one would be in vain.
 
     Args:
         overrides: ``--set`` options.
-        varied: Keys that vary, by where they stand in the file.
+        varied: Keys that vary, each with the place of its list, or of a value in it.
     """
+    places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
     return [
         Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")
         for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
-        for place, key in varied.items()
+        for place, key in places
         if all(a == b for a, b in zip(words(given), words(key), strict=False))
     ]
 

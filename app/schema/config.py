@@ -257,8 +257,17 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         InputError: All that is wrong with any of them, each at its place in the section.
     """
     found: list[Varied] = []
-    faults: list[Fault] = []
-    for v in expand(case.variations):
+    every_one = expand(case.variations)
+    # The places of what options have set are their keys.
+    options = [place for place in file.places.values() if isinstance(place, str)]
+    varied = [
+        (v.places[key], full)
+        for v in every_one
+        for key in v.changes
+        for full in every(key, file.data)
+    ]
+    faults = case_file.clashes(options, varied)
+    for v in every_one:
         keys = {full: key for key in v.changes for full in every(key, file.data)}
         overrides = tuple(study_options.options({k: v.changes[key] for k, key in keys.items()}))
         copy = case_file.changed(file, overrides)
@@ -266,11 +275,11 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         try:
             found.append(Varied(v.name, overrides, v.changes, _resolved(copy, folder)))
         except InputError as error:
-            for message in error.messages:
-                fault = case_file.located(message, keys, ())
-                place = v.places[keys[str(fault.path[0])]] if fault else ()
-                at, text = (place, fault.text) if fault else ((), message)
-                faults.append(Fault(at or ("variations",), text if at else f"{v.name}: {text}"))
+            places = {full: v.places[key] for full, key in keys.items()}
+            faults += [
+                case_file.located(message, places) or Fault(("variations",), f"{v.name}: {message}")
+                for message in error.messages
+            ]
     file.raise_all(faults)
     return found
 

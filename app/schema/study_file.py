@@ -15,6 +15,9 @@ from mantle.schema import case_file, checks, config, study_options
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.study_options import Study, StudyFile
 
+# A study has no use for the variations of its case.
+ALONE = ("variations={}",)
+
 
 @dataclass(frozen=True)
 class Source:
@@ -49,7 +52,7 @@ def read(path: Path, overrides: Sequence[str]) -> Source:
     if config.is_study(case_file.read(path).data):
         return _of_another(path, overrides)
     ranks, others = study_options.split_ranks(overrides)
-    file = case_file.read(path, others)
+    file = case_file.read(path, [*others, *ALONE])
     study = config.resolve(file, path.parent).study
     if study is None:
         raise InputError(f"{path}: has no study section: what varies, what is measured")
@@ -59,11 +62,11 @@ def read(path: Path, overrides: Sequence[str]) -> Source:
 
 def _clashes(study: Study, overrides: Iterable[str]) -> list[Fault]:
     """Options of what the lines or the reference say."""
-    lines = {("study", "lines", name): line for name, line in study.lines.items()}
-    lines[("study", "reference", "run")] = study.reference.run or {}
-    varied: dict[case_file.Path, str] = {
-        (*path, key): key for path, line in lines.items() for key in line
-    }
+    lines: list[tuple[case_file.Path, dict[str, Any]]] = [
+        (("study", "lines", name), line) for name, line in study.lines.items()
+    ]
+    lines.append((("study", "reference", "run"), study.reference.run or {}))
+    varied = (((*path, key), key) for path, line in lines for key in line)
     return case_file.clashes(overrides, varied)
 
 
@@ -83,7 +86,7 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
     case = path.parent / str(base)
     if isinstance(base, str):
         try:
-            content = case_file.read(case, common)
+            content = case_file.read(case, [*common, *ALONE])
             problems += checks.quantities(config.geometry(content.data, case.parent), study)
             config.resolve(content, case.parent)
         except InputError as error:
@@ -106,7 +109,7 @@ def _blame(file: CaseFile, case: Path, message: str, problems: list[Fault]) -> N
     """Note a defect of the case where its cause is: in an override of it, or in itself."""
     if message.startswith(f"{case}: "):  # it cannot be read
         problems.append(Fault(("base",), message))
-    elif found := case_file.located(message, file.data.get("set") or {}, ("set",)):
+    elif found := case_file.located(message, {k: ("set", k) for k in file.data.get("set") or {}}):
         problems.append(found)
     else:
         file.complaints.append((case_file.LAST, message))

@@ -56,7 +56,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
         raise  # only if an error could not be told in words
     planned: list[SweptRun] = []
     points = expand(sweep)
-    varied = {_place(p.places[key]): key for p in points for key in p.varied}
+    varied = ((p.places[key], key) for p in points for key in p.varied)
     problems = case_file.clashes(overrides, varied)
     ranks, others = study_options.split_ranks(overrides)
     given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
@@ -76,11 +76,6 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
     return sweep, planned
 
 
-def _place(path: case_file.Path) -> case_file.Path:
-    """Where the key of a value stands that is one of a list."""
-    return path[:-1] if isinstance(path[-1], int) else path
-
-
 def _value(option: str) -> Any:
     """The value of an option; None if it has none that can be read."""
     text = option.partition("=")[2]
@@ -95,8 +90,8 @@ def _located(
     if message.startswith(f"{base}: "):  # it cannot be read
         at = (*part, "base")
         return Fault(at if at in file.places else ("base",), message)
-    if found := case_file.located(message, own, ()):
-        return Fault(point.places[str(found.path[0])], found.text)
+    if found := case_file.located(message, {key: point.places[key] for key in own}):
+        return found
     if re.match(r"--set |[^ ]+:\d+:\d+: ", message):
         return Fault(part, message)
     return Fault(part, f"{point.name}: {message}")

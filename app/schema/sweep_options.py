@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from mantle.schema.case_file import Path
 from mantle.schema.fields import MAPPING, Name, Section, Text, fail, show
 from mantle.schema.study_options import Changes, Line, check_ranks, steps
-from mantle.schema.variation_options import labels, short_keys
+from mantle.schema.variation_options import Variation, axes, labels, short_keys
 
 # Random designs of samples to choose from.
 DESIGNS = 20
@@ -198,15 +198,6 @@ class SweepPoint:
     places: dict[str, Path]
 
 
-@dataclass(frozen=True)
-class _Value:
-    """A place on an axis."""
-
-    label: str
-    changes: dict[str, Any] = field(default_factory=dict)
-    places: dict[str, Path] = field(default_factory=dict)
-
-
 def expand(sweep: Sweep) -> list[SweepPoint]:
     """Every case, in the order of the file; the last axis changes fastest."""
     parts: list[tuple[Path, SweepPart]] = [(("parts", name), p) for name, p in sweep.parts.items()]
@@ -222,7 +213,7 @@ def _points(sweep: Sweep, part: SweepPart, path: Path) -> Iterator[SweepPoint]:
         for value in values:
             changes |= value.changes
             places |= value.places
-        label = "_".join(value.label for value in values)
+        label = "_".join(value.name for value in values)
         yield SweepPoint(
             "/".join(filter(None, (name, label))) or "base",
             name,
@@ -233,25 +224,20 @@ def _points(sweep: Sweep, part: SweepPart, path: Path) -> Iterator[SweepPoint]:
         )
 
 
-def _axes(part: SweepPart, path: Path) -> Iterator[list[_Value]]:
+def _axes(part: SweepPart, path: Path) -> Iterator[list[Variation]]:
     """The axes of a part: the table, the grid's keys, the lists, the samples."""
     if part.table is not None:
         yield [
-            _Value(name, changes, {key: (*path, "table", name, key) for key in changes})
+            Variation(name, changes, {key: (*path, "table", name, key) for key in changes})
             for name, changes in part.table.items()
         ]
     short = short_keys([*(part.grid or {}), *(part.lists or {})])
-    for key, names in labels(part.grid or {}).items():
-        values = (part.grid or {})[key]
-        yield [
-            _Value(f"{short[key]}={name}", {key: value}, {key: (*path, "grid", key, i)})
-            for i, (name, value) in enumerate(zip(names, values, strict=True))
-        ]
+    yield from axes(part.grid or {}, short, (*path, "grid"))
     if part.lists is not None:
         varying = {key: value for key, value in part.lists.items() if isinstance(value, list)}
         called = labels(varying)
         yield [
-            _Value(
+            Variation(
                 "_".join(f"{short[key]}={called[key][i]}" for key in varying),
                 changes,
                 {k: (*path, "lists", k, *((i,) if k in varying else ())) for k in changes},
@@ -261,7 +247,7 @@ def _axes(part: SweepPart, path: Path) -> Iterator[list[_Value]]:
     if (samples := part.latin_hypercube) is not None:
         digits = len(str(samples.samples))
         yield [
-            _Value(
+            Variation(
                 f"sample{i + 1:0{digits}d}",
                 changes,
                 {key: (*path, "latin_hypercube", "inputs", key) for key in changes},

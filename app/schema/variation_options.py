@@ -10,7 +10,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
@@ -37,17 +37,17 @@ LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
 
 @dataclass(frozen=True)
 class Variation:
-    """One run.
+    """One run, or a value of an axis that several runs have.
 
     Attributes:
-        name: Its folder.
+        name: Its folder, or part of its name.
         changes: Override keys with values.
         places: Where each of them stands in the file.
     """
 
     name: str
-    changes: dict[str, Any]
-    places: dict[str, Path]
+    changes: dict[str, Any] = field(default_factory=dict)
+    places: dict[str, Path] = field(default_factory=dict)
 
 
 def _section(value: dict[str, Any]) -> dict[str, Any]:
@@ -125,14 +125,29 @@ def _single(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Var
 
 def _grid(name: str, section: Mapping[str, Mapping[str, Any]]) -> Iterator[Variation]:
     grid = section[name]
-    names, short = labels(grid), short_keys(list(grid))
-    for indices in itertools.product(*(range(len(values)) for values in grid.values())):
-        point = dict(zip(grid, indices, strict=True))
+    for point in itertools.product(*axes(grid, short_keys(list(grid)), ("variations", name))):
         yield Variation(
-            "_".join(f"{short[key]}={names[key][i]}" for key, i in point.items()),
-            {key: grid[key][i] for key, i in point.items()},
-            {key: ("variations", name, key, i) for key, i in point.items()},
+            "_".join(v.name for v in point),
+            {key: value for v in point for key, value in v.changes.items()},
+            {key: place for v in point for key, place in v.places.items()},
         )
+
+
+def axes(
+    grid: Mapping[str, Sequence[Any]], short: Mapping[str, str], path: Path
+) -> Iterator[list[Variation]]:
+    """The values of each key of a grid, as changes of their own.
+
+    Args:
+        grid: Lists of values by key.
+        short: What each key is called.
+        path: Where the grid stands in the file.
+    """
+    for key, names in labels(grid).items():
+        yield [
+            Variation(f"{short[key]}={name}", {key: value}, {key: (*path, key, i)})
+            for i, (name, value) in enumerate(zip(names, grid[key], strict=True))
+        ]
 
 
 def labels(grid: Mapping[str, Sequence[Any]]) -> dict[str, list[str]]:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mantle.system import figures
-from mantle.system.figures import COLOURS
+from mantle.system import style
+from mantle.system.style import COLOURS
 
 Entry = dict[str, Any]
 # By outcome: colour and marker.
@@ -34,7 +34,7 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
     ladders = _grouped([e for e in entries if e["sizes"] and e["errors"]])
     rows = max(1, len(ladders))
     height = max(3.4 * rows if ladders else 0.0, 1.6 + 0.36 * len(groups))
-    figure = figures.new(12.5 if ladders else 7.5, height)
+    figure = style.new(12.5 if ladders else 7.5, height)
     columns = 2 if ladders else 1
     cells = figure.add_gridspec(rows, columns, width_ratios=(1.0, 1.15)[:columns])
     for k, members in enumerate(ladders.values()):
@@ -66,7 +66,7 @@ def _ladder(axes: Any, entries: Sequence[Entry]) -> None:
     axes.set_ylabel("relative error")
     axes.set_title(entries[0]["quantity"], fontsize=9, loc="left")
     axes.legend(fontsize=8, frameon=False)
-    figures.grid(axes)
+    style.grid(axes)
 
 
 def _margins(axes: Any, groups: dict[str, list[Entry]]) -> None:
@@ -90,7 +90,7 @@ def _margins(axes: Any, groups: dict[str, list[Entry]]) -> None:
         if counts[outcome]
     ]
     axes.legend(handles=handles, fontsize=8, frameon=False, loc="lower left")
-    figures.grid(axes)
+    style.grid(axes)
 
 
 def _ratio(e: Entry) -> float:

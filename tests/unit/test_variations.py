@@ -132,6 +132,28 @@ def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
         assert "variations" not in config.dump(v.case)
 
 
+@pytest.mark.parametrize(
+    ("option", "places"),
+    [
+        (f"{MU}=0.3", [f"variations.grid.{MU}"]),
+        (
+            "interfaces.stem_cement={kind: contact, friction_coefficient: 0.5}",
+            ["variations.fit.interfaces.stem_cement.gap", f"variations.grid.{MU}"],
+        ),
+    ],
+)
+def test_what_varies_is_not_set(option: str, places: list[str], tmp_path: Path) -> None:
+    """For every variation: as in sweeps and studies."""
+    path = written(tmp_path, STEM + SECTION)
+    with pytest.raises(InputError) as caught:
+        config.load(path, [option])
+    key = option.partition("=")[0]
+    told = [f" {place}: varies, but --set {key} holds for every case" for place in places]
+    messages = caught.value.messages
+    assert [text in m for m, text in zip(messages, told, strict=True)] == [True] * len(told)
+    assert config.load(path, [option, "variations={}"])
+
+
 # Each: the section, and what has to be said of it, with line and column below `variations`.
 WRONG = {
     "mesh": ("  a: {mesh.size: 2 mm}", "2:7: variations.a.mesh.size: may not vary in one run"),

@@ -250,20 +250,21 @@ def _other(fact: Fact, sweep: SweepResults) -> ComparedNumber:
     return ComparedNumber(fact, name, "", None, value, None, remark)
 
 
-def csv_rows(rows: Iterable[ComparedNumber]) -> list[list[Any]]:
-    """The comparison as rows of a table, the first with titles."""
+def csv_rows(rows: Iterable[ComparedNumber]) -> list[dict[str, Any]]:
+    """The comparison as rows of a table, by their titles."""
     head = (
         "id,model,stem,thickness [mm],cement-bone friction,place,quantity,kind,unit,paper,"
         "mantle max,mantle p99,mantle error,max over paper,p99 over paper,case,remark"
-    )
-    table: list[list[Any]] = [head.split(",")]
+    ).split(",")
+    found = []
     for r in rows:
         f, n = r.fact, r.number
         thickness = f.thickness if r.thickness is None else r.thickness
         what = [f.id, f.model, r.stem or f.stem, thickness, f.friction, f.place, f.quantity, f.kind]
         own = [f.unit, f.value, r.peak, n and n.value, n and n.error, *r.ratios, r.case]
-        table.append([*what, *own, "; ".join(filter(None, (r.remark, f.remark)))])
-    return table
+        remark = "; ".join(filter(None, (r.remark, f.remark)))
+        found.append(dict(zip(head, [*what, *own, remark], strict=True)))
+    return found
 
 
 def strange(cases: Cases) -> list[str]:

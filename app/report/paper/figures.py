@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,10 @@ from mantle.report.paper.compare import READINGS, named, published
 from mantle.report.paper.heat import bone_p99, bone_peak, cement_peak
 from mantle.report.sweep_results import Number, SweptCase, magnitude
 from mantle.schema import quantities
+from mantle.system import style
+from mantle.system.style import COLOURS, MARKERS
 
-COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
 STEM_COLOURS = dict(zip(STEMS.values(), COLOURS, strict=False))
-MARKERS = "osD^vP*X"
 PLACES = ("cement_bone", "stem_cement")
 # Largest over smallest value from which an axis is logarithmic.
 DECADE = 12.0
@@ -31,6 +30,12 @@ ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
 MOST_PANELS = 12
 MOST_SERIES = 8
 
+HOT = (
+    "The paper's “100 degrees” read as the cement's initial temperature (cement: after 10 s, "
+    "for at the start it is 100 °C; the paper names no time) and as held. Bone, filled: the "
+    "99th percentile over the area, after 10 s or at the end of cement that is held; hollow: "
+    "the largest value at any time, which sits where bone is thinnest. Stars: the paper."
+)
 NOTE = (
     "Filled, with bars: mantle's 99th percentile and its estimated error. Light, hollow: mantle's "
     "largest value, which depends on the mesh. Stars: the paper."
@@ -91,43 +96,39 @@ def paper(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
         The figures, and what could not be drawn.
     """
     figures, missing = [], []
+    for number, title, panels, x, lacking in _planned(cases):
+        if _few(panels):
+            missing.append(f"figure {number}: {lacking}")
+            continue
+        name = f"figure{number}.png"
+        draw(folder / name, panels, x, 2)
+        note = HOT if number == 8 else NOTE
+        figures.append(Figure(name, f"Figure {number}. {title}", note, _words(panels)))
+    return figures, missing
+
+
+def _planned(cases: Cases) -> Iterator[tuple[int, str, list[Panel], str, str]]:
+    """Number, title, panels and horizontal axis of each figure, and why there may be none."""
+    thickness = "thickness of the mantle (mm)"
     for number, quantity, title in (
         (3, "gap", "Largest debonding over the thickness of the mantle"),
         (4, "shear", "Largest interfacial shear stress over the thickness of the mantle"),
         (5, "slip", "Largest sliding over the thickness of the mantle"),
     ):
         panels = [_over_thickness(cases, place, quantity) for place in PLACES]
-        if _few(panels):
-            missing.append(f"figure {number}: no stem at two thicknesses")
-            continue
-        name = f"figure{number}.png"
-        draw(folder / name, panels, "thickness of the mantle (mm)", 2)
-        figures.append(Figure(name, f"Figure {number}. {title}", NOTE, _words(panels)))
+        yield number, title, panels, thickness, "no stem at two thicknesses"
+    friction = "friction coefficient of the cement-bone interface"
     for number, compared, title in (
         (6, ("gap", "slip"), "Debonding and sliding over the cement-bone friction, mantle of 4 mm"),
         (7, ("pressure", "shear"), "Pressure and shear over the cement-bone friction"),
     ):
         panels = [_over_friction(cases, p, q) for q in compared for p in PLACES]
-        if _few(panels):
-            missing.append(f"figure {number}: no stem at two frictions")
-            continue
-        name = f"figure{number}.png"
-        draw(folder / name, panels, "friction coefficient of the cement-bone interface", 2)
-        figures.append(Figure(name, f"Figure {number}. {title}", NOTE, _words(panels)))
-    panels = _temperatures(cases)
-    if _few(panels):
-        missing.append("figure 8: no case of hot cement at two thicknesses")
-        return figures, missing
-    draw(folder / "figure8.png", panels, "thickness of the mantle (mm)", 2)
-    title = "Figure 8. Highest temperatures over the thickness of the mantle"
-    text = (
-        "The paper's “100 degrees” read as the cement's initial temperature (cement: after 10 s, "
-        "for at the start it is 100 °C; the paper names no time) and as held. Bone, filled: the "
-        "99th percentile over the area, after 10 s or at the end of cement that is held; hollow: "
-        "the largest value at any time, which sits where bone is thinnest. Stars: the paper."
+        yield number, title, panels, friction, "no stem at two frictions"
+    title, lacking = (
+        "Highest temperatures over the thickness of the mantle",
+        "no case of hot cement",
     )
-    figures.append(Figure("figure8.png", title, text, _words(panels)))
-    return figures, missing
+    yield 8, title, _temperatures(cases), thickness, f"{lacking} at two thicknesses"
 
 
 def _few(panels: Sequence[Panel]) -> bool:
@@ -214,22 +215,12 @@ def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
         x: Label of the horizontal axes.
         columns: Panels beside each other at most.
     """
-    from matplotlib import figure as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     columns = min(columns, len(panels))
-    rows = math.ceil(len(panels) / columns)
-    figure = mpl.Figure(figsize=(4.7 * columns, 3.2 * rows + 0.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    handles: dict[str, Any] = {}
-    for axes, panel in zip(grid, panels, strict=False):
+    figure, every = style.panels(len(panels), columns, 4.7, 3.2)
+    for axes, panel in zip(every, panels, strict=True):
         _draw(axes, panel)
         axes.set_xlabel(x)
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
+    handles = style.handles(every)
     # A legend is filled column by column: curves, then peaks, then what is published.
     kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
     kinds_shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
