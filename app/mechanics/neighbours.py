@@ -1,15 +1,9 @@
-r"""Where a solve starts from when others like it have been done: variations of a case.
+"""Where a solve starts from when others like it have been done: variations of a case.
 
 Every variation goes its own way from rest, for friction remembers; what it takes from others is
 where each of its solves starts. Contact with friction is homogeneous of degree one: where loads and
 gaps change by a common factor the scaled state is the answer itself. Where anything else changes
-the states around it lead near it, by ordinary kriging: weights w of sum one that solve
-
-.. math:: K w + m 1 = k, \qquad 1^T w = 1,
-
-K the covariances of the known states and k theirs with the one looked for, of Matérn 3/2 in the
-distance of forces, gaps and the logarithm of friction (of the smooth and the rough covariances,
-lines and parabolas tried it came closest to equilibrium, or nearly, beyond the known states too).
+the nearest scaled state is near it, in the distance of forces, gaps and the logarithm of friction.
 """
 
 from __future__ import annotations
@@ -29,8 +23,6 @@ from mantle.numerics.newton import Solver
 
 # Runs whose states are kept; one that is a multiple of another is not.
 KEPT = 6
-# Correlation length over the largest distance of states.
-LENGTH = 2.0
 # Friction below which there is as good as none.
 LITTLE = 1e-3
 
@@ -62,53 +54,31 @@ class Neighbours:
         self._now: dict[float, Neighbour] = {}
         self._start: PETSc.Vec | None = None
         self._new = False
-        self._last = 0.0
 
     def begin(self) -> None:
         """Another run begins."""
         if self._new:
             self._past = [*self._past, self._now][-KEPT:]
-        self._now, self._new, self._last = {}, False, 0.0
+        self._now, self._new = {}, False
 
     def predict(self, time: float) -> None:
-        """Start from the nearest state of another run, or from what all of them lead to."""
+        """Start from the nearest state of another run, if that is better."""
         self._start = None
         here = self._state()
         sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
-        runs = [states for states in self._past if time in states]
-        if not runs:
+        known = [states[time] for states in self._past if time in states]
+        scaled = [_scaled(state, self._factor(state, here, sizes)) for state in known]
+        if not scaled:
             return
-        factors = [self._factor(states[time], here, sizes) for states in runs]
-        known = [
-            _scaled(states[time], factor) for states, factor in zip(runs, factors, strict=True)
-        ]
-        all_ = [*known, here]
-        apart = np.array([[self._distance(a, b, sizes) for b in all_] for a in all_])
-        nearest = int(np.argmin(apart[-1, :-1]))
-        self._try(known[nearest].x)
-        if apart[-1, nearest] == 0:
-            return
-        weights = kriging(apart[:-1, :-1], apart[-1, :-1])
-        x = self._solver.vector()
-        for weight, state in zip(weights, known, strict=True):
-            x.axpy(weight, state.x)
-        self._try(x)
-        # The step before shows how far off they are.
-        if self._last in self._now and all(self._last in states for states in runs):
-            x.axpy(1.0, self._now[self._last].x)
-            for weight, factor, states in zip(weights, factors, runs, strict=True):
-                x.axpy(-weight * factor, states[self._last].x)
-            self._try(x)
+        nearest = min(scaled, key=lambda state: self._distance(state, here, sizes))
+        if take_better(self._solver, nearest.x):
+            self._start = nearest.x.copy()
 
     def commit(self, time: float) -> None:
         """Remember the state."""
         state = self._state()
-        self._now[time], self._last = state, time
+        self._now[time] = state
         self._new = self._new or self._start is None or not same(self._start, state.x)
-
-    def _try(self, x: PETSc.Vec) -> None:
-        if take_better(self._solver, x):
-            self._start = x.copy()
 
     def _state(self) -> Neighbour:
         """Current solution, with the loads, gaps and friction that it belongs to."""
@@ -140,27 +110,6 @@ class Neighbours:
 
     def _product(self, a: Floats, b: Floats) -> float:
         return float(self._problem.comm.allreduce(float(a @ b), MPI.SUM))
-
-
-def kriging(apart: Floats, away: Floats) -> Floats:
-    """Weights (n,) of sum one of known states for one that is looked for.
-
-    Args:
-        apart: Distances between the known (n, n).
-        away: Their distances from the one looked for (n,).
-    """
-    length = LENGTH * max(apart.max(), away.max())
-
-    def covariance(distance: Floats) -> Floats:
-        r = np.sqrt(3) * distance / length
-        return np.asarray((1 + r) * np.exp(-r))
-
-    n = len(away)
-    matrix = np.ones((n + 1, n + 1))
-    matrix[n, n] = 0
-    matrix[:n, :n] = covariance(apart)
-    right = np.append(covariance(away), 1.0)
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0][:n])
 
 
 def _scaled(state: Neighbour, factor: float) -> Neighbour:

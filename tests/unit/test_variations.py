@@ -15,7 +15,6 @@ import pytest
 
 from mantle.arrays import Floats
 from mantle.errors import InputError
-from mantle.mechanics.neighbours import kriging
 from mantle.mechanics.problem import TrialState
 from mantle.results.quantities import Samples
 from mantle.schema import config
@@ -375,23 +374,3 @@ def test_conductance_varies_where_heat_and_contact_depend_on_each_other() -> Non
             theirs = expected["thermal"]["regions"][region]["temperature_mean"]
             assert ours == pytest.approx(theirs, rel=1e-8)
     assert len(runs.kin) == 1
-
-
-# Kriging
-
-
-def test_kriging_meets_what_is_known_and_follows_a_line() -> None:
-    """A known state is itself; between two of many on a smooth curve the curve is met."""
-    t = np.array([0.0, 0.3, 0.5, 1.0])
-    apart = np.abs(t[:, None] - t)
-    np.testing.assert_allclose(kriging(apart, apart[2]), [0, 0, 1, 0], atol=1e-10)
-    weights = kriging(apart, np.abs(t - 0.4))
-    assert weights.sum() == pytest.approx(1)
-    assert weights @ np.sin(t) == pytest.approx(np.sin(0.4), rel=0.01)
-    assert kriging(np.zeros((1, 1)), np.array([0.7])) == pytest.approx([1.0])
-
-
-def test_kriging_does_not_mind_the_same_state_twice() -> None:
-    t = np.array([0.0, 0.0, 1.0])
-    weights = kriging(np.abs(t[:, None] - t), np.abs(t - 0.5))
-    assert weights == pytest.approx([0.25, 0.25, 0.5])
