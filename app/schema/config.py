@@ -368,8 +368,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
         return {name: part(kind, value) for name, value in values.items()} if is_table else {}
 
     geometry = part(Geometry, data["geometry"]) if "geometry" in data else None
-    if (centre := getattr(geometry, "head_centre", None)) is not None:
-        context["points"]["head_centre"] = centre
+    context["points"].update({} if geometry is None else geometry.points)
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
     return CaseParts(
         geometry=geometry,

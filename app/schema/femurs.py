@@ -12,8 +12,14 @@ from mantle.schema.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from mantle.schema.units import Angle, Dimension, Length, NonNegativeLength, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
-MUSCLES = ("gluteus_medius", "gluteus_minimus", "gluteus_maximus", "psoas", "vastus_lateralis")
-
+# Where the middle of each muscle's insertion lies on the bone (mm); as in `meshes.femur_bone`.
+MUSCLES: dict[str, Point3] = {
+    "gluteus_medius": (-25.395, -15.237, 28.0),
+    "gluteus_minimus": (-30.723, 4.727, 27.0),
+    "gluteus_maximus": (-5.795, -13.038, -49.0),
+    "psoas": (21.035, -1.503, -7.0),
+    "vastus_lateralis": (-15.067, 4.018, -25.0),
+}
 
 # Meshes of this size and below are refinements of one that is coarser (mm); as in `meshes.swept`.
 COARSEST = 5.0
@@ -127,6 +133,11 @@ class _Femur(Shape):
     def head_centre(self) -> Point3:
         """Centre of the femoral head in the model's axes (mm)."""
         return (self.head_offset, 0.0, self.head_height)
+
+    @property
+    def points(self) -> dict[str, Point3]:
+        """Centre of the head and muscles' insertions (mm)."""
+        return {"head_centre": self.head_centre, **MUSCLES}
 
     @property
     def joined(self) -> tuple[tuple[str, ...], ...]:

@@ -50,6 +50,11 @@ class Shape(Section):
         return ()
 
     @property
+    def points(self) -> dict[str, Point3]:
+        """Points (mm) that loads can name; none unless it says so."""
+        return {}
+
+    @property
     def tissues(self) -> dict[str, str]:
         """Default tissue of each region, where it is known."""
         return {}

@@ -82,7 +82,7 @@ class Recorder:
         self._case, self._model, self._writer = case, model, writer
         self._progress = progress
         self._timing, self._begin = timing, begin
-        about = np.array(getattr(case.geometry, "head_centre", (0.0, 0.0, 0.0)))
+        about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
         with timing.phase("assemble"):
             self._balances = [m.balance(about) for m in model.mechanics]
             self._critical = [uniqueness.check(m.problem) for m in model.mechanics]

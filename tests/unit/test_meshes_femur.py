@@ -60,6 +60,7 @@ def test_muscles_insert_near_their_places_and_apart() -> None:
     assert set(places) < set(GEOMETRY.boundary_names)
     for name, place in places.items():
         assert np.linalg.norm(place - femur_bone.MUSCLES[name]) < 9.0, name
+        np.testing.assert_allclose(GEOMETRY.points[name], place, atol=1e-3)
     names = list(places)
     for i, one in enumerate(names):
         for other in names[:i]:

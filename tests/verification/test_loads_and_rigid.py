@@ -11,6 +11,7 @@ import pytest
 from mantle.errors import InputError
 from mantle.mechanics.reduction import _held_motions
 from mantle.numerics.rigid_motions import rigid_modes
+from mantle.schema import config
 from tests import support
 
 CYLINDERS = """
@@ -267,3 +268,17 @@ def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
     # A roller on one node leaves five motions, and the basis says which.
     basis, rank, _ = _held_motions(scene, "region", rows[:1], [np.zeros(1)])
     assert rank == 1 and np.abs(rows[:1] @ basis[:, 1:]).max() < 1e-12
+
+
+@pytest.mark.parametrize("size", [8, 6])
+def test_loads_of_the_stance_do_not_depend_on_the_facets_of_the_mesh(size: int) -> None:
+    """Hip and muscles act through points of the femur, whatever facets the mesh has there."""
+    case = config.load(
+        support.CONFIGS / "stance.yaml", [f"mesh.size={size} mm", "mesh.order=1", "interfaces={}"]
+    )
+    solved = support.solve(case)
+    points = {"hip": case.geometry.head_centre, **case.geometry.points}
+    arms = [points[name if name == "hip" else load.boundary] for name, load in case.loads.items()]
+    forces = np.array([load.force for load in case.loads.values()])
+    moment = np.cross(np.array(arms), forces).sum(axis=0)
+    np.testing.assert_allclose(nodal_moment(solved, (0, 0, 0)), moment, rtol=1e-9)
