@@ -12,7 +12,7 @@ from mantle.arrays import Floats, Ints
 
 from .data import MeshData, interface_facets
 from .mantle import distance, triangles
-from .picture import colours_of, cut
+from .picture import add_legend, colours_of, cut, new_figure
 from .refine import AROUND, CORNERS
 
 INTERFACES = ("stem_cement", "cement_bone")
@@ -31,20 +31,14 @@ def sections(data: MeshData, path: Path) -> None:
         data: The mesh.
         path: The file to write.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
-
     colours = colours_of(data.regions)
-    figure = Figure(figsize=(12.0, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12.0, 4.0)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     places = ("near the neck cut", "middle of the stem", "above the tip")
     for ax, place, at in zip(axes, places, _heights(data), strict=True):
         _draw(ax, data, at, colours)
         ax.set_title(f"{place}, z = {at:.4g} mm")
-    handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    add_legend(figure, colours)
     figure.savefig(path, dpi=110, format="png")
 
 
@@ -59,10 +53,8 @@ def interfaces(data: MeshData, path: Path) -> None:
         path: The file to write.
     """
     from matplotlib import colormaps
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize, to_rgb
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     stem, bone = (interface_facets(data, name) for name in INTERFACES)
@@ -78,8 +70,7 @@ def interfaces(data: MeshData, path: Path) -> None:
     tinted = np.where(beside[:, None], shown.to_rgba(thickness)[:, :3], to_rgb("0.85"))
 
     widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in VIEWS]
-    figure = Figure(figsize=(8.5, 10.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.5, 10.5)
     axes = figure.subplots(1, 4, sharey=True, width_ratios=widths).reshape(2, 2)
     cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
     for row, name, (facets, _, _), pieces, colours in zip(

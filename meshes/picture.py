@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -72,11 +72,6 @@ def picture(data: MeshData, path: Path) -> None:
         data: The mesh.
         path: The file to write.
     """
-    # The object interface: no display, no global state of pyplot.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
-
     low, high = data.points.min(axis=0), data.points.max(axis=0)
     levels = [middle_plane(low[i], high[i]) for i in range(3)]
     planes = [(1, levels[1]), (0, levels[0]), (2, levels[2])]
@@ -84,18 +79,32 @@ def picture(data: MeshData, path: Path) -> None:
     widths = [extent[0], extent[1], max(extent[0], extent[1])]
     height = 9.0
     scale = (height - 1.5) / max(extent[2], 0.4 * max(extent[:2]))
-    figure = Figure(
-        figsize=(float(np.clip(scale * sum(widths) + 4.0, 9.0, 24.0)), height), layout="constrained"
-    )
-    FigureCanvasAgg(figure)
+    figure = new_figure(float(np.clip(scale * sum(widths) + 4.0, 9.0, 24.0)), height)
     axes = figure.subplots(1, 3, width_ratios=np.maximum(widths, 0.15 * max(widths)))
     colours = colours_of(data.regions)
     for ax, (axis, at) in zip(axes, planes, strict=True):
         _draw(ax, data, axis, at, colours)
-    handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(6, len(handles)))
+    add_legend(figure, colours)
     figure.suptitle(f"{len(data.cells)} cells, {len(data.points)} nodes")
     figure.savefig(path, dpi=130, format="png")
+
+
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure [inch] by the object interface: no display, no global state of pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def add_legend(figure: Any, colours: Mapping[str, str]) -> None:
+    """Name the regions below a figure."""
+    from matplotlib.patches import Patch
+
+    handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(6, len(handles)))
 
 
 def middle_plane(low: float, high: float) -> float:

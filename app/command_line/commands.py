@@ -54,8 +54,8 @@ def dispatch(arguments: list[str]) -> int:
     commands = {
         "check": _check,
         "mesh": _mesh,
-        "study": _study,
-        "sweep": _sweep,
+        "study": _campaign,
+        "sweep": _campaign,
         "report": _report,
         "verify": _suite,
         "stress": _suite,
@@ -189,29 +189,17 @@ def _mesh_path(output: Path | None, stem: str) -> Path:
     return path
 
 
-def _study(options: argparse.Namespace) -> int:
-    """Error against run time of a case."""
+def _campaign(options: argparse.Namespace) -> int:
+    """Error against run time of a case, or the cases of a sweep."""
     configure_log("info")
-    from mantle.campaigns import study
+    from mantle.campaigns import study, sweep
 
-    many = _many(options, Path("out") / f"{options.case.stem}-study")
+    module, path = (sweep, options.sweep) if options.command == "sweep" else (study, options.case)
+    many = _many(options, Path("out") / f"{path.stem}-{options.command}")
     if options.dry_run:
-        print(study.dry_run(options.case, options.overrides, many))
+        print(module.dry_run(path, options.overrides, many))
     else:
-        study.run(options.case, options.overrides, many)
-    return 0
-
-
-def _sweep(options: argparse.Namespace) -> int:
-    """Run the cases of a sweep."""
-    configure_log("info")
-    from mantle.campaigns import sweep
-
-    many = _many(options, Path("out") / f"{options.sweep.stem}-sweep")
-    if options.dry_run:
-        print(sweep.dry_run(options.sweep, options.overrides, many))
-    else:
-        sweep.run(options.sweep, options.overrides, many)
+        module.run(path, options.overrides, many)
     return 0
 
 

@@ -183,33 +183,15 @@ class Balance:
         def work(force: str, motion: str) -> float:
             return float(np.dot((old[force] + new[force]) / 2, new[motion] - old[motion]))
 
-        parts = [work("loads_u", "u"), work("reaction", "u")]
-        parts += [work("loads_q", "q"), work("reaction_q", "q")]
-        for e0, e1, w0, w1 in zip(
-            old["swelling"],
-            new["swelling"],
-            old["swelling_work"],
-            new["swelling_work"],
-            strict=True,
-        ):
-            parts.append(float(np.dot((w0 + w1) / 2, e1 - e0)))
-        external = float(comm.allreduce(sum(parts), MPI.SUM))
-        for a0, a1, w0, w1 in zip(
-            old["amplitudes"],
-            new["amplitudes"],
-            old["strain_work"],
-            new["strain_work"],
-            strict=True,
-        ):
-            external += (a1 - a0) * (w0 + w1) / 2
-        for u0, u1, f0, f1 in zip(
-            old["setting"],
-            new["setting"],
-            old["setting_forces"],
-            new["setting_forces"],
-            strict=True,
-        ):
-            self._spent += float(comm.allreduce(np.dot((f0 + f1) / 2, u1 - u0), MPI.SUM))
+        def works(forces: str, motions: str) -> float:
+            pairs = zip(old[forces], new[forces], old[motions], new[motions], strict=True)
+            return sum(float(np.dot((f0 + f1) / 2, u1 - u0)) for f0, f1, u0, u1 in pairs)
+
+        external = work("loads_u", "u") + work("reaction", "u")
+        external += work("loads_q", "q") + work("reaction_q", "q")
+        external += works("swelling_work", "swelling")
+        external = float(comm.allreduce(external, MPI.SUM)) + works("strain_work", "amplitudes")
+        self._spent += float(comm.allreduce(works("setting_forces", "setting"), MPI.SUM))
         self._work += external
         contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
         spent = (new["energy"], self._spent, contact)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import model_validator
 
@@ -38,6 +38,8 @@ def _between(at: float, values: tuple[float, ...]) -> float:
 
 class _Femur(Shape):
     """A proximal femur, the operation and the implant."""
+
+    has_curved_surfaces: ClassVar[bool] = True
 
     kind: str
     cement_thickness: Annotated[
@@ -195,11 +197,6 @@ class _Femur(Shape):
         under = _between(filled, FILLED_BELOW)
         layers = stem * (18.0 - 6.0 * along) + below * (18.0 - 6.0 * under)
         return size, (stem + below) * self._core_cells(size) + spokes * layers
-
-    @property
-    def has_curved_surfaces(self) -> bool:
-        """Whether curved cells follow it better than straight ones."""
-        return True
 
     @property
     def coarsest_size(self) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -64,16 +64,6 @@ class Blocks(Shape):
         return self
 
     @property
-    def has_curved_surfaces(self) -> bool:
-        """Whether curved cells follow it better than straight ones."""
-        return False
-
-    @property
-    def coarsest_size(self) -> float:
-        """Largest edge length that it can be meshed with (mm)."""
-        return math.inf
-
-    @property
     def region_names(self) -> tuple[str, ...]:
         """Names of the blocks."""
         return tuple(b.name for b in self.blocks)
@@ -116,6 +106,7 @@ class Cylinders(Shape):
     length. ``sector: half`` keeps y >= 0, ``quarter`` keeps x >= 0 and y >= 0.
     """
 
+    has_curved_surfaces: ClassVar[bool] = True
     kind: Literal["cylinders"] = "cylinders"
     stem_radius: PositiveLength
     """Radius of the stem at mid length."""
@@ -140,16 +131,6 @@ class Cylinders(Shape):
         if rise >= self.bone_thickness:
             fail("makes the bone vanish at an end; expected a smaller angle", at=("taper",))
         return self
-
-    @property
-    def has_curved_surfaces(self) -> bool:
-        """Whether curved cells follow it better than straight ones."""
-        return True
-
-    @property
-    def coarsest_size(self) -> float:
-        """Largest edge length that it can be meshed with (mm)."""
-        return math.inf
 
     @property
     def region_names(self) -> tuple[str, ...]:
@@ -252,11 +233,6 @@ class MeshFile(Shape):
             if set(sides[0]) & set(sides[1]):
                 fail("has the same region on both sides", at=("interfaces", name))
         return self
-
-    @property
-    def has_curved_surfaces(self) -> bool:
-        """Whether curved cells follow it better than straight ones: not known of a file."""
-        return False
 
     @property
     def coarsest_size(self) -> float:

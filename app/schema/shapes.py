@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import model_validator
 
@@ -33,6 +34,14 @@ class Mantle:
 
 class Shape(Section):
     """Base of the geometries: what only some of them have."""
+
+    has_curved_surfaces: ClassVar[bool] = False
+    """Whether curved cells follow it better than straight ones; not known of a file."""
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length that it can be meshed with (mm)."""
+        return math.inf
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

@@ -244,36 +244,6 @@ def hertz_point(load: float, radius: float, modulus: float) -> Hertz:
     return Hertz(a, 3 * load / (2 * math.pi * a * a), a * a / radius)
 
 
-def flamant(x: Floats, load: float, material: Elastic) -> Floats:
-    """Displacement (n, 3) of the half-plane z < 0 under a line load [N/mm] at 0 along -z [mm].
-
-    Plane strain, zero of u_z at r = 1 mm below the load (Johnson, Contact Mechanics, section 2.2).
-    """
-    E, ν = material
-    depth = -x[:, 2]
-    r, θ = np.hypot(x[:, 0], depth), np.arctan2(x[:, 0], depth)
-    k = load * (1 + ν) / (math.pi * E)
-    u_r = -2 * k * (1 - ν) * np.cos(θ) * np.log(r) - k * (1 - 2 * ν) * θ * np.sin(θ)
-    u_θ = 2 * k * (1 - ν) * np.sin(θ) * np.log(r) - k * (1 - 2 * ν) * θ * np.cos(θ) + k * np.sin(θ)
-    down = u_r * np.cos(θ) - u_θ * np.sin(θ)
-    across = u_r * np.sin(θ) + u_θ * np.cos(θ)
-    return np.column_stack([across, 0 * r, -down])
-
-
-def boussinesq(x: Floats, load: float, material: Elastic) -> Floats:
-    """Displacement (n, 3) of the half-space z < 0 under a force [N] at 0 along -z [mm].
-
-    Johnson, Contact Mechanics, section 3.2.
-    """
-    E, ν = material
-    depth = -x[:, 2]
-    ρ = np.linalg.norm(x, axis=1)
-    k = load * (1 + ν) / (2 * math.pi * E)
-    side = k * (depth / ρ**3 - (1 - 2 * ν) / (ρ * (ρ + depth)))
-    down = k * (depth**2 / ρ**3 + 2 * (1 - ν) / ρ)
-    return np.column_stack([side * x[:, 0], side * x[:, 1], -down])
-
-
 def stick_half_width(a: float, shear: float, pressure: float, friction: float) -> float:
     """Half-width of the strip that sticks in a line contact, Q after P, Q < μP [mm].
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import quad
 from scipy.optimize import brentq
-from scipy.special import erfc, erfcx, expi, j0, j1, jn_zeros
+from scipy.special import erfc, erfcx, j0, j1, jn_zeros
 
 from mantle.arrays import Floats
 
@@ -203,21 +203,3 @@ class ExactKinetics:
             return self.time(a, T, initial, rise) - t
 
         return float(brentq(late, initial, 1 - 1e-9, xtol=1e-13, rtol=1e-13))
-
-
-def logistic_degree(t: float, rate: float, initial: float) -> float:
-    """Degree at a held temperature with m = n = 1."""
-    return 1 / (1 + (1 / initial - 1) * math.exp(-rate * t))
-
-
-def zero_order_time(kinetics: ExactKinetics, T: float, rise: float, total: float) -> float:
-    """When an adiabatic reaction with m = n = 0 has warmed by ``rise`` of ``total`` [s].
-
-    F(T) = T exp(B/T) - B Ei(B/T) has the derivative exp(B/T), with B = Ea / R.
-    """
-    B = kinetics.activation_energy / GAS
-
-    def F(T: float) -> float:
-        return float(T * math.exp(B / T) - B * expi(B / T))
-
-    return (F(T + rise) - F(T)) / (kinetics.rate_constant * total)

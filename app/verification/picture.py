@@ -89,7 +89,8 @@ def _margins(axes: Any, groups: dict[str, list[Entry]]) -> None:
         for outcome, (colour, marker) in LOOKS.items()
         if counts[outcome]
     ]
-    axes.legend(handles=handles, fontsize=8, frameon=False, loc="lower left")
+    above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": len(handles)}
+    axes.legend(handles=handles, fontsize=8, frameon=False, **above)
     style.grid(axes)
 
 

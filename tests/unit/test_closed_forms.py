@@ -23,6 +23,36 @@ STEP = 1e-3
 Field = Callable[[np.ndarray], np.ndarray]
 
 
+def flamant(x: np.ndarray, load: float, material: exact.Elastic) -> np.ndarray:
+    """Displacement (n, 3) of the half-plane z < 0 under a line load [N/mm] at 0 along -z [mm].
+
+    Plane strain, zero of u_z at r = 1 mm below the load (Johnson, Contact Mechanics, section 2.2).
+    """
+    E, ν = material
+    depth = -x[:, 2]
+    r, θ = np.hypot(x[:, 0], depth), np.arctan2(x[:, 0], depth)
+    k = load * (1 + ν) / (math.pi * E)
+    u_r = -2 * k * (1 - ν) * np.cos(θ) * np.log(r) - k * (1 - 2 * ν) * θ * np.sin(θ)
+    u_θ = 2 * k * (1 - ν) * np.sin(θ) * np.log(r) - k * (1 - 2 * ν) * θ * np.cos(θ) + k * np.sin(θ)
+    down = u_r * np.cos(θ) - u_θ * np.sin(θ)
+    across = u_r * np.sin(θ) + u_θ * np.cos(θ)
+    return np.column_stack([across, 0 * r, -down])
+
+
+def boussinesq(x: np.ndarray, load: float, material: exact.Elastic) -> np.ndarray:
+    """Displacement (n, 3) of the half-space z < 0 under a force [N] at 0 along -z [mm].
+
+    Johnson, Contact Mechanics, section 3.2.
+    """
+    E, ν = material
+    depth = -x[:, 2]
+    ρ = np.linalg.norm(x, axis=1)
+    k = load * (1 + ν) / (2 * math.pi * E)
+    side = k * (depth / ρ**3 - (1 - 2 * ν) / (ρ * (ρ + depth)))
+    down = k * (depth**2 / ρ**3 + 2 * (1 - ν) / ρ)
+    return np.column_stack([side * x[:, 0], side * x[:, 1], -down])
+
+
 def gradient(u: Field, x: np.ndarray, h: float = STEP) -> np.ndarray:
     """Central differences (n, 3, 3), fourth order: row i is u_i."""
     columns = []
@@ -155,7 +185,7 @@ def test_hertz_reference_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ("u", "case"), [(exact.flamant, "hertz_line.yaml"), (exact.boussinesq, "hertz_ball.yaml")]
+    ("u", "case"), [(flamant, "hertz_line.yaml"), (boussinesq, "hertz_ball.yaml")]
 )
 def test_far_fields_are_those_of_a_loaded_half_space(u: Callable, case: str) -> None:
     """Equilibrium, no traction on z = 0, the load below; the case prescribes the same field."""
@@ -163,7 +193,7 @@ def test_far_fields_are_those_of_a_loaded_half_space(u: Callable, case: str) -> 
     def field(x: np.ndarray) -> np.ndarray:
         return u(x, 100.0, CEMENT)
 
-    plane = u is exact.flamant
+    plane = u is flamant
     σ = stress(field, CEMENT)
     x = points(9, (0.5, 0 if plane else 0.5, -3), (3, 0 if plane else 3, -1))
     assert np.abs(divergence(σ, x)).max() < 1e-5
