@@ -6,7 +6,7 @@ import logging
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from mantle.campaigns import batch, many, study_report
 from mantle.campaigns import work_precision as wp
 from mantle.campaigns.batch import Job, Result
 from mantle.campaigns.many import Options
-from mantle.campaigns.study_model import Measured, Report, StudyRun, percent
+from mantle.campaigns.study_model import Measured, PlannedRun, Report, StudyRun, percent
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, config, quantities, study_file, study_options
 from mantle.schema.case_file import CaseFile, Fault
@@ -93,31 +93,6 @@ def _first(line: dict[str, Any]) -> dict[str, Any]:
     return {k: v[:QUICK] if isinstance(v, list) else v for k, v in line.items()}
 
 
-@dataclass(frozen=True)
-class PlannedRun:
-    """A point of a line or of the reference's ladder.
-
-    Attributes:
-        path: Where the line stands in the case file.
-        line: Its name; empty in the reference.
-        index: The point's number along it.
-        changes: Its overrides.
-        key: The key that stands for all that vary; empty if none does.
-    """
-
-    path: case_file.Path
-    line: str
-    index: int
-    changes: dict[str, Any]
-    key: str
-
-    @property
-    def label(self) -> str:
-        """The value of its key, as written."""
-        value = self.changes.get(self.key, "")
-        return f"#{self.index + 1}" if isinstance(value, dict | list) else str(value)
-
-
 def plan(study: Study) -> list[PlannedRun]:
     """Every point of a study, in the order of the file; the reference's come last."""
     lines = [(("study", "lines", name), name, line) for name, line in study.lines.items()]
@@ -183,17 +158,8 @@ def _run(point: PlannedRun, case: config.Case, result: Result) -> StudyRun:
     cached = ("mesh", "compile", "error")
     time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
     x, unit = _number(case, point)
-    return StudyRun(
-        line=point.line,
-        key=point.key,
-        label=point.label,
-        x=x,
-        unit=unit,
-        changes=point.changes,
-        time=time,
-        tolerance=case.solver.tolerance,
-        result=result,
-    )
+    tolerance = case.solver.tolerance
+    return StudyRun(**vars(point), x=x, unit=unit, time=time, tolerance=tolerance, result=result)
 
 
 def _number(case: config.Case, point: PlannedRun) -> tuple[float | None, str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from mantle.campaigns.batch import Result
 from mantle.campaigns.work_precision import Effectivity, Point, ReferenceValue
+from mantle.schema.case_file import Path
 from mantle.schema.quantities import Quantity
 
 # Exponents nearer to 0 say that the error does not depend on the key.
@@ -15,28 +16,45 @@ FLAT = 0.05
 
 
 @dataclass(frozen=True)
-class StudyRun:
+class PlannedRun:
+    """A point of a line or of the reference's ladder.
+
+    Attributes:
+        path: Where the line stands in the case file.
+        line: Its name; empty in the reference.
+        index: The point's number along it.
+        changes: Its overrides.
+        key: The key that stands for all that vary; empty if none does.
+    """
+
+    path: Path
+    line: str
+    index: int
+    changes: dict[str, Any]
+    key: str
+
+    @property
+    def label(self) -> str:
+        """The value of its key, as written."""
+        value = self.changes.get(self.key, "")
+        return f"#{self.index + 1}" if isinstance(value, dict | list) else str(value)
+
+
+@dataclass(frozen=True)
+class StudyRun(PlannedRun):
     """A point of a line, or of the reference's ladder, and what became of it.
 
     Attributes:
-        line: Name of the line; empty in the reference's ladder.
-        key: The key that varies, or one that stands for several.
-        label: Its value, as written.
-        x: The same as a number, if it is one.
+        x: The value of its key as a number, if it is one.
         unit: Internal unit of the number; empty if it has none.
-        changes: All overrides of the point.
         time: Run time without meshing and compiling, which are done once, and without companions
             that tell the error [s]; None if it failed.
         tolerance: Relative tolerance of the solver.
         result: Its result.
     """
 
-    line: str
-    key: str
-    label: str
     x: float | None
     unit: str
-    changes: dict[str, Any]
     time: float | None
     tolerance: float
     result: Result

@@ -167,11 +167,6 @@ def rubbing_heat(run: Run) -> Sample:
     return relative(stored, run.summary["interfaces"]["cement_bone"]["dissipation"])
 
 
-def setting_time(run: Run, reference: float) -> Sample:
-    """When exotherm.yaml is half set [s]."""
-    return relative(run.summary["cure"]["cube"]["time_50"], reference)
-
-
 def degree(run: Run, reference: float) -> Sample:
     """Degree of cure of exotherm.yaml at its end, the same everywhere."""
     q = run.summary["cure"]["cube"]

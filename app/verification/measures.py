@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from mantle.arrays import Floats, Ints
 from mantle.results.reading import Run
+from mantle.schema import quantities
 from mantle.verification import closed_forms as exact
 from mantle.verification.check import Sample
 
@@ -47,9 +49,10 @@ def strains(run: Run, along_axes: Floats) -> Sample:
     return Sample(float(off / np.abs(along_axes).max()), value, float(along_axes[2]))
 
 
-def mean_pressure(run: Run, reference: float) -> Sample:
-    """Mean pressure of a shrink fit [MPa]."""
-    return relative(run.summary["interfaces"]["stem_cement"]["pressure_mean"], reference)
+def number(run: Run, name: str, reference: float) -> Sample:
+    """A number of the summary, by its name in studies."""
+    value = quantities.read(run.summary, name)
+    return relative(math.nan if value is None else value, reference)
 
 
 def oval_displacement(run: Run, fit: exact.OvalFit) -> Sample:
@@ -77,11 +80,6 @@ def oval_pressure(run: Run, fit: exact.OvalFit) -> Sample:
 def sine(run: Run) -> Sample:
     """Displacement of the manufactured solution."""
     return in_l2(run, lambda x, region: exact.sine(x, 0.01, 2.0))
-
-
-def peak_pressure(run: Run, reference: float) -> Sample:
-    """Peak pressure of a contact [MPa]."""
-    return relative(run.summary["interfaces"]["contact"]["pressure_max"], reference)
 
 
 def contact_width(run: Run, reference: float, axes: int, size: float) -> Sample:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mantle.verification import closed_forms as exact
 from mantle.verification import measures
-from mantle.verification.check import Check, CheckRun, each, finest, ladder
+from mantle.verification.check import Check, CheckRun, Measure, each, finest, ladder
 from mantle.verification.heat_problems import heat_problems
 from mantle.verification.measures import BONE, CEMENT, TITANIUM
 
@@ -28,8 +28,7 @@ QUICK = {
 def problems() -> list[Check]:
     """All problems."""
     every = [
-        *_patches(),
-        *_uniaxial(),
+        *_homogeneous(),
         *_sines(),
         *_press_fits(),
         *_oval_fits(),
@@ -49,34 +48,28 @@ def problems() -> list[Check]:
     return [replace(p, tier="quick") if p.name in QUICK else p for p in every]
 
 
-def _orders(case: str, override: str) -> tuple[CheckRun, ...]:
-    """Runs of first and second order."""
-    return tuple(CheckRun(case, (override, f"mesh.order={order}")) for order in (1, 2))
-
-
-def _patches() -> Iterator[Check]:
-    for name, fibre in {"100": [1, 0, 0], "011": [0, 1, 1], "111": [1, 1, 1]}.items():
-        yield Check(
-            f"patch_fibre_{name}",
-            "stress of an affine displacement [MPa], over the largest; P1 and P2",
-            _orders("verification/patch.yaml", f"regions.cube.fibre={fibre}"),
-            each(partial(measures.patch_stress, fibre=fibre)),
-            1e-10,
-        )
-
-
-def _uniaxial() -> Iterator[Check]:
+def _homogeneous() -> Iterator[Check]:
+    """Affine displacements and uniaxial tension, by first and second order."""
     b, σ = BONE, 10.0
     along = σ * np.array([-b.nu_l / b.E_l, -b.nu_l / b.E_l, 1 / b.E_l])
     across = σ * np.array([-b.nu_l / b.E_l, -b.nu_t / b.E_t, 1 / b.E_t])
-    for name, fibre, strains in (("along", [0, 0, 1], along), ("across", [1, 0, 0], across)):
-        yield Check(
-            f"uniaxial_{name}_fibre",
-            "strains under tension, over the largest; P1 and P2",
-            _orders("verification/uniaxial.yaml", f"regions.bone.fibre={fibre}"),
-            each(partial(measures.strains, along_axes=strains)),
-            1e-10,
-        )
+    affine = "stress of an affine displacement [MPa], over the largest; P1 and P2"
+    tension = "strains under tension, over the largest; P1 and P2"
+    rows: list[tuple[str, str, str, list[int], Measure]] = [
+        *(
+            (f"patch_fibre_{name}", affine, "cube", a, partial(measures.patch_stress, fibre=a))
+            for name, a in {"100": [1, 0, 0], "011": [0, 1, 1], "111": [1, 1, 1]}.items()
+        ),
+        *(
+            (f"uniaxial_{name}_fibre", tension, "bone", a, partial(measures.strains, along_axes=ε))
+            for name, a, ε in (("along", [0, 0, 1], along), ("across", [1, 0, 0], across))
+        ),
+    ]
+    for name, what, region, fibre, measure in rows:
+        case = f"verification/{name.partition('_')[0]}.yaml"
+        overrides = (f"regions.{region}.fibre={fibre}",)
+        runs = (CheckRun(case, (*overrides, f"mesh.order={order}")) for order in (1, 2))
+        yield Check(name, what, tuple(runs), each(measure), 1e-10)
 
 
 def _sines() -> Iterator[Check]:
@@ -111,7 +104,7 @@ def _press_fits() -> Iterator[Check]:
             f"lame_{kind}_{t}",
             f"mean pressure of a shrink fit, {t} mm [MPa], relative",
             ladder(f"verification/lame_{kind}.yaml", (*half, *SLICE), sizes, last),
-            finest(partial(measures.mean_pressure, reference=reference)),
+            finest(partial(measures.number, name="stem_cement.pressure_mean", reference=reference)),
             0.005,
             2.0 if last else None,
         )
@@ -121,7 +114,7 @@ def _press_fits() -> Iterator[Check]:
         "lame_p2_curved",
         "the same, plane strain, 3 mm, by curved cells of second order [MPa], relative",
         ladder("verification/lame_plane_strain.yaml", overrides, (0.8,)),
-        each(partial(measures.mean_pressure, reference=reference)),
+        each(partial(measures.number, name="stem_cement.pressure_mean", reference=reference)),
         1e-3,
     )
 
@@ -157,7 +150,7 @@ def _hertz() -> Iterator[Check]:
     size, modulus = 0.1, exact.contact_modulus(CEMENT)
     line, ball = exact.hertz_line(100.0, 10.0, modulus), exact.hertz_point(100.0, 10.0, modulus)
     for kind, hertz, axes in (("line", line, 1), ("ball", ball, 2)):
-        peak = partial(measures.peak_pressure, reference=hertz.p0)
+        peak = partial(measures.number, name="contact.pressure_max", reference=hertz.p0)
         width = partial(measures.contact_width, reference=hertz.a, axes=axes, size=size)
         run = CheckRun(f"verification/hertz_{kind}.yaml", (f"mesh.size={size} mm", "mesh.order=2"))
         rows = [
