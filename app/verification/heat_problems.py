@@ -19,15 +19,8 @@ RISE = 155 / 1.74  # K
 
 def heat_problems() -> list[Check]:
     """All of them."""
-    return [
-        *_steady(),
-        *_transient(),
-        *_rubbing(),
-        *_setting(),
-        *_expanding(),
-        *_stiff(),
-        *_stiff_contact(),
-    ]
+    kinds = (_steady, _transient, _rubbing, _setting, _expanding, _stiff, _stiff_contact)
+    return [check for kind in kinds for check in kind()]
 
 
 def _one(

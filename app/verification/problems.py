@@ -27,24 +27,10 @@ QUICK = {
 
 def problems() -> list[Check]:
     """All problems."""
-    every = [
-        *_homogeneous(),
-        *_sines(),
-        *_press_fits(),
-        *_oval_fits(),
-        *_hertz(),
-        *_friction(),
-        *_wall(),
-        *_cook(),
-        Check(
-            "klarbring",
-            "friction beyond which a particle has several equilibria, relative",
-            (),
-            measures.klarbring,
-            1e-9,
-        ),
-        *heat_problems(),
-    ]
+    kinds = (_homogeneous, _sines, _press_fits, _oval_fits, _hertz, _friction, _wall, _cook)
+    what = "friction beyond which a particle has several equilibria, relative"
+    klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
+    every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]
     return [replace(p, tier="quick") if p.name in QUICK else p for p in every]
 
 

@@ -18,15 +18,8 @@ SIDES = ("stem_cement", "cement_bone")
 
 def invariants() -> list[Check]:
     """The checks."""
-    return [
-        *_loads(),
-        *_units(),
-        *_floating(),
-        *_taper(),
-        *_cycles(),
-        *_increments(),
-        *_symmetry(),
-    ]
+    kinds = (_loads, _units, _floating, _taper, _cycles, _increments, _symmetry)
+    return [check for kind in kinds for check in kind()]
 
 
 def _pushed(force: float) -> tuple[str, ...]:
