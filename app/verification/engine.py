@@ -10,8 +10,7 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import count, takewhile
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ PASSED, REFUSED, MISSED, FAILED = OUTCOMES = ("passed", "refused", "missed", "fa
 # Exit codes of a refusal.
 REFUSALS = tuple(e.exit_code for e in (InputError, GeometryError, ConvergenceError))
 ORDER_TOLERANCE = 0.2
+MOST_NAMES = 100  # in a message
 
 
 class TimedRun(Run):
@@ -135,7 +135,7 @@ def run(suite: str, options: Options) -> bool:
             for result in (
                 [Result(job, options.folder, InputError.exit_code, 0.0, {}, why)]
                 if why
-                else [found[job, k] for k in range(run.times)]
+                else [found[_same(job), k] for k in range(run.times)]
             )
         ]
         outcomes.append(judge(check, results))
@@ -166,9 +166,10 @@ def _chosen(suite: str, options: Options) -> list[Check]:
     everything = [c for c in SUITES[suite]() if within(c.tier, options.tier)]
     chosen = [c.up_to(options.tier) for c in everything if options.pattern in c.name]
     if not chosen:
-        names = ", ".join(c.name for c in everything)
-        text = f"-k {options.pattern}: no check of this tier has this in its name; allowed: {names}"
-        raise InputError(text)
+        names = [c.name for c in everything]
+        few = names if len(names) <= MOST_NAMES else dict.fromkeys(c.group for c in everything)
+        text = f"-k {options.pattern}: no check of this tier has this in its name; allowed: "
+        raise InputError(text + ", ".join(few))
     return chosen
 
 
@@ -191,7 +192,7 @@ def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
 def _run(
     checks: Sequence[Check], planned: Mapping[str, Sequence[tuple[Job, str]]], options: Options
 ) -> dict[tuple[Job, int], Result]:
-    """Results by job and by how often it was run before.
+    """Results by `_same` job and by how often it was run before; what failed is not tried again.
 
     Timed checks go one after the other, their runs in turn, so that what else happens on the
     machine meets them all.
@@ -205,12 +206,19 @@ def _run(
             for run, (job, why) in zip(c.runs, planned[c.name], strict=True)
             if not why
         ]
-        rounds = ([job for job, times in pairs if times > k] for k in count())
-        for k, jobs in enumerate(takewhile(bool, rounds)):
+        for k in range(max((times for _, times in pairs), default=0)):
             folder = options.folder / f"again-{k}" if k else options.folder
-            results = batch.run(jobs, folder, options.cores, options.slurm)
-            found |= {(job, k): r for job, r in zip(jobs, results, strict=True)}
+            asked = {_same(job): job for job, times in pairs if times > k}
+            jobs = {key: job for key, job in asked.items() if (key, k) not in found}
+            if jobs:
+                results = batch.run(list(jobs.values()), folder, options.cores, options.slurm)
+                found |= {(key, k): r for key, r in zip(jobs, results, strict=True)}
     return found
+
+
+def _same(job: Job) -> Job:
+    """What is one and the same for all checks that want a run."""
+    return replace(job, name="")
 
 
 def judge(check: Check, results: Sequence[Result]) -> CheckResult:

@@ -215,7 +215,8 @@ def test_timed_checks_run_in_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(engine, "TimedRun", lambda result: result.folder)
     runs = (CheckRun("blocks.yaml", times=2), CheckRun("cylinders.yaml"))
     one = Check("one", "", runs, lambda runs: seen.extend(runs) or Sample(9.0), 1.0, timed=True)
-    monkeypatch.setitem(SUITES, "bench", lambda: [one])
+    other = Check("other", "", runs, lambda runs: Sample(0.0), timed=True)  # of the same runs
+    monkeypatch.setitem(SUITES, "bench", lambda: [one, other])
     assert engine.run("bench", Options(tmp_path, 2))  # a figure that is not reached is one too
     assert called == [["one_1", "one_2"], ["one_1"]]
     assert seen == [tmp_path / "one_1", tmp_path / "again-1" / "one_1", tmp_path / "one_2"]

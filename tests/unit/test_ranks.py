@@ -70,7 +70,9 @@ def test_only_a_run_takes_ranks(
         assert main([*command, *words]) == 2
         said = capsys.readouterr().err
         assert said.startswith(f"mantle {command[0]}: -n 2: only mantle run starts ranks")
-        assert ("--cores" in said) == (command[0] in ("study", "sweep", "verify", "stress"))
+        assert ("--cores" in said) == (
+            command[0] in ("study", "sweep", "verify", "stress", "bench")
+        )
 
 
 @pytest.mark.parametrize(
