@@ -73,7 +73,7 @@ class CheckResult:
     @property
     def seconds(self) -> float:
         """Wall time of its runs, those it shares with others included."""
-        return sum(r.seconds for r in self.results)
+        return sum({r.folder: r.seconds for r in self.results}.values())
 
     @property
     def ratio(self) -> float:
