@@ -151,6 +151,11 @@ class LoadSection(Extensible):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
     @property
+    def place(self) -> tuple[Any, ...]:
+        """Its kind and what it acts on: loads that agree in this share their forms."""
+        return self.kind, getattr(self, "boundary", None), getattr(self, "regions", None)
+
+    @property
     def resultant(self) -> tuple[float, float, float] | None:
         """The resultant at full amplitude [N], if that is what it gives."""
         return None

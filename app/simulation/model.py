@@ -38,11 +38,12 @@ from mantle.results.thermal_quantities import ThermalRecord, exchange
 from mantle.scene.build import build_scene
 from mantle.scene.terms import Scene, SceneStage
 from mantle.schema import config
+from mantle.simulation import related
 from mantle.soundness import case_on_mesh
 from mantle.stepping.coupling import ContactHeat, CoupledSystem, Staggered
 from mantle.stepping.heat_steps import HeatState, HeatStep
 from mantle.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
-from mantle.stepping.nested_start import Nested, coarser
+from mantle.stepping.nested_start import Nested
 from mantle.stepping.stages import (
     HeatStepper,
     MechanicsBesideHeat,
@@ -260,7 +261,7 @@ class Model:
 
     def deforms_like(self, case: config.Case) -> bool:
         """Whether a case has the matrices of this one, its contacts, and loads in its places."""
-        return _matrices(self._case) == _matrices(case)
+        return related.matrices(self._case) == related.matrices(case)
 
     def _solver(self, system: System) -> Solver:
         chosen = self._case.solver
@@ -286,7 +287,7 @@ class Model:
                 (m,) = model.mechanics
                 m.begin(self.scene, factor)
                 return (m,)
-            if _stiffness(model._case) == _stiffness(self._case):
+            if related.stiffness(model._case) == related.stiffness(self._case):
                 like += [m.problem for m in model.mechanics]
         if any(support.active for support in self.scene.supports):
             like.clear()
@@ -408,7 +409,7 @@ class Model:
         """A start from a coarser mesh, if that pays."""
         if not m.problem.jumps or self.scene.conductors:
             return ()
-        case = coarser(self._case, m.solver.block_sizes)
+        case = related.coarser(self._case, m.solver.block_sizes)
         return () if case is None else (Nested(m.problem, m.solver, lambda: self._coarse(case)),)
 
     def _coarse(self, case: config.Case) -> LoadStepper:
@@ -489,23 +490,6 @@ class Model:
 
         other.go(keep, lambda step, accepted: None, trouble)
         return other.numbers(last[0])
-
-
-def _stiffness(case: config.Case) -> tuple[Any, ...]:
-    """All of a case that the stiffness of the bonded model and its solver depend on."""
-    solver = case.solver.model_copy(update={"augmentation_factor": 1.0})
-    stages = [stage.name for stage in case.stages]
-    return case.geometry, case.mesh, case.regions, case.supports, solver, stages
-
-
-def _matrices(case: config.Case) -> tuple[Any, ...]:
-    """All of a case that its matrices and its compiled forms depend on."""
-    loads = [
-        (name, load.kind, getattr(load, "boundary", None), getattr(load, "regions", None))
-        for name, load in case.loads.items()
-    ]
-    contacts = [name for name, law in case.interfaces.items() if law.can_part]
-    return *_stiffness(case), loads, contacts
 
 
 def _mesh_hash(data: MeshData) -> str:

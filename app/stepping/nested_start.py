@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,6 @@ from mantle.mechanics.prediction import imbalance, take_better
 from mantle.mechanics.problem import Problem
 from mantle.meshes.interfaces import ContactPoints
 from mantle.numerics.newton import Solver
-from mantle.schema import config
 from mantle.stepping.load_steps import LoadStepper
 
 if TYPE_CHECKING:
@@ -33,41 +32,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
-# Unknowns from which a coarser mesh pays, and the largest part of them that may be jumps: where
-# most of a mesh is interface, as in a thin cement mantle, most of the work is to find the states of
-# points that the coarse mesh does not have.
-LARGE, SHARE = 40_000, 0.25
-# Mesh size of the coarser one over that of the run, and what it takes at least to be worth it.
-COARSER, LEAST = 3.0, 2.5
-# Tolerance of the coarse solve, relative to the forces: far below its discretization error.
-TOLERANCE = 1e-4
 # Residual of the displacement that follows from interpolated jumps.
 ROUGH = 1e-2
 # A start is good enough if its residual is below this part of that of the unloaded state.
 GOOD = 0.1
 # Triangles among which the nearest to a point is looked for, by their centres.
 NEAREST = 8
-
-
-def coarser(case: config.Case, unknowns: Mapping[str, int]) -> config.Case | None:
-    """The case on a coarser mesh, if it is large and its geometry can be meshed so.
-
-    Args:
-        case: A case.
-        unknowns: Of its mechanics, by block.
-    """
-    coarsening = min(COARSER, case.geometry.coarsest_size / case.mesh.size)
-    size = sum(unknowns.values())
-    if size < LARGE or unknowns["jump"] > SHARE * size or coarsening < LEAST:
-        return None
-    sizes = {"size": coarsening * case.mesh.size, "far_size": coarsening * case.mesh.far}
-    solver = {"tolerance": max(TOLERANCE, case.solver.tolerance)}
-    return case.model_copy(
-        update={
-            "mesh": case.mesh.model_copy(update=sizes),
-            "solver": case.solver.model_copy(update=solver),
-        }
-    )
 
 
 class Nested:

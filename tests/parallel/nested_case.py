@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
+from mantle.simulation import related
 from mantle.stepping import nested_start
 from tests.unit import test_nested
 
@@ -16,7 +17,7 @@ if __name__ == "__main__":
     found = []
     for settings in ({}, test_nested.ALWAYS):
         for name, value in settings.items():
-            setattr(nested_start, name, value)
+            setattr(related, name, value)
         model, steps = test_nested.go()
         (j,) = model.mechanics[0].problem.jumps
         found.append((nested_start.replicated(j), steps[0].outcome.residuals[0]))

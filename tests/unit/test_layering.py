@@ -238,9 +238,8 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
         "mantle.soundness.diagnosis",
     ):
         seen = {m for m in imported(path) if m.startswith("mantle.schema.")}
-        # A default value, and a case on a coarser mesh.
+        # A default value, and the table of numbers.
         known = {"mantle.schema.run_options"} if path.stem == "jumps" else set()
-        known |= {"mantle.schema.config"} if path.stem == "nested_start" else set()
         known |= {"mantle.schema.quantities"} if path.stem == "quantities" else set()
         assert seen <= known
         text = ast.unparse(tree(path))

@@ -12,6 +12,7 @@ import pytest
 
 from mantle.errors import GeometryError, MantleError, StoppedError
 from mantle.mechanics.problem import TrialState
+from mantle.simulation import related
 from mantle.simulation.model import Model
 from mantle.stepping import nested_start
 from mantle.stepping.load_steps import LoadStep
@@ -73,7 +74,7 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start from a coarser mesh although this one is small."""
     for name, value in ALWAYS.items():
-        monkeypatch.setattr(nested_start, name, value)
+        monkeypatch.setattr(related, name, value)
 
 
 def jumps(model: Model) -> Any:
@@ -149,7 +150,7 @@ def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPat
 def test_where_a_coarser_mesh_pays(size: str, unknowns: dict[str, int], nests: bool) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
     case = support.case(text, f"mesh.size={size}")
-    coarse = nested_start.coarser(case, unknowns)
+    coarse = related.coarser(case, unknowns)
     assert (coarse is not None) == nests
     if coarse is not None:
         assert coarse.mesh.size == pytest.approx(3.0)

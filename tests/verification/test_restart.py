@@ -13,7 +13,7 @@ from mantle.results.reading import Run
 from mantle.schema import loaded_case
 from mantle.simulation import session as running
 from mantle.simulation.session import run
-from mantle.stepping import nested_start
+from mantle.simulation import related
 from mantle.system.folders import saved
 from tests import coupled, restarted, support
 from tests.unit import test_nested
@@ -61,7 +61,7 @@ def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
 
 def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in test_nested.ALWAYS.items():
-        monkeypatch.setattr(nested_start, name, value)
+        monkeypatch.setattr(related, name, value)
     options = (FIELDS, *test_nested.TURNS)
     case, files = restarted.whole(test_nested.STEM, tmp_path, *options)
     # Before the turn, which is where a coarser mesh is asked.
