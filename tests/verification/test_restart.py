@@ -11,9 +11,9 @@ import pytest
 from mantle.errors import StoppedError
 from mantle.results.reading import Run
 from mantle.schema import loaded_case
+from mantle.simulation import related
 from mantle.simulation import session as running
 from mantle.simulation.session import run
-from mantle.simulation import related
 from mantle.system.folders import saved
 from tests import coupled, restarted, support
 from tests.unit import test_nested
