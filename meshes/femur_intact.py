@@ -2,11 +2,12 @@
 
 Shaft, trochanters, canal and muscle patches are those of the femur with a stem, cell by cell: the
 lines are those of the stem that is planned (`femur_surfaces`). What the operation would take away
-is a blend from the neck cut to a round neck, and a sphere about the head's centre. Assumed, for
+is a blend from the neck cut to a round neck, and a sphere about the head's centre, whose nodes are
+on no lines: a ball of sections that bulge, in a shell that a lid closes at its end. Assumed, for
 want of a published set that goes with this shaft: a neck of 0.70 of the head's diameter in
 its middle (means are 48 and 33 mm in men, not verified), round and without anteversion, as the
 implant; a cortex of 2 mm under the head, of 3.5 mm at the root of the neck, alike all around (it is
-thicker below and thinner above); no cartilage; and no fovea.
+thicker below and thinner above); no cartilage; no fovea; a round trochanter.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats
+from mantle.arrays import Floats, Ints
 
 from . import layers, swept
 from .data import MeshData
 from .femur import patches
-from .femur_surfaces import CLEAR, SPREAD, FemurSurfaces
-from .layers import Lines
+from .femur_surfaces import SPREAD, FemurSurfaces
+from .layers import DIGITS, Lines, Nodes
 from .tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
@@ -32,14 +33,17 @@ NECK = (0.76, 0.65)
 # Cortex at the same places [mm]; the second is that of the head too.
 CORTEX = (3.5, 2.0)
 CORE = 0.35  # of sections of neck and head: where the innermost surface is
-CAP = math.radians(50.0)  # half the opening of the cap that closes the head
+STEPS = 5  # along the head, of any mesh size: its cells are as long as eight spokes are wide
+CAP = math.radians(50.0)  # half the opening of the lid that closes the head
+CLEAR = 6.0  # mm that the first ring of the neck is above the cut
+RISE = 6.0  # mm that the trochanter rises beyond the cut, across the shaft
 
 
 class Intact(FemurSurfaces):
     """Surfaces of the whole bone, as `layers.Surfaces` wants them.
 
     Attributes:
-        neck: Station at which the sphere of the head begins.
+        neck: Station at which the sphere of the head begins; beyond it nodes are on no line.
     """
 
     def _continue(self, geometry: Any) -> None:
@@ -53,11 +57,6 @@ class Intact(FemurSurfaces):
         # The neck's cone meets the sphere at this distance from its centre.
         ring = NECK[1] * self._radius
         self._meet = math.sqrt(self._radius**2 - ring**2)
-        first, last = math.asin(ring / self._radius), math.pi - CAP
-        before = last - self.size / self._radius  # the cap's slab is as wide as others
-        over = max(2, round(self._radius * (before - first) / self.size))
-        self._angles = np.append(np.linspace(first, before, over + 1), last)
-        self._bulge = np.append(np.linspace(0.0, 1.0, over + 1), 1.0)
         normal = np.array([self._steepest, 0.0, 1.0]) / math.hypot(self._steepest, 1.0)
         rise = float(self._axis @ normal)
         dip = NECK[0] * self._radius * math.sqrt(max(0.0, 1.0 - rise**2))
@@ -66,22 +65,23 @@ class Intact(FemurSurfaces):
         self._back = max(self._meet, above - (CLEAR + dip) / rise)
         blend = above - self._meet
         self.neck = self.cut + max(2, round(blend / self.size))
-        self.stations = self.neck + len(self._angles)
+        self.mirrored = range(self.cut, self.neck)
+        self.stations = self.neck + STEPS + 2
 
     def outermost(self, slab: int) -> int:
-        """Bone has all layers everywhere."""
-        return 4
+        """Bone has all layers; the cortex of the head is closed by a lid."""
+        return 4 if slab < self.stations - 2 else 3
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
-        """Lines in the sections of shaft, neck and head."""
+        """Lines in the sections of shaft and neck; those of the head are not used."""
         at = np.minimum(s, self.cut)
         start, end, mantle, endosteum = self._across(phi, at)
         above = s > self.cut
         if above.any():
             turn, ratio = 2 * np.pi * phi[above], (mantle / endosteum)[above]
-            part = np.clip((s[above] - self.cut) / (self.neck - self.cut), 0.0, 1.0)
-            share = 1 - (1 - part) ** 2  # the neck is reached soon, the fossa is deep
-            centre, radius, cortex = self._ring(part, s[above])
+            part = np.minimum((s[above] - self.cut) / (self.neck - self.cut), 1.0)
+            share = 1 - (1 - part) ** 2  # the neck is reached soon
+            centre, radius, cortex = self._ring(part)
             out = np.cos(turn)[:, None] * self._medial + np.sin(turn)[:, None] * [0.0, 1.0, 0.0]
             ring = centre + radius[:, None] * out
             core = centre + CORE * radius[:, None] * out
@@ -90,60 +90,70 @@ class Intact(FemurSurfaces):
             end[above] = (1 - f) * end[above] + f * ring
             inner = 1 - cortex / ((1 - CORE) * radius)
             endosteum[above] = (1 - share) * endosteum[above] + share * inner
+            # The trochanter rises beyond the cut before it falls to the neck.
+            rise = RISE * 6.75 * part * (1 - part) ** 2 * (0.5 - 0.5 * np.cos(turn)) ** 2
+            end[above], endosteum[above] = _longer(start[above], end[above], endosteum[above], rise)
             mantle[above] = (ratio + (SPREAD - ratio) * share) * endosteum[above]
         return Lines(start, end, mantle, endosteum)
 
-    def _ring(self, part: Floats, s: Floats) -> tuple[Floats, Floats, Floats]:
-        """Centre, radius and thickness of cortex of sections of neck (part < 1) and head."""
-        angle = np.interp(s - self.neck, np.arange(len(self._angles)), self._angles)
+    def _ring(self, part: Floats) -> tuple[Floats, Floats, Floats]:
+        """Centre, radius and thickness of cortex of sections of the neck."""
         back = self._back + part * (self._meet - self._back)
         t = np.clip(1 - back / self._length, 0.0, 1.0)
         neck = (NECK[0] + (NECK[1] - NECK[0]) * t) * self._radius
-        head = s > self.neck
         # The cone ends where it meets the sphere.
-        radius = np.where(
-            head, self._radius * np.sin(angle), neck + part * (NECK[1] * self._radius - neck)
+        radius = neck + part * (NECK[1] * self._radius - neck)
+        return (
+            self._centre - back[:, None] * self._axis,
+            radius,
+            CORTEX[0] + (CORTEX[1] - CORTEX[0]) * t,
         )
-        along = np.where(head, -self._radius * np.cos(angle), -back)
-        cortex = np.where(head, CORTEX[1], CORTEX[0] + (CORTEX[1] - CORTEX[0]) * t)
-        return self._centre + along[:, None] * self._axis, radius, cortex
 
-    def bend(self, x: Floats, way: Floats, s: Floats) -> Floats:
-        """Sections of the head bulge until the last two are caps of spheres, a cortex apart."""
-        over = s - self.neck
-        number = np.arange(len(self._angles))
-        angle = np.interp(over, number, self._angles)
-        bulge = np.interp(over, number, self._bulge)
-        last = np.clip(over - (len(number) - 2), 0.0, 1.0)
-        bone = 1 - CORTEX[1] / ((1 - CORE) * self._radius * np.sin(angle))
-        shell = np.clip((way - bone) / (1 - bone), 0.0, 1.0)
-        within = np.minimum((CORE + (1 - CORE) * way) / (CORE + (1 - CORE) * bone), 1.0)
-        # Inside the cortex part of a ball; the cortex is as thick everywhere, but in the last
-        # section, which is all on the sphere.
-        inner = self._radius - CORTEX[1] * (1 - last)
-        sides = angle + last * (1 - shell) * CORTEX[1] / self._radius
-        ball = inner + (self._radius - inner) * shell
-        across = within * ball * np.sin(sides)
-        along = -ball * np.cos(sides) + bulge * (
-            np.sqrt(ball**2 - across**2) - ball * np.abs(np.cos(sides))
-        )
-        off = x - self._centre
-        off -= (off * self._axis).sum(axis=1)[:, None] * self._axis
-        off /= np.maximum(np.sqrt((off**2).sum(axis=1)), 1e-9)[:, None]
-        bent = self._centre + across[:, None] * off + along[:, None] * self._axis
-        part = np.clip(over, 0.0, 1.0)[:, None]
-        return np.asarray((1 - part) * x + part * bent)
+    def ended(self, nodes: Nodes, unit: int) -> Nodes:
+        """Nodes of the head, those of its cortex on two spheres, which the lid closes."""
+        head = nodes.s > self.neck * unit
+        k, j = nodes.s[head] // unit - self.neck, nodes.rho[head] // unit
+        off = self._ball(nodes.phi[head] / (self.spokes * unit), j, np.minimum(k, STEPS))
+        shell = (j >= 3) | (k >= STEPS)
+        radius = np.where((j == 4) | (k > STEPS), self._radius, self._radius - CORTEX[1])
+        off[shell] *= (radius / np.sqrt((off**2).sum(axis=1)))[shell, None]
+        x, rho = nodes.x.copy(), nodes.rho.copy()
+        x[head] = np.round(self._centre + off, DIGITS)
+        rho[head] = np.where(shell, -3 * unit, 0)
+        return replace(nodes, x=x, rho=rho, merged=nodes.merged & ~head)
 
-    def inside(self, x: Floats, s: Floats) -> Floats:
-        """The last section is on the sphere."""
-        last = s >= self.stations - 1
-        off = x[last] - self._centre
-        along = (off * self._axis).sum(axis=1)
-        across = off - along[:, None] * self._axis
-        rise = np.sqrt(self._radius**2 - (across**2).sum(axis=1))
-        x = x.copy()
-        x[last] = self._centre + across + rise[:, None] * self._axis
-        return x
+    def _ball(self, phi: Floats, j: Ints, k: Ints) -> Floats:
+        """Places on sections of the head within its cortex, from its centre (n, 3) [mm].
+
+        Sections are even on the axis, and bulge until the last is a cap of the sphere.
+        """
+        within = self._radius - CORTEX[1]
+        angles = np.linspace(math.asin(NECK[1]), math.pi - CAP, STEPS + 1)
+        rims = -within * np.cos(angles)
+        bulge = (np.linspace(rims[0], within, STEPS + 1) - rims) / (within - np.abs(rims))
+        part = np.array([CORE, CORE, CORE + (1 - CORE) * SPREAD, 1.0, 1.0])[j]
+        across = part * within * np.sin(angles[k])
+        down, ahead = across * np.cos(2 * np.pi * phi), across * np.sin(2 * np.pi * phi)
+        ahead[j == 0] = 0.0  # half-way between what is in front and behind
+        cap = np.sqrt(within**2 - down**2 - ahead**2)
+        up = rims[k] + bulge[k] * (cap - np.abs(rims[k]))
+        off = np.outer(down, self._medial) + np.outer(up, self._axis)
+        off[:, 1] += ahead
+        return off
+
+    def arc(self, a: Floats, b: Floats) -> Floats:
+        """At the mean distance of a and b from the head's centre."""
+        a, b = a - self._centre, b - self._centre
+        middle = 0.5 * (a + b)
+        far, near, now = (np.sqrt((v**2).sum(axis=1)) for v in (a, b, middle))
+        return np.asarray(self._centre + (0.5 * (far + near) / now)[:, None] * middle)
+
+
+def _longer(start: Floats, end: Floats, endosteum: Floats, by: Floats) -> tuple[Floats, Floats]:
+    """Ends of lines that are longer, and where their endosteum is, under a cortex as thick."""
+    way = end - start
+    length = np.sqrt((way**2).sum(axis=1))
+    return end + (by / length)[:, None] * way, (endosteum * length + by) / (length + by)
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:

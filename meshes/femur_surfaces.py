@@ -25,7 +25,7 @@ from mantle.arrays import Floats, Ints
 from mantle.errors import GeometryError
 
 from . import femur_bone, femur_stem
-from .layers import Lines
+from .layers import Lines, Nodes
 from .swept import SPOKES
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
@@ -103,7 +103,10 @@ class FemurSurfaces:
         tip: Station of the stem's tip.
         cut: Station of the neck cut.
         stations: Number of stations.
+        mirrored: No steps: sections turn one way.
     """
+
+    mirrored = range(0)
 
     def __init__(self, geometry: Any, size: float, far: float) -> None:
         """Divide the lengths of a femur.
@@ -174,13 +177,13 @@ class FemurSurfaces:
         end[~bone] = start[~bone] + 1.0
         return Lines(start, end, mantle, endosteum)
 
-    def bend(self, x: Floats, way: Floats, s: Floats) -> Floats:
-        """Sections are plane."""
-        return x
+    def ended(self, nodes: Nodes, unit: int) -> Nodes:
+        """No ball."""
+        return nodes
 
-    def inside(self, x: Floats, s: Floats) -> Floats:
-        """Ends are plane."""
-        return x
+    def arc(self, a: Floats, b: Floats) -> Floats:
+        """No ball."""
+        return 0.5 * (a + b)
 
     def _across(self, phi: Floats, s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         zeta, slope = self.plane(s)

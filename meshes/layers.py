@@ -59,24 +59,29 @@ class Surfaces(Protocol):
         mantle: The first and the last section with a mantle; below and above, lines along which
             mantle and endosteum are one are those of these.
         size: Mesh size [mm].
+        mirrored: Steps whose prisms are split the other way around: there sections turn back.
     """
 
     spokes: int
     stations: int
     mantle: tuple[int, int]
     size: float
+    mirrored: range
 
     def outermost(self, slab: int) -> int:
-        """The outermost surface of a step along the line, 1 or 4: a neck has no layers."""
+        """The outermost surface of a step along the line, 1, 3 or 4: a neck has no layers.
+
+        Above a step of 3, a lid, the third surface begins where the fourth ends below it.
+        """
 
     def lines(self, phi: Floats, s: Floats) -> Lines:
         """The lines at angles `phi`, in turns, and stations `s`, both of shape (n,)."""
 
-    def bend(self, x: Floats, way: Floats, s: Floats) -> Floats:
-        """Move points at parts `way` of lines off them, where sections are not plane; (n, 3)."""
+    def ended(self, nodes: Nodes, unit: int) -> Nodes:
+        """The nodes of the coarsest mesh, those of a ball at its end taken off their lines."""
 
-    def inside(self, x: Floats, s: Floats) -> Floats:
-        """Move points inside the innermost surface, at its ends; (n, 3)."""
+    def arc(self, a: Floats, b: Floats) -> Floats:
+        """Middles of edges from a to b (n, 3) in the shell of the ball (n, 3)."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,8 @@ class Nodes:
 
     Attributes:
         phi: Around, in units; of shape (n,) as all.
-        rho: Across, in units; 0 for what is inside the innermost surface.
+        rho: Across, in units; 0 for what is on no line: inside the innermost surface, or in a ball.
+            Negative in the shell of a ball.
         s: Along, in units.
         merged: Whether mantle and endosteum are one there.
         error: Used thickness of the layer between them less the exact one [mm].
@@ -143,7 +149,7 @@ def lines_of(surfaces: Surfaces, phi: Ints, s: Ints, unit: int) -> tuple[Lines, 
 
 
 def place(surfaces: Surfaces, nodes: Nodes, unit: int) -> Nodes:
-    """Put all nodes but those inside on the surfaces, and between them by their coordinates."""
+    """Put all nodes that are on lines on the surfaces, and between them by their coordinates."""
     on = np.flatnonzero(nodes.rho > 0)
     lines, line = lines_of(surfaces, nodes.phi[on], nodes.s[on], unit)
     start, end = lines.start[line], lines.end[line]
@@ -159,9 +165,8 @@ def place(surfaces: Surfaces, nodes: Nodes, unit: int) -> Nodes:
         np.where(rho <= 3, mantle + (rho - 2) * (bone - mantle), bone + (rho - 3) * (1 - bone)),
     )
     part = np.where(merged, bone, part)
-    s = nodes.s[on] / unit
     x = nodes.x.copy()
-    x[on] = surfaces.bend(start + part[:, None] * (end - start), part, s)
+    x[on] = start + part[:, None] * (end - start)
     error = nodes.error.copy()
     error[on] = np.where(merged, -gap, used - gap)
     return replace(nodes, x=np.round(x, DIGITS), error=error)

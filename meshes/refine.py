@@ -126,10 +126,12 @@ def _middles(made: Swept, ends: Ints, beside_ends: bool = False) -> Nodes:
         # A merged node is on mantle and endosteum: it takes whichever the other is nearer to.
         alone = nodes.merged[(a, b)[own]] & ~both
         rho[own][alone] = np.clip(rho[other][alone], 2 * made.unit, 3 * made.unit)
-    inner = (nodes.rho[a] == 0) | (nodes.rho[b] == 0)
+    inner = (nodes.rho[a] <= 0) | (nodes.rho[b] <= 0)
+    shell = inner & (np.minimum(np.abs(nodes.rho[a]), np.abs(nodes.rho[b])) >= 3 * made.unit)
+    across = np.where(both, 3 * made.unit, (rho[0] + rho[1]) // 2)
     middle = Nodes(
         phi=np.where(inner, 0, (nodes.phi[a] + apart // 2) % turn),
-        rho=np.where(inner, 0, np.where(both, 3 * made.unit, (rho[0] + rho[1]) // 2)),
+        rho=np.where(inner, np.where(shell, -3 * made.unit, 0), across),
         s=(nodes.s[a] + nodes.s[b]) // 2,
         merged=both & ~inner,
         error=np.where(inner, 0.0, 0.5 * (nodes.error[a] + nodes.error[b])),
@@ -138,9 +140,8 @@ def _middles(made: Swept, ends: Ints, beside_ends: bool = False) -> Nodes:
     )
     if beside_ends:
         middle = replace(middle, floor=np.maximum(middle.floor, _steep(made, a, b)))
-    x = middle.x
-    x[inner] = made.surfaces.inside(x[inner], middle.s[inner] / made.unit)
-    return place(made.surfaces, replace(middle, x=x), made.unit)
+    middle.x[shell] = made.surfaces.arc(nodes.x[a[shell]], nodes.x[b[shell]])
+    return place(made.surfaces, middle, made.unit)
 
 
 def _steep(made: Swept, a: Ints, b: Ints) -> Floats:
@@ -154,7 +155,7 @@ def _thickness(made: Swept) -> Floats:
     """Used thickness of the layer between mantle and endosteum at each node [mm]."""
     nodes = made.nodes
     lines, line = lines_of(made.surfaces, nodes.phi, nodes.s, made.unit)
-    return np.where(nodes.rho == 0, 0.0, np.maximum(lines.gap[line] + nodes.error, 0.0))
+    return np.where(nodes.rho <= 0, 0.0, np.maximum(lines.gap[line] + nodes.error, 0.0))
 
 
 def _edges(cells: Ints) -> tuple[Ints, Ints]:

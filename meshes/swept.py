@@ -53,14 +53,15 @@ def mesh(surfaces: Surfaces, times: int, curved: bool) -> Swept:
     return refine.curved(made) if curved else made
 
 
-def _section(spokes: int) -> tuple[Ints, Ints, Ints, Ints]:
+def _section(spokes: int) -> tuple[Ints, Ints, Ints, list[Ints]]:
     """One triangulation of the cross-section for all stations.
 
     Returns:
         Columns as rows of spoke and surface (c, 2), nodes inside being numbered by the spoke they
         are beside and surface 0; triangles of columns (t, 3); the layer of each; and the rank of
         each column: from lateral to medial, all of one spoke together, outwards. Sections turn
-        about an antero-posterior axis, and diagonals from lateral to medial are the short ones.
+        about an antero-posterior axis, and diagonals from lateral to medial are the short ones;
+        where sections turn back, those by the second ranks, from medial to lateral.
     """
     half = spokes // 2
     first = -(-half // 3)  # the ends of the spine, from which outlines fan out
@@ -72,8 +73,10 @@ def _section(spokes: int) -> tuple[Ints, Ints, Ints, Ints]:
         i, j = column
         return abs(i - half), 0 if j == 0 else 1 + (i > half), j
 
-    rank = np.empty(len(columns), dtype=np.int64)
-    rank[sorted(range(len(columns)), key=lambda k: key(columns[k]))] = np.arange(len(columns))
+    def rank(way: int) -> Ints:
+        keys = [(way * key(column)[0], *key(column)[1:]) for column in columns]
+        return np.argsort(sorted(range(len(columns)), key=lambda k: keys[k]))
+
     triangles, layers = [], []
 
     def add(layer: int, *corners: tuple[int, int]) -> None:
@@ -93,7 +96,7 @@ def _section(spokes: int) -> tuple[Ints, Ints, Ints, Ints]:
         add(0, (i, 1), (i + 1, 1), (first, 0))
     for i in range(half - first, half + first):
         add(0, (i, 1), (i + 1, 1), (half - first, 0))
-    return np.array(columns), np.array(triangles), np.array(layers), rank
+    return np.array(columns), np.array(triangles), np.array(layers), [rank(1), rank(-1)]
 
 
 # The tetrahedra of a prism, whose lower corners 0, 1, 2 are in the order of their ranks.
@@ -102,22 +105,25 @@ _PRISM = np.array([(0, 1, 2, 5), (0, 1, 4, 5), (0, 3, 4, 5)])
 
 def _coarsest(surfaces: Surfaces, unit: int) -> Swept:
     """Sweep the cross-section along all stations."""
-    columns, triangles, layers, rank = _section(surfaces.spokes)
+    columns, triangles, layers, ranks = _section(surfaces.spokes)
     c, levels = len(columns), surfaces.stations
     nodes = _grid(surfaces, columns, unit)
     # Prisms, split by the ranks of their columns: both sides of a face are split alike.
-    order = np.take_along_axis(triangles, np.argsort(rank[triangles], axis=1), axis=1)
+    orders = [np.take_along_axis(triangles, np.argsort(r[triangles]), axis=1) for r in ranks]
     outer = columns[triangles][:, :, 1].max(axis=1)
     cells, layer, slab = [], [], []
     for k in range(levels - 1):
         use = outer <= surfaces.outermost(k)
-        prism = np.hstack([order[use] + k * c, order[use] + (k + 1) * c])
+        order = orders[k in surfaces.mirrored][use]
+        prism = np.hstack([order + k * c, order + (k + 1) * c])
         cells.append(prism[:, _PRISM].reshape(-1, 4))
         layer.append(np.repeat(layers[use], 3))
         slab.append(np.full(3 * int(use.sum()), k))
     # Nodes of a layer without thickness are one: that on the endosteum, the next in its column.
-    number = np.arange(len(nodes))
+    number: Ints = np.arange(len(nodes))
     number += nodes.merged & (nodes.rho == 2 * unit)
+    if surfaces.outermost(levels - 2) == 3:
+        number = _lid(number, levels, c, surfaces.spokes)
     tets = number[np.concatenate(cells)]
     ordered = np.sort(tets, axis=1)
     keep = (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
@@ -153,10 +159,15 @@ def _grid(surfaces: Surfaces, columns: Ints, unit: int) -> Nodes:
     x = nodes.x.reshape(levels, c, 3)
     spine = np.flatnonzero(columns[:, 1] == 0)
     front, back = 4 * columns[spine, 0], 4 * (-columns[spine, 0] % surfaces.spokes)
-    inner = nodes.rho == 0
-    middle = (0.5 * (x[:, front] + x[:, back])).reshape(-1, 3)
-    nodes.x[inner] = np.round(surfaces.inside(middle, nodes.s[inner] / unit), DIGITS)
-    return nodes
+    x[:, spine] = np.round(0.5 * (x[:, front] + x[:, back]), DIGITS)
+    return surfaces.ended(nodes, unit)
+
+
+def _lid(number: Ints, levels: int, c: int, spokes: int) -> Ints:
+    """Numbers of nodes where the last step is a lid: its rim is that of the section below it."""
+    same = np.arange(len(number)).reshape(levels, c)
+    same[-1, 2 : 4 * spokes : 4] = same[-2, 3 : 4 * spokes : 4]
+    return same.ravel()[number]
 
 
 def _merged(surfaces: Surfaces) -> tuple[Bools, Floats, Floats]:

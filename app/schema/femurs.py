@@ -298,9 +298,11 @@ class IntactFemur(_Femur):
         """Estimated number of tetrahedra, to 10 %."""
         size, cells = self._shaft_cells(mesh)
         length = self.head_offset / math.sin(self.neck_angle)
-        above = _steps(0.37 * length, size) + _steps(1.6 * self.head_radius, size)
+        # Neck, five steps of the head, and its lid without the outermost layer.
+        above = _steps(length - 1.07 * self.head_radius, size) + 5
         layers = self._core_cells(size) + self._spokes(size) * 18
-        return round((cells + above * layers) * _refined(mesh.size))
+        lid = layers - self._spokes(size) * 6
+        return round((cells + above * layers + lid) * _refined(mesh.size))
 
 
 def _steps(length: float, size: float) -> int:

@@ -230,6 +230,33 @@ def test_two_hundred_random_hips_mesh_at_the_first_attempt() -> None:
     check_random_hips(200, 200, 2.0)
 
 
+@pytest.mark.parametrize(
+    ("curved", "size"),
+    [(False, size) for size in (8.0, 7.0, 6.0, 5.01, 5.0, 4.0, 3.0, 2.5, 2.0)]
+    + [(True, size) for size in (8.0, 6.0, 5.0, 3.0)]
+    + [pytest.param(True, 2.0, marks=pytest.mark.slow)],
+)
+def test_cells_of_the_intact_femur_are_good(curved: bool, size: float) -> None:
+    data = femur_intact.build(IntactFemur(), MeshOptions(size=f"{size} mm", curved=curved))
+    assert quality.sicn(data.points, data.cells).min() > (0.08 if curved else 0.12)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"head_radius": 18.0},
+        {"head_radius": 30.0},
+        {"cement_thickness": 7.0, "canal_widening": 2.0},  # lines without a layer, up to the head
+        {"resection_angle": 0.87},
+    ],
+)
+def test_other_intact_femurs_mesh_well(values: dict[str, float]) -> None:
+    geometry = IntactFemur().model_copy(update=values)
+    for size in (8.0, 5.0):
+        data = femur_intact.build(geometry, MeshOptions(size=f"{size} mm", curved=False))
+        assert quality.sicn(data.points, data.cells).min() > 0.1, size
+
+
 def test_a_stem_of_any_length_finds_a_mesh() -> None:
     """172 mm, which had none, and one from the shelf that stands out of a low cut."""
     assert built(6.0, stem_length=172.0, stem_tip_z=-143.0).cells.size
@@ -317,16 +344,10 @@ def test_patches_have_the_area_of_discs() -> None:
 # ------------------------------------------------------------------------------ the same bytes
 
 DIGEST = """
-import hashlib, sys
+import sys
 sys.path.insert(0, {root!r})
-from mantle.schema.geometries import Femur, MeshOptions
-from mantle.meshes import femur
-digest = hashlib.sha256()
-for curved in (False, True):
-    data = femur.build(Femur(), MeshOptions(size="3 mm", curved=curved))
-    for array in (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags):
-        digest.update(array.tobytes())
-print(digest.hexdigest())
+from tests.unit import test_swept
+print(test_swept.own_digest())
 """
 PROCESSORS = {
     "Nehalem": {"OPENBLAS_CORETYPE": "Nehalem"},
@@ -351,8 +372,8 @@ def digest(**environment: str) -> str:
 @cache
 def own_digest() -> str:
     total = hashlib.sha256()
-    for curved in (False, True):
-        data = built(3.0, curved)
+    options = MeshOptions(size="3 mm", curved=True)
+    for data in (built(3.0), built(3.0, True), femur_intact.build(IntactFemur(), options)):
         for array in (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags):
             total.update(array.tobytes())
     return total.hexdigest()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mantle import meshes
-from mantle.meshes import femur_bone, femur_stem, mantle
+from mantle.meshes import femur_bone, femur_intact, femur_stem, mantle
 from mantle.meshes.data import (
     MeshData,
     boundary_areas,
@@ -130,11 +130,11 @@ def test_the_head_is_a_sphere_on_a_neck() -> None:
         distance = np.linalg.norm(data.points[np.unique(facets)] - centre, axis=1)
         radius = np.full(len(distance), geometry.head_radius)
         assert distance == pytest.approx(radius, rel=max(part, 1e-6))
-    # All of the sphere but the cap in the neck, whose radius there is about 15.5 mm.
-    radius, neck = geometry.head_radius, 15.5
+    # All of the sphere but the cap in the neck.
+    radius, neck = geometry.head_radius, femur_intact.NECK[1] * geometry.head_radius
     cap = 2 * np.pi * radius * (radius - np.sqrt(radius**2 - neck**2))
     area = boundary_areas(data)["head"]
-    assert area == pytest.approx(4 * np.pi * radius**2 - cap, rel=0.01)
+    assert area == pytest.approx(4 * np.pi * radius**2 - cap, rel=0.002)
     # Cortex in the head's shell, cancellous bone within.
     x = data.points[data.cells[:, :4]].mean(axis=1)
     deep = np.linalg.norm(x - centre, axis=1) < geometry.head_radius - 5.0
