@@ -25,51 +25,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import numpy as np
-from numpy.typing import NDArray
 
 from mantle.arrays import Bools, Floats, Ints
 
-FACE_ANGLE = np.deg2rad(30.0)
-MAX_FACES = 3
-# Faces are independent while the Gram determinant of their normals stays above this.
-INDEPENDENT = 0.05
-# Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
-QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
-
-
-@dataclass(frozen=True)
-class InterfaceFacets:
-    """Facets of the contact interfaces, replicated on all ranks in canonical order.
-
-    Attributes:
-        interface: Index of the interface (f,).
-        vertices: Vertex numbers of the mesh file (f, 3).
-        master: Body on the master side (f,).
-        slave: Body on the slave side (f,).
-        vertex_dofs: Global blocked dof at each vertex (f, 3).
-        edge_dofs: Global blocked dof at each edge (f, 3), edge k opposite vertex k; (f, 0) for P1.
-        x: Vertex coordinates (f, 3, 3) [mm].
-        normal: Unit normal from master to slave at each vertex (f, 3, 3).
-        area: Integral of the linear shape function of each vertex (f, 3) [mm2].
-        bend: How far the middle of each edge, opposite vertex k, is off its chord (f, 3, 3) [mm];
-            (f, 0, 3) for flat facets.
-        stiffness: Modulus of the cell on the master and of that on the slave side (f, 2) [MPa].
-    """
-
-    interface: Ints
-    vertices: Ints
-    master: Ints
-    slave: Ints
-    vertex_dofs: Ints
-    edge_dofs: Ints
-    x: Floats
-    normal: Floats
-    area: Floats
-    bend: Floats
-    stiffness: Floats
+from .contact_faces import distinct_rows, drop_held, faces_around, shared
+from .contact_facets import InterfaceFacets
 
 
 @dataclass(frozen=True)
@@ -145,98 +106,6 @@ class Entries:
     value: Floats
 
 
-def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
-    """Concatenate each array over the ranks, on every rank."""
-    pieces = comm.allgather(arrays)
-    return [np.concatenate([p[k] for p in pieces]) for k in range(len(arrays))]
-
-
-def sorted_facets(
-    comm: MPI.Comm,
-    interface: Ints,
-    vertices: Ints,
-    master: Ints,
-    slave: Ints,
-    vertex_dofs: Ints,
-    edge_dofs: Ints,
-    x: Floats,
-    inside_slave: Floats,
-    stiffness: Floats,
-) -> InterfaceFacets:
-    """Gather the facets of every rank and put them in canonical order.
-
-    Args:
-        comm: Communicator.
-        interface: Index of the interface (f,).
-        vertices: Vertex numbers of the mesh file (f, 3).
-        master: Body on the master side (f,).
-        slave: Body on the slave side (f,).
-        vertex_dofs: Global blocked dofs at the vertices (f, 3).
-        edge_dofs: Global blocked dofs at the edges opposite them (f, 3) or (f, 0).
-        x: Coordinates of the vertices (f, 3, 3), and where cells are curved of the middles of the
-            edges opposite them (f, 6, 3) [mm].
-        inside_slave: A point inside the slave cell (f, 3) [mm].
-        stiffness: Modulus of the master and of the slave cell (f, 2) [MPa].
-    """
-    interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness = gather(
-        comm, interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness
-    )
-    # The three vertices of a facet in rising order, then the facets by interface and vertices.
-    order = np.argsort(vertices, axis=1)
-    vertices = np.take_along_axis(vertices, order, axis=1)
-    vertex_dofs = np.take_along_axis(vertex_dofs, order, axis=1)
-    if edge_dofs.shape[1]:
-        edge_dofs = np.take_along_axis(edge_dofs, order, axis=1)
-    both = np.concatenate([order + k for k in range(0, x.shape[1], 3)], axis=1)
-    x = np.take_along_axis(x, both[:, :, None], axis=1)
-    rows = np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], interface))
-    vertices, x, inside_slave = vertices[rows], x[rows], inside_slave[rows]
-    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave - x[:, 0]))
-    at_corners, _ = surface(x, np.eye(3))
-    chords = (x[:, [1, 2, 0]] + x[:, [2, 0, 1]]) / 2
-    _, area = surface(x, QUADRATURE)
-    return InterfaceFacets(
-        interface=interface[rows],
-        vertices=vertices,
-        master=master[rows],
-        slave=slave[rows],
-        vertex_dofs=vertex_dofs[rows],
-        edge_dofs=edge_dofs[rows],
-        x=x[:, :3],
-        normal=at_corners * towards[:, None, None],
-        area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
-        bend=x[:, 3:] - chords[:, : x.shape[1] - 3],
-        stiffness=stiffness[rows],
-    )
-
-
-def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
-    # Derivatives of the shape functions by the barycentric coordinates (q, nodes, 3).
-    d = np.broadcast_to(np.eye(3), (len(at), 3, 3))
-    if x.shape[1] == 6:
-        vertices = (4 * at[:, :, None] - 1) * np.eye(3)
-        middles = 4 * at[:, [2, 0, 1]][:, :, None] * np.eye(3)[[1, 2, 0]]
-        middles += 4 * at[:, [1, 2, 0]][:, :, None] * np.eye(3)[[2, 0, 1]]
-        d = np.concatenate([vertices, middles], axis=1)
-    t = np.einsum("qnk,fni->fqki", d, x)
-    cross = np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0])
-    size = np.linalg.norm(cross, axis=2)
-    return cross / size[:, :, None], size
-
-
-def shape_functions(at: Floats, nodes: int) -> Floats:
-    """Those of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
-
-    Node 3 + k of six is in the middle of the edge opposite vertex k.
-    """
-    if nodes == 3:
-        return at
-    middles = 4 * at[:, [1, 2, 0]] * at[:, [2, 0, 1]]
-    return np.concatenate([at * (2 * at - 1), middles], axis=1)
-
-
 def contact_points(
     facets: InterfaceFacets, holds: Holds, interfaces: int
 ) -> tuple[ContactPoints, Entries]:
@@ -257,11 +126,11 @@ def contact_points(
         ],
         axis=1,
     )
-    every, first, of = _distinct_rows(key)
+    every, first, of = distinct_rows(key)
     kept = _without_cycles(every[:, 1], every[:, 2] // bodies, every[:, 2] % bodies)
     number = np.where(kept, np.cumsum(kept) - 1, -1)
     corner_point = number[of]
-    normals, areas, faces = _faces(facets, corner_point, int(kept.sum()))
+    normals, areas, faces = faces_around(facets, corner_point, int(kept.sum()))
     triangles = corner_point.reshape(-1, 3)
     vertex = every[kept, 1]
     sides = np.stack([every[kept, 2] // bodies, every[kept, 2] % bodies], axis=1)
@@ -269,7 +138,7 @@ def contact_points(
     at_point = corner_point >= 0
     np.maximum.at(stiffness, corner_point[at_point], facets.stiffness[facet[at_point]])
     given, at_vertex = _jumps_at_vertices(vertex, sides, stiffness, holds)
-    _drop_held(normals, areas, faces, given[:, :, 0] >= 0)
+    drop_held(normals, areas, faces, given[:, :, 0] >= 0)
     dof = facets.vertex_dofs.ravel()[first][kept]
     points = ContactPoints(
         interface=every[kept, 0],
@@ -295,38 +164,16 @@ def contact_points(
     return points, _join(vertices, _at_edges(facets, vertex, points.held, at_vertex))
 
 
-def _distinct_rows(rows: Ints) -> tuple[Ints, Ints, Ints]:
-    """Different rows in rising order, where each is first, and the number of each row among them.
-
-    What `np.unique` does with ``axis=0``, ten times as fast.
-    """
-    order = np.lexsort(rows.T[::-1])
-    ordered = rows[order]
-    new = np.ones(len(rows), dtype=bool)
-    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
-    number = np.empty(len(rows), dtype=np.int64)
-    number[order] = np.cumsum(new) - 1
-    return ordered[new], order[new], number
-
-
 def _without_cycles(vertex: Ints, master: Ints, slave: Ints) -> Bools:
     """Mask of the points kept: at each vertex a forest of bodies, earlier interfaces first."""
     kept = np.ones(len(vertex), dtype=bool)
-    for rows in _shared(vertex):
+    for rows in shared(vertex):
         group = {int(b): int(b) for p in rows for b in (master[p], slave[p])}
         for p in rows:
             a, b = group[int(master[p])], group[int(slave[p])]
             kept[p] = a != b
             group = {body: a if g == b else g for body, g in group.items()}
     return kept
-
-
-def _shared(vertex: Ints) -> list[Ints]:
-    """Rows of each vertex that stands in more than one row."""
-    order = np.argsort(vertex, kind="stable")
-    ends = np.concatenate([[0], np.flatnonzero(np.diff(vertex[order])) + 1, [len(order)]])
-    many = np.flatnonzero(np.diff(ends) > 1)
-    return [order[a:b] for a, b in zip(ends[many], ends[many + 1], strict=True)]
 
 
 def _jumps_at_vertices(
@@ -359,7 +206,7 @@ def _jumps_at_vertices(
     column = np.arange(3 * n)
     alone = np.ones(n, dtype=bool)
     extra: list[tuple[int, int, int, float]] = []
-    for rows in _shared(vertex):
+    for rows in shared(vertex):
         alone[rows] = False
         for c in range(3):
             extra += _tree(rows, sides, side[:, :, c], given[:, :, c], c, stiffness)
@@ -452,7 +299,7 @@ def _at_edges(
             for side in (facets.master, facets.slave)
         ]
     )
-    rows, _, _ = _distinct_rows(rows)
+    rows, _, _ = distinct_rows(rows)
     bends = _bends(facets, rows[:, 0])
     stride = int(max(facets.vertices.max(), vertex.max())) + 1
     # A component that supports give at both ends may be one that they hold in the middle.
@@ -509,112 +356,3 @@ def _join(*parts: Entries) -> Entries:
         np.concatenate([p.column for p in parts]),
         np.concatenate([p.value for p in parts]),
     )
-
-
-def _faces(facets: InterfaceFacets, point: Ints, n: int) -> tuple[Floats, Floats, Ints]:
-    """Group the facets around each point into faces.
-
-    Args:
-        facets: All facets.
-        point: Contact point of each facet corner, -1 where not enforced (3 f,).
-        n: Number of points.
-
-    Returns:
-        Normals (n, 3, 3), areas (n, 3) and number of faces (n,).
-    """
-    label = _smooth_groups(facets)
-    used = point >= 0
-    groups, _, group = _distinct_rows(np.stack([point[used], label[used]], axis=1))
-    corner_area, corner_normal = facets.area.ravel()[used], facets.normal.reshape(-1, 3)[used]
-    area = np.asarray(np.bincount(group, corner_area, len(groups)), dtype=np.float64)
-    sums = np.stack(
-        [np.bincount(group, corner_area * corner_normal[:, i], len(groups)) for i in range(3)],
-        axis=1,
-    )
-    normal = sums / np.linalg.norm(sums, axis=1, keepdims=True)
-    normals, areas = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    owner = groups[:, 0]
-    single = np.bincount(owner, minlength=n)[owner] == 1
-    normals[owner[single], 0], areas[owner[single], 0] = normal[single], area[single]
-    faces = np.ones(n, dtype=np.int64)
-    for rows in _shared(owner):
-        p = owner[rows[0]]
-        ns, areas_p = _distinct(normal[rows], area[rows])
-        faces[p] = len(ns)
-        normals[p, : len(ns)], areas[p, : len(ns)] = ns, areas_p
-    return normals, areas, faces
-
-
-def _smooth_groups(facets: InterfaceFacets) -> Ints:
-    """Label facet corners (3 f,): equal where facets around a vertex join by smooth edges."""
-    f = len(facets.area)
-    local = np.array([[1, 2], [0, 2], [0, 1]])
-    edges = facets.vertices[:, local].reshape(-1, 2)
-    side = np.repeat(np.stack([facets.interface, facets.master, facets.slave], axis=1), 3, axis=0)
-    _, _, edge = _distinct_rows(np.column_stack([side, edges]))
-    count = np.bincount(edge)
-    order = np.argsort(edge, kind="stable")
-    start = np.concatenate([[0], np.cumsum(count)])[:-1][count == 2]
-    a, b = order[start], order[start + 1]
-    # Normals in the middle of the edge, from those at its ends.
-    ends = facets.normal[np.arange(f)[:, None, None], local].sum(axis=2).reshape(-1, 3)
-    ends /= np.linalg.norm(ends, axis=1, keepdims=True)
-    smooth = np.einsum("ei,ei->e", ends[a], ends[b]) > np.cos(FACE_ANGLE)
-    a, b = a[smooth], b[smooth]
-    # Corner numbers of the two ends of the edge in either facet (vertices are sorted: ends agree).
-    one, two = 3 * (a // 3)[:, None] + local[a % 3], 3 * (b // 3)[:, None] + local[b % 3]
-    return _connected(3 * f, one.ravel(), two.ravel())
-
-
-def _connected(n: int, a: Ints, b: Ints) -> Ints:
-    """Label of each of n things (n,): equal where pairs join them, in the order of the first ones.
-
-    Each takes the lowest number around it until none changes; here, what is joined is near.
-    """
-    label = np.arange(n)
-    while True:
-        low = np.minimum(label[a], label[b])
-        new = label.copy()
-        np.minimum.at(new, a, low)
-        np.minimum.at(new, b, low)
-        new = new[new]
-        if np.array_equal(new, label):
-            return np.asarray(np.unique(label, return_inverse=True)[1], dtype=np.int64)
-        label = new
-
-
-def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:
-    """At most three independent faces: the largest kept, the others merged into the nearest."""
-    order = np.lexsort((normals[:, 2], normals[:, 1], normals[:, 0], -np.round(areas, 9)))
-    ns: list[Floats] = []
-    sums: list[Floats] = []
-    sizes: list[float] = []
-    for n, area in zip(normals[order], areas[order], strict=True):
-        candidate = np.array([*ns, n])
-        if not ns or (len(ns) < MAX_FACES and np.linalg.det(candidate @ candidate.T) > INDEPENDENT):
-            ns.append(n)
-            sums.append(area * n)
-            sizes.append(area)
-            continue
-        k = int(np.argmax(np.array(ns) @ n))
-        sizes[k] += area
-        if ns[k] @ n > 0:
-            sums[k] = sums[k] + area * n
-            ns[k] = sums[k] / np.linalg.norm(sums[k])
-    return np.array(ns), np.array(sizes)
-
-
-def _drop_held(normals: Floats, areas: Floats, faces: Ints, held: Bools) -> None:
-    """Take the components that supports hold out of the normals; a face with none left goes."""
-    for p in np.flatnonzero(held.any(axis=1)):
-        ns = np.where(held[p], 0.0, normals[p, : faces[p]])
-        size = np.linalg.norm(ns, axis=1)
-        left = size > INDEPENDENT
-        total = areas[p].sum()
-        normals[p], areas[p], faces[p] = 0, 0, 0
-        areas[p, 0] = total
-        if left.any():
-            kept, kept_areas = _distinct(ns[left] / size[left, None], np.ones(left.sum()))
-            faces[p] = len(kept)
-            normals[p, : len(kept)] = kept
-            areas[p, : len(kept)] = total * kept_areas / kept_areas.sum()

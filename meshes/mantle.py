@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from mantle.arrays import Floats, Ints
 
+from .contact_facets import shape_functions
 from .data import MeshData, cell_volumes, facet_areas, interface_facets
-from .interfaces import shape_functions
 
 CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room
 PARTS = 3  # into which the edges of facets are divided, to follow their curvature

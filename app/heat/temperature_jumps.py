@@ -22,8 +22,9 @@ import numpy as np
 from mantle.arrays import Floats, Ints
 from mantle.forms import interface_heat
 from mantle.heat.assembly import HeatForms
+from mantle.meshes.contact_facets import InterfaceFacets, gather
 from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import Holds, InterfaceFacets, contact_points, gather
+from mantle.meshes.interfaces import Holds, contact_points
 from mantle.numerics.pointwise import Pointwise
 from mantle.numerics.sparse import from_triplets, owners
 from mantle.scene.bodies import Bodies, contact_facets

@@ -29,8 +29,8 @@ from ufl.core.expr import Expr
 from mantle.arrays import Floats
 from mantle.errors import InputError, everywhere
 from mantle.forms import elasticity
+from mantle.meshes.contact_facets import shape_functions, surface
 from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import shape_functions, surface
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
 from mantle.scene.loads import Field, LoadTerm, Patch
 from mantle.scene.terms import Elastic, Scene

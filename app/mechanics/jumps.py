@@ -34,8 +34,9 @@ from mantle.forms.contact import SLIP, STICK
 from mantle.mechanics.assembly import Mechanics
 from mantle.mechanics.points import PointForces, PointLaw, gap_vectors
 from mantle.mechanics.reduction import Reduction
+from mantle.meshes.contact_facets import InterfaceFacets
 from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import ContactPoints, Entries, Holds, InterfaceFacets, contact_points
+from mantle.meshes.interfaces import ContactPoints, Entries, Holds, contact_points
 from mantle.numerics.sparse import from_triplets, matrix_sum, owners
 from mantle.numerics.state import Rows, State, keyed
 from mantle.scene.bodies import Bodies, contact_facets, held_vertices

@@ -17,8 +17,8 @@ from dolfinx import fem
 
 from mantle.arrays import Bools, Floats, Ints
 from mantle.errors import InputError, everywhere
+from mantle.meshes.contact_facets import gather
 from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import gather
 from mantle.numerics.rigid_motions import rigid_modes
 from mantle.numerics.state import State, keyed
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags

@@ -12,7 +12,7 @@ import numpy as np
 
 from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
-from mantle.meshes.interfaces import QUADRATURE, surface
+from mantle.meshes.contact_facets import QUADRATURE, surface
 from mantle.results.quantities import Stresses
 from mantle.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
 

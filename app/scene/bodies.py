@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from mantle.arrays import Ints
 from mantle.errors import InputError
+from mantle.meshes.contact_facets import InterfaceFacets, gather, sorted_facets
 from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import Holds, InterfaceFacets, gather, sorted_facets
+from mantle.meshes.interfaces import Holds
 from mantle.scene.terms import ContactTerm, RigidBody, Support, ThermalContact
 
 FACET_VERTICES = basix.topology(basix.CellType.tetrahedron)[2]

@@ -74,7 +74,7 @@ def test_check_tells_what_it_understood(capsys: pytest.CaptureFixture[str]) -> N
         "    friction_coefficient: 0.4",
         "  shaft: fixed on distal_cut",
         "  hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm",
-        "  psoas: force on psoas, force [11.8, 35.3, 100] N",
+        "  psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm",
         "  sum at the end: [0.1, -0.1, -503.4] N, 503.4 N",
         "  stance: 2 increments, adaptive",
     ):

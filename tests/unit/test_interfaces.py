@@ -13,14 +13,8 @@ from numpy.typing import NDArray
 
 from mantle.arrays import Floats
 from mantle.campaigns.work_precision import fitted_order
-from mantle.meshes.interfaces import (
-    ContactPoints,
-    Entries,
-    Holds,
-    InterfaceFacets,
-    contact_points,
-    sorted_facets,
-)
+from mantle.meshes.contact_facets import InterfaceFacets, sorted_facets
+from mantle.meshes.interfaces import ContactPoints, Entries, Holds, contact_points
 from tests import support
 
 NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))

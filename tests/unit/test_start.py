@@ -19,7 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mantle import meshes
-from mantle.meshes.interfaces import _connected, _distinct_rows
+from mantle.meshes.contact_faces import _connected, distinct_rows
 from mantle.numerics import kernels, pointwise
 from mantle.numerics.sparse import from_triplets
 from mantle.schema import config, units
@@ -174,7 +174,7 @@ def test_rows_are_told_apart_as_by_numpy() -> None:
     for shape in ((0, 2), (1, 3), (200, 3), (500, 2)):
         rows = rng.integers(-3, 4, shape)
         expected = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-        for found, known in zip(_distinct_rows(rows), expected, strict=True):
+        for found, known in zip(distinct_rows(rows), expected, strict=True):
             np.testing.assert_array_equal(found, known.reshape(found.shape))
 
 

@@ -1,0 +1,139 @@
+"""Facets of contact interfaces: gathered on every rank, in an order that no partition changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.arrays import Floats, Ints
+
+# Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
+QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
+
+
+@dataclass(frozen=True)
+class InterfaceFacets:
+    """Facets of the contact interfaces, replicated on all ranks in canonical order.
+
+    Attributes:
+        interface: Index of the interface (f,).
+        vertices: Vertex numbers of the mesh file (f, 3).
+        master: Body on the master side (f,).
+        slave: Body on the slave side (f,).
+        vertex_dofs: Global blocked dof at each vertex (f, 3).
+        edge_dofs: Global blocked dof at each edge (f, 3), edge k opposite vertex k; (f, 0) for P1.
+        x: Vertex coordinates (f, 3, 3) [mm].
+        normal: Unit normal from master to slave at each vertex (f, 3, 3).
+        area: Integral of the linear shape function of each vertex (f, 3) [mm2].
+        bend: How far the middle of each edge, opposite vertex k, is off its chord (f, 3, 3) [mm];
+            (f, 0, 3) for flat facets.
+        stiffness: Modulus of the cell on the master and of that on the slave side (f, 2) [MPa].
+    """
+
+    interface: Ints
+    vertices: Ints
+    master: Ints
+    slave: Ints
+    vertex_dofs: Ints
+    edge_dofs: Ints
+    x: Floats
+    normal: Floats
+    area: Floats
+    bend: Floats
+    stiffness: Floats
+
+
+def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
+    """Concatenate each array over the ranks, on every rank."""
+    pieces = comm.allgather(arrays)
+    return [np.concatenate([p[k] for p in pieces]) for k in range(len(arrays))]
+
+
+def sorted_facets(
+    comm: MPI.Comm,
+    interface: Ints,
+    vertices: Ints,
+    master: Ints,
+    slave: Ints,
+    vertex_dofs: Ints,
+    edge_dofs: Ints,
+    x: Floats,
+    inside_slave: Floats,
+    stiffness: Floats,
+) -> InterfaceFacets:
+    """Gather the facets of every rank and put them in canonical order.
+
+    Args:
+        comm: Communicator.
+        interface: Index of the interface (f,).
+        vertices: Vertex numbers of the mesh file (f, 3).
+        master: Body on the master side (f,).
+        slave: Body on the slave side (f,).
+        vertex_dofs: Global blocked dofs at the vertices (f, 3).
+        edge_dofs: Global blocked dofs at the edges opposite them (f, 3) or (f, 0).
+        x: Coordinates of the vertices (f, 3, 3), and where cells are curved of the middles of the
+            edges opposite them (f, 6, 3) [mm].
+        inside_slave: A point inside the slave cell (f, 3) [mm].
+        stiffness: Modulus of the master and of the slave cell (f, 2) [MPa].
+    """
+    interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness = gather(
+        comm, interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness
+    )
+    # The three vertices of a facet in rising order, then the facets by interface and vertices.
+    order = np.argsort(vertices, axis=1)
+    vertices = np.take_along_axis(vertices, order, axis=1)
+    vertex_dofs = np.take_along_axis(vertex_dofs, order, axis=1)
+    if edge_dofs.shape[1]:
+        edge_dofs = np.take_along_axis(edge_dofs, order, axis=1)
+    both = np.concatenate([order + k for k in range(0, x.shape[1], 3)], axis=1)
+    x = np.take_along_axis(x, both[:, :, None], axis=1)
+    rows = np.lexsort((vertices[:, 2], vertices[:, 1], vertices[:, 0], interface))
+    vertices, x, inside_slave = vertices[rows], x[rows], inside_slave[rows]
+    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    towards = np.sign(np.einsum("fi,fi->f", flat, inside_slave - x[:, 0]))
+    at_corners, _ = surface(x, np.eye(3))
+    chords = (x[:, [1, 2, 0]] + x[:, [2, 0, 1]]) / 2
+    _, area = surface(x, QUADRATURE)
+    return InterfaceFacets(
+        interface=interface[rows],
+        vertices=vertices,
+        master=master[rows],
+        slave=slave[rows],
+        vertex_dofs=vertex_dofs[rows],
+        edge_dofs=edge_dofs[rows],
+        x=x[:, :3],
+        normal=at_corners * towards[:, None, None],
+        area=np.einsum("fq,qi->fi", area, QUADRATURE) / (2 * len(QUADRATURE)),
+        bend=x[:, 3:] - chords[:, : x.shape[1] - 3],
+        stiffness=stiffness[rows],
+    )
+
+
+def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
+    """Unit normals (f, q, 3) and area elements (f, q) of facets at barycentric points (q, 3)."""
+    # Derivatives of the shape functions by the barycentric coordinates (q, nodes, 3).
+    d = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+    if x.shape[1] == 6:
+        vertices = (4 * at[:, :, None] - 1) * np.eye(3)
+        middles = 4 * at[:, [2, 0, 1]][:, :, None] * np.eye(3)[[1, 2, 0]]
+        middles += 4 * at[:, [1, 2, 0]][:, :, None] * np.eye(3)[[2, 0, 1]]
+        d = np.concatenate([vertices, middles], axis=1)
+    t = np.einsum("qnk,fni->fqki", d, x)
+    cross = np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0])
+    size = np.linalg.norm(cross, axis=2)
+    return cross / size[:, :, None], size
+
+
+def shape_functions(at: Floats, nodes: int) -> Floats:
+    """Those of facets with 3 or 6 nodes at barycentric points (q, 3) -> (q, nodes).
+
+    Node 3 + k of six is in the middle of the edge opposite vertex k.
+    """
+    if nodes == 3:
+        return at
+    middles = 4 * at[:, [1, 2, 0]] * at[:, [2, 0, 1]]
+    return np.concatenate([at * (2 * at - 1), middles], axis=1)
