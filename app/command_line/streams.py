@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import logging
 import os
+import signal
 import sys
 import threading
 import time
@@ -79,6 +80,8 @@ class ProgressHandler(Handler):
         self._print(logging.makeLogRecord({"msg": f"     {text}{took}"}))
 
     def _repeat(self) -> None:
+        # A reader that has left is an error here, and no crash: PETSc ends the process otherwise.
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
         while not self._ended.wait(LOOK):
             self.acquire()
             try:
