@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from mantle.simulation import related
 from mantle.stepping import nested_start
-from tests.unit import test_nested
+from tests.simulation import test_nested
 
 if __name__ == "__main__":
     comm = MPI.COMM_WORLD

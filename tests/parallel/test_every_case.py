@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests import support
-from tests.cli.test_run import COARSE
+from tests.command_line.test_run import COARSE
 
 pytestmark = [pytest.mark.slow, pytest.mark.parallel]
 # Residuals are below 1e-10 of the force scale (the default of `solver.tolerance`). A jump answers a

@@ -16,7 +16,7 @@ from mantle.simulation import session as running
 from mantle.simulation.session import run
 from mantle.system.folders import saved
 from tests import coupled, restarted, support
-from tests.unit import test_nested
+from tests.simulation import test_nested
 
 FIELDS = "output.fields=false"
 

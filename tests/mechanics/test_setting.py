@@ -12,7 +12,7 @@ from mantle.arrays import Floats
 from mantle.errors import InputError
 from mantle.scene.terms import CureTerm, PrescribedCure, Scene
 from tests.heated import Heated, expanding
-from tests.unit.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
+from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
 
 E, α_T = 2200.0, 8e-5
 

@@ -11,7 +11,7 @@ import pytest
 from dolfinx import fem
 
 from mantle.results import heat_picture
-from tests.unit.test_thermal_quantities import BODIES, ZERO, two_blocks
+from tests.results.test_thermal_quantities import BODIES, ZERO, two_blocks
 
 
 def test_a_section_is_whole_and_outlined() -> None:

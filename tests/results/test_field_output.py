@@ -24,7 +24,7 @@ from mantle.scene.bodies import Bodies, bodies_of
 from mantle.scene.terms import ConductorTerm, Scene, ThermalContact
 from mantle.system.timing import Timing
 from tests import support
-from tests.unit.test_thermal_quantities import SIDES, ZERO, two_blocks
+from tests.results.test_thermal_quantities import SIDES, ZERO, two_blocks
 
 H = 0.3  # N/(mm s K): 300 W/(m2 K)
 

@@ -150,7 +150,7 @@ def test_impossible_tapers_are_refused() -> None:
 def test_same_input_same_mesh_in_another_process(rod: MeshData) -> None:
     program = f"""
 import hashlib, sys; sys.path.insert(0, {str(support.PROGRAM)!r})
-from tests.unit.test_meshes import ROD, mesh
+from tests.meshes.test_meshes import ROD, mesh
 d = mesh(ROD, 2.0)
 print(hashlib.sha256(d.points.tobytes() + d.cells.tobytes() + d.facets.tobytes()).hexdigest())
 """

@@ -20,7 +20,7 @@ from mantle.results.thermal_quantities import ThermalRecord
 from mantle.schema import config
 from mantle.system.timing import Timing
 from tests import support
-from tests.unit.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
+from tests.results.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
 
 CONFIGS = support.CONFIGS
 # A nail on a cortex, neither of which is called what it is.

@@ -346,7 +346,7 @@ def test_patches_have_the_area_of_discs() -> None:
 DIGEST = """
 import sys
 sys.path.insert(0, {root!r})
-from tests.unit import test_swept
+from tests.meshes import test_swept
 print(test_swept.own_digest())
 """
 PROCESSORS = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mantle.heat.preconditioner import WORTH, KeptFactors
-from tests.unit.test_conduction import (
+from tests.heat.test_conduction import (
     BONE,
     CEMENT,
     CEMENT_ON_BONE,

@@ -118,7 +118,7 @@ SHIPPED = sorted(
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
     case = config.load(CONFIGS / f"{name}.yaml")
-    # Meshes of these are made where they are run, in tests/cli/test_run.py.
+    # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
     notes = preview.warnings(case)
     notes += [] if large else case_on_mesh.judge(case, case_on_mesh.look(case, build(case)))
