@@ -57,7 +57,7 @@ def run(case: Path, overrides: list[str], options: Options) -> None:
 
 
 def dry_run(case: Path, overrides: list[str], options: Options) -> str:
-    """What `run` would run, as a table.
+    """List the runs that `run` would start, as a table.
 
     Raises:
         InputError: As `run`.

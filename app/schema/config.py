@@ -158,11 +158,11 @@ class Case(Section):
     interfaces: Annotated[dict[Name, Interface], MAPPING] = Field(default_factory=dict)
     """Law of each interface; those not listed are bonded."""
     supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
-    """What holds the bodies."""
+    """Supports of the bodies."""
     loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
-    """What acts on the bodies."""
+    """Loads on the bodies."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
-    """What brings heat in or takes it away."""
+    """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
     """The loading history."""
     time: TimeOptions | None = None
@@ -170,12 +170,12 @@ class Case(Section):
     solver: SolverOptions = SolverOptions()
     """How the equations are solved."""
     output: OutputOptions = OutputOptions()
-    """What is written."""
+    """Results that are written."""
     variations: Variations = Field(default_factory=dict)
     """Runs of the case on one mesh with one stiffness, by name: overrides as after ``--set``. Of
     the lists under ``grid`` every combination is one. With it, only these are run."""
     study: Study | None = None
-    """What `mantle study` varies and measures; a run does not look at it."""
+    """Study that `mantle study` makes; a run does not look at it."""
 
     @property
     def conducts(self) -> bool:

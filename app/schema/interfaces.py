@@ -62,7 +62,7 @@ class Bonded(InterfaceSection):
 
 
 class Unilateral(InterfaceSection):
-    """What unilateral contact with Coulomb friction has, however it is enforced."""
+    """Unilateral contact with Coulomb friction, however it is enforced."""
 
     can_open: ClassVar[bool] = True
 

@@ -56,7 +56,7 @@ class Isotropic(Section):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     tissue: Tissue | None = None
-    """What the region is: bone, cement, implant or other; a `file` has no default."""
+    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _admissible(self) -> Isotropic:
@@ -93,7 +93,7 @@ class TransverselyIsotropic(Section):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     tissue: Tissue | None = None
-    """What the region is: bone, cement, implant or other; a `file` has no default."""
+    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _admissible(self) -> TransverselyIsotropic:
@@ -147,7 +147,7 @@ class Rigid(Section):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     tissue: Tissue | None = None
-    """What the region is: bone, cement, implant or other; a `file` has no default."""
+    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _strainless(self) -> Rigid:
@@ -163,7 +163,7 @@ class Conductor(Section):
     thermal: Thermal
     """Conduction of heat."""
     tissue: Tissue | None = None
-    """What the region is: bone, cement, implant or other; a `file` has no default."""
+    """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
     @model_validator(mode="after")
     def _strainless(self) -> Conductor:

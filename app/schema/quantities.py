@@ -107,7 +107,7 @@ class Quantity:
 
     @property
     def names(self) -> list[str]:
-        """What it is called in a study behind the interface or region."""
+        """Name in a study, behind that of the interface or region."""
         return [f"{self.key}.{axis}" for axis in "xyz"] if self.vector else [self.key]
 
     def text(self, numbers: Mapping[str, Any]) -> str:
@@ -275,6 +275,6 @@ def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | Non
 
 
 def computed(section: str, state: Any, of: Any) -> dict[str, float]:
-    """What other packages publish of an interface or a region (`Quantity.compute`)."""
+    """Numbers that other packages publish of an interface or a region (`Quantity.compute`)."""
     added = (q for q in TABLE[section].values() if q.compute)
     return {q.key: float(q.compute(state, of)) for q in added if q.compute}

@@ -120,7 +120,7 @@ class CheckpointOptions(Section):
 
 
 class OutputOptions(Section):
-    """What is written."""
+    """Results that are written."""
 
     fields: Truth = True
     """Whether field files are written."""

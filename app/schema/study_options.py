@@ -101,7 +101,7 @@ def _values(value: object) -> object:
 
 
 class Reference(Section):
-    """What the runs are compared with: known values, or a finer ladder that is extrapolated."""
+    """Reference: known values, or a finer ladder that is extrapolated."""
 
     values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
     """The exact value of each quantity."""
@@ -133,7 +133,7 @@ class Study(Section):
     lines: Annotated[dict[Name, Line], MAPPING]
     """Curves by name: overrides as after ``--set`` (and ``ranks``); lists vary together."""
     reference: Reference
-    """What the runs are compared with."""
+    """Reference that the runs are compared with."""
 
     @model_validator(mode="after")
     def _complete(self) -> Study:
@@ -159,7 +159,7 @@ class StudyFile(Section):
     set: Changes = Field(default_factory=dict)
     """Overrides of the case for every point, as after ``--set``."""
     study: Study
-    """What varies and what is measured."""
+    """Lines of runs and the numbers measured in each."""
 
 
 def split_ranks(overrides: Sequence[str]) -> tuple[int | None, list[str]]:

@@ -70,7 +70,7 @@ class Range(Section):
     high: str | int | float
     """Largest value, in the same unit."""
     scale: Literal["linear", "logarithmic"] = "linear"
-    """What is spread evenly between them: the value or its logarithm."""
+    """Scale on which values are spread evenly between them: the value or its logarithm."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Range:

@@ -65,7 +65,7 @@ def curve(axes: Any, x: Sequence[Any], y: Sequence[Any], k: int, label: str) -> 
 
 
 def crosses(axes: Any, x: Sequence[Any], k: int, height: float) -> None:
-    """What failed of the k-th curve, at a part of the axes' height."""
+    """Draw the failed points of the k-th curve at a part of the axes' height."""
     axes.plot(
         x,
         [height] * len(x),

@@ -141,7 +141,7 @@ def each(*measures: Measure) -> Judge:
 
 
 def finest(measure: Measure) -> Judge:
-    """What the last run of a ladder gives, with the errors of all."""
+    """Return the result of the last run of a ladder, with the errors of all."""
 
     def judge(runs: Sequence[Run]) -> Sample:
         samples = [measure(run) for run in runs]

@@ -147,7 +147,7 @@ def run(suite: str, options: Options) -> bool:
 
 
 def dry_run(suite: str, options: Options) -> str:
-    """What `run` would run, as a table.
+    """List the runs that `run` would start, as a table.
 
     Raises:
         InputError: As `run`.
@@ -217,7 +217,7 @@ def _run(
 
 
 def _same(job: Job) -> Job:
-    """What is one and the same for all checks that want a run."""
+    """Return a key that is the same for all checks that want the same run."""
     return replace(job, name="")
 
 
@@ -310,7 +310,7 @@ def _write(suite: str, options: Options, outcomes: Sequence[CheckResult]) -> Non
 
 
 def costs(outcomes: Iterable[CheckResult]) -> Iterator[dict[str, Any]]:
-    """What each run cost: a row for each that is done."""
+    """List the cost of each run that is done, a row for each."""
     done = {r.folder: r for o in outcomes for r in o.results if r.summary}
     for r in done.values():
         solver, timing = r.summary.get("solver", {}), r.summary.get("timing", {})
