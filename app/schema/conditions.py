@@ -10,15 +10,8 @@ from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_vali
 from mantle.schema.expressions import Varying
 from mantle.schema.fields import ITEMS, Extensible, Kinds, Name, Section, Word, fail, show
 from mantle.schema.materials import History
-from mantle.schema.units import (
-    Dimension,
-    ForceVector,
-    Length,
-    Stiffness,
-    Stress,
-    Triple,
-    spread_unit,
-)
+from mantle.schema.units import Dimension, ForceVector, Length, Stiffness, Stress
+from mantle.schema.vectors import Triple, spread_unit
 
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 ForceDensityField = Annotated[

@@ -34,7 +34,6 @@ from mantle.schema.units import (
     NonNegativeNumber,
     NonNegativeTime,
     Number,
-    Pair,
     Plain,
     PositiveDifference,
     PositiveNumber,
@@ -43,6 +42,7 @@ from mantle.schema.units import (
     SpecificHeat,
     Temperature,
 )
+from mantle.schema.vectors import Pair
 
 Table = tuple[tuple[float, float], ...]
 

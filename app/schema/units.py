@@ -9,154 +9,30 @@ A field is declared by one of the aliases below, for example ``thickness: Positi
 
 from __future__ import annotations
 
-import fcntl
-import json
 import math
 import re
-from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import AfterValidator, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from mantle.errors import MantleError
 from mantle.schema.fields import Scalar, did_you_mean, fail, show
-from mantle.system import folders
+from mantle.schema.unit_conversion import conversion
+from mantle.schema.vectors import Triple
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
 NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)
-UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
-# Powers of powers and long exponents would cost more than they can mean.
+# Long exponents would cost more than they can mean.
 LONGEST = 60
 # Of a number with its unit; looking for them in endless text takes as long as its square.
 LONGEST_VALUE = 200
-TOWER = re.compile(r"\^[^A-Za-z]*\^|\d{3}")
 
-# File of conversions.
-KEPT = "conversions.json"
-
-# Exponents of length, mass, time, temperature.
-DIMENSIONS = {
-    (1, 0, 0, 0): "a length",
-    (2, 0, 0, 0): "an area",
-    (3, 0, 0, 0): "a volume",
-    (0, 1, 0, 0): "a mass",
-    (0, 0, 1, 0): "a time",
-    (0, 0, 0, 1): "a temperature",
-    (1, 1, -2, 0): "a force",
-    (0, 1, -2, 0): "a force per length",
-    (-1, 1, -2, 0): "a stress",
-    (-2, 1, -2, 0): "a stiffness per area",
-    (2, 1, -2, 0): "a moment or an energy",
-    (-3, 1, 0, 0): "a mass per volume",
-    (0, 0, -1, 0): "a rate",
-    (0, 0, 0, -1): "an expansion per temperature",
-    (1, 1, -3, -1): "a conductivity",
-    (2, 0, -2, -1): "a specific heat",
-    (2, 0, -2, 0): "an energy per mass",
-    (2, 1, -3, 0): "a power",
-    (0, 1, -3, 0): "a power per area",
-    (-1, 1, -3, 0): "a power per volume",
-    (0, 1, -3, -1): "a conductance per area",
-    (1, 0, -1, -1): "a conductance per area and pressure",
-}
 SUGGESTIONS = (
     "GPa MPa kPa Pa mm um cm m nm N kN mN deg rad degC K s ms min hour N/mm N/mm^2 N/mm^3 MPa/mm "
     "kg tonne kg/m^3 W/m^2 W/m^3 J/m^3 J/mol 1/K 1/s"
 ).split()
-
-
-@lru_cache(maxsize=1)
-def registry() -> Any:
-    """The unit registry: pint's own units, in rational arithmetic."""
-    import pint  # a second with the registry: only for a unit that was never met before
-
-    return pint.UnitRegistry(non_int_type=Fraction, autoconvert_offset_to_baseunit=True)
-
-
-@lru_cache(maxsize=256)
-def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
-    """Slope and offset of the map from a unit to the internal unit of the same dimension.
-
-    Raises:
-        LookupError: The unit is unknown.
-        ValueError: It measures something else; the argument names what.
-    """
-    text = unit.replace("**", "^").replace("·", "*").replace("μ", "µ")
-    if not UNIT.fullmatch(text) or TOWER.search(text):
-        raise LookupError(unit)
-    key = f"{text} in {internal}"
-    if (known := _known(_kept().get(key))) is None:
-        _keep(key, known := _by_pint(unit, text, internal))
-    return known
-
-
-def _known(entry: object) -> tuple[Fraction, Fraction] | None:
-    """A conversion as the cache has it; None if it has none, or something else."""
-    try:
-        slope, offset = map(Fraction, entry)  # type: ignore[call-overload]
-    except (TypeError, ValueError, ArithmeticError):
-        return None
-    return slope, offset
-
-
-@lru_cache(maxsize=1)
-def _kept() -> dict[str, list[str]]:
-    """Conversions that pint has made before, in the cache."""
-    folder = folders.cache("units")
-    try:
-        found = json.loads((folder / KEPT).read_text()) if folder else {}
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def _keep(key: str, conversion: tuple[Fraction, Fraction]) -> None:
-    """Add a conversion to those that are in the cache by now, if there is one."""
-    with suppress(OSError, MantleError):
-        if folder := folders.cache("units"):
-            with (folder / "lock").open("w") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX)
-                _kept.cache_clear()
-                _kept()[key] = [str(number) for number in conversion]
-                folders.write_json(folder / KEPT, _kept())
-
-
-def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
-    """Slope and offset as pint finds them."""
-    ureg = registry()
-    try:
-        source = ureg.parse_units(text)
-    except Exception as error:  # pint raises a different class for each way of being malformed
-        raise LookupError(unit) from error
-    target = ureg.parse_units(internal)
-    # Angles and plain numbers have the same dimension for pint, but "5 %" is not an angle.
-    angles = "radian|degree|arc|turn|grade"
-    angle = "radian" in _names(target) and not re.search(angles, _names(source))
-    if source.dimensionality != target.dimensionality or angle:
-        raise ValueError(_dimension(source))
-    offset = Fraction(ureg.Quantity(Fraction(0), source).to(target).magnitude)
-    return Fraction(ureg.Quantity(Fraction(1), source).to(target).magnitude) - offset, offset
-
-
-def _names(unit: Any) -> str:
-    """The names in a unit; pint cannot print powers in rational arithmetic (Python 3.13)."""
-    return " ".join(unit._units)
-
-
-def _dimension(unit: Any) -> str:
-    """Physical quantity of a unit, in words."""
-    if unit.dimensionless:
-        return "an angle" if re.search("radian|degree|arc|turn", _names(unit)) else "a plain number"
-    exponents = dict(unit.dimensionality)
-    base = ("[length]", "[mass]", "[time]", "[temperature]")
-    known = DIMENSIONS.get(tuple(exponents.pop(name, 0) for name in base))
-    if known and exponents == {"[substance]": -1}:
-        return f"{known} per amount of substance"
-    return known if known and not exponents else "something else"
 
 
 def finite(value: int | float) -> bool:
@@ -371,97 +247,6 @@ class Plain(Scalar):
         }
         kind = {"type": "integer" if self.integer else "number"}
         return kind | {k: v for k, v in bounds.items() if v is not None}
-
-
-VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
-
-
-def spread_unit(value: object) -> object:
-    """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
-    if isinstance(value, str) and (match := VECTOR.fullmatch(value)):
-        return [f"{entry.strip()} {match[2].strip()}".strip() for entry in _entries(match[1])]
-    return value
-
-
-def _entries(text: str) -> list[str]:
-    """The parts between commas, but for those that divide the arguments of a function."""
-    parts, depth = [""], 0
-    for character in text:
-        depth += (character == "(") - (character == ")")
-        if character == "," and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += character
-    return parts
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Marks a field as a list of exactly two.
-
-    Attributes:
-        example: A value as a user would write it.
-    """
-
-    example: str
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Count before the entries are read."""
-
-        def check(value: object) -> object:
-            if not isinstance(value, list | tuple) or len(value) != 2:
-                found = (
-                    f"has {len(value)} values" if isinstance(value, list | tuple) else show(value)
-                )
-                fail(f"{found}; expected a pair such as {self.example}")
-            return value
-
-        return core_schema.no_info_before_validator_function(check, handler(source))
-
-
-@dataclass(frozen=True)
-class Triple:
-    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
-
-    Attributes:
-        example: A value as a user would write it.
-        scalar: Whether a single value stands for three equal ones.
-    """
-
-    example: str
-    scalar: bool = False
-
-    def spread(self, value: object) -> object:
-        """The three entries, unread.
-
-        Raises:
-            PydanticCustomError: Not a list, or not of three entries.
-        """
-        value = spread_unit(value)
-        if not isinstance(value, list | tuple):
-            if self.scalar and value is not None and not isinstance(value, dict):
-                return (value, value, value)
-            fail(f"{show(value)} is not a list of three values; expected e.g. {self.example}")
-        if len(value) != 3:
-            fail(f"has {len(value)} values; expected three, e.g. {self.example}")
-        return value
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Spread before the entries are read."""
-        return core_schema.no_info_before_validator_function(self.spread, handler(source))
-
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        """A list, or text where the entries are text."""
-        result = handler(schema)
-        if result.get("prefixItems", [{}])[0].get("type") != "string":
-            return result
-        return {"anyOf": [result, {"type": "string", "examples": [self.example]}]}
 
 
 _length = ("mm", "a length", "4 mm")

@@ -27,7 +27,7 @@ from ruamel.yaml import YAML
 
 from mantle.errors import InputError
 from mantle.schema import case_file, config, gmsh_file, study_file, sweep_file
-from mantle.schema.units import registry
+from mantle.schema.unit_conversion import registry
 from mantle.soundness import preview
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

@@ -22,7 +22,7 @@ from mantle import meshes
 from mantle.meshes.contact_faces import _connected, distinct_rows
 from mantle.numerics import kernels, pointwise
 from mantle.numerics.sparse import from_triplets
-from mantle.schema import config, units
+from mantle.schema import config, unit_conversion
 from mantle.system import folders
 from tests import support
 
@@ -68,46 +68,46 @@ def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:
     ],
 )
 def test_units_mean_what_pint_says(unit: str, internal: str) -> None:
-    ureg = units.registry()
+    ureg = unit_conversion.registry()
     source, target = ureg.parse_units(unit), ureg.parse_units(internal)
     zero, one = (Fraction(ureg.Quantity(Fraction(k), source).to(target).magnitude) for k in (0, 1))
-    assert units.conversion(unit, internal) == (one - zero, zero)
+    assert unit_conversion.conversion(unit, internal) == (one - zero, zero)
 
 
 def test_a_conversion_is_asked_of_pint_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def forget() -> None:
-        units.conversion.cache_clear()
-        units._kept.cache_clear()
+        unit_conversion.conversion.cache_clear()
+        unit_conversion._kept.cache_clear()
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     forget()
-    found = units.conversion("kN/inch^2", "MPa")
+    found = unit_conversion.conversion("kN/inch^2", "MPa")
     assert found[0] == Fraction(1000) / Fraction("25.4") ** 2
     forget()
     with monkeypatch.context() as without:
-        without.setattr(units, "registry", lambda: pytest.fail("asked again"))
-        assert units.conversion("kN/inch^2", "MPa") == found
+        without.setattr(unit_conversion, "registry", lambda: pytest.fail("asked again"))
+        assert unit_conversion.conversion("kN/inch^2", "MPa") == found
     (tmp_path / "mantle/units/conversions.json").write_text("{broken")
     forget()
-    assert units.conversion("kN/inch^2", "MPa") == found
+    assert unit_conversion.conversion("kN/inch^2", "MPa") == found
     forget()
 
 
 def test_conversions_of_other_runs_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another run adds one after this one has read the file and before it adds its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    units.conversion.cache_clear()
-    units._kept.cache_clear()
-    units.conversion("kN/inch^2", "MPa")
+    unit_conversion.conversion.cache_clear()
+    unit_conversion._kept.cache_clear()
+    unit_conversion.conversion("kN/inch^2", "MPa")
     path = tmp_path / "mantle/units/conversions.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"furlong in mm": ["1", "0"]}))
-    units.conversion("lbf/inch^2", "MPa")
+    unit_conversion.conversion("lbf/inch^2", "MPa")
     keys = {"kN/inch^2 in MPa", "furlong in mm", "lbf/inch^2 in MPa"}
     assert set(json.loads(path.read_text())) == keys
-    units.conversion.cache_clear()
-    units._kept.cache_clear()
+    unit_conversion.conversion.cache_clear()
+    unit_conversion._kept.cache_clear()
 
 
 def test_labels_are_those_of_a_graph() -> None:

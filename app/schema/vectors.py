@@ -1,0 +1,102 @@
+"""Lists of two or three values as pydantic field types, also as text: ``"[1, 2, 3] N"``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import core_schema
+
+from mantle.schema.fields import fail, show
+
+VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
+
+
+def spread_unit(value: object) -> object:
+    """``"[0, 0, -1800] N"`` as ``["0 N", "0 N", "-1800 N"]``; anything else unchanged."""
+    if isinstance(value, str) and (match := VECTOR.fullmatch(value)):
+        return [f"{entry.strip()} {match[2].strip()}".strip() for entry in _entries(match[1])]
+    return value
+
+
+def _entries(text: str) -> list[str]:
+    """The parts between commas, but for those that divide the arguments of a function."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "(") - (character == ")")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Marks a field as a list of exactly two.
+
+    Attributes:
+        example: A value as a user would write it.
+    """
+
+    example: str
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Count before the entries are read."""
+
+        def check(value: object) -> object:
+            if not isinstance(value, list | tuple) or len(value) != 2:
+                found = (
+                    f"has {len(value)} values" if isinstance(value, list | tuple) else show(value)
+                )
+                fail(f"{found}; expected a pair such as {self.example}")
+            return value
+
+        return core_schema.no_info_before_validator_function(check, handler(source))
+
+
+@dataclass(frozen=True)
+class Triple:
+    """Marks a field as a vector: a list of exactly three, or ``"[a, b, c] unit"``.
+
+    Attributes:
+        example: A value as a user would write it.
+        scalar: Whether a single value stands for three equal ones.
+    """
+
+    example: str
+    scalar: bool = False
+
+    def spread(self, value: object) -> object:
+        """The three entries, unread.
+
+        Raises:
+            PydanticCustomError: Not a list, or not of three entries.
+        """
+        value = spread_unit(value)
+        if not isinstance(value, list | tuple):
+            if self.scalar and value is not None and not isinstance(value, dict):
+                return (value, value, value)
+            fail(f"{show(value)} is not a list of three values; expected e.g. {self.example}")
+        if len(value) != 3:
+            fail(f"has {len(value)} values; expected three, e.g. {self.example}")
+        return value
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Spread before the entries are read."""
+        return core_schema.no_info_before_validator_function(self.spread, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """A list, or text where the entries are text."""
+        result = handler(schema)
+        if result.get("prefixItems", [{}])[0].get("type") != "string":
+            return result
+        return {"anyOf": [result, {"type": "string", "examples": [self.example]}]}
