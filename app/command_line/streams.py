@@ -58,7 +58,8 @@ class ProgressHandler(Handler):
             self._current = None
             self._print(record)
             return
-        self._current = (record.getMessage(), time.monotonic())
+        text = record.getMessage()
+        self._current = (text, time.monotonic()) if text else None
         self._tell(BEFORE_BLOCKING if getattr(record, "blocking", False) else 1.0)
         if self._watch is None:
             self._watch = threading.Thread(target=self._repeat, daemon=True)
@@ -104,4 +105,7 @@ def configure_log(level: str) -> None:
     progress, trouble = ProgressHandler(sys.stdout), Handler(sys.stderr)
     progress.addFilter(lambda record: record.levelno < logging.WARNING)
     trouble.setLevel(logging.WARNING)
+    for before in logger.handlers:
+        if isinstance(before, ProgressHandler):
+            before.end()
     logger.handlers = [progress, trouble]

@@ -15,7 +15,7 @@ def doing(text: str, blocking: bool = False) -> None:
     """Tell what begins or goes on now.
 
     Args:
-        text: What, in words.
+        text: What, in words; nothing where something has ended.
         blocking: Whether PETSc or MPI does it for long, and nothing can be told meanwhile.
     """
     log.log(LEVEL, "%s", text, extra={"blocking": blocking})

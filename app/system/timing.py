@@ -53,6 +53,7 @@ class Timing:
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             inner = self._open.pop()
             self._names.pop()
+            doing("")
             if self._names:
                 self.tell(DOING[self._names[-1]])
             self.seconds[name] = self.seconds.get(name, 0.0) + wall - inner[0]

@@ -722,6 +722,7 @@ def test_the_shipped_study_of_the_paper_is_all_there() -> None:
     assert {p.point.part for p in planned} >= {"limits", "residual", "intact"}
 
 
+@pytest.mark.slow
 def test_the_sweep_for_learning(tmp_path: Path) -> None:
     """As shipped, but on a coarse mesh: friction holds the stem back, the mantle's modulus less."""
     path = support.ROOT / "configs" / "sweeps" / "friction_cylinders.yaml"

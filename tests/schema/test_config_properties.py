@@ -420,7 +420,7 @@ def hot_cases(draw: st.DrawFn) -> dict[str, Any]:
 
 
 @given(cases() | hot_cases())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_dump_and_load_give_an_equal_case(tmp_path_factory: Any, data: dict[str, Any]) -> None:
     try:
         case = config.resolve(case_file.CaseFile("case.yaml", data), Path())

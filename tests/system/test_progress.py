@@ -57,6 +57,13 @@ def test_what_has_ended_is_not_told(printed: io.StringIO) -> None:
     assert "preconditioner" not in printed.getvalue()
 
 
+def test_nothing_goes_on_between_phases(printed: io.StringIO) -> None:
+    with Timing().phase("mesh"):
+        pass
+    time.sleep(0.3)
+    assert printed.getvalue() == ""
+
+
 def test_seconds_are_told(printed: io.StringIO) -> None:
     doing("meshing")
     time.sleep(1.4)

@@ -101,6 +101,7 @@ def test_a_quantity_from_outside_is_published(tmp_path: Path) -> None:
     assert any(line.startswith("upper") and line.endswith("0.1440") for line in lines)
 
 
+@pytest.mark.slow
 def test_a_study_measures_a_quantity_from_outside(tmp_path: Path) -> None:
     done = mantle(tmp_path, "study", "case.yaml", "-o", "out", "--cores", "1")
     assert done.returncode == 0, done.stdout + done.stderr

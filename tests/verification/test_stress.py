@@ -122,6 +122,7 @@ def test_judges_see_what_is_off(tmp_path: Path) -> None:
     assert judges.nothing_moves([first]).error == pytest.approx(2, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_rows_end_to_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """An exact answer whatever the penalty, and a body that nothing holds; nothing runs twice."""
     caplog.set_level(logging.INFO, "mantle")

@@ -52,6 +52,7 @@ def test_a_ladder_of_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> N
     assert "3 runs: 3 done already" in caplog.text[begin:]
 
 
+@pytest.mark.slow
 def test_problems_without_a_ladder(tmp_path: Path) -> None:
     """Runs that are compared one by one, and a problem without any."""
     assert verify("uniaxial", tmp_path)
