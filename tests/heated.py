@@ -13,7 +13,8 @@ from mantle.mechanics.problem import Problem
 from mantle.mechanics.systems import mechanical
 from mantle.numerics.newton import Solver
 from mantle.results.balance import Balance
-from mantle.results.quantities import Samples, Stresses
+from mantle.results.quantities import Samples
+from mantle.results.stresses import Stresses
 from mantle.scene.build import build_scene
 from mantle.scene.terms import Expansion, Scene
 from mantle.system.timing import Timing

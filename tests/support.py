@@ -25,7 +25,8 @@ from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.numerics.newton import Solver
 from mantle.results import quantities
 from mantle.results.balance import Balance
-from mantle.results.quantities import Samples, Stresses
+from mantle.results.quantities import Samples
+from mantle.results.stresses import Stresses
 from mantle.scene.build import build_scene
 from mantle.schema import config
 from mantle.stepping.load_steps import LoadStep, LoadStepper

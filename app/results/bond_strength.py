@@ -13,7 +13,7 @@ import numpy as np
 from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
 from mantle.meshes.contact_facets import QUADRATURE, surface
-from mantle.results.quantities import Stresses
+from mantle.results.stresses import Stresses
 from mantle.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
 
 # Strength of the cement-bone interface [MPa]: Mann, Werner & Ayers 1999, as quoted by the paper in

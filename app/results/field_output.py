@@ -24,7 +24,8 @@ from mantle.mechanics.problem import Problem
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import ENDS, Rows, State
 from mantle.results.necrosis import CELSIUS
-from mantle.results.quantities import Samples, Stresses
+from mantle.results.quantities import Samples
+from mantle.results.stresses import Stresses
 from mantle.results.thermal_quantities import W_PER_M2, Interfaces, ThermalRecord
 from mantle.results.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
 from mantle.scene.bodies import Bodies, cell_tags

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
-from mantle.results.quantities import Samples, Stresses, face_average
+from mantle.results.quantities import Samples, face_average
+from mantle.results.stresses import Stresses
 
 if TYPE_CHECKING:
     from mantle.meshes.gruen import Zones

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
@@ -17,20 +16,23 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.composer import Composer
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
-from ruamel.yaml.reader import ReaderError
 
 from mantle.errors import InputError
+from mantle.schema.yaml_text import (
+    LONGEST,
+    MOST_NODES,
+    TOO_MANY,
+    BadYaml,
+    compose,
+    mark,
+    printable,
+    read_text,
+)
 
 Path = tuple[str | int, ...]
-MOST_NODES = 100_000
 DEEPEST = 50
-TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"
-LARGEST = 4 << 20
-# The longest value that means anything is an expression (app/schema/expressions.py).
-LONGEST = 10_000
 # What a mapping or list may be marked as: nothing but itself.
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 # A message that begins with a key, and a step of that.
@@ -114,12 +116,6 @@ class CaseFile:
         return place, start + (f"{key}: {problem.text}" if key else problem.text)
 
 
-def printable(text: str) -> str:
-    """A message on one line, without what would steer a terminal, and not endless."""
-    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-    return shown if len(shown) <= LONGEST else f"{shown[:LONGEST]} ..."
-
-
 def path_text(path: Path) -> str:
     """``("stages", 0, "name")`` as ``stages[0].name``."""
     text = ""
@@ -174,15 +170,15 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
         InputError: The file cannot be read or is not YAML.
     """
     case = CaseFile(str(path))
-    text = _text(path)
+    text = read_text(path)
     try:
-        node = _compose(text)
+        node = compose(text)
         if node is None:
-            raise _BadYaml("the file is empty; expected a mapping with geometry, mesh, regions")
+            raise BadYaml("the file is empty; expected a mapping with geometry, mesh, regions")
         if not isinstance(node, MappingNode):
-            raise _BadYaml("expected a mapping with geometry, mesh, regions", _mark(node))
+            raise BadYaml("expected a mapping with geometry, mesh, regions", mark(node))
         case.data = _Builder(case).value(node, ())
-    except _BadYaml as error:
+    except BadYaml as error:
         line, column = error.place
         raise InputError([printable(f"{path}:{line}:{column}: {error.text}")]) from error
     _apply(case, overrides)
@@ -200,105 +196,9 @@ def _apply(case: CaseFile, overrides: Sequence[str]) -> None:
     for override in overrides:
         try:
             _override(case, override)
-        except _BadYaml as error:
+        except BadYaml as error:
             place = f"--set {override.partition('=')[0]}"
             case.complaints.append((LAST, f"{path_text((place,))}: {error.text}"))
-
-
-class _BadYaml(Exception):
-    """A syntax error and its place."""
-
-    def __init__(self, text: str, place: tuple[int, int] = (1, 1)) -> None:
-        self.text, self.place = text, place
-        super().__init__(text)
-
-
-def _text(path: FilePath) -> str:
-    """The text of a file.
-
-    Raises:
-        InputError: Missing, a folder, unreadable, too large or not UTF-8.
-    """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder; expected a YAML file") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:  # a null character in the name
-        raise InputError(printable(f"{path}: cannot be read: {error}")) from error
-    if len(raw) > LARGEST:
-        raise InputError(f"{path}: is larger than {LARGEST >> 20} MB; no case is")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        before = raw[: error.start]
-        line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
-        raise InputError(
-            f"{path}:{line}:{column}: not UTF-8 text (byte 0x{raw[error.start]:02x})"
-        ) from error
-
-
-def _compose(text: str) -> Node | None:
-    """The node tree of a YAML text.
-
-    Raises:
-        _BadYaml: A syntax error.
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an anchor may be set again
-            # Without `pure` ruamel would use libyaml, which knows YAML 1.1 only.
-            yaml = YAML(typ="safe", pure=True)
-            yaml.Composer = _Counting
-            return yaml.compose(io.StringIO(text))
-    except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = (mark.line + 1, mark.column + 1) if mark else (1, 1)
-        problem = " ".join(str(error.problem or error.context).split())
-        line = text.splitlines()[place[0] - 1 : place[0]] if mark else []
-        hint = ""
-        if line and re.search(r":\s*\[[^\]]*\]\s*[A-Za-z]", line[0]):
-            hint = '; a list with one unit needs quotes: "[0, 0, -1800] N"'
-        elif "\\t" in problem:
-            hint = "; indent with spaces"
-        raise _BadYaml(f"not valid YAML: {problem}{hint}", place) from error
-    except ReaderError as error:
-        before = text[: error.position]
-        line_number, column = before.count("\n") + 1, error.position - before.rfind("\n")
-        raise _BadYaml(
-            "not valid YAML: a control character is not allowed", (line_number, column)
-        ) from error
-    except (YAMLError, RecursionError, ValueError) as error:
-        reason = str(error).splitlines()[0] if str(error) else "nested too deeply"
-        raise _BadYaml(f"not valid YAML: {reason}") from error
-
-
-class _Counting(Composer):
-    """Stops at a text that is too long to be a case: reading on takes seconds per megabyte."""
-
-    nodes = 0
-
-    def compose_node(self, parent: Node | None, index: int) -> Node | None:
-        """The next node.
-
-        Raises:
-            _BadYaml: There are too many.
-        """
-        self.nodes += 1
-        if self.nodes > MOST_NODES:
-            mark = self.parser.peek_event().start_mark
-            raise _BadYaml(TOO_MANY, (mark.line + 1, mark.column + 1))
-        found: Node | None = super().compose_node(parent, index)
-        return found
-
-
-def _mark(node: Node) -> tuple[int, int]:
-    """Line and column of a node, from 1."""
-    return node.start_mark.line + 1, node.start_mark.column + 1
 
 
 class _Builder:
@@ -310,19 +210,19 @@ class _Builder:
 
     def place(self, node: Node) -> tuple[int, int] | str:
         """Where a node stands."""
-        return self.override or _mark(node)
+        return self.override or mark(node)
 
     def value(self, node: Node, path: Path) -> Any:
         """The data of a node.
 
         Raises:
-            _BadYaml: Too large, too deep or of a type without meaning here.
+            BadYaml: Too large, too deep or of a type without meaning here.
         """
-        here = _mark(node)
+        here = mark(node)
         self._count(len(path), here)
         self.case.places.setdefault(path, self.place(node))
         if not isinstance(node, ScalarNode) and str(node.tag) not in PLAIN_TAGS:
-            raise _BadYaml(f"the tag {node.tag} has no meaning here", here)
+            raise BadYaml(f"the tag {node.tag} has no meaning here", here)
         match node:
             case ScalarNode():
                 return self._scalar(node, here)
@@ -334,21 +234,21 @@ class _Builder:
                 return result
             case MappingNode():
                 return self._mapping(node, path)
-        raise _BadYaml("unexpected content", here)
+        raise BadYaml("unexpected content", here)
 
     def _count(self, depth: int, here: tuple[int, int]) -> None:
         self.count += 1
         if self.count > MOST_NODES or depth > DEEPEST:
-            raise _BadYaml(TOO_MANY, here)
+            raise BadYaml(TOO_MANY, here)
 
     def _mapping(self, node: MappingNode, path: Path, merging: int = 0) -> dict[str, Any]:
         result: dict[str, Any] = {}
         merged: list[Node] = []
-        self._count(merging, _mark(node))
+        self._count(merging, mark(node))
         for key_node, value_node in node.value:
             place = self.place(key_node)
             if not isinstance(key_node, ScalarNode):
-                raise _BadYaml("a key must be a plain word", _mark(key_node))
+                raise BadYaml("a key must be a plain word", mark(key_node))
             key = self._text(key_node)
             if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
                 merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
@@ -356,7 +256,7 @@ class _Builder:
             if key in result:
                 text = f"{path_text((*path, key))}: this key stands here twice; keep one"
                 if isinstance(place, str):
-                    raise _BadYaml(text)
+                    raise BadYaml(text)
                 line = f"{self.case.name}:{place[0]}:{place[1]}: {text}"
                 self.case.complaints.append((place, line))
                 continue
@@ -364,7 +264,7 @@ class _Builder:
             result[key] = self.value(value_node, (*path, key))
         for other in merged:
             if not isinstance(other, MappingNode):
-                raise _BadYaml("<< needs a mapping", _mark(other))
+                raise BadYaml("<< needs a mapping", mark(other))
             for key, value in self._mapping(other, path, merging + 1).items():
                 result.setdefault(key, value)
         return result
@@ -374,25 +274,25 @@ class _Builder:
         if kind in ("str", "timestamp", "value"):
             return self._text(node)
         if kind not in ("null", "bool", "int", "float"):
-            raise _BadYaml(f"the tag {node.tag} has no meaning here", here)
+            raise BadYaml(f"the tag {node.tag} has no meaning here", here)
         try:
             return self.scalars.constructor.construct_object(node)
         # What is marked as a number or as true may be anything.
         except (ValueError, LookupError, YAMLError) as error:
             what = "true or false" if kind == "bool" else "a number"
-            raise _BadYaml(f"'{self._text(node)[:60]}' is not {what}", here) from error
+            raise BadYaml(f"'{self._text(node)[:60]}' is not {what}", here) from error
 
     def _text(self, node: ScalarNode) -> str:
         """The text of a scalar.
 
         Raises:
-            _BadYaml: Endless, or half of a character, which no file can hold.
+            BadYaml: Endless, or half of a character, which no file can hold.
         """
         text = str(node.value)
         if len(text) > LONGEST:
-            raise _BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", _mark(node))
+            raise BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", mark(node))
         if any("\ud800" <= c <= "\udfff" for c in text):
-            raise _BadYaml("a surrogate is no character", _mark(node))
+            raise BadYaml("a surrogate is no character", mark(node))
         return text
 
 
@@ -400,15 +300,15 @@ def _override(case: CaseFile, override: str) -> None:
     """Apply ``a.b[0].c=value``.
 
     Raises:
-        _BadYaml: Malformed, or it goes through something that is not a mapping or list.
+        BadYaml: Malformed, or it goes through something that is not a mapping or list.
     """
     key, equals, text = override.partition("=")
     key = key.strip()
     items = words(key)
     if not equals or not all(items):
-        raise _BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
+        raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
     if len(items) > DEEPEST:
-        raise _BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
+        raise BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
     target: Any = case.data
     path: Path = ()
     for n, item in enumerate(items):
@@ -416,12 +316,10 @@ def _override(case: CaseFile, override: str) -> None:
         step: str | int = item
         if isinstance(target, list):
             if not re.fullmatch("[0-9]{1,6}", item) or int(item) >= len(target):
-                raise _BadYaml(
-                    f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'"
-                )
+                raise BadYaml(f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'")
             step = int(item)
         elif not isinstance(target, dict):
-            raise _BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
+            raise BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
         path = (*path, step)
         if not last:
             if isinstance(target, dict) and target.get(item) is None:
@@ -432,8 +330,8 @@ def _override(case: CaseFile, override: str) -> None:
         del case.places[old]
     case.places[path] = key
     try:
-        node = _compose(text)
-    except _BadYaml:
+        node = compose(text)
+    except BadYaml:
         # "[0, 0, -1] N" is not YAML without quotes, which the shell has already taken away.
         if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
             raise

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any
 
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from mantle.errors import InputError
 from mantle.schema import case_file, checks, study_options
@@ -39,14 +39,9 @@ from mantle.schema.fields import (
     ITEMS,
     MAPPING,
     RENEWALS,
-    TAG,
-    Extensible,
     Name,
     Section,
     Text,
-    did_you_mean,
-    kinds_of,
-    show,
 )
 from mantle.schema.geometries import (
     Block,
@@ -59,7 +54,7 @@ from mantle.schema.geometries import (
     MeshOptions,
 )
 from mantle.schema.interfaces import Bonded, Contact, Interface, InterfaceSection, Penalty
-from mantle.schema.json_schema import docstrings, json_schema
+from mantle.schema.json_schema import json_schema
 from mantle.schema.materials import (
     Conductor,
     Eigenstrain,
@@ -84,6 +79,7 @@ from mantle.schema.thermal_options import (
     Thermal,
     TimeOptions,
 )
+from mantle.schema.validation import problems
 from mantle.schema.variation_options import Variations, every, expand
 
 __all__ = [
@@ -291,7 +287,7 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
     try:
         case = Case.model_validate(file.data, context=context)
     except ValidationError as error:
-        file.raise_all([*problems(error), *checks.cross_check(parts)])
+        file.raise_all([*problems(error, Case), *checks.cross_check(parts)])
         raise  # only if an error could not be told in words
     file.raise_all(checks.cross_check(parts))
     bonded = {name: Bonded() for name in case.geometry.interface_sides}
@@ -384,67 +380,3 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
         else default,
         study=part(Study, data["study"]) if "study" in data else None,
     )
-
-
-def problems(error: ValidationError, model: type[BaseModel] = Case) -> list[Fault]:
-    """Pydantic's errors in the words of the file, which holds a `model`."""
-    found = []
-    for entry in error.errors(include_url=False):
-        location = entry["loc"]
-        path = tuple(
-            i for i in location if not (isinstance(i, str) and (i.startswith(TAG) or i == "[key]"))
-        )
-        key = str(path[-1]) if path else ""
-        match entry["type"]:
-            case "mantle":
-                path += tuple(entry["ctx"]["at"])
-                text = entry["ctx"]["text"]
-            case "missing":
-                path, text = path[:-1], f"'{key}' is missing; {_expected(model, location)}"
-            case "extra_forbidden":
-                allowed = tuple(_model_at(model, location).model_fields)
-                text = f"unknown key; allowed: {', '.join(allowed)}{did_you_mean(key, allowed)}"
-            case "model_type" | "model_attributes_type":
-                keys = ", ".join(_model_at(model, (*location, "")).model_fields)
-                text = f"{show(entry['input'])} is not a mapping; expected keys {keys}"
-            case "literal_error":
-                text = f"{show(entry['input'])} is not {entry['ctx']['expected']}"
-            case _:
-                text = f"{show(entry['input'])}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
-        found.append(Fault(path, text))
-    return found
-
-
-def _expected(model: type[BaseModel], location: tuple[str | int, ...]) -> str:
-    """Documentation of a missing key."""
-    text = docstrings(_model_at(model, location)).get(str(location[-1]), "")
-    return f"expected: {text[:1].lower()}{text[1:].rstrip('.')}" if text else "expected"
-
-
-def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[BaseModel]:
-    """The model whose key the last entry of a pydantic location is."""
-    current: Any = model
-    for item in location[:-1]:
-        if isinstance(item, str) and item.startswith(TAG):
-            current = next(m for m in _kinds(current) if TAG + m.__name__ == item)
-        elif get_origin(current) in (dict, tuple):
-            current = get_args(current)[1 if get_origin(current) is dict else 0]
-        elif (owner := next(_models(current), None)) is not None:
-            current = owner.model_fields[str(item)].annotation
-    return next(_models(current), model)
-
-
-def _kinds(annotation: Any) -> Any:
-    """The models within an annotation, and the kinds of those that have some."""
-    for model in _models(annotation):
-        yield model
-        if issubclass(model, Extensible):
-            yield from kinds_of(model)
-
-
-def _models(annotation: Any) -> Any:
-    """The models within an annotation, in order."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in get_args(annotation):
-        yield from _models(argument)

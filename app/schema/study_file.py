@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from mantle.errors import InputError
-from mantle.schema import case_file, checks, config, study_options
+from mantle.schema import case_file, checks, config, study_options, validation
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.study_options import Study, StudyFile
 
@@ -79,7 +79,7 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
     try:
         study = StudyFile.model_validate(file.data).study
     except ValidationError as error:
-        problems += config.problems(error, StudyFile)
+        problems += validation.problems(error, StudyFile)
         study = None
     base, changes = file.data["base"], file.data.get("set", {})
     ranks, common = study_options.split_ranks([*_options(changes, others), *others])

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from mantle.errors import InputError
-from mantle.schema import case_file, config, study_options
+from mantle.schema import case_file, config, study_options, validation
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.sweep_options import Sweep, SweepPoint, expand
 
@@ -52,7 +52,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
     try:
         sweep = Sweep.model_validate(file.data)
     except ValidationError as error:
-        file.raise_all(config.problems(error, Sweep))
+        file.raise_all(validation.problems(error, Sweep))
         raise  # only if an error could not be told in words
     planned: list[SweptRun] = []
     points = expand(sweep)

@@ -33,7 +33,8 @@ from mantle.results.cure_quantities import CureRecord
 from mantle.results.field_output import HeatFields, Layer, MechanicalFields
 from mantle.results.heat_balance import HeatBalance
 from mantle.results.output import on_root
-from mantle.results.quantities import Samples, Stresses
+from mantle.results.quantities import Samples
+from mantle.results.stresses import Stresses
 from mantle.results.thermal_quantities import ThermalRecord, exchange
 from mantle.scene.build import build_scene
 from mantle.scene.terms import Scene, SceneStage

@@ -26,7 +26,7 @@ from mantle.results import log as text
 from mantle.results.output import Writer, on_root, provenance
 from mantle.schema import config
 from mantle.schema.loaded_case import LoadedCase
-from mantle.simulation import checkpoint, keep_finished, variations
+from mantle.simulation import checkpoint, checkpoint_file, keep_finished, variations
 from mantle.simulation.checkpoint import Keeper
 from mantle.simulation.model import Model
 from mantle.simulation.recorder import OnAccepted, Recorder
@@ -113,7 +113,7 @@ class Session:
         stop: Callable[[], str],
         begin: float,
         started: datetime,
-        restart: Callable[..., checkpoint.Checkpoint | None] | None,
+        restart: Callable[..., checkpoint_file.Checkpoint | None] | None,
         progress: OnAccepted,
     ) -> None:
         """Begin.

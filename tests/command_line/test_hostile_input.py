@@ -12,7 +12,7 @@ import pytest
 
 from mantle.cli import main
 from mantle.errors import GeometryError, InputError
-from mantle.schema import case_file, config, study_file, sweep_file
+from mantle.schema import case_file, config, study_file, sweep_file, yaml_text
 from mantle.schema.gmsh_file import ALLOWED
 from mantle.schema.units import LONGEST_VALUE
 from mantle.soundness import preview, sizing
@@ -94,9 +94,9 @@ def test_keys_do_not_steer_the_terminal(tmp_path: Path) -> None:
 
 def test_a_file_too_long_to_be_a_case_is_not_read_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
-    path.write_text("a: [" + "1," * (case_file.MOST_NODES + 10))
+    path.write_text("a: [" + "1," * (yaml_text.MOST_NODES + 10))
     assert "too many or too deeply nested values" in complaint(path)
-    path.write_text("#" * case_file.LARGEST + "\n")
+    path.write_text("#" * yaml_text.LARGEST + "\n")
     assert complaint(path) == f"{path}: is larger than 4 MB; no case is"
     assert complaint(Path("/dev/zero")) == "/dev/zero: is larger than 4 MB; no case is"
 

@@ -8,7 +8,7 @@ import ufl
 
 from mantle.meshes import femur_bone, femur_stem
 from mantle.meshes.gruen import BELOW, Zones
-from mantle.results.quantities import Stresses
+from mantle.results.stresses import Stresses
 from mantle.schema.femurs import Femur, IntactFemur
 from mantle.schema.geometries import Blocks, Cylinders
 from mantle.system.timing import Timing

@@ -248,7 +248,7 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
 
 @all_of("app")
 def test_only_the_configuration_knows_yaml(path: Path) -> None:
-    allowed = {"app/schema/config.py", "app/schema/case_file.py"}
+    allowed = {f"app/schema/{name}.py" for name in ("config", "case_file", "yaml_text")}
     if any(top(m) == "ruamel" for m in imported(path)):
         assert named(path) in allowed
 

@@ -21,8 +21,8 @@ from mantle.cli import main
 from mantle.errors import InputError
 from mantle.numerics.state import Rows
 from mantle.schema import config
-from mantle.simulation import checkpoint
-from mantle.simulation.checkpoint import DamagedError
+from mantle.simulation import checkpoint, checkpoint_file
+from mantle.simulation.checkpoint_file import DamagedError
 from mantle.system import stopping
 from mantle.system.folders import saved
 from tests import restarted, support
@@ -33,12 +33,12 @@ FIELDS = "output.fields=false"
 
 def written(path: Path) -> Path:
     state = {"a": 1.5, "b": [Rows(np.array([7, 3, 5]), np.arange(6.0).reshape(3, 2))], "c": None}
-    checkpoint.write(COMM, path, {"format": checkpoint.FORMAT, "mantle": "x"}, state)
+    checkpoint_file.write(COMM, path, {"format": checkpoint_file.FORMAT, "mantle": "x"}, state)
     return path
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    found = checkpoint.read(written(tmp_path / "checkpoint-1.h5"))
+    found = checkpoint_file.read(written(tmp_path / "checkpoint-1.h5"))
     assert found.state["a"] == 1.5 and found.state["c"] is None
     (rows,) = found.state["b"]
     assert rows.keys.tolist() == [3, 5, 7]
@@ -54,7 +54,7 @@ def test_a_changed_byte_is_found(tmp_path: Path, place: int) -> None:
     content[place] ^= 1
     path.write_bytes(content)
     with pytest.raises(DamagedError):
-        checkpoint.read(path)
+        checkpoint_file.read(path)
 
 
 def test_a_failed_write_leaves_what_was_there(
@@ -68,7 +68,7 @@ def test_a_failed_write_leaves_what_was_there(
 
     monkeypatch.setattr("mantle.system.folders.os.fsync", full)
     with pytest.raises(OSError, match="No space"):
-        checkpoint.write(COMM, path, {"format": 1}, {"a": 2})
+        checkpoint_file.write(COMM, path, {"format": 1}, {"a": 2})
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
@@ -138,13 +138,13 @@ def test_another_configuration_is_refused(
 def test_another_version_is_refused(run_of_blocks: Path, tmp_path: Path) -> None:
     out = copied(run_of_blocks, tmp_path / "out")
     newest, before = saved(out)
-    found = checkpoint.read(newest)
-    checkpoint.write(COMM, newest, {**found.header, "mantle": "0.0"}, found.state)
+    found = checkpoint_file.read(newest)
+    checkpoint_file.write(COMM, newest, {**found.header, "mantle": "0.0"}, found.state)
     with pytest.raises(InputError, match=r"mantle 0\.0, this is .*--force"):
         choose(out, run_of_blocks)
     assert choose(out, run_of_blocks, force=True) == newest
     # What is laid out in another way cannot be read at all.
-    checkpoint.write(COMM, newest, {**found.header, "format": 0, "mantle": "0.0"}, found.state)
+    checkpoint_file.write(COMM, newest, {**found.header, "format": 0, "mantle": "0.0"}, found.state)
     assert choose(out, run_of_blocks) == before
     with pytest.raises(InputError, match=r"mantle 0\.0 in another format"):
         choose(out, run_of_blocks, str(newest), force=True)

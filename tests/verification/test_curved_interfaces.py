@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.results.quantities import Stresses
+from mantle.results.stresses import Stresses
 from mantle.system.timing import Timing
 from mantle.verification import closed_forms
 from tests import support

@@ -1,0 +1,209 @@
+"""Stress of the regions: at quadrature points, in cells, and the numbers published of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import basix
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+from ufl import as_vector
+
+from mantle.arrays import Floats
+from mantle.forms import elasticity
+from mantle.mechanics.problem import Problem
+from mantle.results.percentiles import percentile
+from mantle.scene.terms import Elastic
+from mantle.schema.quantities import computed
+from mantle.system.timing import Timing
+
+# Of a symmetric tensor, as `elasticity.symmetric` has them.
+COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+STRESS_LEVELS = (5.0, 8.0, 10.0)  # MPa: PMMA endurance is 8 to 10
+
+
+@dataclass(frozen=True)
+class _Law:
+    """A compiled stress, and what it is of."""
+
+    expression: fem.Expression
+    displacement: fem.Function
+    coefficients: list[fem.Constant]
+    fibre: fem.Constant
+
+    def of(self, e: Elastic, displacement: fem.Function) -> fem.Expression:
+        """The stress of a region in a displacement."""
+        self.displacement.x.array[:] = displacement.x.array
+        for constant, value in zip(self.coefficients, e.coefficients, strict=True):
+            constant.value = value
+        if e.fibre:
+            self.fibre.value = e.fibre
+        return self.expression
+
+
+class Stresses:
+    """Stress at quadrature points of every elastic region, compiled once."""
+
+    def __init__(self, problem: Problem, timing: Timing) -> None:
+        """Compile the stress of each region; collective."""
+        self._problem, self._timing = problem, timing
+        # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
+        degree = 4 * (problem.scene.order - 1)
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
+        self._points, self._weights = (np.asarray(a) for a in quadrature)
+        elastic, setting = problem.scene.elastic, problem.mechanics.growth
+        self.cells = {e.region: problem.mechanics.region_cells(e.region) for e in elastic}
+        plain = [
+            e for e in elastic if not e.eigenstrains and e.region not in problem.mechanics.swelling
+        ]
+        self._plain = {e.region: e for e in plain if e.region not in setting}
+        kinds = {bool(e.fibre): e for e in self._plain.values()}
+        self._laws = {kind: self._law(e) for kind, e in kinds.items()}
+        self._expressions = {
+            e.region: self._expression(e)
+            for e in elastic
+            if e.region not in setting and e.region not in self._plain
+        }
+        # Where stress is history it is known at the points where it was summed up.
+        self._history = {r: s for s in problem.setting for r in setting}
+
+    def _law(self, e: Elastic) -> _Law:
+        """Stress of any region without free strain that has the same law as this one."""
+        mesh, v = self._problem.tagged.mesh, fem.Function(self._problem.space)
+        coefficients = [fem.Constant(mesh, np.array(c)) for c in e.coefficients]
+        fibre = fem.Constant(mesh, np.array(e.fibre or (0.0, 0.0, 1.0)))
+        σ = elasticity.stress(
+            lambda strain: e.energy(strain, coefficients, fibre), elasticity.strain(v)
+        )
+        with self._timing.phase("compile"):
+            expression = fem.Expression(σ, self._points, comm=self._problem.comm)
+        return _Law(expression, v, coefficients, fibre)
+
+    def _expression(self, e: Elastic) -> fem.Expression:
+        problem, mechanics = self._problem, self._problem.mechanics
+        v = problem.displacements()[problem.bodies.of_region[e.region]]
+        ε = mechanics.elastic_strain(e, v)
+        σ = elasticity.stress(lambda strain: mechanics.energy_density(e, strain), ε)
+        with self._timing.phase("compile"):
+            return fem.Expression(σ, self._points, comm=problem.comm)
+
+    def evaluate(self, region: str) -> Floats:
+        """Stress at the quadrature points of a region's own cells (cells, points, 3, 3) [MPa]."""
+        if region in self._history:
+            return self._history[region].stress(region)
+        cells = self.cells[region]
+        if not len(cells):
+            return np.zeros((0, len(self._points), 3, 3))
+        if region in self._plain:
+            e, body = self._plain[region], self._problem.bodies.of_region[region]
+            expression = self._laws[bool(e.fibre)].of(e, self._problem.displacements()[body])
+        else:
+            expression = self._expressions[region]
+        values = expression.eval(self._problem.tagged.mesh, cells)
+        return values.reshape(len(cells), len(self._points), 3, 3)
+
+    def at(self, region: str) -> Floats:
+        """Points of a region's cells, in the reference cell (points, 3)."""
+        history = self._history.get(region)
+        return self._points if history is None else history.points
+
+    def shares(self, region: str) -> Floats:
+        """Part of a cell that each of its points stands for (points,)."""
+        history = self._history.get(region)
+        weights = self._weights if history is None else history.weights
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+    def mean(self, region: str) -> Floats:
+        """Mean stress of a region's own cells (cells, 3, 3) [MPa]."""
+        share = self.shares(region)
+        return np.asarray(np.einsum("q,cqij->cij", share, self.evaluate(region)))
+
+    def places(self, region: str) -> tuple[Floats, Floats]:
+        """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
+        mesh = self._problem.tagged.mesh
+        (element, *_) = mesh.ufl_domain().ufl_coordinate_element().sub_elements
+        N, *dN = element.tabulate(1, self.at(region))
+        x = mesh.geometry.x[mesh.geometry.dofmap[self.cells[region]]]
+        measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
+        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * self.shares(region)
+
+    def energy_density(self, region: str) -> Floats:
+        r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
+
+        The strain is that which the region's law gives the stress: what is free of stress, such as
+        thermal strain, has no part in it.
+        """
+        (e,) = (e for e in self._problem.scene.elastic if e.region == region)
+        σ = self.evaluate(region)
+        components = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
+        # Each of the last three stands for two entries of the tensors.
+        twice = np.diag([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+        S = twice @ np.linalg.inv(_stiffness(e))
+        return np.einsum("cqi,ij,cqj->cq", components, S, components)
+
+    def region(self, region: str) -> dict[str, Any]:
+        """Published stresses of a region; collective."""
+        σ = self.evaluate(region).reshape(-1, 3, 3)
+        x, volumes = self.places(region)
+        mean = np.trace(σ, axis1=1, axis2=2) / 3
+        deviator = σ - mean[:, None, None] * np.eye(3)
+        eigen = np.linalg.eigvalsh(σ)
+        local = np.column_stack(
+            [
+                np.sqrt(1.5 * np.einsum("pij,pij->p", deviator, deviator)),
+                _hoop(σ, x),
+                eigen[:, 2],
+                eigen[:, 0],
+                mean,
+                volumes.ravel(),
+            ]
+        )
+        pieces = self._problem.comm.gather(local)
+        result: dict[str, Any] = {}
+        if pieces is not None:
+            mises, hoop, principal, least, mean, volume = np.concatenate(pieces).T
+            result = {
+                "von_mises_max": float(mises.max()),
+                "von_mises_p99": percentile(mises, volume),
+                "hoop_p99": percentile(hoop, volume),
+                "principal_max": float(principal.max()),
+                "principal_p99": percentile(principal, volume),
+                "principal_min": float(least.min()),
+                "mean_stress_min": float(mean.min()),
+                "mean_stress_max": float(mean.max()),
+                "volume": float(volume.sum()),
+                "volume_over_5_8_10_MPa": [
+                    float(volume[principal > level].sum()) for level in STRESS_LEVELS
+                ],
+            }
+        return self._problem.comm.bcast(result) | computed("regions", self, region)
+
+
+def _stiffness(e: Elastic) -> Floats:
+    """Stress components (6, 6) of unit strains, in the order of `COMPONENTS` [MPa]."""
+
+    def law(ε: Any) -> Any:
+        return e.energy(ε, e.coefficients, as_vector(e.fibre or (0.0, 0.0, 1.0)))
+
+    columns = []
+    for unit in np.eye(6):
+        σ = elasticity.stress(law, elasticity.symmetric([float(c) for c in unit]))
+        columns.append([float(σ[i, j](())) for i, j in COMPONENTS])
+    return np.array(columns).T
+
+
+def volumes_and_centres(problem: Problem, cells: NDArray[np.int32]) -> tuple[Floats, Floats]:
+    """Volume (c,) [mm3] and centroid (c, 3) [mm] of cells, from their vertices."""
+    geometry = problem.tagged.mesh.geometry
+    x = geometry.x[geometry.dofmap[cells][:, :4]]
+    return np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6, x.mean(axis=1)
+
+
+def _hoop(σ: Floats, x: Floats) -> Floats:
+    """Stress around the model's z axis (n,) [MPa]."""
+    r = np.hypot(x[:, 0], x[:, 1])
+    r = np.where(r > 0, r, 1.0)
+    t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, np.zeros(len(x))])
+    return np.einsum("pi,pij,pj->p", t, σ, t)
