@@ -15,7 +15,7 @@ from mantle.system.progress import LEVEL
 from mantle.system.ranks import rank
 
 # What goes on is printed after so many seconds of silence, later after this share of the run.
-SILENCE, SHARE = 1.5, 0.02
+SILENCE, SHARE = 1.0, 0.02
 # What blocks is printed earlier.
 BEFORE_BLOCKING = 0.3
 LOOK = 0.25  # s
