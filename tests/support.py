@@ -43,6 +43,24 @@ CONFIGS = ROOT / "configs"
 # The folder that holds the package `mantle`: in a checkout it is made of links by the launcher.
 PROGRAM = Path(str(mantle.__file__)).parents[1]
 
+# A tapered stem in its cement and bone, on a mesh that is solved at once.
+STEM = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+           length: 20 mm, taper: 1.5 deg}
+mesh: {order: 1, size: 5 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.4}
+  cement_bone: {kind: contact, friction_coefficient: 1.0}
+supports:
+  outer: {kind: fixed, boundary: bone_surface}
+loads:
+  hip: {kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}
+"""
+
 
 @dataclass(frozen=True)
 class Solved:

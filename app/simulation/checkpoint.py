@@ -1,8 +1,4 @@
-"""Checkpoints: the state of a run in a file that is whole or not there, and back.
-
-A checkpoint is one HDF5 file behind a first block of 512 bytes, which holds the digest of the rest.
-Rows are those of all ranks in the order of their keys, so that any number of ranks reads them.
-"""
+"""Checkpoints of a run: when they are written, which one a restart takes, and whether it fits."""
 
 from __future__ import annotations
 
@@ -34,9 +30,6 @@ log = logging.getLogger("mantle")
 KEPT = 2
 # Number of differences listed in a message.
 TOLD = 12
-
-
-# Files
 
 
 # Which one

@@ -1,4 +1,8 @@
-"""Checkpoints as files: HDF5 behind a first block that holds its digest."""
+"""Checkpoints as files: the state of a run that is whole or not there, and back.
+
+A checkpoint is one HDF5 file behind a first block of 512 bytes, which holds the digest of the rest.
+Rows are those of all ranks in the order of their keys, so that any number of ranks reads them.
+"""
 
 from __future__ import annotations
 

@@ -53,9 +53,10 @@ class Timing:
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             inner = self._open.pop()
             self._names.pop()
-            doing("")
             if self._names:
                 self.tell(DOING[self._names[-1]])
+            else:
+                doing("")
             self.seconds[name] = self.seconds.get(name, 0.0) + wall - inner[0]
             self.cpu[name] = self.cpu.get(name, 0.0) + cpu - inner[1]
             if self._open:

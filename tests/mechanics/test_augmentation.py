@@ -15,24 +15,13 @@ from mantle.numerics.newton import NewtonResult, Solver
 from mantle.stepping.load_steps import LoadStepper
 from tests import support
 
-STEM = """
-geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-           length: 20 mm, taper: 1.5 deg}
-mesh: {order: 1, size: 5 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.4}
-  cement_bone: {kind: contact, friction_coefficient: 1.0}
-supports:
-  outer: {kind: fixed, boundary: bone_surface}
-loads:
-  hip: {kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}
+STEM = (
+    support.STEM
+    + """
 stages:
   - {name: load, adaptive: false}
 """
+)
 # The same half as large, but for what the mesh generator makes of it.
 HALF = """
 geometry: {kind: cylinders, stem_radius: 3.5 mm, cement_thickness: 2 mm, bone_thickness: 2.5 mm,

@@ -7,23 +7,6 @@ import pytest
 
 from tests import support
 
-STEM = """
-geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-           length: 20 mm, taper: 1.5 deg}
-mesh: {order: 1, size: 5 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.4}
-  cement_bone: {kind: contact, friction_coefficient: 1.0}
-supports:
-  outer: {kind: fixed, boundary: bone_surface}
-loads:
-  hip: {kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}
-"""
-
 
 @pytest.mark.parametrize(
     ("order", "law"),
@@ -36,7 +19,7 @@ loads:
 )
 def test_taylor_remainder_is_of_second_order(order: int, law: str) -> None:
     """|R(x + ε v) - R(x) - ε J v| falls with ε^2 at a solution with open, stick and slip points."""
-    solved = support.solve(STEM, f"mesh.order={order}", f"interfaces.stem_cement={law}")
+    solved = support.solve(support.STEM, f"mesh.order={order}", f"interfaces.stem_cement={law}")
     snes = solved.solver.snes
     x, J = solved.solver.x, snes.getJacobian()[0]
     # Off the solution, where the points have some force: on it many sit exactly on their cone.
@@ -70,7 +53,7 @@ def test_jacobian_changes_with_friction() -> None:
     """At the same state another friction coefficient gives another Jacobian."""
     norms = []
     for μ in (0.1, 0.4):
-        solved = support.solve(STEM, f"interfaces.stem_cement.friction_coefficient={μ}")
+        solved = support.solve(support.STEM, f"interfaces.stem_cement.friction_coefficient={μ}")
         snes = solved.solver.snes
         J = snes.getJacobian()[0]
         snes.computeJacobian(solved.solver.x, J)
