@@ -223,3 +223,23 @@ def environment() -> dict[str, str]:
     foreign = ("OMPI_COMM_", "PMIX_", "PRTE_", "PMI_")
     here = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
     return ranks.environment(here) | {"PYTHONPATH": f"{PROGRAM}{os.pathsep}{ROOT}"}
+
+
+def extended(
+    folder: Path, program: str, text: str, *arguments: str
+) -> subprocess.CompletedProcess[str]:
+    """Run a command with a package of the user's, in the processes that it starts as well.
+
+    Args:
+        folder: Where package and ``case.yaml`` are written and the command runs.
+        program: Text of the package.
+        text: The case.
+        arguments: Of the command line.
+    """
+    (folder / "own_package.py").write_text(program)
+    (folder / "case.yaml").write_text(text)
+    here = environment()
+    paths = [str(folder), here.get("PYTHONPATH", "")]
+    here |= {"MANTLE_EXTENSIONS": "own_package", "PYTHONPATH": os.pathsep.join(paths)}
+    command = [sys.executable, "-m", "mantle", *arguments]
+    return subprocess.run(command, env=here, cwd=folder, capture_output=True, text=True)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -60,20 +58,9 @@ loads: {pull: {kind: pressure, boundary: top, pressure: -3 MPa}}
 """
 
 
-def run(folder: Path, program: str, case: str, *more: str) -> subprocess.CompletedProcess[str]:
-    """Run a case by the command line of a program that imports a module of its own first."""
-    (folder / "own.py").write_text(program)
-    (folder / "case.yaml").write_text(case)
-    code = f"import sys; sys.path.append({str(folder)!r}); import own; "
-    code += "from mantle.cli import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, *more]
-    environment = support.environment()
-    return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True)
-
-
 def test_a_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
     """A layer in tension: the gap is σ/k, whatever the blocks do; from YAML to the fields."""
-    done = run(tmp_path, LAYER, CASE, "run", "case.yaml", "-o", "out")
+    done = support.extended(tmp_path, LAYER, CASE, "run", "case.yaml", "-o", "out")
     assert done.returncode == 0, done.stdout + done.stderr
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     found = summary["interfaces"]["lower_upper"]
@@ -94,15 +81,17 @@ def test_a_law_from_outside_is_solved_and_written(tmp_path: Path) -> None:
 
 
 def test_a_law_from_outside_is_checked_as_the_others(tmp_path: Path) -> None:
-    done = run(tmp_path, LAYER, CASE.replace("50 MPa/mm", "50 MPa"), "check", "case.yaml")
+    done = support.extended(
+        tmp_path, LAYER, CASE.replace("50 MPa/mm", "50 MPa"), "check", "case.yaml"
+    )
     assert done.returncode == 2
     assert "interfaces.lower_upper.stiffness" in done.stderr
-    done = run(
+    done = support.extended(
         tmp_path, LAYER, CASE.replace("elastic_layer", "elastic_layers"), "check", "case.yaml"
     )
     assert done.returncode == 2
     assert "bonded, contact, penalty, elastic_layer" in done.stderr
-    done = run(tmp_path, LAYER, CASE, "check", "case.yaml")
+    done = support.extended(tmp_path, LAYER, CASE, "check", "case.yaml")
     assert done.returncode == 0 and "elastic_layer" in done.stdout
 
 
@@ -153,7 +142,7 @@ def test_a_law_remembers(tmp_path: Path) -> None:
     case = CASE.replace("elastic_layer, stiffness", "worn_layer, length: 0.2 mm, stiffness")
     case = case.replace("-3 MPa}", "-3 MPa, history: [1, 0.3333333333333333]}")
     case += "stages: [{name: load, increments: 2}, {name: unload, increments: 2}]\n"
-    done = run(tmp_path, WORN, case, "run", "case.yaml", "-o", "out")
+    done = support.extended(tmp_path, WORN, case, "run", "case.yaml", "-o", "out")
     assert done.returncode == 0, done.stdout + done.stderr
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     most = high / (k - high / length)
@@ -208,7 +197,7 @@ def test_a_load_from_outside_does_work(tmp_path: Path) -> None:
     """The shear of the layer is that of the load, and the balances have its work."""
     program = LAYER + WIND
     case = CASE.replace("kind: pressure", "kind: wind").replace("pressure: -3", "shear: 3")
-    done = run(tmp_path, program, case, "run", "case.yaml", "-o", "out")
+    done = support.extended(tmp_path, program, case, "run", "case.yaml", "-o", "out")
     assert done.returncode == 0, done.stdout + done.stderr
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     found = summary["interfaces"]["lower_upper"]

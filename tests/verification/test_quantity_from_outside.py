@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -67,14 +66,8 @@ study:
 
 
 def mantle(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a command with the quantities added, in the processes that it starts as well."""
-    (folder / "own_quantities.py").write_text(OWN)
-    (folder / "case.yaml").write_text(CASE + STUDY)
-    environment = support.environment()
-    paths = [str(folder), environment.get("PYTHONPATH", "")]
-    environment |= {"MANTLE_EXTENSIONS": "own_quantities", "PYTHONPATH": ":".join(paths)}
-    command = [sys.executable, "-m", "mantle", *arguments]
-    return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True)
+    """Run a command with the quantities added."""
+    return support.extended(folder, OWN, CASE + STUDY, *arguments)
 
 
 def test_a_quantity_from_outside_is_published(tmp_path: Path) -> None:
