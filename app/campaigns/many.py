@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mantle.campaigns import batch
-from mantle.campaigns.batch import Job, duration
+from mantle.campaigns.runs import Job
 from mantle.schema import config
 from mantle.soundness import preview
 from mantle.system import layout
@@ -52,17 +52,17 @@ def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
         case = config.load(job.case, job.overrides)
         seconds = preview.seconds(case, result.process not in seen)  # of one core
         alone = seconds / min(job.ranks, options.cores)
-        about = duration(alone)
+        about = layout.duration(alone)
         note = f"shares the matrices of {result.process}" if result.process in seen else ""
         if result.folder in seen:
             note, about = "the same as one above", "-"
         elif not result.exit_code:
-            note, about = f"done in {duration(result.seconds)}", "-"
+            note, about = f"done in {layout.duration(result.seconds)}", "-"
         seen |= {result.process, result.folder}
         if about != "-":
             wall += alone if job.alone else seconds / options.cores
         size = f"{round(preview.unknowns(case), -2):,.0f}".replace(",", " ")
         rows.append((job.name, job.ranks, size, about, note))
     listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
-    about = duration(IDLE * wall)
+    about = layout.duration(IDLE * wall)
     return f"{title}\n\n{listed}\n\nabout {about} for what is not done, on {options.cores} cores"

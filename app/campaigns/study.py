@@ -12,14 +12,15 @@ from typing import Any
 
 from mantle.campaigns import batch, many, study_report
 from mantle.campaigns import work_precision as wp
-from mantle.campaigns.batch import Job, Result
 from mantle.campaigns.many import Options
+from mantle.campaigns.runs import Job, Result
 from mantle.campaigns.study_model import Measured, PlannedRun, Report, StudyRun, percent
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, config, quantities, study_file, study_options
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.study_file import Source
 from mantle.schema.study_options import Study
+from mantle.system.layout import duration
 
 log = logging.getLogger("mantle")
 
@@ -281,7 +282,7 @@ def _sentence(
     i, reached = wp.best([r.time for r in curve], errors, target)
     if i is None:
         return f"no advice on {what}: no run has a known error"
-    r, time = curve[i], batch.duration(curve[i].time or 0.0)
+    r, time = curve[i], duration(curve[i].time or 0.0)
     at = r.label if r.key == "mesh.size" else f"{r.key} = {r.label}"
     if reached:
         return f"for {wanted} in {what} use {r.line} at {at}: {time}"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mantle.campaigns.batch import Result
+from mantle.campaigns.runs import Result
 from mantle.campaigns.work_precision import Effectivity, Point, ReferenceValue
 from mantle.schema.case_file import Path
 from mantle.schema.quantities import Quantity

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from mantle.campaigns import study_parameters, study_picture
-from mantle.campaigns.batch import duration
 from mantle.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
 from mantle.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
 from mantle.errors import StoppedError
@@ -16,6 +15,7 @@ from mantle.schema.quantities import Quantity
 from mantle.schema.study_file import Source
 from mantle.system import layout
 from mantle.system.folders import csv_text, remove, write_json, write_text
+from mantle.system.layout import duration
 from mantle.version import __version__
 
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from mantle.campaigns import batch, many, uncertainty
-from mantle.campaigns.batch import Job, Result
 from mantle.campaigns.many import Options
+from mantle.campaigns.runs import Job, Result
 from mantle.errors import InputError, gravest
 from mantle.schema import case_file, quantities, sweep_file
 from mantle.schema.sweep_file import SweptRun
@@ -188,7 +188,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     for r in rows:
         size, newton = ("-" if r[k] is None else r[k] for k in ("unknowns", "newton_iterations"))
         said = r["status"] if r["exit_code"] else variations.most(r["numbers"])
-        lines.append((r["name"], size, newton, batch.duration(r["seconds"]), said))
+        lines.append((r["name"], size, newton, layout.duration(r["seconds"]), said))
     return layout.table(("case", "unknowns", "newton", "wall", "most"), lines)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mantle.campaigns import uncertainty
-from mantle.campaigns.batch import duration
 from mantle.errors import StoppedError
 from mantle.report import gruen, page
 from mantle.report import maps as report_maps
@@ -24,6 +23,7 @@ from mantle.report.paper.trends import VERDICTS, Trend
 from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
 from mantle.schema.quantities import printed
 from mantle.system.folders import csv_text, write_text
+from mantle.system.layout import duration
 
 PAGE, COMPARISON, PICTURES = "report.html", "comparison.csv", "report"
 MOST_NUMBERS = 11  # in the table of cases

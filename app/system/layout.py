@@ -1,4 +1,4 @@
-"""Text tables for people."""
+"""Text for people: tables, durations."""
 
 from __future__ import annotations
 
@@ -27,3 +27,12 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
         ).rstrip()
         for line in [list(head), *body]
     )
+
+
+def duration(seconds: float) -> str:
+    """Seconds for people: 12.3 s, 40 s, 5 min, 1.5 h."""
+    if seconds < 20:
+        return f"{seconds:.1f} s"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

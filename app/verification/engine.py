@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from mantle.campaigns import batch, many
-from mantle.campaigns.batch import Job, Result
 from mantle.campaigns.many import Options
+from mantle.campaigns.runs import Job, Result
 from mantle.campaigns.work_precision import fitted_order
 from mantle.errors import ConvergenceError, GeometryError, InputError, Reason
 from mantle.results.reading import Run

@@ -22,11 +22,11 @@ from pathlib import Path
 import pytest
 
 from mantle import meshes
-from mantle.campaigns import batch, cluster
-from mantle.campaigns.batch import Job, Result
+from mantle.campaigns import batch, cluster, scheduler
+from mantle.campaigns.runs import Job, Result
 from mantle.errors import EnvironmentProblem, InputError, StoppedError
 from mantle.schema import config
-from mantle.system import identity
+from mantle.system import identity, layout
 from tests import support
 
 CASE = """\
@@ -291,7 +291,7 @@ def test_nothing_runs_on_where_the_table_cannot_be_written(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One case has failed, the other is running."""
-    monkeypatch.setattr(batch, "OFTEN", 0.0)
+    monkeypatch.setattr(scheduler, "OFTEN", 0.0)
     bench.take(60)
     bench.break_(2.0)
 
@@ -341,9 +341,10 @@ def test_a_killed_batch_does_not_block_the_next(bench: Bench) -> None:
     bench.take(60)
     script = (
         "import sys, pathlib; from mantle.campaigns import batch;"
+        "from mantle.campaigns.runs import Job;"
         "batch.MANTLE_RUN = tuple(sys.argv[2:4]);"
         "case = pathlib.Path(sys.argv[1]) / 'case.yaml';"
-        "job = batch.Job('size-1.0', case, ('mesh.size=1.0 mm',));"
+        "job = Job('size-1.0', case, ('mesh.size=1.0 mm',));"
         "batch.run([job], case.parent / 'out put', 1)"
     )
     first = subprocess.Popen(
@@ -386,7 +387,7 @@ def test_a_killed_batch_does_not_block_the_next(bench: Bench) -> None:
 def test_a_broken_snakemake_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = bench.folder / "Snakefile"
     bad.write_text("rule: nonsense nonsense\n")
-    monkeypatch.setattr(batch, "SNAKEFILE", bad)
+    monkeypatch.setattr(scheduler, "SNAKEFILE", bad)
     with pytest.raises(EnvironmentProblem, match=r"Snakemake failed(?s:.*)SyntaxError"):
         bench.run(bench.job(1.0))
 
@@ -465,7 +466,7 @@ def test_states_of_jobs(answer: str, code: int, state: str, tmp_path: Path) -> N
     [(1.234, "1.2 s"), (45.6, "46 s"), (300, "5 min"), (5400, "1.5 h")],
 )
 def test_duration(seconds: float, text: str) -> None:
-    assert batch.duration(seconds) == text
+    assert layout.duration(seconds) == text
 
 
 def test_real_runs(tmp_path: Path) -> None:

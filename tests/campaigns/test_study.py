@@ -19,6 +19,7 @@ import pytest
 
 from mantle.campaigns import batch, study, study_parameters
 from mantle.campaigns.many import Options
+from mantle.campaigns.runs import Job
 from mantle.cli import main
 from mantle.errors import InputError, MantleError, StoppedError
 from mantle.schema import config, quantities, study_file, study_options
@@ -158,9 +159,9 @@ def test_what_varies_cannot_be_set_for_every_point(case: Path, option: str, plac
 
 def test_ranks_are_set_for_every_point(case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in a sweep."""
-    wanted: list[batch.Job] = []
+    wanted: list[Job] = []
 
-    def run(jobs: list[batch.Job], folder: Path, cores: int, slurm: None) -> None:
+    def run(jobs: list[Job], folder: Path, cores: int, slurm: None) -> None:
         wanted.extend(jobs)
         raise StoppedError("enough")
 
@@ -274,7 +275,7 @@ def test_the_section_changes_no_run(case: Path) -> None:
     copy.write_text(config.dump(loaded))
     assert loaded.study is not None
     assert config.load(copy) == loaded.model_copy(update={"study": None})
-    jobs = [batch.Job("one", case)]
+    jobs = [Job("one", case)]
     (first,) = batch.run(jobs, case.parent / "out", 1)
     case.write_text(CASE)
     assert batch.run(jobs, case.parent / "out", 1) == [first]

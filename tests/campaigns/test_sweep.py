@@ -28,8 +28,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mantle.campaigns import batch, sweep, uncertainty
+from mantle.campaigns import batch, scheduler, sweep, uncertainty
 from mantle.campaigns.many import Options
+from mantle.campaigns.runs import Job, finished
 from mantle.cli import main
 from mantle.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
 from mantle.report import sweep_results
@@ -309,7 +310,7 @@ def test_tables_have_a_row_for_each_case(bench: Bench, caplog: pytest.LogCapture
 
 
 def test_the_table_grows_while_cases_run(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(batch, "OFTEN", 0.0)
+    monkeypatch.setattr(scheduler, "OFTEN", 0.0)
     (bench.folder / "awaited").write_text("out/sweep.json")
     written: list[list[str]] = []
     write = sweep.write_json
@@ -330,7 +331,7 @@ def test_an_interrupted_sweep_has_its_table(bench: Bench) -> None:
 
     def interrupt() -> None:
         deadline = time.monotonic() + 120
-        while not batch.finished(bench.out) and time.monotonic() < deadline:
+        while not finished(bench.out) and time.monotonic() < deadline:
             time.sleep(0.02)
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -520,7 +521,7 @@ grid:
 
 def test_the_sweep_file_is_read_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """It may be saved, half written too, while the sweep runs."""
-    monkeypatch.setattr(batch, "OFTEN", 0.0)
+    monkeypatch.setattr(scheduler, "OFTEN", 0.0)
     (bench.folder / "seconds").write_text("0.3")
     write = sweep.write_json
 
@@ -544,7 +545,7 @@ def test_a_group_keeps_all_cores_busy(
 ) -> None:
     """Samples of friction share their matrices; what has begun stays where its state is."""
     jobs = [
-        batch.Job(f"{i}", bench.folder / "case.yaml", (f"{FRICTION}={i}",), ranks, share=True)
+        Job(f"{i}", bench.folder / "case.yaml", (f"{FRICTION}={i}",), ranks, share=True)
         for i in range(20)
     ]
     results = batch.look(jobs, bench.out, cores)
@@ -597,7 +598,7 @@ def killed(path: Path, out: Path, wanted: int, seconds: float, runs_too: bool) -
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    while child.poll() is None and len(batch.finished(out)) < wanted:
+    while child.poll() is None and len(finished(out)) < wanted:
         time.sleep(0.02)
     with contextlib.suppress(subprocess.TimeoutExpired):
         child.wait(seconds)
@@ -612,8 +613,8 @@ def killed(path: Path, out: Path, wanted: int, seconds: float, runs_too: bool) -
 def kill_again_and_again(path: Path, out: Path, times: int, longest: float) -> None:
     """A sweep killed at random moments keeps what it has, and ends with everything done."""
 
-    def finished() -> dict[str, int]:
-        return {str(p): p.stat().st_mtime_ns for p in batch.finished(out)}
+    def marks() -> dict[str, int]:
+        return {str(p): p.stat().st_mtime_ns for p in finished(out)}
 
     every = len({config.dump(p.case) for p in sweep_file.read(path)[1]})
     random.seed(times)
@@ -621,12 +622,12 @@ def kill_again_and_again(path: Path, out: Path, times: int, longest: float) -> N
     for k in range(times):
         more = min(len(done) + k % 2, every)
         killed(path, out, more, random.uniform(0.0, longest), runs_too=k % 3 != 2)
-        now = finished()
+        now = marks()
         assert len(now) >= more and {path: now.get(path) for path in done} == done
         done = now
     assert done
     sweep.run(path, (), Options(out, 2))
-    now = finished()
+    now = marks()
     assert {path: now.get(path) for path in done} == done
     assert len(now) == every
     cases = json.loads((out / "sweep.json").read_text())["cases"]

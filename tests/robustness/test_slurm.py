@@ -22,6 +22,7 @@ from pathlib import Path
 import pytest
 
 from mantle.campaigns import batch
+from mantle.campaigns.runs import Job, Result
 from mantle.errors import EnvironmentProblem
 from tests import support
 
@@ -172,12 +173,12 @@ def wait(condition: Callable[[], bool], seconds: float = PATIENCE) -> None:
         time.sleep(0.1)
 
 
-def batch_of(folder: Path, cases: int, *options: str) -> list[batch.Result]:
+def batch_of(folder: Path, cases: int, *options: str) -> list[Result]:
     """Three blocks in contact, with as many coefficients of friction, on two ranks each."""
     (folder / "counted.py").write_text(COUNTED)
     batch.MANTLE_RUN = (sys.executable, str(folder / "counted.py"))
     jobs = [
-        batch.Job(
+        Job(
             f"blocks {i}",
             support.CONFIGS / "blocks.yaml",
             ("mesh.size=4 mm", f"interfaces.cement_metal.friction_coefficient={0.3 + 0.1 * i}"),

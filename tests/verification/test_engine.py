@@ -14,6 +14,7 @@ import pytest
 from mantle import cli
 from mantle.campaigns import batch
 from mantle.campaigns.many import Options
+from mantle.campaigns.runs import Job, Result
 from mantle.errors import InputError, Reason
 from mantle.verification import engine, picture
 from mantle.verification.check import Check, CheckRun, Sample, each, finest
@@ -31,16 +32,16 @@ def check(error: float | None, refusal: Reason | None = None, runs: int = 1) -> 
 
 
 @pytest.fixture
-def done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> batch.Result:
+def done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Result:
     monkeypatch.setattr(engine, "TimedRun", lambda result: result.folder)
-    return batch.Result(batch.Job("one", tmp_path), tmp_path, 0, 1.5, {"status": "converged"}, "")
+    return Result(Job("one", tmp_path), tmp_path, 0, 1.5, {"status": "converged"}, "")
 
 
-def ended(code: int, message: str) -> batch.Result:
-    return batch.Result(batch.Job("one", Path()), Path(), code, 2.0, {}, message)
+def ended(code: int, message: str) -> Result:
+    return Result(Job("one", Path()), Path(), code, 2.0, {}, message)
 
 
-def test_an_answer_passes_or_misses(done: batch.Result) -> None:
+def test_an_answer_passes_or_misses(done: Result) -> None:
     """By its judge, and never because it converged."""
     right = engine.judge(check(9e-7), [done])
     assert right.sample and right.sample.note == "as it is"
@@ -49,7 +50,7 @@ def test_an_answer_passes_or_misses(done: batch.Result) -> None:
         assert engine.judge(check(error), [done]).outcome == "missed"
 
 
-def test_convergence_without_an_answer_misses(done: batch.Result) -> None:
+def test_convergence_without_an_answer_misses(done: Result) -> None:
     result = engine.judge(check(None, Reason.LOOSE_BODY), [done])
     assert result.outcome == "missed" and "there is no answer" in result.message
 
@@ -72,7 +73,7 @@ def test_a_refusal_names_the_cause(code: int, message: str, outcome: str) -> Non
     assert result.sample is None
 
 
-def test_no_refusal_where_there_is_an_answer(done: batch.Result) -> None:
+def test_no_refusal_where_there_is_an_answer(done: Result) -> None:
     """Of the run, or of what it is compared with."""
     assert engine.judge(check(0.0), [ended(4, LOOSE)]).outcome == "failed"
     both = check(0.0, Reason.LOOSE_BODY, runs=2)
@@ -80,7 +81,7 @@ def test_no_refusal_where_there_is_an_answer(done: batch.Result) -> None:
     assert engine.judge(both, [ended(4, LOOSE), done]).outcome == "refused"
 
 
-def test_a_judge_that_breaks_is_a_failure(done: batch.Result) -> None:
+def test_a_judge_that_breaks_is_a_failure(done: Result) -> None:
     def breaks(runs: object) -> Sample:
         raise ValueError("no such field")
 
@@ -88,7 +89,7 @@ def test_a_judge_that_breaks_is_a_failure(done: batch.Result) -> None:
     assert result.outcome == "failed" and "no such field" in result.message
 
 
-def test_a_wrong_order_misses(done: batch.Result) -> None:
+def test_a_wrong_order_misses(done: Result) -> None:
     """However small the error; the last of a ladder counts, the worst of other runs."""
     runs = tuple(CheckRun("none.yaml", size=h) for h in (1.0, 0.5, 0.25))
 
@@ -107,7 +108,7 @@ def test_a_wrong_order_misses(done: batch.Result) -> None:
     assert result(0.01, float("nan"), 0.03, ladder=False).outcome == "missed"
 
 
-def test_table_and_verdict(done: batch.Result) -> None:
+def test_table_and_verdict(done: Result) -> None:
     outcomes = [
         engine.judge(check(9e-7), [done]),
         engine.judge(check(2e-6), [done]),
@@ -123,7 +124,7 @@ def test_table_and_verdict(done: batch.Result) -> None:
     assert engine.table([*outcomes, other]).splitlines()[-4].split()[:2] == ["row", "4"]
 
 
-def test_picture_and_json(done: batch.Result, tmp_path: Path) -> None:
+def test_picture_and_json(done: Result, tmp_path: Path) -> None:
     refused = check(None, Reason.LOOSE_BODY)
     outcomes = [
         *(engine.judge(check(e), [done]) for e in (0.0, 1e-12, 9e-7, 2e-6, np.inf, np.nan)),
@@ -205,11 +206,11 @@ def test_timed_checks_run_in_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """One after the other, each of their runs as often as it says; a judge sees them by run."""
     called, seen = [], []
 
-    def run(jobs: Sequence[batch.Job], folder: Path, *rest: object) -> list[batch.Result]:
+    def run(jobs: Sequence[Job], folder: Path, *rest: object) -> list[Result]:
         called.append([job.name for job in jobs])
         assert all(job.alone for job in jobs)
         summary = {"solver": {"dofs": 7}, "cpu": {"solve": 2.0, "mesh": 9.0}}
-        return [batch.Result(job, folder / job.name, 0, 1.0, summary, "") for job in jobs]
+        return [Result(job, folder / job.name, 0, 1.0, summary, "") for job in jobs]
 
     monkeypatch.setattr(batch, "run", run)
     monkeypatch.setattr(engine, "TimedRun", lambda result: result.folder)

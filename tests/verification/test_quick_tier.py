@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import mantle
-from mantle.campaigns.batch import Job, Result
+from mantle.campaigns.runs import Job, Result
 from mantle.schema import loaded_case
 from mantle.verification import engine
 from mantle.verification.check import CONFIGS
