@@ -147,9 +147,9 @@ MUTATIONS = {
         "heat_bars",
     ),
     "eq68_no_net_heat_of_friction": (
-        "mantle/stepping/coupling.py",
-        "[c.master[0]] for c in scene.contacts]), 1 - β)",
-        "[c.master[0]] for c in scene.contacts]), -β)",
+        INTERFACE_HEAT,
+        "return (1 - share) * D, share * D",
+        "return -share * D, share * D",
         "rubbing_energy",
     ),
     "share_of_the_other_side": (
