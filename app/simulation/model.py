@@ -10,13 +10,10 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mantle import meshes
 from mantle.heat.conduction import Conduction
-from mantle.heat.nodes import ProbedPoint
 from mantle.heat.system import HeatSystem
-from mantle.mechanics.neighbours import Neighbours
 from mantle.mechanics.prediction import Predictor
 from mantle.mechanics.problem import Problem, TrialState
 from mantle.mechanics.systems import ContactSystem, mechanical
@@ -27,19 +24,15 @@ from mantle.numerics.newton import Solver
 from mantle.numerics.state import State
 from mantle.numerics.system import System
 from mantle.results import gruen, quantities
-from mantle.results.balance import Balance
-from mantle.results.bond_strength import Bond, bonds
-from mantle.results.cure_quantities import CureRecord
 from mantle.results.field_output import HeatFields, Layer, MechanicalFields
-from mantle.results.heat_balance import HeatBalance
 from mantle.results.output import on_root
 from mantle.results.quantities import Samples
-from mantle.results.stresses import Stresses
-from mantle.results.thermal_quantities import ThermalRecord, exchange
 from mantle.scene.build import build_scene
 from mantle.scene.terms import Scene, SceneStage
 from mantle.schema import config
 from mantle.simulation import related
+from mantle.simulation.mechanical_model import Mechanical
+from mantle.simulation.thermal_model import ThermalModel
 from mantle.soundness import case_on_mesh
 from mantle.stepping.coupling import ContactHeat, CoupledSystem, Staggered
 from mantle.stepping.heat_steps import HeatState, HeatStep
@@ -57,135 +50,6 @@ from mantle.system import folders
 from mantle.system.timing import Timing
 
 log = logging.getLogger("mantle")
-
-# Heat below so many times what rounding leaves of it in a step is none.
-NOTHING = 1e7
-
-
-class Mechanical:
-    """The mechanics of a model, or of one after another that differ in loads and laws alone.
-
-    Attributes:
-        problem: What is solved.
-        solver: By what.
-        stresses: Its stresses.
-        bonds: Bonded interfaces that heat or cure loads.
-        neighbours: States of the models before.
-    """
-
-    def __init__(self, problem: Problem, solver: Solver, timing: Timing) -> None:
-        """Compile what is evaluated; collective."""
-        self.problem, self.solver = problem, solver
-        self.stresses = Stresses(problem, timing)
-        self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
-        self.neighbours = Neighbours(problem, solver)
-        self._balance: list[Balance] = []
-
-    def begin(self, build: Scene, augmentation_factor: float) -> None:
-        """Begin another model, at rest; collective."""
-        self.problem.begin(build, augmentation_factor)
-        self.solver.begin()
-        self.neighbours.begin()
-
-    def balance(self, about: NDArray[np.float64]) -> Balance:
-        """Balances of the model at rest; collective.
-
-        Args:
-            about: Point that moments are taken about (3,) [mm], always the same.
-        """
-        if self._balance:
-            self._balance[0].begin()
-        else:
-            self._balance.append(Balance(self.problem, about))
-        return self._balance[0]
-
-
-class ThermalModel:
-    """The heat of a model, and what is kept of it.
-
-    Attributes:
-        conduction: The operators.
-        heating: Its state.
-        record: Temperatures as far as they are reported.
-        cure: Degrees of cure, if anything sets.
-        balance: What came in, is stored and left.
-    """
-
-    def __init__(self, case: config.Case, heating: HeatState) -> None:
-        """Begin with the initial state; collective."""
-        conduction = heating.conduction
-        self.conduction, self.heating = conduction, heating
-        self._capacities = {c.region: c.capacity for c in conduction.scene.conductors}
-        self._names = [c.name for c in conduction.scene.thermal_contacts]
-        shares = {f.interface: f.slave_share for f in conduction.scene.friction_heat}
-        self._shares = np.array([shares.get(name, 0.0) for name in self._names])
-        self.record = ThermalRecord(
-            conduction.tagged,
-            conduction.forms,
-            conduction.bodies.of_region,
-            case.geometry.interface_sides,
-            case.of_tissue("bone"),
-            [ProbedPoint(name, p.at, p.region or "") for name, p in case.output.probes.items()],
-        )
-        self.record.start(conduction.temperatures(heating.vectors()))
-        self.cure: tuple[CureRecord, ...] = tuple(
-            CureRecord(conduction.comm, heating.degrees()) for _ in conduction.cures
-        )
-        self.balance = HeatBalance(conduction.stored(heating.vectors()), {})
-
-    def update(self, accepted: HeatStep) -> None:
-        """Take in a step; collective."""
-        heating, conduction = self.heating, self.conduction
-        x = heating.vectors()
-        temperatures = conduction.temperatures(x)
-        exchanges = [
-            exchange(self._names, j, temperatures, τ.array, j.friction, self._shares[j.interface])
-            for j, τ in zip(conduction.jumps, x[1:], strict=True)
-        ]
-        highest = conduction.bounds(x).high
-        rates = heating.slopes() if heating.begins_at_event(accepted) else ()
-        self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
-        for cure in self.cure:
-            cure.update(accepted.seconds, heating.degrees(), heating.rates())
-        stored = conduction.stored(x)
-        rounding = conduction.measure(x, conduction.vectors()).rounding
-        if accepted.dt == 0.0:
-            # A model of one temperature lets nothing through but rounding.
-            self.balance.steady(accepted.flows, stored, 1e2 * rounding)
-            return
-        moved = self.record.moved(self._capacities)
-        # Nor does one that waits for its first heat, such as that of friction.
-        least = NOTHING * rounding * accepted.dt
-        self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved, least)
-
-    def state(self) -> State:
-        """All that is history; collective."""
-        return {
-            "heating": self.heating.memory(),
-            "record": self.record.state(),
-            "cure": [c.state(self._keys()) for c in self.cure],
-            "balance": self.balance.state(),
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore heat, mechanics and their history; collective."""
-        self.heating.resume(state["heating"])
-        self.record.resume(state["record"])
-        for cure, found in zip(self.cure, state["cure"], strict=True):
-            cure.resume(found, self._keys())
-        self.balance.resume(state["balance"])
-
-    def _keys(self) -> dict[str, NDArray[np.int64]]:
-        """Keys of the nodes of each region that sets."""
-        nodes = self.conduction.nodes
-        return {n.region: nodes[n.dof] for c in self.conduction.cures for n in c.nodes}
-
-    def row(self) -> dict[str, float]:
-        """Columns of history.csv."""
-        row = self.record.row()
-        for cure in self.cure:
-            row |= cure.row()
-        return row | {"heat balance [-]": self.balance.heat}
 
 
 class Model:

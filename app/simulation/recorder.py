@@ -22,7 +22,8 @@ from mantle.results.quantities import Samples
 from mantle.scene.terms import SceneStage
 from mantle.schema import config
 from mantle.schema.quantities import TABLE
-from mantle.simulation.model import Mechanical, Model
+from mantle.simulation.mechanical_model import Mechanical
+from mantle.simulation.model import Model
 from mantle.soundness import uniqueness
 from mantle.stepping.heat_steps import HeatStep
 from mantle.stepping.load_steps import LoadStep, Summary

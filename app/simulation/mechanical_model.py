@@ -1,0 +1,53 @@
+"""The mechanics of a model: problem, solver, stresses and what is kept from the models before."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.mechanics.neighbours import Neighbours
+from mantle.mechanics.problem import Problem
+from mantle.numerics.newton import Solver
+from mantle.results.balance import Balance
+from mantle.results.bond_strength import Bond, bonds
+from mantle.results.stresses import Stresses
+from mantle.scene.terms import Scene
+from mantle.system.timing import Timing
+
+
+class Mechanical:
+    """The mechanics of a model, or of one after another that differ in loads and laws alone.
+
+    Attributes:
+        problem: What is solved.
+        solver: By what.
+        stresses: Its stresses.
+        bonds: Bonded interfaces that heat or cure loads.
+        neighbours: States of the models before.
+    """
+
+    def __init__(self, problem: Problem, solver: Solver, timing: Timing) -> None:
+        """Compile what is evaluated; collective."""
+        self.problem, self.solver = problem, solver
+        self.stresses = Stresses(problem, timing)
+        self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
+        self.neighbours = Neighbours(problem, solver)
+        self._balance: list[Balance] = []
+
+    def begin(self, build: Scene, augmentation_factor: float) -> None:
+        """Begin another model, at rest; collective."""
+        self.problem.begin(build, augmentation_factor)
+        self.solver.begin()
+        self.neighbours.begin()
+
+    def balance(self, about: NDArray[np.float64]) -> Balance:
+        """Balances of the model at rest; collective.
+
+        Args:
+            about: Point that moments are taken about (3,) [mm], always the same.
+        """
+        if self._balance:
+            self._balance[0].begin()
+        else:
+            self._balance.append(Balance(self.problem, about))
+        return self._balance[0]
