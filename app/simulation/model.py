@@ -34,7 +34,8 @@ from mantle.simulation import related
 from mantle.simulation.mechanical_model import Mechanical
 from mantle.simulation.thermal_model import ThermalModel
 from mantle.soundness import case_on_mesh
-from mantle.stepping.coupling import ContactHeat, CoupledSystem, Staggered
+from mantle.stepping.contact_heat import ContactHeat
+from mantle.stepping.coupling import CoupledSystem
 from mantle.stepping.heat_steps import HeatState, HeatStep
 from mantle.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
 from mantle.stepping.nested_start import Nested
@@ -46,6 +47,7 @@ from mantle.stepping.stages import (
     SolvedWithHeat,
     run_stages,
 )
+from mantle.stepping.staggered import Staggered
 from mantle.system import folders
 from mantle.system.timing import Timing
 

@@ -20,9 +20,10 @@ from mantle.numerics.integrator import Controller
 from mantle.numerics.state import State
 from mantle.scene.terms import SceneStage
 from mantle.soundness.diagnosis import attempts
-from mantle.stepping.coupling import CoupledSystem, Staggered
+from mantle.stepping.coupling import CoupledSystem
 from mantle.stepping.heat_steps import HeatState, HeatStep
 from mantle.stepping.load_steps import LoadStep, LoadStepper, Mark, Summary, unmarked
+from mantle.stepping.staggered import Staggered
 
 # A time step below this part of its stage is given up.
 SHORTEST = 1e-10

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from mantle.stepping.coupling import Staggered
+from mantle.stepping.staggered import Staggered
 from tests import coupled
 
 OPEN, STICK, SLIP = 0, 1, 2

@@ -1,0 +1,192 @@
+r"""Contact as the heat sees it: pressures, the power of friction, and how both change.
+
+With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
+pressure p = |F_n| and friction power per area F_T · Δq/Δt change by
+
+.. math:: dp = m·P' dS, \qquad d(F_T·Δq)/Δt = (P' dS)_T·Δq/Δt + F_T·dq/Δt,
+          \qquad dS = -de/W + r\,dq
+
+with e the equilibrium of the rows of the contact points and m the direction of the pressure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from mantle.arrays import Floats, Ints
+from mantle.forms import interface_heat
+from mantle.heat.conduction import Conduction
+from mantle.mechanics.points import PointForces
+from mantle.mechanics.problem import ROUNDING, Problem, TrialState
+from mantle.numerics.sparse import from_triplets, owners
+from mantle.scene.bodies import contact_facets
+from mantle.scene.terms import Scene
+
+
+@dataclass(frozen=True)
+class PointDerivatives:
+    """How a scalar of each own contact point changes: with equilibrium and with the jump (n, 3)."""
+
+    by_equilibrium: Floats
+    by_jump: Floats
+
+
+class ContactHeat:
+    """Input of the heat from the contact points: pressures and the power of friction.
+
+    Attributes:
+        heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
+        pressed: Pressure at the points of finite conductance by that at contact points, if any.
+        expands: Regions that expand.
+    """
+
+    def __init__(self, scene: Scene, problem: Problem, conduction: Conduction) -> None:
+        """Find who is where; collective."""
+        self._problem, self._conduction = problem, conduction
+        self.expands = {x.region for x in scene.expansions}
+        (j,) = problem.jumps
+        comm, points = problem.comm, j.points
+        number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
+        self._n = len(j.mine)
+        self.heats = _heats(scene, problem, conduction, number)
+        heated = {f.interface for f in scene.friction_heat}
+        names = [c.name for c in scene.contacts]
+        self.rubbing = np.isin(j.interface, [i for i, name in enumerate(names) if name in heated])
+        known = {
+            (names[i], v): n
+            for i, v, n in zip(points.interface, points.vertex, number, strict=True)
+        }
+        self.pressed: tuple[PETSc.Mat, ...] = ()
+        for t in conduction.jumps:
+            name = [scene.thermal_contacts[i].name for i in t.interface]
+            found = np.array(
+                [known.get(key, -1) for key in zip(name, t.points.vertex[t.mine], strict=True)],
+                dtype=np.int64,
+            )
+            on = np.flatnonzero(found >= 0)
+            self.pressed = (
+                from_triplets(comm, len(found), self._n, on, found[on], np.ones(len(on))),
+            )
+
+    def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
+        """Set the temperatures that the mechanics use."""
+        if self.expands:
+            self._conduction.temperatures(heat)
+            regions = {r: self._conduction.of_region(r) for r in self.expands}
+            self._problem.set_temperature(regions)
+
+    def power(self, trial: TrialState, elapsed: float) -> Floats:
+        """Power of friction per area at own contact points (n,) [N/(mm s)]."""
+        (j,) = self._problem.jumps
+        slip = trial.jump - j.history.jump
+        tangential = trial.law.force - _normal(trial.law, j.normals)
+        # The rounding of sticking points is no heat, and none cools.
+        return np.where(self.rubbing, np.maximum(_dot(tangential, slip), 0.0), 0.0) / elapsed
+
+    def to_heat(self, trial: TrialState, elapsed: float) -> None:
+        """Set the pressures and the friction heat that the heat equation uses."""
+        (j,) = self._problem.jumps
+        pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
+        power = self.power(trial, elapsed)
+        for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
+            t.pressure = _times(P, pressure)
+            t.friction = _times(P, power)
+        for friction in self._conduction.frictions:
+            friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
+            for i, c in enumerate(self._problem.scene.contacts):
+                if f"friction {c.name}" in friction.flows:
+                    mine = float((j.weight * power)[j.interface == i].sum())
+                    friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
+
+    def rounding(self, trial: TrialState, elapsed: float) -> float:
+        """Rounding error of the power of friction by long slips; collective [N mm/s]."""
+        (j,) = self._problem.jumps
+        slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
+        # Forces are those of equilibrium, of bodies that may be far from where they were.
+        met = j.share * j.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
+        force = (met + j.stiffness * j.weight) * np.linalg.norm(trial.jump, axis=1)
+        power = np.where(self.rubbing, force * slip, 0.0) / elapsed
+        total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
+        return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
+
+    def pressure_rows(self, trial: TrialState) -> PointDerivatives:
+        """How the pressure changes."""
+        (j,) = self._problem.jumps
+        force = _normal(trial.law, j.normals)
+        size = np.linalg.norm(force, axis=1)
+        direction = force / np.where(size > 0, size, 1.0)[:, None]
+        return self._rows(direction, trial)
+
+    def power_rows(self, trial: TrialState, elapsed: float) -> PointDerivatives:
+        """How the friction power changes."""
+        (j,) = self._problem.jumps
+        slip = trial.jump - j.history.jump
+        tangential = trial.law.force - _normal(trial.law, j.normals)
+        warm = self.rubbing & (_dot(tangential, slip) > 0)
+        along = np.einsum("pi,pki->pk", slip, j.normals)
+        slides = slip - np.einsum("pk,pki->pi", along, j.normals)
+        rows = self._rows(slides, trial)
+        scale = np.where(warm, 1 / elapsed, 0.0)[:, None]
+        return PointDerivatives(scale * rows.by_equilibrium, scale * (rows.by_jump + tangential))
+
+    def _rows(self, along: Floats, trial: TrialState) -> PointDerivatives:
+        """Of the force along directions (n, 3): by -e/W as far as the trial force has it, by q."""
+        (j,) = self._problem.jumps
+        by_force = np.einsum("pi,pij->pj", along, trial.law.jacobian)
+        by_jump = np.einsum("pi,pij->pj", along, trial.law.by_jump)
+        return PointDerivatives(-(j.share / j.weight)[:, None] * by_force, by_jump)
+
+
+def _heats(
+    scene: Scene, problem: Problem, conduction: Conduction, number: Ints
+) -> dict[int, PETSc.Mat]:
+    """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
+    (j,) = problem.jumps
+    points, space = j.points, conduction.space
+    facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
+    vertices, first = np.unique(facets.vertices, return_index=True)
+    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
+    start, end = space.dofmap.index_map.local_range
+    own = (dof >= start) & (dof < end)
+    shares = {f.interface: f.slave_share for f in scene.friction_heat}
+    β = np.array([shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
+    body_of = conduction.bodies.of_region
+    master = np.array([body_of[c.master[0]] for c in scene.contacts])
+    slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
+    sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
+    found: dict[int, PETSc.Mat] = {}
+    for b in range(len(conduction.bodies.names)):
+        value = sum(np.where(body[points.interface] == b, share, 0.0) for body, share in sides)
+        found[b] = from_triplets(
+            problem.comm,
+            conduction.owned,
+            len(j.mine),
+            dof[own] - start,
+            number[own],
+            (points.weight * value)[own],
+        )
+    return found
+
+
+def _normal(law: PointForces, normals: Floats) -> Floats:
+    """Normal part of the forces of contact points (n, 3): what presses slave from master."""
+    return -np.asarray(np.einsum("pk,pki->pi", law.pressures, normals))
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("pi,pi->p", a, b))
+
+
+def _times(A: PETSc.Mat, values: Floats) -> Floats:
+    """A matrix times own values."""
+    right, left = A.createVecs()
+    right.array[:] = values
+    A.mult(right, left)
+    return np.asarray(left.array.copy())
