@@ -8,6 +8,7 @@ temperatures overshoot in short steps; densities and fluxes that vary in space a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -24,6 +25,7 @@ from mantle.arrays import Floats, Ints
 from mantle.errors import everywhere
 from mantle.forms import heat
 from mantle.meshes.distribute import TaggedMesh
+from mantle.numerics.sparse import from_rows, matrix_sum
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags
 from mantle.scene.loads import Field
 from mantle.scene.terms import (
@@ -122,7 +124,21 @@ class HeatForms:
             }
         return self._areas[boundary]
 
+    def capacities(self, conductors: Sequence[ConductorTerm]) -> list[Floats]:
+        """Heat capacity of own nodes in each body [N mm/K]."""
+        total = self.zeros()
+        for c in conductors:
+            total[self._bodies.of_region[c.region]] += c.capacity * self.volumes(c.region)
+        return total
+
     # Forms
+
+    def conduction_by_body(self, conductors: Sequence[ConductorTerm]) -> list[PETSc.Mat]:
+        """Conduction matrix of each body, its whole diagonal in the pattern [N mm/(s K)]."""
+        parts: dict[int, list[PETSc.Mat]] = {}
+        for c in conductors:
+            parts.setdefault(self._bodies.of_region[c.region], []).append(self.conduction(c))
+        return [_with_diagonal(matrix_sum(parts[b])) for b in range(len(self._bodies.names))]
 
     def conduction(self, conductor: ConductorTerm) -> PETSc.Mat:
         """Conduction matrix of a region [N mm/(s K)]."""
@@ -194,3 +210,13 @@ class HeatForms:
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         values: Floats = vector.array[: self.owned].copy()
         return values
+
+
+def _with_diagonal(A: PETSc.Mat) -> PETSc.Mat:
+    """The matrix with every diagonal entry in its pattern."""
+    start, end = A.getOwnershipRange()
+    n = end - start
+    zero = from_rows(
+        A.comm.tompi4py(), (n, n), np.arange(n + 1), np.arange(start, end), np.zeros(n)
+    )
+    return matrix_sum((zero, A))

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 
 from mpi4py import MPI
@@ -26,41 +25,20 @@ from mantle.arrays import Floats, Ints
 from mantle.errors import InputError
 from mantle.heat.assembly import HeatForms
 from mantle.heat.cure_heat import CureHeat
+from mantle.heat.evaluation import HeatEvaluation
 from mantle.heat.loads import FixedTemperatures, FrictionHeating, HeatLoads
-from mantle.heat.matrices import HeatMatrices, with_diagonal
+from mantle.heat.matrices import HeatMatrices
 from mantle.heat.monotone import Bounds, Extremes, Monotone
 from mantle.heat.temperature_jumps import TemperatureJumps, cut_off
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import State, keyed, node_keys
 from mantle.numerics.system import Measure
 from mantle.scene.bodies import Bodies, bodies_of
-from mantle.scene.terms import Scene, multiplier
+from mantle.scene.terms import Scene
 from mantle.system.timing import Timing
 
 # Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
 ROUNDING = 2.0
-DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-
-
-@dataclass(frozen=True)
-class _Evaluation:
-    """Nodal values of one state, shared by its residual, Jacobian and reports.
-
-    Attributes:
-        given: The state, and pressures and heat of friction, which are set from outside.
-        T: Temperature of own nodes of each body [K].
-        lacking: Heat that they lack, interfaces left out [N mm/s].
-        parts: What that is made of, conduction left out.
-        flux: Heat through own points by area, and its derivatives (`TemperatureJumps.flux`).
-        sizes: Norm of the parts and what rounding leaves of them, once they were asked for.
-    """
-
-    given: list[Floats]
-    T: list[Floats]
-    lacking: list[Floats]
-    parts: list[Floats]
-    flux: list[tuple[Floats, Floats, Floats]]
-    sizes: list[tuple[float, float]] = field(default_factory=list)
 
 
 class Conduction:
@@ -69,6 +47,10 @@ class Conduction:
     Attributes:
         space: Temperature space, piecewise linear.
         owned: Nodes of this rank.
+        reference: Temperature that heat is counted from [K].
+        seconds: Time at the end of the solve last begun [s].
+        loads: What heats, and what exchanges heat with surroundings.
+        fixed: Given temperatures.
         bodies: Thermal bodies: regions joined by all but interfaces of finite conductance.
         jumps: The temperature jumps, or an empty tuple.
         capacity: Heat capacity of own nodes in each body [N mm/K].
@@ -93,46 +75,41 @@ class Conduction:
         self.forms = HeatForms(tagged, self.bodies, timing)
         self.space = self.forms.space
         self.owned = self.forms.owned
-        self._every = range(len(self.bodies.names))
-        self._loads = HeatLoads(scene, self.bodies, self.forms)
-        self._fixed = FixedTemperatures(scene, self.forms)
+        self.loads = HeatLoads(scene, self.bodies, self.forms)
+        self.fixed = FixedTemperatures(scene, self.forms)
         self.jumps: tuple[TemperatureJumps, ...] = (
-            (TemperatureJumps(scene, tagged, self.bodies, self.forms, self._fixed.of_body),)
+            (TemperatureJumps(scene, tagged, self.bodies, self.forms, self.fixed.of_body),)
             if scene.thermal_contacts
             else ()
         )
         for j in self.jumps:
-            self._fixed.join(j)
-        self.held = self._fixed.base >= 0
-        self.capacity = self._capacities()
+            self.fixed.join(j)
+        self.held = self.fixed.base >= 0
+        self.capacity = self.forms.capacities(scene.conductors)
         # Heat is counted from a temperature that is near all of them: less is lost to rounding.
-        self._reference = float(np.mean([c.initial for c in scene.conductors]))
-        self._exchange, self._brought = self._loads.exchanges(self._reference)
+        self.reference = float(np.mean([c.initial for c in scene.conductors]))
+        self._exchange, self._brought = self.loads.exchanges(self.reference)
         self.cures: tuple[CureHeat, ...] = (
             (CureHeat(scene, self.bodies, self.forms),) if scene.cures else ()
         )
+        heated = {f"friction {f.interface}": 0.0 for f in scene.friction_heat}
         self.frictions: tuple[FrictionHeating, ...] = (
-            (
-                FrictionHeating(
-                    self.forms.zeros(),
-                    {f"friction {f.interface}": 0.0 for f in scene.friction_heat},
-                ),
-            )
-            if scene.friction_heat
-            else ()
+            (FrictionHeating(self.forms.zeros(), heated),) if heated else ()
         )
-        self._monotone = Monotone(self.comm, self._conduction(), self.capacity)
-        data = [c.initial for c in scene.conductors] + [e.outside for e in self._loads.exchange]
+        K = self.forms.conduction_by_body(scene.conductors)
+        self._monotone = Monotone(self.comm, K, self.capacity)
+        data = [c.initial for c in scene.conductors] + [e.outside for e in self.loads.exchange]
         self._data = Extremes(
             self.comm, min(data), max(data), bool(scene.cures or scene.friction_heat)
         )
         self._blocks = HeatMatrices(self._monotone.matrices, self.jumps, self.held)
-        self._seconds = 0.0
+        self.seconds = 0.0
         self._rate = 1.0
         self._start, self._heats = self.forms.zeros(), self.forms.zeros()
         self._given: list[Floats] = []
-        self._last: tuple[_Evaluation, ...] = ()
+        self._last: tuple[HeatEvaluation, ...] = ()
         self._fill()
+        self.matrix: list[list[PETSc.Mat]] = self._blocks.matrix
         self._work = [self.matrix[0][0].createVecRight(), self.matrix[0][0].createVecLeft()]
         self._θ = fem.Function(self.space, name="temperature")
         self._moved = {
@@ -140,25 +117,6 @@ class Conduction:
             for j in self.jumps
             for b in j.moves
         }
-
-    # Construction
-
-    def _capacities(self) -> list[Floats]:
-        total = self.forms.zeros()
-        for c in self.scene.conductors:
-            total[self.bodies.of_region[c.region]] += c.capacity * self.forms.volumes(c.region)
-        return total
-
-    def _conduction(self) -> list[PETSc.Mat]:
-        """Conduction matrix of each body [N mm/(s K)]."""
-        parts: dict[int, PETSc.Mat] = {}
-        for c in self.scene.conductors:
-            body, matrix = self.bodies.of_region[c.region], self.forms.conduction(c)
-            if body in parts:
-                parts[body].axpy(1.0, matrix, structure=DIFFERENT)
-            else:
-                parts[body] = matrix
-        return [with_diagonal(parts[b]) for b in self._every]
 
     # State
 
@@ -172,19 +130,18 @@ class Conduction:
         Where regions share a temperature from the start, though theirs differ, it is the mean by
         capacity: no heat is lost. Given temperatures hold from the start.
         """
-        capacity, heat = self.forms.zeros(), self.forms.zeros()
+        heat = self.forms.zeros()
         for c in self.scene.conductors:
-            body, nodal = self.bodies.of_region[c.region], c.capacity * self.forms.volumes(c.region)
-            capacity[body] += nodal
-            heat[body] += nodal * (c.initial - self._reference)
-        T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, capacity, strict=True)]
+            nodal = c.capacity * self.forms.volumes(c.region)
+            heat[self.bodies.of_region[c.region]] += nodal * (c.initial - self.reference)
+        T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, self.capacity, strict=True)]
         x = self.vectors()
         for j in self.jumps:
             table = np.array(T)
             x[1].array[:] = table[j.bodies[:, 1], j.dof] - table[j.bodies[:, 0], j.dof]
         added = self._added(x[1:])
-        total = sum(c * (t - a) for c, t, a in zip(capacity, T, added, strict=True))
-        x[0].array[:] = self._reference + total / sum(capacity)
+        total = sum(c * (t - a) for c, t, a in zip(self.capacity, T, added, strict=True))
+        x[0].array[:] = self.reference + total / sum(self.capacity)
         self._set_given(0.0)
         self.impose(x)
         return x
@@ -205,11 +162,11 @@ class Conduction:
     def temperatures(self, x: Sequence[PETSc.Vec]) -> list[fem.Function]:
         """Temperature of each body as a function, overwritten by the next call."""
         T = self.nodal(x)
-        values = {-1: x[0].array_r} | {b: T[b] for b in self._moved}
-        for function, nodal in zip((self._θ, *self._moved.values()), values.values(), strict=True):
+        moved = [(f, T[b]) for b, f in self._moved.items()]
+        for function, nodal in ((self._θ, x[0].array_r), *moved):
             function.x.array[: self.owned] = nodal
             function.x.scatter_forward()
-        return [self._moved.get(b, self._θ) for b in self._every]
+        return [self._moved.get(b, self._θ) for b in range(len(T))]
 
     def of_region(self, region: str) -> fem.Function:
         """Temperature of a region as last spread by ``temperatures``."""
@@ -280,8 +237,8 @@ class Conduction:
         for vector, values in zip(x, start, strict=True):
             vector.array[:] = values
         self._start = self.nodal(x)
-        self._seconds, self._last = seconds, ()
-        self._heats = self._loads.heats(seconds)
+        self.seconds, self._last = seconds, ()
+        self._heats = self.loads.heats(seconds)
         self._set_given(seconds)
         if math.isinf(h):
             self._refuse_cut_off()
@@ -293,7 +250,7 @@ class Conduction:
 
     def _refuse_cut_off(self) -> None:
         here = [bool((e > 0).any()) for e in self._exchange]
-        for b, condition in self._fixed.of_body.items():
+        for b, condition in self.fixed.of_body.items():
             here[b] = here[b] or bool((condition >= 0).any())
         reached = np.any(self.comm.allgather(here), axis=0)
         lost = cut_off(self.scene.thermal_contacts, self.jumps, list(reached))
@@ -311,11 +268,11 @@ class Conduction:
         self._blocks.fill(self._monotone.matrices, added)
 
     def _set_given(self, seconds: float) -> None:
-        values = self._fixed.values(seconds)
-        self._given = [self._fixed.continuous(values)]
-        self._given += [self._fixed.jumps(values, j) for j in self.jumps]
+        values = self.fixed.values(seconds)
+        self._given = [self.fixed.continuous(values)]
+        self._given += [self.fixed.jumps(values, j) for j in self.jumps]
         self._data.see(
-            *self._fixed.extremes(values),
+            *self.fixed.extremes(values),
             min(float(h.min(initial=0.0)) for h in self._heats),
             max(float(h.max(initial=0.0)) for h in self._heats),
         )
@@ -326,7 +283,7 @@ class Conduction:
         for j, τ, given in zip(self.jumps, x[1:], self._given[1:], strict=True):
             τ.array[j.held] = given[j.held]
 
-    def _at(self, x: Sequence[PETSc.Vec]) -> _Evaluation:
+    def at(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
         """Evaluate a state, unless it is the one evaluated last; collective."""
         arrays = [v.array_r for v in x]
         given = [*arrays, *(j.pressure for j in self.jumps)]
@@ -339,9 +296,9 @@ class Conduction:
         T = self.nodal(x)
         lacking, parts = [], list[Floats]()
         above, flow = self._work
-        for b in self._every:
-            above.array[:] = T[b] - self._reference
-            self._monotone.matrices[b].mult(above, flow)
+        for b, K in enumerate(self._monotone.matrices):
+            above.array[:] = T[b] - self.reference
+            K.mult(above, flow)
             exchanged = self._exchange[b] * above.array_r - self._brought[b]
             stored = self._rate * self.capacity[b] * (T[b] - self._start[b])
             lacking.append(flow.array_r + exchanged + stored - self._heats[b])
@@ -350,13 +307,13 @@ class Conduction:
             lacking = [r - s for r, s in zip(lacking, source, strict=True)]
             parts += source
         flux = [j.flux(τ) for j, τ in zip(self.jumps, arrays[1:], strict=True)]
-        found = _Evaluation([a.copy() for a in given], T, lacking, parts, flux)
+        found = HeatEvaluation([a.copy() for a in given], T, lacking, parts, flux)
         self._last = (found,)
         return found
 
     def residual(self, x: Sequence[PETSc.Vec], out: Sequence[PETSc.Vec]) -> None:
         """Heat that is lacking, zero where temperatures are given [N mm/s]."""
-        here = self._at(x)
+        here = self.at(x)
         r = here.lacking
         out[0].array[:] = np.where(self.held, 0.0, sum(r))
         for j, (q, _, _), f in zip(self.jumps, here.flux, out[1:], strict=True):
@@ -370,14 +327,9 @@ class Conduction:
 
     def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state."""
-        here = self._at(x)
+        here = self.at(x)
         by_jump = [-j.weight * q_τ for j, (_, q_τ, _) in zip(self.jumps, here.flux, strict=True)]
         self._blocks.set(by_jump, [cure.growth(here.T) for cure in self.cures])
-
-    @property
-    def matrix(self) -> list[list[PETSc.Mat]]:
-        """Blocks of the Jacobian."""
-        return self._blocks.matrix
 
     @property
     def version(self) -> int:
@@ -392,11 +344,6 @@ class Conduction:
     def adiabatic_rises(self) -> list[float]:
         """By how much full cure would warm each region that sets [K]."""
         return [n.adiabatic_rise for cure in self.cures for n in cure.nodes]
-
-    @staticmethod
-    def rubbing(jumps: TemperatureJumps) -> tuple[Floats, Floats]:
-        """Friction heat per area at own points (n,) [N/(mm s)], and the slave's share of it."""
-        return jumps.friction, jumps.share
 
     # Extremes
 
@@ -432,13 +379,13 @@ class Conduction:
         Its scale is that of the heat stored, brought in and let through, not of what conduction
         alone would move: in a state that hardly changes that is large and cancels.
         """
-        here = self._at(x)
+        here = self.at(x)
         if not here.sizes:
             here.sizes.append(self._sizes(here, x))
         ((scale, rounding),) = here.sizes
         return Measure(math.sqrt(sum(v.norm() ** 2 for v in f)), scale, rounding, lasting=False)
 
-    def _sizes(self, here: _Evaluation, x: Sequence[PETSc.Vec]) -> tuple[float, float]:
+    def _sizes(self, here: HeatEvaluation, x: Sequence[PETSc.Vec]) -> tuple[float, float]:
         """Norm of what balances in a state, and what rounding leaves of it; collective."""
         parts = [np.where(self.held, sum(here.lacking), 0.0), *here.parts]
         parts += [j.weight * q for j, (q, _, _) in zip(self.jumps, here.flux, strict=True)]
@@ -447,51 +394,3 @@ class Conduction:
         norms = np.sqrt(np.array(self.comm.allreduce(np.array(local), MPI.SUM)))
         rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
         return float(norms[: len(parts)].sum()), rounding
-
-    # What is reported
-
-    def flows(self, x: Sequence[PETSc.Vec]) -> dict[str, float]:
-        """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
-
-        Of the interval last begun: the sum is the rate at which heat is stored in it, to the
-        tolerance of the solver.
-        """
-        here = self._at(x)
-        T = here.T
-        found: dict[str, float] = {}
-        for h in self._loads.heating:
-            total = sum(float(nodal.sum()) for nodal in h.nodal.values())
-            found[h.name] = multiplier(h.course, self._seconds) * total
-        for e in self._loads.exchange:
-            found[e.name] = sum(
-                float((nodal * (e.outside - T[b])).sum()) for b, nodal in e.per_kelvin.items()
-            )
-        for cure in self.cures:
-            for n, heat in zip(cure.nodes, cure.released(T), strict=True):
-                found[f"cure {n.region}"] = float(heat.sum())
-        lacking = [r.copy() for r in here.lacking]
-        for j, (flux, _, _) in zip(self.jumps, here.flux, strict=True):
-            q = j.weight * flux
-            for side, sign in ((0, 1.0), (1, -1.0)):
-                for b in self._every:
-                    at = j.bodies[:, side] == b
-                    np.add.at(lacking[b], j.dof[at], sign * q[at])
-        for s, c in enumerate(self._fixed.conditions):
-            found[c.name] = sum(
-                float(lacking[b][condition == s].sum())
-                for b, condition in self._fixed.of_body.items()
-            )
-        names = list(found)
-        sums = self.comm.allreduce(np.array(list(found.values())), MPI.SUM)
-        every = {name: float(v) for name, v in zip(names, sums, strict=True)}
-        for friction in self.frictions:
-            every |= friction.flows
-        return every
-
-    def stored(self, x: Sequence[PETSc.Vec]) -> float:
-        """Heat stored, from an arbitrary but fixed temperature on [N mm]; collective."""
-        local = sum(
-            float((m * (t - self._reference)).sum())
-            for m, t in zip(self.capacity, self.nodal(x), strict=True)
-        )
-        return float(self.comm.allreduce(local, MPI.SUM))

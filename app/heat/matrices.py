@@ -18,7 +18,7 @@ import numpy as np
 
 from mantle.arrays import Bools, Floats
 from mantle.heat.temperature_jumps import TemperatureJumps
-from mantle.numerics.sparse import from_rows, matrix_sum
+from mantle.numerics.sparse import matrix_sum
 
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN
@@ -139,16 +139,6 @@ class HeatMatrices:
     def diagonal(self) -> list[Floats]:
         """Diagonals of the diagonal blocks as last set."""
         return [self.matrix[k][k].getDiagonal().array.copy() for k in range(len(self.matrix))]
-
-
-def with_diagonal(A: PETSc.Mat) -> PETSc.Mat:
-    """The matrix with every diagonal entry in its pattern."""
-    start, end = A.getOwnershipRange()
-    n = end - start
-    zero = from_rows(
-        A.comm.tompi4py(), (n, n), np.arange(n + 1), np.arange(start, end), np.zeros(n)
-    )
-    return matrix_sum((zero, A))
 
 
 def _mean(v: PETSc.Vec) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle.heat.flows import stored
 from mantle.heat.nodes import ProbedPoint
 from mantle.numerics.state import State
 from mantle.results.cure_quantities import CureRecord
@@ -48,7 +49,7 @@ class ThermalModel:
         self.cure: tuple[CureRecord, ...] = tuple(
             CureRecord(conduction.comm, heating.degrees()) for _ in conduction.cures
         )
-        self.balance = HeatBalance(conduction.stored(heating.vectors()), {})
+        self.balance = HeatBalance(stored(conduction, heating.vectors()), {})
 
     def update(self, accepted: HeatStep) -> None:
         """Take in a step; collective."""
@@ -64,16 +65,16 @@ class ThermalModel:
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         for cure in self.cure:
             cure.update(accepted.seconds, heating.degrees(), heating.rates())
-        stored = conduction.stored(x)
+        heat = stored(conduction, x)
         rounding = conduction.measure(x, conduction.vectors()).rounding
         if accepted.dt == 0.0:
             # A model of one temperature lets nothing through but rounding.
-            self.balance.steady(accepted.flows, stored, 1e2 * rounding)
+            self.balance.steady(accepted.flows, heat, 1e2 * rounding)
             return
         moved = self.record.moved(self._capacities)
         # Nor does one that waits for its first heat, such as that of friction.
         least = NOTHING * rounding * accepted.dt
-        self.balance.update(accepted.dt, accepted.heats, accepted.flows, stored, moved, least)
+        self.balance.update(accepted.dt, accepted.heats, accepted.flows, heat, moved, least)
 
     def state(self) -> State:
         """All that is history; collective."""

@@ -20,6 +20,7 @@ from dolfinx import fem
 from mantle.arrays import Floats
 from mantle.heat.conduction import Conduction
 from mantle.heat.curing import FreeStrain, as_temperature, since_gelation
+from mantle.heat.flows import flows
 from mantle.mechanics.problem import Problem
 from mantle.numerics import integrator
 from mantle.numerics.integrator import METHODS, Method, State
@@ -235,7 +236,7 @@ class HeatState:
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
-        self._stages.append(self.conduction.flows(self.vectors()))
+        self._stages.append(flows(self.conduction, self.vectors()))
         return self._state(self.vectors())
 
     def start(self, longest: float) -> float:
@@ -281,7 +282,7 @@ class HeatState:
         """Make a step history."""
         heats = {
             name: dt
-            * sum(b * flows[name] for b, flows in zip(method.a[-1], self._stages, strict=True))
+            * sum(b * stage[name] for b, stage in zip(method.a[-1], self._stages, strict=True))
             for name in self._stages[-1]
         }
         self._strain(found.state)

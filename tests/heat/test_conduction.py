@@ -17,6 +17,7 @@ from mantle.arrays import Floats
 from mantle.campaigns.work_precision import fitted_order
 from mantle.errors import InputError
 from mantle.heat.conduction import Conduction
+from mantle.heat.flows import flows, stored
 from mantle.heat.system import HeatSystem
 from mantle.meshes import blocks
 from mantle.meshes.distribute import TaggedMesh, distribute
@@ -121,7 +122,7 @@ class Solved:
             v.array[:] = values
         if not self.solver.solve().converged:
             return None
-        self.stages.append(self.conduction.flows(self.x))
+        self.stages.append(flows(self.conduction, self.x))
         return [v.array.copy() for v in self.x] + self.conduction.degrees(self.x)
 
     def steady(self) -> Solved:
@@ -144,7 +145,7 @@ class Solved:
 
     @property
     def stored(self) -> float:
-        return self.conduction.stored(self.x)
+        return stored(self.conduction, self.x)
 
     def celsius(self, region: str) -> tuple[Floats, Floats]:
         """Positions (n, 3) and temperatures (n,) of the nodes of a region."""
@@ -260,7 +261,7 @@ def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) 
     assert T + ZERO == pytest.approx(310.0 + x @ g, abs=1e-9)
     K = k_t * np.eye(3) + (k_l - k_t) * np.outer(fibre, fibre)
     # Heat into the model times position, summed, is the volume times K g.
-    r = s.conduction._at(s.x).lacking[0]
+    r = s.conduction.at(s.x).lacking[0]
     moment = r @ s.conduction.space.tabulate_dof_coordinates()[: s.conduction.owned]
     assert moment == pytest.approx(12.0 * K @ g, rel=1e-9)
     assert sum(s.stages[-1].values()) == pytest.approx(0.0, abs=1e-9 * np.abs(K @ g).max())

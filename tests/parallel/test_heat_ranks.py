@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
 from mantle.heat.conduction import Conduction
+from mantle.heat.flows import flows, stored
 from mantle.heat.system import HeatSystem
 from mantle.numerics.newton import Solver
 from mantle.scene import terms as t
@@ -51,7 +52,7 @@ s = Solver(HeatSystem(c), 1e-11, 30, "direct", {}, Timing())
 j.pressure[:] = 1 + j.points.x[j.mine, 2] / 10
 x = c.initial()
 for v, w in zip(s.blocks(), x): w.copy(v)
-found, degrees = {"stored": [c.stored(x)]}, c.degrees(x)
+found, degrees = {"stored": [stored(c, x)]}, c.degrees(x)
 for k, dt in enumerate((.01, .1, 1., 10.)):
     if k == 2:
         # As if everything had left its bounds, at 0 K: all edges out.
@@ -59,8 +60,8 @@ for k, dt in enumerate((.01, .1, 1., 10.)):
     assert c.begin([v.array.copy() for v in s.blocks()], degrees, dt, dt)
     assert s.solve().converged
     degrees = c.degrees(s.blocks())
-    found["stored"].append(c.stored(s.blocks()))
-    for name, flow in c.flows(s.blocks()).items():
+    found["stored"].append(stored(c, s.blocks()))
+    for name, flow in flows(c, s.blocks()).items():
         found.setdefault(name, []).append(flow)
     q = float(np.sum(j.weight * j.flux(s.blocks()[1].array)[0] ** 2))
     a = float(sum(np.sum(n.heat * d) for n, d in zip(c.cures[0].nodes, degrees)))

@@ -179,7 +179,7 @@ MUTATIONS = {
     ),
     "sign_of_the_heating": (HEAT, "return q * v\n", "return -q * v\n", "heat_slab"),
     "capacity": (
-        "mantle/heat/conduction.py",
+        "mantle/heat/assembly.py",
         "+= c.capacity * ",
         "+= 1.1 * c.capacity * ",
         "heat_cylinder",
