@@ -11,7 +11,8 @@ import pytest
 from hypothesis import settings
 
 # How long an example takes is the machine's business.
-settings.register_profile("mantle", deadline=None)
+settings.register_profile("mantle", deadline=None, max_examples=50)
+settings.register_profile("thorough", deadline=None, max_examples=300)  # of `mantle test --all`
 settings.load_profile("mantle")
 
 

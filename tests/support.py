@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +42,7 @@ from mantle.system.timing import Timing
 form_cache.mend()
 form_cache.share()
 
+TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
 # The folder that holds the package `mantle`: in a checkout it is made of links by the launcher.
@@ -202,18 +207,72 @@ def mpirun(ranks_: int, *arguments: str | Path) -> list[str]:
     return ["mpirun", "-n", str(ranks_), sys.executable, *map(str, arguments)]
 
 
+class Ranks:
+    """Ranks that run one program after another, see `tests.rank_server`."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._runs = 0
+        self._folder = Path(tempfile.mkdtemp(prefix="mantle-ranks-"))
+        with (self._folder / "start.err").open("w") as log:
+            command = mpirun(size, "-m", "tests.rank_server", self._folder)
+            self._process = subprocess.Popen(command, env=environment(), stdout=log, stderr=log)
+        atexit.register(shutil.rmtree, self._folder, ignore_errors=True)
+        atexit.register(self.end)  # which comes first
+
+    @property
+    def alive(self) -> bool:
+        """Whether they can run another program."""
+        return self._process.poll() is None
+
+    def end(self) -> None:
+        """End the ranks, which have nothing to do."""
+        if self.alive:
+            self._order([])
+            self._process.wait(timeout=TIMEOUT)
+
+    def run(self, arguments: list[str]) -> subprocess.CompletedProcess[str]:
+        """Run Python with these arguments.
+
+        Raises:
+            TimeoutExpired: The ranks are not done after `TIMEOUT`; they are ended.
+        """
+        order = self._order(arguments)
+        ends = [order.with_suffix(f".{rank}") for rank in range(self._size)]
+        limit = time.monotonic() + TIMEOUT
+        while self.alive and not all(e.exists() and e.read_text().endswith("\n") for e in ends):
+            if time.monotonic() > limit:
+                self._process.kill()
+                raise subprocess.TimeoutExpired(arguments, TIMEOUT)
+            time.sleep(0.02)
+        codes = [int(e.read_text()) for e in ends] if self.alive else [self._process.returncode]
+        out, err = (
+            p.read_text() if p.exists() else ""
+            for p in (order.with_suffix(".out"), order.with_suffix(".err"))
+        )
+        if not self.alive:
+            err += (self._folder / "start.err").read_text()
+        return subprocess.CompletedProcess(arguments, max(codes), out, err)
+
+    def _order(self, arguments: list[str]) -> Path:
+        order = self._folder / f"{self._runs}.json"
+        self._runs += 1
+        waiting = order.with_suffix(".order")
+        waiting.write_text(json.dumps(arguments))
+        return waiting.rename(order)
+
+
+_ranks: dict[int, Ranks] = {}
+
+
 def on_ranks(
-    ranks_: int, *arguments: str | Path, code: int = 0
+    ranks_: int, *arguments: str | Path, code: int | None = 0
 ) -> subprocess.CompletedProcess[str]:
-    """Run Python with these arguments on a number of ranks, to an exit code."""
-    done = subprocess.run(
-        mpirun(ranks_, *arguments),
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == code, done.stderr
+    """Run Python with these arguments on a number of ranks, to an exit code (None: to any)."""
+    if ranks_ not in _ranks or not _ranks[ranks_].alive:
+        _ranks[ranks_] = Ranks(ranks_)
+    done = _ranks[ranks_].run([str(a) for a in arguments])
+    assert code is None or done.returncode == code, done.stdout + done.stderr
     return done
 
 
@@ -222,7 +281,8 @@ def environment() -> dict[str, str]:
 
     foreign = ("OMPI_COMM_", "PMIX_", "PRTE_", "PMI_")
     here = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
-    return ranks.environment(here) | {"PYTHONPATH": f"{PROGRAM}{os.pathsep}{ROOT}"}
+    yielding = {"OMPI_MCA_mpi_yield_when_idle": "1"}  # others may use the cores, too
+    return ranks.environment(here) | yielding | {"PYTHONPATH": f"{PROGRAM}{os.pathsep}{ROOT}"}
 
 
 def extended(

@@ -262,6 +262,7 @@ def test_alone_means_alone_and_one_thread_each(bench: Bench) -> None:
     assert all(line.endswith(" 1") for line in bench.calls())
 
 
+@pytest.mark.slow
 def test_runs_that_need_most_of_the_memory_run_one_by_one(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -403,6 +404,7 @@ def test_a_result_that_cannot_be_read_runs_again(bench: Bench) -> None:
     assert not (first.folder / "DONE").exists()
 
 
+@pytest.mark.slow
 def test_two_controllers_run_a_case_in_turn(bench: Bench) -> None:
     """The second waits for what the first left running, as Slurm does when a batch is killed."""
     bench.take(1.0)

@@ -360,6 +360,7 @@ def test_a_study_apart_from_its_case(apart: Path, caplog: pytest.LogCaptureFixtu
         assert (out / name).read_bytes()[:4] == b"\x89PNG" and name in caplog.text
 
 
+@pytest.mark.slow
 def test_a_study_apart_of_nothing_that_is_compared(apart: Path) -> None:
     """Only the picture that shows something is drawn, and none is left of another study."""
     (apart.parent / "out").mkdir()
@@ -567,6 +568,7 @@ def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
             assert quantities.read(summary, f"{name}.{key}") is not None, key
 
 
+@pytest.mark.slow
 def test_a_real_study_by_penalty(tmp_path: Path) -> None:
     """2 MPa on springs of stiffness r per area: they give way by 2 / r; the exact law does not."""
     (tmp_path / "case.yaml").write_text(CASE)

@@ -467,6 +467,7 @@ def test_a_dry_run_tells_what_cores_take_together(
     assert [float(found[1]) for found in shown if found] == [each] * 8
 
 
+@pytest.mark.slow
 def test_how_long_a_run_took_is_known_however_it_was_done(bench: Bench) -> None:
     """In company, and wanted alone; alone, and wanted in company; and where no status was left."""
     bench.run()
@@ -634,6 +635,7 @@ def kill_again_and_again(path: Path, out: Path, times: int, longest: float) -> N
     assert {c["status"] for c in cases} == {"converged"}
 
 
+@pytest.mark.slow
 def test_a_killed_sweep_loses_nothing(bench: Bench) -> None:
     (bench.folder / "seconds").write_text("0.5")
     kill_again_and_again(bench.sweep, bench.out, 2, 1.0)
@@ -654,6 +656,7 @@ grid:
     kill_again_and_again(path, tmp_path / "out", 10, 3.0)
 
 
+@pytest.mark.slow
 def test_shared_and_separate_runs_give_the_same(tmp_path: Path) -> None:
     """For real: two frictions in one process, and each alone."""
     (tmp_path / "case.yaml").write_text(

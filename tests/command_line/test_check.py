@@ -248,7 +248,7 @@ def test_mesh_writes_mesh_and_picture(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "joint 100" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_mesh_draws_the_mantle(
     order: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -310,7 +310,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     assert result.stderr == ""
 
 
-@pytest.mark.parametrize("streams", ["", "2>&1"])
+@pytest.mark.parametrize("streams", [pytest.param("", marks=pytest.mark.slow), "2>&1"])
 def test_a_run_goes_on_without_its_reader(streams: str, tmp_path: Path) -> None:
     command = f"{sys.executable} -m mantle run configs/blocks.yaml -o {tmp_path} {streams}"
     result = subprocess.run(

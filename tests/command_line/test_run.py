@@ -96,18 +96,13 @@ loads:
 stages:
   - {name: press}
   - {name: push, increments: 2, max_cut_backs: 2}
+solver: {max_iterations: 8}
 """
 
 
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """``mantle run`` in a process of its own, in series."""
-    return subprocess.run(
-        [sys.executable, "-m", "mantle", "run", *map(str, arguments)],
-        env=support.environment(),
-        capture_output=True,
-        text=True,
-        timeout=1800,
-    )
+    """``mantle run``, in series."""
+    return support.on_ranks(1, "-m", "mantle", "run", *arguments, code=None)
 
 
 def read(folder: Path) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import pytest
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import create_mesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import nnls
@@ -370,7 +370,6 @@ EDGE = sample(1, 2, seed=7)
 EDGE_LAW: list[PointLaw] = []
 
 
-@settings(max_examples=300, deadline=None)
 @given(
     st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
     st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),

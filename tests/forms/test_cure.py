@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
@@ -136,7 +136,6 @@ def test_step_solves_its_equation(kinetics: AutocatalyticCure, h: float) -> None
     assert np.abs(found.by_temperature - slope)[smooth].max() < 1e-5 * max(slope.max(), 1e-3)
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     start=st.floats(0, 1),
     T=st.floats(250, 500),

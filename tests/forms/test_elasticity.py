@@ -15,7 +15,7 @@ import pytest
 import ufl
 from dolfinx import fem
 from dolfinx.mesh import create_unit_cube
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from ufl.algorithms import expand_derivatives, strip_variables
 
@@ -124,7 +124,6 @@ def admissible(draw: st.DrawFn) -> tuple[float, float, float, float, float]:
 
 
 @pytest.mark.parametrize("fibre", FIBRES)
-@settings(max_examples=100, deadline=None)
 @given(values=admissible())
 def test_stiffness_is_inverse_compliance(
     stiffness: Stiffness, fibre: tuple[float, ...], values: tuple[float, ...]

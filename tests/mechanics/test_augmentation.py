@@ -69,7 +69,9 @@ def test_it_follows_the_stiffness_in_force() -> None:
     np.testing.assert_allclose(j.stiffness, 0.01 * before, rtol=1e-12)
 
 
-@pytest.mark.parametrize("factor", [1e-4, 1e-3, 1e-2, 1.0, 1e2, 1e3, 1e4])
+@pytest.mark.parametrize(
+    "factor", [pytest.param(1e-4, marks=pytest.mark.slow), 1e-3, 1e-2, 1.0, 1e2, 1e3, 1e4]
+)
 def test_the_answer_is_found_from_a_bad_one(
     factor: float, caplog: pytest.LogCaptureFixture
 ) -> None:

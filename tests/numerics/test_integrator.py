@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mantle.arrays import Floats
@@ -245,7 +245,6 @@ def test_rejected_and_failed_steps_are_shorter() -> None:
     assert control.propose(0.0) == pytest.approx(0.15)
 
 
-@settings(max_examples=200, deadline=None)
 @given(
     events=st.lists(st.floats(1e-3, 1e4), min_size=1, max_size=8),
     first=st.floats(1e-4, 1e5),

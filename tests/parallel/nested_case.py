@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
+from unittest.mock import patch
 
 from mpi4py import MPI
 
@@ -16,9 +18,8 @@ if __name__ == "__main__":
     comm = MPI.COMM_WORLD
     found = []
     for settings in ({}, test_nested.ALWAYS):
-        for name, value in settings.items():
-            setattr(related, name, value)
-        model, steps = test_nested.go()
+        with patch.multiple(related, **settings) if settings else nullcontext():
+            model, steps = test_nested.go()
         (j,) = model.mechanics[0].problem.jumps
         found.append((nested_start.replicated(j), steps[0].outcome.residuals[0]))
     (cold, first), (warm, then) = found

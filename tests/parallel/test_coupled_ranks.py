@@ -1,4 +1,4 @@
-"""Heat and contact that depend on each other on 1, 2 and 3 ranks."""
+"""Heat and contact that depend on each other on 1 and 3 ranks."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_coupled_results_do_not_depend_on_the_number_of_ranks(
     assert one["thermal"]["interfaces"]["lower_upper"]["temperature_max_first"] > 45
     assert contact["dissipation"] > 0.05
     assert max(one["balance"][k] for k in ("force", "moment", "energy", "heat")) < 1e-9
-    for ranks in (2, 3):
+    for ranks in (3,):
         other = run(ranks, tmp_path, *overrides)
         assert other["solver"]["ranks"] == ranks
         assert other["solver"]["dofs"] == one["solver"]["dofs"]

@@ -34,7 +34,7 @@ loads:
 stages:
   - {name: down}
   - {name: aside, adaptive: false}
-solver: {tolerance: 1.0e-12}
+solver: {tolerance: 1.0e-12, max_iterations: 12}
 variations:
   tied: {interfaces.stem_cement: {kind: bonded}}
   lifted: {loads.aside.force: [0 N, 0 N, 2000 N]}

@@ -110,17 +110,6 @@ def fill_the_disk(path, reserve):
     assert file.steps == steps + 1
 
 
-def in_ranks(ranks, function, *arguments):
-    """Call a function of this file in a number of ranks; returns the exit code."""
-    command = [sys.executable, __file__, function, *map(str, arguments)]
-    if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), *command]
-    environment = support.environment()
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
-    sys.stdout.write(done.stdout + done.stderr)
-    return done.returncode
-
-
 @pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.parallel)], ids=["serial", "2 ranks"])
 def ranks(request):
     return request.param
@@ -144,7 +133,7 @@ def offsets_are_zero(root):
 @pytest.mark.parametrize("order", [1, 2])
 def test_all_steps_read_back(tmp_path, ranks, order):
     path = tmp_path / "fields.vtkhdf"
-    assert in_ranks(ranks, "write_cube", path, order) == 0
+    support.on_ranks(ranks, __file__, "write_cube", path, str(order))
     with h5py.File(path) as file:
         root = file["VTKHDF"]
         assert tuple(root.attrs["Version"]) == (2, 0)
@@ -184,7 +173,7 @@ def test_all_steps_read_back(tmp_path, ranks, order):
 
 def test_surface_of_arrays(tmp_path, ranks):
     path = tmp_path / "surface.vtkhdf"
-    assert in_ranks(ranks, "write_strip", path) == 0
+    support.on_ranks(ranks, __file__, "write_strip", path)
     with h5py.File(path) as file:
         root = file["VTKHDF"]
         points, cells = root["Points"][:], root["Connectivity"][:].reshape(-1, 3)
@@ -197,7 +186,9 @@ def test_surface_of_arrays(tmp_path, ranks):
 
 def test_killed_run_leaves_the_finished_steps(tmp_path, ranks):
     path = tmp_path / "killed.vtkhdf"
-    assert in_ranks(ranks, "die_in_the_third_step", path) != 0
+    command = support.mpirun(ranks, __file__, "die_in_the_third_step", path)
+    done = subprocess.run(command, env=support.environment(), capture_output=True, timeout=120)
+    assert done.returncode != 0
     with h5py.File(path) as file:
         root = file["VTKHDF"]
         assert root["Steps"].attrs["NSteps"] == 2
@@ -210,7 +201,7 @@ def test_killed_run_leaves_the_finished_steps(tmp_path, ranks):
 @pytest.mark.parametrize("reserve", ["yes", "no"])
 def test_full_disk_is_an_error_on_every_rank_and_can_be_mended(tmp_path, ranks, reserve):
     path = tmp_path / "full.vtkhdf"
-    assert in_ranks(ranks, "fill_the_disk", path, reserve) == 0
+    support.on_ranks(ranks, __file__, "fill_the_disk", path, reserve)
     with h5py.File(path) as file:
         root = file["VTKHDF"]
         for step in range(root["Steps"].attrs["NSteps"]):

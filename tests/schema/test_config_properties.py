@@ -89,7 +89,6 @@ def test_any_text_is_a_length_or_a_told_error(text: str) -> None:
 
 
 @given(st.from_regex(r"-?[0-9]{1,3} [a-zµ°*/^() 0-9.-]{0,15}", fullmatch=True))
-@settings(max_examples=300, deadline=None)
 def test_random_units_are_read_or_refused(text: str) -> None:
     try:
         assert math.isfinite(TypeAdapter(Length).validate_python(text))
@@ -116,7 +115,6 @@ moduli = st.floats(0.1, 10.0)
 
 
 @given(moduli, moduli, ratios, ratios, moduli)
-@settings(max_examples=300, deadline=None)
 def test_transversely_isotropic_is_accepted_iff_positive_definite(
     e_l: float, e_t: float, nu_l: float, nu_t: float, mu_l: float
 ) -> None:
@@ -420,7 +418,6 @@ def hot_cases(draw: st.DrawFn) -> dict[str, Any]:
 
 
 @given(cases() | hot_cases())
-@settings(max_examples=50, deadline=None)
 def test_dump_and_load_give_an_equal_case(tmp_path_factory: Any, data: dict[str, Any]) -> None:
     try:
         case = config.resolve(case_file.CaseFile("case.yaml", data), Path())
@@ -446,7 +443,6 @@ def test_temperatures_survive_writing(text: str) -> None:
 
 
 @given(st.text(max_size=200) | st.binary(max_size=200))
-@settings(max_examples=300, deadline=None)
 def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str | bytes) -> None:
     path = tmp_path_factory.mktemp("case") / "case.yaml"
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
@@ -457,7 +453,6 @@ def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str 
 
 
 @given(st.text(max_size=40))
-@settings(max_examples=60, deadline=None)
 def test_any_override_is_applied_or_told(text: str) -> None:
     path = Path(__file__).parents[2] / "configs" / "blocks.yaml"
     try:

@@ -195,7 +195,13 @@ AGAIN = [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
 
 
 @pytest.mark.parametrize("step", AGAIN)
-@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGUSR1,
+        *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGTERM, signal.SIGINT)),
+    ],
+)
 def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: int) -> None:
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)

@@ -108,7 +108,9 @@ def compare(one: coupled.Coupled, other: coupled.Coupled, tolerance: float) -> N
         assert np.abs(values - b[name]).max() <= tolerance * size, name
 
 
-@pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
+@pytest.mark.parametrize(
+    "method", ["backward_euler", pytest.param("sdirk4", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("overrides", [[], [PERFECT], [PENALTY]], ids=["all", "perfect", "penalty"])
 def test_turns_of_heat_and_mechanics_lead_to_the_same_state(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str

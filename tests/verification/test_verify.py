@@ -31,6 +31,7 @@ def written(folder: Path, pattern: str) -> list[dict[str, Any]]:
     return entries
 
 
+@pytest.mark.slow
 def test_a_ladder_of_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Error, order, run time, table, picture; nothing is run twice."""
     caplog.set_level(logging.INFO, "mantle")
