@@ -21,6 +21,7 @@ from mantle.errors import (
     StoppedError,
     agree,
 )
+from mantle.numerics.condition import condition_number
 from mantle.results import error
 from mantle.results import log as text
 from mantle.results.output import Writer, on_root, provenance
@@ -265,7 +266,8 @@ class Session:
         self.note(case_on_mesh.doubts(case, summary["regions"]))
         if case.output.condition:
             for m in model.mechanics:
-                summary["solver"]["condition"] = m.solver.condition()
+                A = m.solver.snes.getJacobian()[0]
+                summary["solver"]["condition"] = condition_number(A)
         if companions := error.companions(case):
             # The numbers are safe before their errors are looked for.
             writer.finish(summary, done=False)

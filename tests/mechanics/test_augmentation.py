@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from mantle.numerics.newton import NewtonResult, Solver
+from mantle.numerics.snes import Snes
 from mantle.stepping.load_steps import LoadStepper
 from tests import support
 
@@ -158,9 +159,9 @@ def test_a_line_search_comes_back_as_it_was(tmp_path: Path) -> None:
     _, solver = support.assemble(support.case(STEM, "solver.petsc.snes_linesearch_order=2"))
     before = described(solver)
     assert "quadratic" in before
-    solver._use_search("basic")
+    solver._newton.use_search("basic")
     assert described(solver) != before
-    solver._use_search("bt")
+    solver._newton.use_search("bt")
     assert described(solver) == before
 
 
@@ -177,20 +178,20 @@ def test_friction_grows_to_what_it_is_where_nothing_else_helps(
     problem.set_time(1.0)
     (jumps,) = problem.jumps
     shares = [1.0]
-    newton, lessen = Solver._newton, type(jumps).scale_friction
+    newton, lessen = Snes.run, type(jumps).scale_friction
 
     def note(self: Any, share: float) -> None:
         shares.append(share)
         lessen(self, share)
 
-    def refuse(self: Solver) -> tuple[int, int]:
+    def refuse(self: Snes) -> tuple[int, int]:
         if len(shares) == 1:
-            self._residuals, self._flips = [1.0], [0]
+            self.residuals, self.flips = [1.0], [0]
             return 0, 0
         return newton(self)
 
     monkeypatch.setattr(type(jumps), "scale_friction", note)
-    monkeypatch.setattr(Solver, "_newton", refuse)
+    monkeypatch.setattr(Snes, "run", refuse)
     assert solver.solve().converged
     assert shares == [1.0, 0.25, 0.5, 0.75, 1.0, 1.0]
     expected.axpy(-1.0, solver.x)

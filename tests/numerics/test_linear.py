@@ -204,7 +204,7 @@ def test_interfaces_are_factored_first_and_the_stiffness_next(
     said = [m for m in caplog.messages if "linear solver" in m]
     assert [m.partition("factorizing the ")[2] for m in said] == [*FACTORED_LATE]
     problem, solver = support.assemble(support.case(PUSHED, "solver.linear=multigrid"))
-    linear = solver._linear
+    linear = solver._newton.linear
     found = [linear._fall_back() for _ in range(3)]
     assert [text.partition("factorizing the ")[2] for text in found] == [*FACTORED_LATE, ""]
     problem.set_time(0.5)

@@ -12,7 +12,7 @@ from mantle import cli, meshes
 from mantle.errors import ConvergenceError, StoppedError
 from mantle.mechanics import problem
 from mantle.meshes import distribute
-from mantle.numerics import newton
+from mantle.numerics import snes
 from mantle.results.output import Writer
 from mantle.simulation import checkpoint
 
@@ -21,7 +21,7 @@ PHASES: dict[str, tuple[Any, str, int]] = {
     "mesh": (meshes, "build", 1),
     "distribution": (distribute, "_cell_tags", 1),
     "assembly": (problem.Problem, "__init__", 1),
-    "solve": (newton.Solver, "_residual", 2),
+    "solve": (snes.Snes, "_residual", 2),
     "output": (Writer, "history", 1),
     "checkpoint": (checkpoint, "write", 1),
 }
