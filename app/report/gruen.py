@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mantle.report.curves import STEM_COLOURS, Figure
 from mantle.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
-from mantle.report.paper.figures import STEM_COLOURS, Figure
 from mantle.report.sweep_results import SweptCase, magnitude
 from mantle.system import style
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from mantle.arrays import Floats
 from mantle.errors import MantleError
+from mantle.report.curves import Figure
 from mantle.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
-from mantle.report.paper.figures import Figure
 from mantle.report.sweep_results import SweepResults, SweptCase
 from mantle.results import unrolled
 from mantle.results.reading import Run

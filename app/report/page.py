@@ -13,7 +13,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader
 
-from mantle.report.paper.figures import Figure
+from mantle.report.curves import Figure
 
 # Parts of a section: their kind, as the template names it, and what is in them.
 Blocks = list[tuple[str, dict[str, Any]]]

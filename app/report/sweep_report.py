@@ -10,15 +10,15 @@ from pathlib import Path
 
 from mantle.campaigns import uncertainty
 from mantle.errors import StoppedError
-from mantle.report import gruen, page
+from mantle.report import gruen, page, sweep_figures
 from mantle.report import maps as report_maps
+from mantle.report.curves import Figure
 from mantle.report.page import Blocks, bullets, heading, paragraph, table
 from mantle.report.paper import compare
 from mantle.report.paper import figures as report_figures
 from mantle.report.paper import trends as report_trends
 from mantle.report.paper.cases import Cases
 from mantle.report.paper.compare import ComparedNumber
-from mantle.report.paper.figures import Figure
 from mantle.report.paper.trends import VERDICTS, Trend
 from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
 from mantle.schema.quantities import printed
@@ -70,7 +70,7 @@ def run(folder: Path) -> Written:
             old.unlink()
         figures, missing = report_figures.paper(cases, pictures) if cases.curves else ([], [])
         others = [c for c in sweep.cases if c.name not in cases.used or not cases.curves]
-        multiples = report_figures.multiples(others, pictures)
+        multiples = sweep_figures.multiples(others, pictures)
         maps, unmapped = report_maps.draw(report_maps.chosen(cases, sweep), pictures)
         shields = gruen.shielding_picture(cases, gruen.intact(sweep.cases), pictures)
         rows = compare.compare(cases, sweep) if cases.curves else []
@@ -239,8 +239,8 @@ def _parts(cases: Sequence[SweptCase]) -> Blocks:
 
 def _cases(cases: Sequence[SweptCase]) -> Blocks:
     """Every case with what became of it."""
-    names = report_figures.headlines(cases)[:MOST_NUMBERS]
-    labels = [report_figures.label(name) for name in names]
+    names = sweep_figures.headlines(cases)[:MOST_NUMBERS]
+    labels = [sweep_figures.label(name) for name in names]
     head = ["case", "status", "overrides"]
     head += [f"{text} ({unit})" if unit else text for text, unit in labels]
     head += ["unknowns", "ranks", "time", "message"]

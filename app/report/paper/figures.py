@@ -1,12 +1,11 @@
-"""The curves of a report: the paper's figures 3 to 8, and numbers over whatever else varies."""
+"""The paper's figures 3 to 8, drawn anew from a sweep."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
+from mantle.report.curves import STEM_COLOURS, Figure, Line, Panel, draw, in_words, too_few
 from mantle.report.paper.cases import (
     QUANTITIES,
     STEMS,
@@ -15,20 +14,12 @@ from mantle.report.paper.cases import (
     contact,
     series,
 )
-from mantle.report.paper.compare import READINGS, named, published
+from mantle.report.paper.compare import READINGS, published
 from mantle.report.paper.heat import bone_p99, bone_peak, cement_peak
-from mantle.report.sweep_results import Number, SweptCase, magnitude
-from mantle.schema import quantities
-from mantle.system import style
+from mantle.report.sweep_results import Number, SweptCase
 from mantle.system.style import COLOURS, MARKERS
 
-STEM_COLOURS = dict(zip(STEMS.values(), COLOURS, strict=False))
 PLACES = ("cement_bone", "stem_cement")
-# Largest over smallest value from which an axis is logarithmic.
-DECADE = 12.0
-ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
-MOST_PANELS = 12
-MOST_SERIES = 8
 
 HOT = (
     "The paper's “100 degrees” read as the cement's initial temperature (cement: after 10 s, "
@@ -42,53 +33,6 @@ NOTE = (
 )
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A picture of the report.
-
-    Attributes:
-        name: Of the file.
-        title: A line above it.
-        caption: What is to be said of it.
-        text: What is drawn, in words, for who cannot see it.
-    """
-
-    name: str
-    title: str
-    caption: str
-    text: str
-
-
-@dataclass(frozen=True)
-class Line:
-    """A curve.
-
-    Attributes:
-        label: Its name in the legend.
-        colour: Its colour.
-        marker: Its marker.
-        numbers: With errors, over x.
-        peaks: The largest values over x, which have none.
-        stars: What is published: x and value.
-    """
-
-    label: str
-    colour: str
-    marker: str
-    numbers: dict[float, Number]
-    peaks: dict[float, Number]
-    stars: Sequence[tuple[float, float]] = ()
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Axes with curves."""
-
-    title: str
-    y: str
-    lines: Sequence[Line]
-
-
 def paper(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
     """Draw the paper's figures, as far as there are cases for them.
 
@@ -97,13 +41,13 @@ def paper(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
     """
     figures, missing = [], []
     for number, title, panels, x, lacking in _planned(cases):
-        if _few(panels):
+        if too_few(panels):
             missing.append(f"figure {number}: {lacking}")
             continue
         name = f"figure{number}.png"
         draw(folder / name, panels, x, 2)
         note = HOT if number == 8 else NOTE
-        figures.append(Figure(name, f"Figure {number}. {title}", note, _words(panels)))
+        figures.append(Figure(name, f"Figure {number}. {title}", note, in_words(panels)))
     return figures, missing
 
 
@@ -129,11 +73,6 @@ def _planned(cases: Cases) -> Iterator[tuple[int, str, list[Panel], str, str]]:
         "no case of hot cement",
     )
     yield 8, title, _temperatures(cases), thickness, f"{lacking} at two thicknesses"
-
-
-def _few(panels: Sequence[Panel]) -> bool:
-    """Whether nothing has two points."""
-    return all(max(len(x.numbers), len(x.peaks)) < 2 for p in panels for x in p.lines)
 
 
 def _panel(
@@ -192,224 +131,3 @@ def _temperatures(cases: Cases) -> list[Panel]:
             stars = []
         panels.append(Panel(title, "temperature (°C)", lines))
     return panels
-
-
-def _words(panels: Sequence[Panel]) -> str:
-    """The values of a figure."""
-    texts = []
-    for p in panels:
-        for line in p.lines:
-            values = line.numbers or line.peaks
-            if values:
-                each = "; ".join(f"{x:g}: {n}" for x, n in values.items())
-                texts.append(f"{p.title}, {p.y}, {line.label}: {each}")
-    return ". ".join(texts)
-
-
-def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
-    """Draw panels with a common legend.
-
-    Args:
-        path: The PNG to write.
-        panels: What is drawn.
-        x: Label of the horizontal axes.
-        columns: Panels beside each other at most.
-    """
-    columns = min(columns, len(panels))
-    figure, every = style.panels(len(panels), columns, 4.7, 3.2)
-    for axes, panel in zip(every, panels, strict=True):
-        _draw(axes, panel)
-        axes.set_xlabel(x)
-    handles = style.handles(every)
-    # A legend is filled column by column: curves, then peaks, then what is published.
-    kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
-    kinds_shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
-    shown = [label for kind in kinds_shown for label in kind]
-    same = len({len(kind) for kind in kinds_shown}) == 1
-    room = 95 * columns // 2 // (max(map(len, shown), default=1) + 8)  # labels in a row
-    if len(shown) > 1:
-        figure.legend(
-            [handles[label] for label in shown],
-            shown,
-            loc="outside lower center",
-            ncols=len(kinds_shown) if same else max(1, min(len(shown), room)),
-            frameon=False,
-            fontsize=9,
-        )
-    figure.savefig(path, dpi=120)
-
-
-def _draw(axes: Any, panel: Panel) -> None:
-    axes.set_title(panel.title, fontsize=11, loc="left")
-    axes.set_ylabel(panel.y)
-    axes.grid(True, which="major", color="0.9")
-    axes.set_axisbelow(True)
-    xs = sorted({x for line in panel.lines for x in (*line.numbers, *line.peaks)})
-    apart = 0.012 * (xs[-1] - xs[0]) if len(xs) > 1 else 0.0
-    for k, line in enumerate(panel.lines):
-        # Side by side, so that bars of equal numbers can both be seen.
-        shift = apart * (k - 0.5 * (len(panel.lines) - 1))
-        _line(axes, line, shift)
-    values = [v for line in panel.lines for v in _values(line)]
-    if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
-        axes.set_ylim(-0.05, 1)
-        axes.text(0.5, 0.5, "zero to rounding", transform=axes.transAxes, ha="center", color="0.4")
-    elif values and min(values) > 0 and max(values) > DECADE * min(values):
-        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-        axes.set_yscale("log")
-        axes.set_ylabel(f"{panel.y}, log. scale")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    elif values and min(values) >= 0 and max(values) > 2 * min(values):
-        axes.set_ylim(bottom=0)
-    if not xs:
-        axes.text(0.5, 0.5, "no results", transform=axes.transAxes, ha="center", color="0.4")
-    elif len(xs) < 9:
-        axes.set_xticks(xs, [f"{x:g}" for x in xs])
-
-
-def _labels(line: Line) -> tuple[str, str, str]:
-    """Of the curve, its peaks and what is published, in the legend."""
-    own = line.label in STEM_COLOURS
-    paper = f"{line.label}, paper" if own else "paper"
-    curve = f"{line.label}, p99" if own and line.peaks else line.label
-    return curve, f"{line.label}, max", paper
-
-
-def _values(line: Line) -> list[float]:
-    numbers = [n.value for n in (*line.numbers.values(), *line.peaks.values())]
-    return numbers + [v for _, v in line.stars]
-
-
-def _line(axes: Any, line: Line, shift: float) -> None:
-    """A curve with bars, its peaks, and what is published."""
-    label, peak_label, star_label = _labels(line)
-    if line.peaks:
-        axes.plot(
-            [x + shift for x in line.peaks],
-            [n.value for n in line.peaks.values()],
-            color=line.colour,
-            alpha=0.45,
-            marker=line.marker,
-            mfc="white",
-            ms=4.5,
-            lw=1,
-            ls=(0, (3, 2)),
-            label=peak_label,
-            zorder=2,
-        )
-    if line.numbers:
-        axes.errorbar(
-            [x + shift for x in line.numbers],
-            [n.value for n in line.numbers.values()],
-            yerr=[n.error or 0.0 for n in line.numbers.values()],
-            color=line.colour,
-            marker=line.marker,
-            ms=5.5,
-            lw=1.6,
-            capsize=3,
-            label=label,
-            zorder=3,
-        )
-    if line.stars:
-        axes.plot(
-            [x + shift for x, _ in line.stars],
-            [v for _, v in line.stars],
-            "*",
-            color=line.colour if line.label in STEM_COLOURS else "#f2c14e",
-            mec="0.15",
-            mew=0.7,
-            ms=12,
-            ls="",
-            label=star_label,
-            zorder=4,
-        )
-
-
-# Sweeps of anything
-
-
-def headlines(cases: Sequence[SweptCase]) -> list[str]:
-    """Names of the numbers to show of cases, those that matter most first."""
-    found: dict[str, None] = {}
-    for case in cases:
-        for name in case.summary.get("interfaces", {}):
-            found |= {f"{name}.{q}_p99": None for q in QUANTITIES}
-    for case in cases:
-        # What burns is the bone; cement may be as hot as it starts.
-        regions = case.summary.get("thermal", {}).get("regions", {})
-        order = sorted(regions, key=lambda name: name not in case.bones)
-        found |= {f"{name}.temperature_max": None for name in order}
-    for case in cases:
-        found |= dict.fromkeys(case.numbers)
-    return [name for name in found if any(c.number(name) is not None for c in cases)]
-
-
-def label(name: str) -> tuple[str, str]:
-    """A number's name for people, and its unit."""
-    place, _, key = name.partition(".")
-    if (q := quantities.get(name)) is None:
-        return f"{named(place)} {key}".replace("_", " "), ""
-    return f"{named(place)} {key.replace(q.key, q.label)}", quantities.printed(q.shown)
-
-
-def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
-    """Draw each headline number over each numeric key that varies.
-
-    Args:
-        cases: Those that have something in common.
-        folder: Where the pictures go.
-    """
-    done = [c for c in cases if c.done]
-    keys = dict.fromkeys(key for c in done for key in c.overrides)
-    figures = []
-    for key in keys:
-        groups = _groups(done, key)
-        if not groups:
-            continue
-        panels = []
-        for name in headlines([c for _, own in groups for c in own.values()]):
-            text, unit = label(name)
-            lines = []
-            for k, (common, own) in enumerate(groups[:MOST_SERIES]):
-                values = {x: n for x, c in own.items() if (n := c.number(name))}
-                lines.append(Line(common or "mantle", COLOURS[k], MARKERS[k], values, {}))
-            if any(map(_varies, lines)):
-                panels.append(Panel(text, unit or "value", lines))
-        panels = panels[:MOST_PANELS]
-        if _few(panels):
-            continue
-        file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
-        draw(folder / file, panels, f"{key} ({unit_of(done, key)})".replace(" ()", ""), 3)
-        left = len(groups) - MOST_SERIES
-        more = f" {left} further curves are left out." if left > 0 else ""
-        caption = f"Bars: estimated errors, where they are known.{more}"
-        figures.append(Figure(file, f"Numbers over {key}", caption, _words(panels)))
-    return figures
-
-
-def _varies(line: Line) -> bool:
-    """Whether a curve is more than rounding."""
-    values = [n.value for n in line.numbers.values()]
-    return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
-
-
-def unit_of(cases: Sequence[SweptCase], key: str) -> str:
-    """The unit of a key's values, as written."""
-    texts = [str(c.overrides[key]).split(maxsplit=1) for c in cases if key in c.overrides]
-    units = {t[1] for t in texts if len(t) > 1}
-    return units.pop() if len(units) == 1 else ""
-
-
-def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
-    """Cases that differ in a numeric key alone, with what they have in common in words."""
-    found: dict[str, dict[float, SweptCase]] = {}
-    for c in cases:
-        x = magnitude(c.overrides.get(key))
-        if x is not None:
-            rest = {k: v for k, v in c.overrides.items() if k != key}
-            common = ", ".join(f"{k.split('.')[-1]} {v}" for k, v in rest.items())
-            found.setdefault(": ".join(filter(None, (c.part, common))), {})[x] = c
-    return [(t, dict(sorted(own.items()))) for t, own in found.items() if len(own) > 1]

@@ -1,0 +1,204 @@
+"""Curves of a report: panels with numbers and errors, the largest values and what is published."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mantle.report.paper.cases import STEMS
+from mantle.report.sweep_results import Number
+from mantle.system import style
+from mantle.system.style import COLOURS
+
+STEM_COLOURS = dict(zip(STEMS.values(), COLOURS, strict=False))
+# Largest over smallest value from which an axis is logarithmic.
+DECADE = 12.0
+ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture of the report.
+
+    Attributes:
+        name: Of the file.
+        title: A line above it.
+        caption: What is to be said of it.
+        text: What is drawn, in words, for who cannot see it.
+    """
+
+    name: str
+    title: str
+    caption: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Line:
+    """A curve.
+
+    Attributes:
+        label: Its name in the legend.
+        colour: Its colour.
+        marker: Its marker.
+        numbers: With errors, over x.
+        peaks: The largest values over x, which have none.
+        stars: What is published: x and value.
+    """
+
+    label: str
+    colour: str
+    marker: str
+    numbers: dict[float, Number]
+    peaks: dict[float, Number]
+    stars: Sequence[tuple[float, float]] = ()
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes with curves."""
+
+    title: str
+    y: str
+    lines: Sequence[Line]
+
+
+def too_few(panels: Sequence[Panel]) -> bool:
+    """Whether nothing has two points."""
+    return all(max(len(x.numbers), len(x.peaks)) < 2 for p in panels for x in p.lines)
+
+
+def in_words(panels: Sequence[Panel]) -> str:
+    """The values of a figure."""
+    texts = []
+    for p in panels:
+        for line in p.lines:
+            values = line.numbers or line.peaks
+            if values:
+                each = "; ".join(f"{x:g}: {n}" for x, n in values.items())
+                texts.append(f"{p.title}, {p.y}, {line.label}: {each}")
+    return ". ".join(texts)
+
+
+def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
+    """Draw panels with a common legend.
+
+    Args:
+        path: The PNG to write.
+        panels: What is drawn.
+        x: Label of the horizontal axes.
+        columns: Panels beside each other at most.
+    """
+    columns = min(columns, len(panels))
+    figure, every = style.panels(len(panels), columns, 4.7, 3.2)
+    for axes, panel in zip(every, panels, strict=True):
+        _draw(axes, panel)
+        axes.set_xlabel(x)
+    handles = style.handles(every)
+    # A legend is filled column by column: curves, then peaks, then what is published.
+    kinds = zip(*(_labels(line) for p in panels for line in p.lines), strict=True)
+    kinds_shown = [[n for n in dict.fromkeys(kind) if n in handles] for kind in kinds]
+    shown = [label for kind in kinds_shown for label in kind]
+    same = len({len(kind) for kind in kinds_shown}) == 1
+    room = 95 * columns // 2 // (max(map(len, shown), default=1) + 8)  # labels in a row
+    if len(shown) > 1:
+        figure.legend(
+            [handles[label] for label in shown],
+            shown,
+            loc="outside lower center",
+            ncols=len(kinds_shown) if same else max(1, min(len(shown), room)),
+            frameon=False,
+            fontsize=9,
+        )
+    figure.savefig(path, dpi=120)
+
+
+def _draw(axes: Any, panel: Panel) -> None:
+    axes.set_title(panel.title, fontsize=11, loc="left")
+    axes.set_ylabel(panel.y)
+    axes.grid(True, which="major", color="0.9")
+    axes.set_axisbelow(True)
+    xs = sorted({x for line in panel.lines for x in (*line.numbers, *line.peaks)})
+    apart = 0.012 * (xs[-1] - xs[0]) if len(xs) > 1 else 0.0
+    for k, line in enumerate(panel.lines):
+        # Side by side, so that bars of equal numbers can both be seen.
+        shift = apart * (k - 0.5 * (len(panel.lines) - 1))
+        _line(axes, line, shift)
+    values = [v for line in panel.lines for v in _values(line)]
+    if values and panel.y in ROUNDED and max(map(abs, values)) < ROUNDED[panel.y]:
+        axes.set_ylim(-0.05, 1)
+        axes.text(0.5, 0.5, "zero to rounding", transform=axes.transAxes, ha="center", color="0.4")
+    elif values and min(values) > 0 and max(values) > DECADE * min(values):
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+        axes.set_yscale("log")
+        axes.set_ylabel(f"{panel.y}, log. scale")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    elif values and min(values) >= 0 and max(values) > 2 * min(values):
+        axes.set_ylim(bottom=0)
+    if not xs:
+        axes.text(0.5, 0.5, "no results", transform=axes.transAxes, ha="center", color="0.4")
+    elif len(xs) < 9:
+        axes.set_xticks(xs, [f"{x:g}" for x in xs])
+
+
+def _labels(line: Line) -> tuple[str, str, str]:
+    """Of the curve, its peaks and what is published, in the legend."""
+    own = line.label in STEM_COLOURS
+    paper = f"{line.label}, paper" if own else "paper"
+    curve = f"{line.label}, p99" if own and line.peaks else line.label
+    return curve, f"{line.label}, max", paper
+
+
+def _values(line: Line) -> list[float]:
+    numbers = [n.value for n in (*line.numbers.values(), *line.peaks.values())]
+    return numbers + [v for _, v in line.stars]
+
+
+def _line(axes: Any, line: Line, shift: float) -> None:
+    """A curve with bars, its peaks, and what is published."""
+    label, peak_label, star_label = _labels(line)
+    if line.peaks:
+        axes.plot(
+            [x + shift for x in line.peaks],
+            [n.value for n in line.peaks.values()],
+            color=line.colour,
+            alpha=0.45,
+            marker=line.marker,
+            mfc="white",
+            ms=4.5,
+            lw=1,
+            ls=(0, (3, 2)),
+            label=peak_label,
+            zorder=2,
+        )
+    if line.numbers:
+        axes.errorbar(
+            [x + shift for x in line.numbers],
+            [n.value for n in line.numbers.values()],
+            yerr=[n.error or 0.0 for n in line.numbers.values()],
+            color=line.colour,
+            marker=line.marker,
+            ms=5.5,
+            lw=1.6,
+            capsize=3,
+            label=label,
+            zorder=3,
+        )
+    if line.stars:
+        axes.plot(
+            [x + shift for x, _ in line.stars],
+            [v for _, v in line.stars],
+            "*",
+            color=line.colour if line.label in STEM_COLOURS else "#f2c14e",
+            mec="0.15",
+            mew=0.7,
+            ms=12,
+            ls="",
+            label=star_label,
+            zorder=4,
+        )
