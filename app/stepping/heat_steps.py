@@ -6,29 +6,26 @@ or of heat and mechanics together where heat depends on contact (`stepping.coupl
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from dolfinx import fem
 
 from mantle.arrays import Floats
 from mantle.heat.conduction import Conduction
-from mantle.heat.curing import FreeStrain, as_temperature, since_gelation
+from mantle.heat.curing import as_temperature
 from mantle.heat.flows import flows
-from mantle.mechanics.problem import Problem
 from mantle.numerics import integrator
 from mantle.numerics.integrator import METHODS, Method, State
 from mantle.numerics.newton import NewtonResult
 from mantle.numerics.state import State as SavedState
-from mantle.numerics.state import keyed
-from mantle.scene.terms import Expansion, Scene
+from mantle.scene.terms import Scene
 from mantle.stepping.load_steps import Summary
+from mantle.stepping.thermal_loading import ThermalLoading, Warmth
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
 FIRST = 1e-3
@@ -82,21 +79,6 @@ class Partner(Protocol):
         """Unknowns by block."""
 
 
-@dataclass(frozen=True)
-class Warmth:
-    """Input of the mechanics from a state of the heat.
-
-    Attributes:
-        temperatures: Of the nodes of each thermal body, ghosts included [K].
-        degrees: Of cure, of the nodes of each region that sets, ghosts included.
-        strains: Its free strain since gelation.
-    """
-
-    temperatures: list[Floats]
-    degrees: list[Floats]
-    strains: list[Floats]
-
-
 class HeatState:
     """Temperatures, jumps and degrees of cure in time.
 
@@ -108,6 +90,7 @@ class HeatState:
         state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
         seconds: Time since the start of the run [s].
         total: What it took so far.
+        loading: What it tells the mechanics.
     """
 
     def __init__(self, scene: Scene, conduction: Conduction, solver: Partner) -> None:
@@ -129,17 +112,8 @@ class HeatState:
         self._slope: State = [np.zeros_like(part) for part in self.state]
         self._stages: list[dict[str, float]] = []
         self.put(self.state)
-        # Input of the mechanics: temperatures of bodies, cure and free strain of regions.
-        n = len(conduction.bodies.names)
-        self._temperatures = [fem.Function(conduction.space) for _ in range(n)]
         self._curing = [node for cure in conduction.cures for node in cure.nodes]
-        self._degrees = [fem.Function(conduction.space) for _ in self._curing]
-        self._strains = [fem.Function(conduction.space) for _ in self._curing]
-        expansion = {x.region: x for x in scene.expansions}
-        self._free = [
-            FreeStrain(conduction.comm, c, expansion.get(c.region, Expansion(c.region, 0, 0)), n)
-            for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
-        ]
+        self.loading = ThermalLoading(scene, conduction)
 
     # What a run remembers
 
@@ -152,7 +126,7 @@ class HeatState:
             "total": asdict(self.total),
             "state": conduction.pack(self.state),
             "slope": conduction.pack(self._slope),
-            "strains": [keyed(conduction.nodes, self._own(f.x.array)) for f in self._strains],
+            "strains": self.loading.strains(),
             "conduction": conduction.state(),
             "solver": self.solver.state(),
         }
@@ -164,37 +138,10 @@ class HeatState:
         self.total = Summary(**found["total"])
         self.state = self.conduction.unpack(found["state"])
         self._slope = self.conduction.unpack(found["slope"])
-        for function, values in zip(self._strains, found["strains"], strict=True):
-            self._put(function, values.of(self.conduction.nodes))
+        self.loading.resume(found["strains"])
         self.conduction.resume(found["conduction"])
         self.solver.resume(found["solver"])
         self.put(self.state)
-
-    def _own(self, values: Floats) -> Floats:
-        return values[: self.conduction.owned]
-
-    def _put(self, function: fem.Function, own: Floats) -> None:
-        """Own values of a function, and those of ghosts; collective."""
-        function.x.array[: self.conduction.owned] = own
-        function.x.scatter_forward()
-
-    def pack(self, warmth: Warmth) -> SavedState:
-        """The input of the mechanics as rows to be saved."""
-        keys = self.conduction.nodes
-        return {
-            f.name: [keyed(keys, self._own(values)) for values in getattr(warmth, f.name)]
-            for f in fields(Warmth)
-        }
-
-    def unpack(self, found: SavedState) -> Warmth:
-        """Return the input of the mechanics that a saved state holds; collective."""
-        function = fem.Function(self.conduction.space)
-        parts: dict[str, list[Floats]] = {name: [] for name in found}
-        for name, several in found.items():
-            for values in several:
-                self._put(function, values.of(self.conduction.nodes))
-                parts[name].append(function.x.array.copy())
-        return Warmth(**parts)
 
     # Between lists of arrays and the vectors of the solver
 
@@ -285,7 +232,10 @@ class HeatState:
             * sum(b * stage[name] for b, stage in zip(method.a[-1], self._stages, strict=True))
             for name in self._stages[-1]
         }
-        self._strain(found.state)
+        if self._curing:
+            n = len(self.vectors())
+            before = self._nodal(self.state), self.state[n:]
+            self.loading.strain(before, (self._nodal(found.state), found.state[n:]))
         self.conduction.settle(self.vectors())
         self.state, self._slope = found.state, found.slope
         self.seconds += dt
@@ -343,74 +293,6 @@ class HeatState:
             v.array[:] = values
         return self.conduction.nodal(x)
 
-    def _strain(self, after: State) -> None:
-        """Add the free strain of a step."""
-        if not self._curing:
-            return
-        n = len(self.vectors())
-        T_old, T = self._nodal(self.state), self._nodal(after)
-        for k, c in enumerate(self._curing):
-            self._strains[k].x.array[c.dof] += self._free[k].increment(
-                self.state[n + k], T_old[c.body][c.dof], after[n + k], T[c.body][c.dof]
-            )
-            self._strains[k].x.scatter_forward()
-
     def warmth(self) -> Warmth:
-        """Input of the mechanics at the current state: temperatures, cure and free strains."""
-        owned = self.conduction.owned
-        for function, values in zip(self._temperatures, self._nodal(self.state), strict=True):
-            function.x.array[:owned] = values
-            function.x.scatter_forward()
-        n = len(self.vectors())
-        for function, c, values in zip(self._degrees, self._curing, self.state[n:], strict=True):
-            function.x.array[c.dof] = values
-            function.x.scatter_forward()
-        return Warmth(
-            *(
-                [f.x.array.copy() for f in functions]
-                for functions in (self._temperatures, self._degrees, self._strains)
-            )
-        )
-
-    def distance(self, a: Warmth, b: Warmth) -> float:
-        """Largest difference [K], of cure as the temperature it releases; collective."""
-        rises = self.conduction.adiabatic_rises
-        sizes = [
-            float(np.abs(s - t).max()) for s, t in zip(a.temperatures, b.temperatures, strict=True)
-        ]
-        sizes += [
-            rise * float(np.abs(s - t).max())
-            for rise, s, t in zip(rises, a.degrees, b.degrees, strict=True)
-        ]
-        return float(self.conduction.comm.allreduce(max(sizes), MPI.MAX))
-
-    def followed(self, a: Warmth, b: Warmth) -> float:
-        """Largest step of the mechanics between two states, as a part of the way; collective."""
-        return 1.0 / max(math.ceil(self.distance(a, b) / self.options.mechanical_step - SAME), 1)
-
-    def interpolate(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
-        """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.
-
-        Free strain grows from gelation on, temperature and cure all the way.
-        """
-        strains = [f.x.array.copy() for f in self._strains]
-        for functions, before, after in (
-            (self._temperatures, a.temperatures, b.temperatures),
-            (self._degrees, a.degrees, b.degrees),
-        ):
-            for function, x, y in zip(functions, before, after, strict=True):
-                function.x.array[:] = (1 - s) * x + s * y
-        for k, cure in enumerate(self.conduction.scene.cures):
-            share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
-            self._strains[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
-        of_region = self.conduction.bodies.of_region
-        expanding = [x.region for x in self.conduction.scene.expansions]
-        problem.set_temperature({r: self._temperatures[of_region[r]] for r in expanding})
-        names = [c.region for c in self._curing]
-        problem.set_cure(
-            dict(zip(names, self._degrees, strict=True)),
-            dict(zip(names, self._strains, strict=True)),
-        )
-        # The sum of the free strain goes on from where the heat is.
-        for function, values in zip(self._strains, strains, strict=True):
-            function.x.array[:] = values
+        """Input of the mechanics at the current state; collective."""
+        return self.loading.at(self._nodal(self.state), self.state[len(self.vectors()) :])

@@ -269,7 +269,7 @@ class SolvedAfterHeat:
         self._motion, self._heating, self._limit = motion, heating, limit
         self._time = 0.0
         self._before = heating.warmth()
-        heating.interpolate(motion.problem, self._before, self._before, 1.0)
+        heating.loading.interpolate(motion.problem, self._before, self._before, 1.0)
 
     def begin(self, k: int, stage: SceneStage) -> None:
         """Remember where the mechanics stand."""
@@ -280,27 +280,27 @@ class SolvedAfterHeat:
         """Follow if it is time to."""
         heating, problem = self._heating, self._motion.problem
         before, now = self._before, heating.warmth()
-        if not whole and heating.distance(before, now) < self._limit:
+        if not whole and heating.loading.distance(before, now) < self._limit:
             return
         begin = self._time
 
         def place(s: float) -> None:
             problem.set_time(begin + s * (time - begin))
-            heating.interpolate(problem, before, now, s)
+            heating.loading.interpolate(problem, before, now, s)
 
-        longest = heating.followed(before, now)
+        longest = heating.loading.followed(before, now)
         self._motion.advance(self._stage, longest, place, begin, time)
         self._before, self._time = now, time
 
     def state(self) -> State:
         """Input of the mechanics at its last step and the time of that step, to be saved."""
-        return {"before": self._heating.pack(self._before), "time": self._time}
+        return {"before": self._heating.loading.pack(self._before), "time": self._time}
 
     def resume(self, state: State, k: int, stage: SceneStage) -> None:
         """Restore the input of the mechanics at its last step; collective."""
         self._stage, self._time = stage, state["time"]
-        self._before = self._heating.unpack(state["before"])
-        self._heating.interpolate(self._motion.problem, self._before, self._before, 1.0)
+        self._before = self._heating.loading.unpack(state["before"])
+        self._heating.loading.interpolate(self._motion.problem, self._before, self._before, 1.0)
 
 
 class SolvedWithHeat:
@@ -320,7 +320,7 @@ class SolvedWithHeat:
         heating.beside = (self,)
         self._start = self._committed = heating.seconds
         self._before = heating.warmth()
-        heating.interpolate(motion.problem, self._before, self._before, 1.0)
+        heating.loading.interpolate(motion.problem, self._before, self._before, 1.0)
 
     def begin(self, k: int, stage: SceneStage) -> None:
         """Begin where the mechanics stand."""
@@ -363,9 +363,9 @@ class SolvedWithHeat:
         self._before = now
 
         def place(s: float) -> None:
-            self._heating.interpolate(self._motion.problem, before, now, s)
+            self._heating.loading.interpolate(self._motion.problem, before, now, s)
 
-        longest = self._heating.followed(before, now)
+        longest = self._heating.loading.followed(before, now)
         self._motion.advance(self._stage, longest, place, time, time)
 
     def state(self) -> State:
@@ -377,4 +377,4 @@ class SolvedWithHeat:
         self._k, self._stage = k, stage
         self._start, self._committed = state["start"], state["committed"]
         self._before = self._heating.warmth()
-        self._heating.interpolate(self._motion.problem, self._before, self._before, 1.0)
+        self._heating.loading.interpolate(self._motion.problem, self._before, self._before, 1.0)

@@ -1,0 +1,177 @@
+"""Heat as a load of the mechanics: temperatures, degrees of cure and the free strain of cement."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+
+from mantle.arrays import Floats
+from mantle.heat.conduction import Conduction
+from mantle.heat.curing import FreeStrain, since_gelation
+from mantle.mechanics.problem import Problem
+from mantle.numerics.state import Rows, State, keyed
+from mantle.scene.terms import Expansion, Scene
+
+# Parts of a way are whole up to this.
+SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """Input of the mechanics from a state of the heat.
+
+    Attributes:
+        temperatures: Of the nodes of each thermal body, ghosts included [K].
+        degrees: Of cure, of the nodes of each region that sets, ghosts included.
+        strains: Its free strain since gelation.
+    """
+
+    temperatures: list[Floats]
+    degrees: list[Floats]
+    strains: list[Floats]
+
+
+class ThermalLoading:
+    """Input of the mechanics from the heat, and the free strain that has grown so far."""
+
+    def __init__(self, scene: Scene, conduction: Conduction) -> None:
+        """Begin without strain.
+
+        Args:
+            scene: The scene.
+            conduction: Its heat.
+        """
+        (options,) = scene.time
+        self._conduction, self._step = conduction, options.mechanical_step
+        n = len(conduction.bodies.names)
+        self._temperatures = [fem.Function(conduction.space) for _ in range(n)]
+        self._curing = [node for cure in conduction.cures for node in cure.nodes]
+        self._degrees = [fem.Function(conduction.space) for _ in self._curing]
+        self._strains = [fem.Function(conduction.space) for _ in self._curing]
+        expansion = {x.region: x for x in scene.expansions}
+        self._free = [
+            FreeStrain(conduction.comm, c, expansion.get(c.region, Expansion(c.region, 0, 0)), n)
+            for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
+        ]
+
+    # What a run remembers
+
+    def strains(self) -> list[Rows]:
+        """Free strains as rows to be saved."""
+        return [self._rows(f.x.array) for f in self._strains]
+
+    def resume(self, strains: Sequence[Rows]) -> None:
+        """Restore the free strains; collective."""
+        for function, values in zip(self._strains, strains, strict=True):
+            self._put(function, values.of(self._conduction.nodes))
+
+    def _rows(self, values: Floats) -> Rows:
+        return keyed(self._conduction.nodes, values[: self._conduction.owned])
+
+    def _put(self, function: fem.Function, own: Floats) -> None:
+        """Own values of a function, and those of ghosts; collective."""
+        function.x.array[: self._conduction.owned] = own
+        function.x.scatter_forward()
+
+    def pack(self, warmth: Warmth) -> State:
+        """The input of the mechanics as rows to be saved."""
+        return {f.name: [self._rows(v) for v in getattr(warmth, f.name)] for f in fields(Warmth)}
+
+    def unpack(self, found: State) -> Warmth:
+        """Return the input of the mechanics that a saved state holds; collective."""
+        function = fem.Function(self._conduction.space)
+        parts: dict[str, list[Floats]] = {name: [] for name in found}
+        for name, several in found.items():
+            for values in several:
+                self._put(function, values.of(self._conduction.nodes))
+                parts[name].append(function.x.array.copy())
+        return Warmth(**parts)
+
+    # In time
+
+    def strain(
+        self,
+        before: tuple[Sequence[Floats], Sequence[Floats]],
+        after: tuple[Sequence[Floats], Sequence[Floats]],
+    ) -> None:
+        """Add the free strain of a step; collective.
+
+        Args:
+            before: Temperatures of own nodes of each body [K], and degrees of cure of own nodes of
+                each region that sets, at its start.
+            after: The same at its end.
+        """
+        (T_old, old), (T, new) = before, after
+        for k, c in enumerate(self._curing):
+            self._strains[k].x.array[c.dof] += self._free[k].increment(
+                old[k], T_old[c.body][c.dof], new[k], T[c.body][c.dof]
+            )
+            self._strains[k].x.scatter_forward()
+
+    def at(self, T: Sequence[Floats], degrees: Sequence[Floats]) -> Warmth:
+        """Input of the mechanics at a state, with the free strains of now; collective.
+
+        Args:
+            T: Temperatures of own nodes of each body [K].
+            degrees: Degrees of cure of own nodes of each region that sets.
+        """
+        for function, values in zip(self._temperatures, T, strict=True):
+            self._put(function, values)
+        for function, c, values in zip(self._degrees, self._curing, degrees, strict=True):
+            function.x.array[c.dof] = values
+            function.x.scatter_forward()
+        return Warmth(
+            *(
+                [f.x.array.copy() for f in functions]
+                for functions in (self._temperatures, self._degrees, self._strains)
+            )
+        )
+
+    def distance(self, a: Warmth, b: Warmth) -> float:
+        """Largest difference [K], of cure as the temperature it releases; collective."""
+        rises = self._conduction.adiabatic_rises
+        sizes = [
+            float(np.abs(s - t).max()) for s, t in zip(a.temperatures, b.temperatures, strict=True)
+        ]
+        sizes += [
+            rise * float(np.abs(s - t).max())
+            for rise, s, t in zip(rises, a.degrees, b.degrees, strict=True)
+        ]
+        return float(self._conduction.comm.allreduce(max(sizes), MPI.MAX))
+
+    def followed(self, a: Warmth, b: Warmth) -> float:
+        """Largest step of the mechanics between two states, as a part of the way; collective."""
+        return 1.0 / max(math.ceil(self.distance(a, b) / self._step - SAME), 1)
+
+    def interpolate(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
+        """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.
+
+        Free strain grows from gelation on, temperature and cure all the way.
+        """
+        strains = [f.x.array.copy() for f in self._strains]
+        for functions, before, after in (
+            (self._temperatures, a.temperatures, b.temperatures),
+            (self._degrees, a.degrees, b.degrees),
+        ):
+            for function, x, y in zip(functions, before, after, strict=True):
+                function.x.array[:] = (1 - s) * x + s * y
+        for k, cure in enumerate(self._conduction.scene.cures):
+            share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
+            self._strains[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
+        of_region = self._conduction.bodies.of_region
+        expanding = [x.region for x in self._conduction.scene.expansions]
+        problem.set_temperature({r: self._temperatures[of_region[r]] for r in expanding})
+        names = [c.region for c in self._curing]
+        problem.set_cure(
+            dict(zip(names, self._degrees, strict=True)),
+            dict(zip(names, self._strains, strict=True)),
+        )
+        # The sum of the free strain goes on from where the heat is.
+        for function, values in zip(self._strains, strains, strict=True):
+            function.x.array[:] = values
