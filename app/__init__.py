@@ -73,16 +73,16 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         GeometryError: It cannot be meshed.
         EnvironmentProblem: A package for meshing is missing.
     """
-    from mantle.soundness import preview
+    from mantle.soundness import cost, preview, unusual_input
 
-    size, notes = preview.estimated_size(case.config), preview.warnings(case.config)
+    size, notes = cost.estimated_size(case.config), unusual_input.warnings(case.config)
     if meshed:
         data = mesh(case)
         with stack_needed():
             from mantle.soundness import case_on_mesh
         with case.file.placing():
             notes += case_on_mesh.judge(case.config, case_on_mesh.look(case.config, data))
-        size = preview.exact_size(case.config, data)
+        size = cost.exact_size(case.config, data)
     return preview.CheckedCase(preview.describe(case.config, case.file.data), size, tuple(notes))
 
 

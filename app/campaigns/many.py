@@ -9,7 +9,7 @@ from pathlib import Path
 from mantle.campaigns import batch
 from mantle.campaigns.runs import Job
 from mantle.schema import config
-from mantle.soundness import preview
+from mantle.soundness import cost
 from mantle.system import layout
 
 # How much of the cores' time runs of different length leave unused at the end of a batch.
@@ -50,7 +50,7 @@ def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
     rows, wall, seen = [], 0.0, set[object]()
     for job, result in zip(jobs, results, strict=True):
         case = config.load(job.case, job.overrides)
-        seconds = preview.seconds(case, result.process not in seen)  # of one core
+        seconds = cost.seconds(case, result.process not in seen)  # of one core
         alone = seconds / min(job.ranks, options.cores)
         about = layout.duration(alone)
         note = f"shares the matrices of {result.process}" if result.process in seen else ""
@@ -61,7 +61,7 @@ def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
         seen |= {result.process, result.folder}
         if about != "-":
             wall += alone if job.alone else seconds / options.cores
-        size = f"{round(preview.unknowns(case), -2):,.0f}".replace(",", " ")
+        size = layout.count(round(cost.unknowns(case), -2))
         rows.append((job.name, job.ranks, size, about, note))
     listed = layout.table(("case", "ranks", "unknowns", "about", ""), rows)
     about = layout.duration(IDLE * wall)

@@ -133,7 +133,7 @@ def _mesh(options: argparse.Namespace) -> int:
     if options.pictures and not case.config.geometry.mantles:
         raise InputError("--pictures: needs a stem in a cement mantle; this case has none")
     from mantle import meshes
-    from mantle.soundness import preview, sizing
+    from mantle.soundness import cost, sizing
 
     sizing.check(case.file, case.config)
     path = _mesh_path(options.output, options.case.stem)
@@ -149,7 +149,7 @@ def _mesh(options: argparse.Namespace) -> int:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
     if options.pictures:
         _mantle_pictures(data, options.pictures)
-    print(preview.exact_size(case.config, data))
+    print(cost.exact_size(case.config, data))
     return 0
 
 

@@ -31,7 +31,7 @@ from mantle.simulation import checkpoint, checkpoint_file, keep_finished, variat
 from mantle.simulation.checkpoint import Keeper
 from mantle.simulation.model import Model
 from mantle.simulation.recorder import OnAccepted, Recorder
-from mantle.soundness import case_on_mesh, preview
+from mantle.soundness import case_on_mesh, unusual_input
 from mantle.system import blas_check, form_cache, ranks, stopping
 from mantle.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from mantle.system.timing import Timing
@@ -93,7 +93,7 @@ def run(
         partial(checkpoint.find, comm, restart, force=force) if restart else None,
         progress,
     )
-    session.note(preview.warnings(case.config))
+    session.note(unusual_input.warnings(case.config))
     with case.file.placing(), _claimed(comm, output):
         if not case.config.variations:
             summary = session.solve(case.config, (), output)

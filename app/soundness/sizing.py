@@ -14,7 +14,7 @@ from pathlib import Path
 from mantle.errors import EnvironmentProblem
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.config import Case, MeshFile
-from mantle.soundness import preview
+from mantle.soundness import cost
 
 # Bytes that a run takes at least: in all, per unknown (measured: 6 kB) and per cell.
 BASE, PER_UNKNOWN, PER_CELL = 3e8, 4e3, 3e2
@@ -34,7 +34,7 @@ ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 def needed(case: Case) -> float:
     """Memory that a run takes at least [byte], estimated; 0 where its mesh is not known yet."""
     cells = case.geometry.estimate_cells(case.mesh)
-    return BASE + PER_UNKNOWN * preview.unknowns(case) + PER_CELL * cells if cells else 0.0
+    return BASE + PER_UNKNOWN * cost.unknowns(case) + PER_CELL * cells if cells else 0.0
 
 
 def available(environ: Mapping[str, str] = os.environ) -> float:
@@ -133,7 +133,7 @@ def check(file: CaseFile, case: Case) -> None:
         )
     if needed(case) <= memory:
         return
-    cells, unknowns = case.geometry.estimate_cells(case.mesh), preview.unknowns(case)
+    cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
     text = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which take at least "
         f"{needed(case) / GIGABYTE:.2g} GB; there are {memory / GIGABYTE:.2g} GB"

@@ -1,4 +1,4 @@
-"""Text for people: tables, durations."""
+"""Text for people: tables, durations, counts, values of a case."""
 
 from __future__ import annotations
 
@@ -36,3 +36,30 @@ def duration(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def count(number: float) -> str:
+    """A count with its thousands apart."""
+    return f"{round(number):,}".replace(",", " ")
+
+
+def plain(value: object) -> str:
+    """A value on one line, floats shortened for the eye."""
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {plain(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        items = [plain(v) for v in value]
+        units = {text.partition(" ")[2] for text in items}
+        if len(units) == 1 and (unit := units.pop())[:1].isalpha() and len(items) > 1:
+            return f"[{', '.join(text.partition(' ')[0] for text in items)}] {unit}"
+        return f"[{', '.join(items)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    text = str(value)
+    number, space, unit = text.partition(" ")
+    try:
+        return f"{float(number):.6g}{space}{unit}"
+    except ValueError:
+        return text

@@ -35,7 +35,7 @@ from mantle.cli import main
 from mantle.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
 from mantle.report import sweep_results
 from mantle.schema import case_file, config, sweep_file, sweep_options
-from mantle.soundness import preview
+from mantle.soundness import cost
 from tests import support
 
 CASE = """\
@@ -460,7 +460,7 @@ def test_a_dry_run_tells_what_cores_take_together(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, ranks: int, each: int
 ) -> None:
     """Eight cases of half a minute of one core, on two: two minutes and some idling at the end."""
-    monkeypatch.setattr(preview, "seconds", lambda case, alone: 30.0)
+    monkeypatch.setattr(cost, "seconds", lambda case, alone: 30.0)
     said = sweep.dry_run(bench.sweep, [f"ranks={ranks}"], Options(bench.out, 2))
     assert said.splitlines()[-1].startswith("about 2 min for what is not done, on 2 cores")
     shown = [re.search(r"(\S+) s(  |$)", line) for line in said.splitlines()[3:-2]]

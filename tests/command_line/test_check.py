@@ -17,7 +17,7 @@ from mantle import __version__, cli
 from mantle.cli import main
 from mantle.errors import ConvergenceError
 from mantle.schema import config
-from mantle.soundness import preview
+from mantle.soundness import unusual_input
 from mantle.system import folders, ranks
 
 ROOT = Path(__file__).parents[2]
@@ -167,8 +167,8 @@ def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixt
 )
 def test_data_that_no_material_has_are_asked_about(change: str, place: str) -> None:
     cure = CONFIGS / "cure.yaml"
-    assert preview.warnings(config.load(cure)) == []
-    (note,) = preview.warnings(config.load(cure, [change]))
+    assert unusual_input.warnings(config.load(cure)) == []
+    (note,) = unusual_input.warnings(config.load(cure, [change]))
     assert note.startswith(f"{place} is ")
     assert note.endswith(": a wrong unit?")
 
@@ -207,11 +207,11 @@ BONE = (
 )
 def test_locking_is_told(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
-    told = preview.warnings(config.load(CONFIGS / "blocks.yaml", changes))
+    told = unusual_input.warnings(config.load(CONFIGS / "blocks.yaml", changes))
     assert [m.split(" is ")[0] for m in told] == (["regions.cement"] if locks else [])
     assert all("lock" in m and "mesh.order: 2" in m for m in told)
     second = config.load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"])
-    assert preview.warnings(second) == []
+    assert unusual_input.warnings(second) == []
 
 
 def test_check_mesh_counts(capsys: pytest.CaptureFixture[str]) -> None:
@@ -273,7 +273,7 @@ def test_a_press_fit_acts_by_penalty_too() -> None:
     ]
     for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
         case = config.load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"])
-        assert any("nothing acts" in note for note in preview.warnings(case)) == told
+        assert any("nothing acts" in note for note in unusual_input.warnings(case)) == told
 
 
 def test_mesh_says_where_it_cannot_write(
@@ -404,7 +404,7 @@ def test_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_states_that_depend_on_the_start_are_told() -> None:
     """Bars between heated walls have three: with a gap closed by expansion, and without."""
     walls = CONFIGS / "verification" / "heated_walls.yaml"
-    (note,) = preview.warnings(config.load(walls))
+    (note,) = unusual_input.warnings(config.load(walls))
     assert "interfaces.metal_cement" in note and "initial temperatures decide" in note
     stiff = ["interfaces.metal_cement.conductance=10 W/(m^2 K)"]
-    assert preview.warnings(config.load(walls, stiff)) == []
+    assert unusual_input.warnings(config.load(walls, stiff)) == []

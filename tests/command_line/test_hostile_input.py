@@ -15,7 +15,7 @@ from mantle.errors import GeometryError, InputError
 from mantle.schema import case_file, config, study_file, sweep_file, yaml_text
 from mantle.schema.gmsh_file import ALLOWED
 from mantle.schema.units import LONGEST_VALUE
-from mantle.soundness import preview, sizing
+from mantle.soundness import cost, sizing
 from tests.support import CONFIGS, environment
 
 BLOCKS = CONFIGS / "blocks.yaml"
@@ -151,7 +151,7 @@ def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
     size = str(caught.value).split("; ")[-1].removesuffix(" would do")
     case = config.load(BLOCKS, [f"mesh.size={size}"])
     assert 0.5 * 8e9 < sizing.needed(case) <= 8e9
-    assert preview.unknowns(case) > 1e5
+    assert cost.unknowns(case) > 1e5
 
 
 def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:

@@ -12,7 +12,7 @@ from mantle import meshes
 from mantle.meshes import mantle, mantle_picture
 from mantle.meshes.data import MeshData
 from mantle.schema.geometries import Blocks, Cylinders, MeshOptions
-from mantle.soundness import preview
+from mantle.soundness import cost
 
 INNER, THICKNESS, LENGTH = 7.0, 4.0, 20.0
 ROD = Cylinders(
@@ -129,7 +129,7 @@ def test_it_is_told_in_a_line() -> None:
         "volume": 20069.8,
         "plug_volume": 1238.4,
     }
-    assert preview._mantle(note) == (
+    assert cost._mantle(note) == (
         "cement mantle: 4 mm, achieved 1.59 to 4.81, mean 3.05, median 2.95, p5 1.80, p95 4.08 mm; "
         "clipped on 61.0% of the stem; 20070 mm3 of cement, 1238 below the tip"
     )

@@ -28,7 +28,7 @@ from ruamel.yaml import YAML
 from mantle.errors import InputError
 from mantle.schema import case_file, config, gmsh_file, study_file, sweep_file
 from mantle.schema.unit_conversion import registry
-from mantle.soundness import preview
+from mantle.soundness import cost, preview, unusual_input
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SECONDS = 2.0
@@ -253,8 +253,8 @@ def read(path: Path, overrides: list[str]) -> None:
     else:
         file = case_file.read(path, overrides)
         case = config.resolve(file, path.parent)
-        text = preview.describe(case, file.data) + preview.estimated_size(case)
-        text += "".join(preview.warnings(case)) + config.dump(case) + str(preview.seconds(case))
+        text = preview.describe(case, file.data) + cost.estimated_size(case)
+        text += "".join(unusual_input.warnings(case)) + config.dump(case) + str(cost.seconds(case))
         text.encode()
 
 

@@ -22,7 +22,7 @@ from mantle.meshes.parts import coincident
 from mantle.numerics.active_set import ActiveSet
 from mantle.numerics.rigid_motions import describe, rigid_modes
 from mantle.schema import config
-from mantle.soundness import case_on_mesh, preview
+from mantle.soundness import case_on_mesh, unusual_input
 from mantle.soundness.free_motions import gaps_of, groups_of
 from mantle.system import folders
 from tests import support
@@ -120,7 +120,7 @@ def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
     case = config.load(CONFIGS / f"{name}.yaml")
     # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
-    notes = preview.warnings(case)
+    notes = unusual_input.warnings(case)
     notes += [] if large else case_on_mesh.judge(case, case_on_mesh.look(case, build(case)))
     for note in notes:
         assert any(words in note for words in EXPECTED.get(name, ())), note
@@ -355,7 +355,7 @@ def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
     ],
 )
 def test_moduli_a_thousand_times_off_are_asked_about(override: str, place: str) -> None:
-    (note,) = preview.warnings(support.case(TWO, override))
+    (note,) = unusual_input.warnings(support.case(TWO, override))
     assert note.startswith(f"{place} is ") and note.endswith("a wrong unit?")
 
 
@@ -366,7 +366,7 @@ def test_hip_forces_a_thousand_times_off_are_asked_about(force: str) -> None:
     names = config.load(path).loads
     changes = [f"loads.{n}.history=[0]" for n in names if n != "hip"]
     change = f"loads.hip.force=[0 N, 0 N, -{value} {unit}]"
-    (note,) = preview.warnings(config.load(path, [*changes, change]))
+    (note,) = unusual_input.warnings(config.load(path, [*changes, change]))
     assert "on a hip: a wrong unit?" in note
 
 

@@ -1,0 +1,161 @@
+"""The cost of a case: cells, unknowns, memory and time, estimated or counted on its mesh."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from mantle.schema.config import Case
+from mantle.schema.materials import Conductor
+from mantle.system.layout import count, plain
+
+if TYPE_CHECKING:
+    from mantle.meshes import MeshData
+
+# Measured on unstructured tetrahedral meshes: nodes and edges per cell.
+NODES_PER_CELL = 0.19
+EDGES_PER_CELL = 1.22
+# What a run costs on one core (measured): seconds at 1e5 unknowns by order, exponent of growth, a
+# later load step beside the first, seconds per temperature and time step, time steps of a stage,
+# errors beside the run alone, a run that shares matrices beside one that makes them, and what is
+# spent before anything is solved. The size that is assumed where it is not known.
+PRICE, GROWTH, LATER = {1: 13.0, 2: 27.0}, 1.25, 0.5
+HEAT, HEAT_STEPS, WITH_ERRORS, SHARED, START = 1.5e-5, 80, 1.4, 0.6, 6.0
+UNKNOWN_SIZE = 3e4
+# Area of an interface per node on it, in units of the squared edge length.
+AREA_PER_NODE = 0.87
+
+
+def estimated_size(case: Case) -> str:
+    """Cells, unknowns and memory, from the parameters alone."""
+    cells, nodes, corners, each = _estimated(case)
+    if not cells:
+        return "size\n  not known before it is meshed: --mesh counts"
+    return _size("size (estimated; --mesh counts)", case, cells, nodes, corners, each)
+
+
+def unknowns(case: Case) -> float:
+    """Unknowns of a case, estimated; 0 where that is not known before it is meshed."""
+    cells, nodes, corners, each = _estimated(case)
+    return sum(_unknowns(case, nodes, corners, each)) if cells else 0.0
+
+
+def seconds(case: Case, alone: bool = True) -> float:
+    """Time of a run on one core [s], within a factor of two or three.
+
+    Args:
+        case: The case.
+        alone: Whether it is the first of those that share mesh, forms and matrices.
+    """
+    cells, nodes, corners, each = _estimated(case)
+    mechanical, thermal = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
+    price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
+    steps = sum(1.0 + LATER * (stage.increments - 1) for stage in case.stages)
+    timed = sum(1 for stage in case.stages if stage.duration)
+    solution = price * steps + HEAT * HEAT_STEPS * timed * thermal
+    solution *= WITH_ERRORS if case.output.error else 1.0
+    return START + solution if alone else SHARED * solution
+
+
+def solid(case: Case) -> bool:
+    """Whether anything in it can move."""
+    return any(not isinstance(region, Conductor) for region in case.regions.values())
+
+
+def _estimated(case: Case) -> tuple[float, float, float, dict[str, float]]:
+    """Cells, nodes of the displacement, of the temperature, and of each interface."""
+    cells = case.geometry.estimate_cells(case.mesh)
+    corners = NODES_PER_CELL * cells + 50
+    nodes = corners + (EDGES_PER_CELL * cells if case.mesh.order == 2 else 0)
+    # Jumps are linear at either order; each interface has about the same share of the area.
+    areas = case.geometry.interface_area / max(1, len(case.geometry.interface_sides))
+    each = dict.fromkeys(case.interfaces, areas / (AREA_PER_NODE * case.mesh.size**2))
+    return cells, nodes, corners, each
+
+
+def _unknowns(
+    case: Case, nodes: float, corners: float, interfaces: Mapping[str, float]
+) -> tuple[float, float]:
+    """Unknowns of the mechanics and of heat."""
+    mechanical = thermal = 0.0
+    if solid(case):
+        jumps = sum(interfaces[name] for name, law in case.interfaces.items() if law.can_part)
+        mechanical = 3 * (nodes + jumps)
+    if case.conducts:
+        steps = sum(
+            interfaces[n] for n, law in case.interfaces.items() if law.conductance is not None
+        )
+        thermal = corners + steps
+    return mechanical, thermal
+
+
+def exact_size(case: Case, data: MeshData) -> str:
+    """Cells, unknowns and memory of a mesh, and what the mesher noted."""
+    import numpy as np
+
+    from mantle.meshes.data import EDGES, interface_facets
+
+    tetrahedra = data.cells[:, :4]
+    nodes = corners = len(np.unique(tetrahedra))
+    if case.mesh.order == 2:
+        nodes += len(np.unique(np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1), axis=0))
+    each = {n: len(np.unique(interface_facets(data, n)[0][:, :3])) for n in case.interfaces}
+    lines = [_size("size", case, len(data.cells), nodes, corners, each)]
+    for name, tag in data.regions.items():
+        lines.append(f"  {name}: {count(np.count_nonzero(data.cell_tags == tag))} cells")
+    for name, note in sorted(data.notes.items(), key=lambda item: item[0] != "mantle"):
+        if note == {}:
+            continue
+        text = f"{name.replace('_', ' ')}: {plain(note)}" if name != "mantle" else _mantle(note)
+        lines += textwrap.wrap(text, 98, initial_indent="  ", subsequent_indent="    ")
+    return "\n".join(lines)
+
+
+def _mantle(note: Mapping[str, Any]) -> str:
+    """A line on the thickness of the cement."""
+    t = note["thickness"]
+    return (
+        f"cement mantle: {t['nominal']:.3g} mm, achieved {t['min']:.2f} to {t['max']:.2f}, mean "
+        f"{t['mean']:.2f}, median {t['median']:.2f}, p5 {t['p5']:.2f}, p95 {t['p95']:.2f} mm; "
+        f"clipped on {t['clipped_fraction']:.1%} of the stem; {note['volume']:.0f} mm3 of cement, "
+        f"{note['plug_volume']:.0f} below the tip"
+    )
+
+
+def _size(
+    title: str,
+    case: Case,
+    cells: float,
+    nodes: float,
+    corners: float,
+    interfaces: Mapping[str, float],
+) -> str:
+    """Unknowns of what there is: displacements, temperatures, jumps of either.
+
+    Args:
+        title: First line.
+        case: The case.
+        cells: Cells.
+        nodes: Nodes of the displacement.
+        corners: Nodes of the temperature.
+        interfaces: Nodes on each interface.
+    """
+    laws = case.interfaces.items()
+    parts = [f"{count(cells)} cells"]
+    if solid(case):
+        jumps = sum(interfaces[name] for name, law in laws if law.can_part)
+        parts += [
+            f"{count(nodes)} displacement nodes",
+            f"{count(jumps)} interface nodes with a jump",
+        ]
+    if case.conducts:
+        steps = sum(interfaces[name] for name, law in laws if law.conductance is not None)
+        parts += [f"{count(corners)} temperatures", f"{count(steps)} temperature jumps"]
+    unknowns = sum(_unknowns(case, nodes, corners, interfaces))
+    # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
+    memory = 0.4 + 2e-6 * unknowns + 25 * 8e-9 * unknowns ** (4 / 3)
+    return (
+        f"{title}\n  {', '.join(parts)}\n"
+        f"  {count(unknowns)} unknowns, about {memory:.1f} GB with a direct solver"
+    )
