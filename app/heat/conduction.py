@@ -340,11 +340,6 @@ class Conduction:
         """Degrees of cure in a state, of own nodes of each region that sets."""
         return [d.degree for cure in self.cures for d in cure.at(self.nodal(x))]
 
-    @property
-    def adiabatic_rises(self) -> list[float]:
-        """By how much full cure would warm each region that sets [K]."""
-        return [n.adiabatic_rise for cure in self.cures for n in cure.nodes]
-
     # Extremes
 
     def bounds(self, x: Sequence[PETSc.Vec]) -> Bounds:

@@ -164,10 +164,8 @@ class HeatState:
         """Largest error over its tolerance, of cure as the temperature it releases; collective."""
         n = len(self.vectors())
         errors = list(error[:n])
-        for degree, e, rise in zip(
-            self.state[n:], error[n:], self.conduction.adiabatic_rises, strict=True
-        ):
-            errors.append(as_temperature(degree, e, rise))
+        for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=True):
+            errors.append(as_temperature(degree, e, node.adiabatic_rise))
         local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
         return float(self.conduction.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
 

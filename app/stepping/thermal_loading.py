@@ -135,13 +135,12 @@ class ThermalLoading:
 
     def distance(self, a: Warmth, b: Warmth) -> float:
         """Largest difference [K], of cure as the temperature it releases; collective."""
-        rises = self._conduction.adiabatic_rises
         sizes = [
             float(np.abs(s - t).max()) for s, t in zip(a.temperatures, b.temperatures, strict=True)
         ]
         sizes += [
-            rise * float(np.abs(s - t).max())
-            for rise, s, t in zip(rises, a.degrees, b.degrees, strict=True)
+            node.adiabatic_rise * float(np.abs(s - t).max())
+            for node, s, t in zip(self._curing, a.degrees, b.degrees, strict=True)
         ]
         return float(self._conduction.comm.allreduce(max(sizes), MPI.MAX))
 
