@@ -20,7 +20,7 @@ from .data import MeshData
 
 log = logging.getLogger("mantle")
 
-MESHER_VERSION = 7  # raise it whenever the same input gives another mesh
+MESHER_VERSION = 8  # raise it whenever the same input gives another mesh
 
 
 def plain(value: Any) -> Any:

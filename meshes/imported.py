@@ -17,6 +17,7 @@ from mantle.errors import GeometryError
 
 from .curving import untangle
 from .data import MeshData, cell_volumes, exterior_facets
+from .quality import overlapping, places
 from .session import generate, session
 from .tags import assemble, number
 
@@ -38,12 +39,12 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Returns:
         Regions are the named physical volumes, boundaries the named physical surfaces on the
-        exterior. ``notes`` names surfaces that lie inside (they are no boundaries) and counts the
-        cells without a region, which are left out.
+        exterior. ``notes`` names surfaces that lie inside (they are no boundaries), counts the
+        cells without a region, which are left out, and says (``told``) what was repaired.
 
     Raises:
         GeometryError: No such file, a script that fails, no tetrahedra, other elements, missing or
-            overlapping physical groups (with the names found).
+            overlapping physical groups (with the names found), cells that overlap.
     """
     path = Path(geometry.path)
     if not path.is_file():
@@ -171,12 +172,26 @@ def _named(
     points = points * MILLIMETRES[geometry.unit]
     negative = cell_volumes(points, cells) < 0
     cells[negative] = cells[negative][:, _MIRROR[width]]
-    if width == 10 and geometry.is_script:
-        points = untangle(points, cells)
     try:
+        overlap = overlapping(cells)
         exterior = exterior_facets(cells)
     except ValueError as error:
         raise GeometryError(f"{geometry.path}: {error}; the mesh is not conforming") from error
+    if len(overlap):
+        where = places(points, cells, cell_tags, regions, overlap)
+        raise GeometryError(
+            f"{geometry.path}: {len(overlap)} of {len(cells)} cells overlap their neighbours: both "
+            "lie on the same side of the face between them, or bend it differently; a node is in "
+            "the wrong place:\n" + "\n".join(where) + "\nRepair the mesh file."
+        )
+    if width == 10 and geometry.is_script:
+        points = untangle(points, cells)
+    told = []
+    if turned := int(negative.sum()):
+        told.append(
+            f"geometry: {turned} of {len(cells)} cells of the file list their nodes inside out; they "
+            "are turned, and no cell overlaps its neighbours"
+        )
     masks = {name: _among(exterior[0], row[block[:, :3]]) for name, block in surfaces.items()}
     inside = sorted(name for name, mask in masks.items() if not mask.any())
     data = assemble(
@@ -192,6 +207,7 @@ def _named(
         "file": str(geometry.path),
         "interior_surfaces": inside,
         "cells_without_region": everything - len(cells),
+        "told": told,
     }
     return replace(data, notes=notes)
 

@@ -76,6 +76,7 @@ class Parts:
         x: Coordinates of all nodes (n, 3) [mm].
         interfaces: Corner nodes of the facets of each interface (n,).
         doubled: For each pair of regions, the places of nodes of either that coincide (n, 3) [mm].
+        told: What the mesher has repaired or left out.
     """
 
     pieces: tuple[Piece, ...]
@@ -86,6 +87,7 @@ class Parts:
     x: Floats
     interfaces: Mapping[str, Ints]
     doubled: Mapping[tuple[str, str], Floats]
+    told: tuple[str, ...] = ()
 
 
 def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
@@ -140,6 +142,7 @@ def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
         x=data.points,
         interfaces=corners,
         doubled=_doubled(data, piece, pieces),
+        told=tuple(data.notes.get("told", ())),
     )
 
 

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from mantle.arrays import Floats, Ints
 from mantle.errors import GeometryError
 
-from .data import MeshData, cross, determinants, dot, edge_vectors, jacobians
+from .data import (
+    MeshData,
+    cell_faces,
+    cross,
+    determinants,
+    dot,
+    edge_vectors,
+    jacobians,
+    match_faces,
+)
 
 BAD = 0.01  # below: refused
 POOR = 0.1  # below: counted in the notes
@@ -85,6 +96,40 @@ def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
     }
 
 
+def overlapping(cells: Ints) -> Ints:
+    """Cells that do not fit on a neighbour of theirs, where all have a positive volume.
+
+    Neighbours on either side of a face see it the other way around. Where all do, volumes add up to
+    what the boundary encloses. Middle nodes of a face have to be the same from either side.
+
+    Returns:
+        Their rows (k,), those with most such faces first.
+
+    Raises:
+        ValueError: A face belongs to more than two cells.
+    """
+    partner, faces = match_faces(cells), cell_faces(cells)
+    a, b, c = faces[:, :3].T
+    turn = (a < b) ^ (b < c) ^ (a < c)
+    middles = np.sort(faces[:, 3:], axis=1)
+    unfit = (turn == turn[partner]) | (middles != middles[partner]).any(axis=1)
+    count = (unfit & (partner >= 0)).reshape(-1, 4).sum(axis=1)
+    return np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
+
+
+def places(
+    points: Floats, cells: Ints, tags: npt.NDArray[np.int32], regions: Mapping[str, int], some: Ints
+) -> list[str]:
+    """A line for each of the first of some cells: its region and its centroid."""
+    names = {tag: name for name, tag in regions.items()}
+    lines = []
+    for cell in some[:WORST_SHOWN]:
+        x, y, z = points[cells[cell, :4]].mean(axis=0)
+        region = names.get(int(tags[cell]), "?")
+        lines.append(f"  {region} at ({x:.2f}, {y:.2f}, {z:.2f}) mm")
+    return lines
+
+
 def gate(data: MeshData) -> Floats:
     """Refuse a mesh with inverted or nearly flat elements.
 
@@ -98,12 +143,9 @@ def gate(data: MeshData) -> Floats:
     bad = int((quality < BAD).sum())
     if not bad:
         return quality
-    names = {tag: name for name, tag in data.regions.items()}
-    lines = []
-    for cell in np.argsort(quality, kind="stable")[: min(bad, WORST_SHOWN)]:
-        x, y, z = data.points[data.cells[cell, :4]].mean(axis=0)
-        region = names.get(int(data.cell_tags[cell]), "?")
-        lines.append(f"  {region} at ({x:.2f}, {y:.2f}, {z:.2f}) mm: {quality[cell]:.4f}")
+    worst = np.argsort(quality, kind="stable")[:bad]
+    at = places(data.points, data.cells, data.cell_tags, data.regions, worst)
+    lines = [f"{place}: {quality[cell]:.4f}" for place, cell in zip(at, worst, strict=False)]
     raise GeometryError(
         f"{bad} of {len(quality)} elements are inverted or nearly flat"
         f" (signed inverse condition number below {BAD}); the worst:\n"

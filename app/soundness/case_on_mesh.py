@@ -68,7 +68,7 @@ def judge(case: config.Case, found: Parts) -> list[str]:
     Raises:
         InputError: It cannot be solved: with all the reasons.
     """
-    notes = [*_cracks(case, found), *_size(case, found)]
+    notes = [*found.told, *_cracks(case, found), *_size(case, found)]
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
     groups = groups_of(case, found)

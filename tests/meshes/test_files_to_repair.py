@@ -1,0 +1,103 @@
+"""What is wrong in a mesh file: what is refused, what is repaired, and that it is told."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mantle import meshes
+from mantle.errors import GeometryError
+from mantle.meshes.data import MeshData, region_volumes
+from mantle.schema.geometries import Block, Blocks, MeshFile, MeshOptions
+from mantle.soundness import case_on_mesh
+from tests import support
+
+CUBE = Blocks(blocks=(Block(name="cube", size=["10 mm", "10 mm", "10 mm"]),))
+CASE = """
+geometry: {{kind: file, path: {path}}}
+mesh: {{size: 5 mm, order: 1}}
+regions: {{cube: {{youngs_modulus: 1 GPa, poisson_ratio: 0.3, tissue: other}}}}
+supports: {{floor: {{kind: fixed, boundary: bottom}}}}
+loads: {{press: {{kind: pressure, boundary: top, pressure: 1 MPa}}}}
+"""
+
+
+def cube(curved: bool = False) -> MeshData:
+    return meshes.build(CUBE, MeshOptions(size="5 mm", curved=curved))
+
+
+def read(tmp_path: Path, data: MeshData) -> MeshData:
+    """The mesh through a file."""
+    path = tmp_path / "a.msh"
+    meshes.write_msh(data, path)
+    return meshes.build(MeshFile(path=path), MeshOptions(size="1 mm"))
+
+
+def inner(data: MeshData) -> int:
+    """The node that is farthest from the surface of the cube."""
+    return int(np.argmax(np.minimum(data.points, 10.0 - data.points).min(axis=1)))
+
+
+def signed(data: MeshData) -> np.ndarray:
+    a, b, c, d = (data.points[data.cells[:, k]] for k in range(4))
+    return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6)
+
+
+@pytest.mark.parametrize("corner", range(8))
+def test_a_node_dragged_through_its_neighbours_is_refused(corner: int, tmp_path: Path) -> None:
+    """Almost to each corner of the cube: cells turn over, and there is more volume than inside."""
+    data = cube()
+    node, x = inner(data), data.points.copy()
+    assert 0.0 < x[node].min() < x[node].max() < 10.0
+    x[node] = [9.7 if corner >> k & 1 else 0.3 for k in range(3)]
+    tangled = replace(data, points=x)
+    volumes = signed(tangled)
+    over = np.flatnonzero(volumes < 0)
+    assert len(over) and np.abs(volumes).sum() > 1000.1
+    with pytest.raises(GeometryError, match=r"of .* cells overlap their neighbours") as caught:
+        read(tmp_path, tangled)
+    found = re.findall(r"cube at \((.+), (.+), (.+)\) mm", str(caught.value))
+    # Cells that are named turned over or share a face with one that did.
+    assert 1 <= len(found) <= 5
+    faces = {tuple(sorted(f)) for c in tangled.cells[over] for f in _faces(c)}
+    beside = [c for c in tangled.cells if faces & {tuple(sorted(f)) for f in _faces(c)}]
+    centres = x[np.array(beside)].mean(axis=1)
+    for place in found:
+        assert np.abs(centres - np.array(place, dtype=float)).max(axis=1).min() < 0.006
+
+
+def _faces(cell: np.ndarray) -> list[list[int]]:
+    return [[int(v) for k, v in enumerate(cell) if k != out] for out in range(4)]
+
+
+@pytest.mark.parametrize("curved", [False, True])
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_cells_listed_inside_out_are_turned_and_told(
+    curved: bool, share: float, tmp_path: Path
+) -> None:
+    """The order of nodes in a cell is a matter of the program that wrote it; the place is not."""
+    data = cube(curved)
+    mirror = [1, 0, 2, 3, 4, 6, 5, 9, 8, 7] if curved else [1, 0, 2, 3]
+    turned = np.arange(len(data.cells)) < round(share * len(data.cells))
+    cells = np.where(turned[:, None], data.cells[:, mirror], data.cells)
+    back = read(tmp_path, replace(data, cells=cells))
+    assert region_volumes(back) == pytest.approx({"cube": 1000.0})
+    case = support.case(CASE.format(path=tmp_path / "a.msh"))
+    (note,) = case_on_mesh.judge(case, case_on_mesh.look(case, back))
+    assert f"{turned.sum()} of {len(cells)} cells of the file list their nodes inside out" in note
+    assert read(tmp_path, data).notes["told"] == []
+
+
+def test_middle_nodes_that_neighbours_do_not_share_are_refused(tmp_path: Path) -> None:
+    data = cube(curved=True)
+    cells, x = data.cells.copy(), data.points
+    # An edge inside: one of its cells gets a middle node of its own, off the others'.
+    edge = next(n for n in cells[:, 4] if (x[n] > 1e-6).all() and (x[n] < 10 - 1e-6).all())
+    cells[np.argmax(cells[:, 4] == edge), 4] = len(x)
+    points = np.vstack([x, x[edge] + [0.2, 0.0, 0.0]])
+    with pytest.raises(GeometryError, match="cells overlap their neighbours"):
+        read(tmp_path, replace(data, cells=cells, points=points))
