@@ -10,6 +10,21 @@ from .data import EDGES
 from .quality import POOR, sicn
 
 STEPS = 8  # halvings; what is still bad then is made straight
+ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
+
+
+def straight(points: Floats, cells: Ints) -> Floats:
+    """The points with the middle nodes of quadratic cells half-way between their vertices."""
+    first, second = np.array(EDGES).T
+    x = points.copy()
+    x[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
+    return x
+
+
+def bent(points: Floats, cells: Ints) -> bool:
+    """Whether any edge of quadratic cells is curved, by more than rounding."""
+    off = np.abs(straight(points, cells) - points)[cells].max()
+    return bool(off > ROUNDING * np.ptp(points, axis=0).max())
 
 
 def untangle(points: Floats, cells: Ints) -> Floats:
@@ -27,14 +42,12 @@ def untangle(points: Floats, cells: Ints) -> Floats:
     Returns:
         The points; vertices are unchanged.
     """
-    first, second = np.array(EDGES).T
-    straight = points.copy()
-    straight[cells[:, 4:]] = 0.5 * (points[cells[:, first]] + points[cells[:, second]])
+    chord = straight(points, cells)
     least = np.minimum(POOR, 0.7 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
     near: Ints = np.arange(len(cells))  # cells whose nodes have moved
     for step in range(STEPS):
-        current = straight + bend * (points - straight)
+        current = chord + bend * (points - chord)
         bad = near[sicn(current, cells[near]) < least[near]]
         if not len(bad):
             break
@@ -42,4 +55,4 @@ def untangle(points: Floats, cells: Ints) -> Floats:
         moved[cells[bad, 4:]] = True
         bend[moved] *= 0.5 if step < STEPS - 1 else 0.0
         near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
-    return straight + bend * (points - straight)
+    return chord + bend * (points - chord)

@@ -15,7 +15,7 @@ import numpy as np
 from mantle.arrays import Ints
 from mantle.errors import GeometryError
 
-from .curving import untangle
+from .curving import bent, untangle
 from .data import MeshData, cell_volumes, exterior_facets
 from .quality import overlapping, places
 from .session import generate, session
@@ -34,13 +34,14 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
     Args:
         geometry: ``path``, ``unit`` and ``interfaces`` (name to the regions on either side).
-        mesh: ``size``, ``far_size`` [mm], ``curved`` for a ``.geo`` script; a ``.msh`` file decides
-            by itself.
+        mesh: ``size``, ``far_size`` [mm], ``curved`` for a ``.geo`` script (where nothing bends its
+            cells are straight); a ``.msh`` file decides by itself.
 
     Returns:
         Regions are the named physical volumes, boundaries the named physical surfaces on the
         exterior. ``notes`` names surfaces that lie inside (they are no boundaries), counts the
-        cells without a region, which are left out, and says (``told``) what was repaired.
+        cells without a region, which are left out, and says (``told``) what was repaired or
+        ignored.
 
     Raises:
         GeometryError: No such file, a script that fails, no tetrahedra, other elements, missing or
@@ -107,9 +108,13 @@ def _parts(geometry: Any, mesh: Any) -> Any:
         found = (
             f"{path}: physical volumes: {_listed(names[3])}; physical surfaces: {_listed(names[2])}"
         )
-        regions = number(sorted({name for name in names[3] if name}))
-        if not regions:
+        if not any(names[3]):
             raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
+        cells = {
+            name: _elements(gmsh, 3, name, _TETRAHEDRA, path) for name in sorted({*names[3]} - {""})
+        }
+        cells = {name: block for name, block in cells.items() if len(block)}
+        regions = number(cells)
         if absent := [name for name in geometry.region_names if name not in regions]:
             raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
         needed = {r for sides in geometry.interfaces.values() for side in sides for r in side}
@@ -118,7 +123,6 @@ def _parts(geometry: Any, mesh: Any) -> Any:
                 f"{found}; interfaces need the volumes {_listed(sorted(needed - set(regions)))}"
             )
         node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        cells = {name: _elements(gmsh, 3, name, _TETRAHEDRA, path) for name in regions}
         surfaces = {name: _elements(gmsh, 2, name, _TRIANGLES, path) for name in names[2] if name}
         everything = _count(gmsh)
     return regions, node_tags, coordinates.reshape(-1, 3), cells, surfaces, everything
@@ -170,6 +174,8 @@ def _named(
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
         raise GeometryError(f"{geometry.path}: some cells belong to two physical volumes")
     points = points * MILLIMETRES[geometry.unit]
+    if width == 10 and geometry.is_script and not bent(points, cells):
+        cells, width = cells[:, :4], 4
     negative = cell_volumes(points, cells) < 0
     cells[negative] = cells[negative][:, _MIRROR[width]]
     try:
@@ -186,11 +192,14 @@ def _named(
         )
     if width == 10 and geometry.is_script:
         points = untangle(points, cells)
-    told = []
+    told = [
+        f"geometry: the physical volume '{name}' of the file has no cells: it is ignored"
+        for name in geometry.empty_volumes
+    ]
     if turned := int(negative.sum()):
         told.append(
-            f"geometry: {turned} of {len(cells)} cells of the file list their nodes inside out; they "
-            "are turned, and no cell overlaps its neighbours"
+            f"geometry: {turned} of {len(cells)} cells of the file list their nodes inside out: "
+            "they are turned, and no cell overlaps its neighbours"
         )
     masks = {name: _among(exterior[0], row[block[:, :3]]) for name, block in surfaces.items()}
     inside = sorted(name for name, mask in masks.items() if not mask.any())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import model_validator
 
@@ -38,8 +38,6 @@ def _between(at: float, values: tuple[float, ...]) -> float:
 
 class _Femur(Shape):
     """A proximal femur, the operation and the implant."""
-
-    has_curved_surfaces: ClassVar[bool] = True
 
     kind: str
     cement_thickness: Annotated[
@@ -145,6 +143,11 @@ class _Femur(Shape):
     def joined(self) -> tuple[tuple[str, ...], ...]:
         """Bone is one body."""
         return (BONE,)
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """All of its surfaces are."""
+        return True
 
     @property
     def has_gruen_zones(self) -> bool:

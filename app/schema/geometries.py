@@ -9,13 +9,19 @@ from __future__ import annotations
 import itertools
 import math
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from mantle.schema.femurs import Femur, IntactFemur
 from mantle.schema.fields import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
-from mantle.schema.gmsh_file import content, counts, is_script, physical_names
+from mantle.schema.gmsh_file import (
+    content,
+    counts,
+    empty_volumes,
+    is_script,
+    physical_names,
+)
 from mantle.schema.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
 from mantle.schema.units import Angle, PositiveLength, SizeVector
 
@@ -106,7 +112,6 @@ class Cylinders(Shape):
     length. ``sector: half`` keeps y >= 0, ``quarter`` keeps x >= 0 and y >= 0.
     """
 
-    has_curved_surfaces: ClassVar[bool] = True
     kind: Literal["cylinders"] = "cylinders"
     stem_radius: PositiveLength
     """Radius of the stem at mid length."""
@@ -153,6 +158,11 @@ class Cylinders(Shape):
     def interface_sides(self) -> dict[str, Sides]:
         """``stem_cement`` and ``cement_bone``."""
         return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), ("bone",))}
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Its interfaces are cones."""
+        return True
 
     @property
     def fraction(self) -> float:
@@ -211,7 +221,7 @@ class MeshFile(Shape):
         if not found:
             fail(f"no such file: {path}")
         if not regions:
-            fail(f"{path} names no region: it has no physical volume with a name")
+            fail(f"{path} names no region: it has no physical volume with a name and cells")
         return path.resolve()
 
     @field_validator("interfaces", mode="before")
@@ -235,14 +245,24 @@ class MeshFile(Shape):
         return self
 
     @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether it may have them: a script's cells get straight where nothing bends."""
+        return self.is_script
+
+    @property
     def coarsest_size(self) -> float:
         """Largest edge length (mm): a ``.msh`` file is as it is."""
         return 0.0 if self.path.suffix == ".msh" else math.inf
 
     @property
     def region_names(self) -> tuple[str, ...]:
-        """Names of the physical volumes."""
+        """Names of the physical volumes that have cells."""
         return physical_names(self.path, 3)
+
+    @property
+    def empty_volumes(self) -> tuple[str, ...]:
+        """Names of the physical volumes of a ``.msh`` file without cells: they are no regions."""
+        return empty_volumes(self.path)
 
     @property
     def boundary_names(self) -> tuple[str, ...]:

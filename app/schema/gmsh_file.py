@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from mantle import configs
+from mantle.schema.gmsh_cells import with_cells
 
 ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.
@@ -35,18 +36,24 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
         dimension: 3 for volumes, 2 for surfaces.
 
     Returns:
-        The names, in the order of the file.
+        The names, in the order of the file; volumes without cells are left out.
 
     Raises:
         ValueError: The file is not of this format; the script does not use its parameter, or is
             not allowed to run; gmsh would run a file of options beside it.
     """
-    return tuple(name for d, name in _names(path, path.stat().st_mtime_ns) if d == dimension)
+    groups = _names(path, path.stat().st_mtime_ns)
+    return tuple(name for d, name, has_cells in groups if d == dimension and has_cells)
+
+
+def empty_volumes(path: Path) -> tuple[str, ...]:
+    """Names of the physical volumes of a ``.msh`` file that have no cells."""
+    return tuple(name for _, name, cells in _names(path, path.stat().st_mtime_ns) if not cells)
 
 
 @lru_cache(maxsize=8)
-def _names(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
-    """(dimension, name) of every physical group; `modified` renews the cache."""
+def _names(path: Path, modified: int) -> tuple[tuple[int, str, bool], ...]:
+    """(dimension, name, not an empty volume) of every physical group; `modified` renews it."""
     if path.suffix not in (".msh", ".geo"):
         raise ValueError("is neither a .msh file nor a .geo script")
     if (options := Path(f"{path}.opt")).exists():
@@ -66,12 +73,15 @@ def _names(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
     if not found:
         return ()
     section = rest.partition(b"$EndPhysicalNames")[0]
-    matches = (ENTRY.fullmatch(line) for line in section.split(b"\n"))
-    return tuple((int(m[1]), m[3].decode("utf-8", "replace")) for m in matches if m)
+    matches = [m for line in section.split(b"\n") if (m := ENTRY.fullmatch(line))]
+    found = [(int(m[1]), int(m[2]), m[3].decode("utf-8", "replace")) for m in matches]
+    full = with_cells(path.read_bytes(), [tag for d, tag, _ in found if d == 3])
+    named = {name for d, tag, name in found if d == 3 and tag in full}
+    return tuple(dict.fromkeys((d, name, d != 3 or name in named) for d, _, name in found))
 
 
-def _groups(path: Path) -> tuple[tuple[int, str], ...]:
-    """(dimension, name) of the groups that a script names."""
+def _groups(path: Path) -> tuple[tuple[int, str, bool], ...]:
+    """(dimension, name, true) of the groups that a script names."""
     if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
         raise ValueError(
             "a gmsh script can run any program and change any file; --allow-scripts runs it"
@@ -79,7 +89,7 @@ def _groups(path: Path) -> tuple[tuple[int, str], ...]:
     text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
     if not re.search(r"\bsize\b", text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
-    return tuple(dict.fromkeys((DIMENSIONS[m[1]], m[2]) for m in GROUP.finditer(text)))
+    return tuple(dict.fromkeys((DIMENSIONS[m[1]], m[2], True) for m in GROUP.finditer(text)))
 
 
 def content(path: Path) -> str:

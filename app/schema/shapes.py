@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import model_validator
 
@@ -35,8 +35,10 @@ class Mantle:
 class Shape(Section):
     """Base of the geometries: what only some of them have."""
 
-    has_curved_surfaces: ClassVar[bool] = False
-    """Whether curved cells follow it better than straight ones; not known of a file."""
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether curved cells follow it better than straight ones; not unless it says so."""
+        return False
 
     @property
     def coarsest_size(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -125,6 +126,27 @@ def test_curved_cells_follow_the_script(tmp_path: Path) -> None:
     errors = [1 - region_volumes(data)["pin"] / exact for data in (straight, curved)]
     assert 0.01 < errors[0] < 0.2
     assert abs(errors[1]) < 0.05 * errors[0]
+
+
+@pytest.mark.parametrize(("text", "curved"), [(PIN, True), (LAYERS, False)], ids=["pin", "layers"])
+def test_cells_of_second_order_are_curved_where_the_script_is(
+    text: str, curved: bool, tmp_path: Path
+) -> None:
+    """As everywhere else: by default. The pin's volume is known, and flat faces need no bend."""
+    script(tmp_path, text)
+    (tmp_path / "case.yaml").write_text(
+        re.sub("low|high", lambda m: {"low": "pin", "high": "plate"}[m[0]], CASE)
+        .replace("boundary: top", "boundary: base")
+        .replace("order: 1", "order: 2")
+        if text == PIN
+        else CASE.replace("order: 1", "order: 2")
+    )
+    case = config.load(tmp_path / "case.yaml")
+    data = meshes.build(case.geometry, case.mesh)
+    assert data.curved == curved
+    expected = {"pin": np.pi * 2**2 * 5} if curved else {"low": 6.0, "high": 12.0}
+    found = {name: region_volumes(data)[name] for name in expected}
+    assert found == pytest.approx(expected, rel=2e-3 if curved else 1e-12)
 
 
 def test_cached_by_what_the_mesh_depends_on(tmp_path: Path) -> None:
