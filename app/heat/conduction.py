@@ -135,13 +135,17 @@ class Conduction:
             nodal = c.capacity * self.forms.volumes(c.region)
             heat[self.bodies.of_region[c.region]] += nodal * (c.initial - self.reference)
         T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, self.capacity, strict=True)]
+        T = [self.reference + above for above in T]
+        for b, condition in self.fixed.of_body.items():
+            for s, value in enumerate(self.fixed.values(0.0)):
+                T[b] = np.where(condition == s, value, T[b])
         x = self.vectors()
         for j in self.jumps:
             table = np.array(T)
             x[1].array[:] = table[j.bodies[:, 1], j.dof] - table[j.bodies[:, 0], j.dof]
         added = self._added(x[1:])
         total = sum(c * (t - a) for c, t, a in zip(self.capacity, T, added, strict=True))
-        x[0].array[:] = self.reference + total / sum(self.capacity)
+        x[0].array[:] = total / sum(self.capacity)
         self._set_given(0.0)
         self.impose(x)
         return x

@@ -44,13 +44,13 @@ class ContactHeat:
     Attributes:
         heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
-        expands: Regions that expand.
+        expands: Regions whose expansion follows temperature; that of what sets is history.
     """
 
     def __init__(self, scene: Scene, problem: Problem, conduction: Conduction) -> None:
         """Find who is where; collective."""
         self._problem, self._conduction = problem, conduction
-        self.expands = {x.region for x in scene.expansions}
+        self.expands = set(problem.mechanics.swelling)
         (j,) = problem.jumps
         comm, points = problem.comm, j.points
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]

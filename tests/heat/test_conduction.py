@@ -530,6 +530,21 @@ def test_friction_heat_goes_where_it_is_put_and_is_counted() -> None:
     assert s.stored - before == pytest.approx(40.0, rel=1e-8)
 
 
+@pytest.mark.parametrize("side", ["bone", "cement"])
+def test_a_given_temperature_says_nothing_of_the_other_side(side: str) -> None:
+    """At the start, where it meets an interface of finite conductance."""
+    s = Solved(
+        scene([CEMENT, BONE], [fixed("wall", f"{side}_x_min", 60.0)], contact(300.0)),
+        stack(1.5, *CEMENT_ON_BONE),
+    )
+    for v, values in zip(s.x, s.state, strict=True):
+        v.array[:] = values
+    for region, initial in (("cement", 100.0), ("bone", 37.0)):
+        x, T = s.celsius(region)
+        wall = np.isclose(x[:, 0], 0.0) & (region == side)
+        assert pytest.approx(np.where(wall, 60.0, initial), abs=1e-9) == T
+
+
 # Extremes
 
 

@@ -185,3 +185,20 @@ def test_insulated_bodies_keep_all_of_it(monkeypatch: pytest.MonkeyPatch, perfec
         # The first side is the lower block.
         lower = warmed[conduction.bodies.of_region["lower"]]
         assert lower == pytest.approx(share * released, rel=1e-8)
+
+
+def test_only_what_sets_may_expand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cement that has set already deforms as any solid: the same state by either law."""
+    law = f"{INTERFACE}={{{CONTACT}, conductance: 500 W/(m^2 K), friction_heating: 0.3}}"
+    rigid = "regions.lower.thermal.thermal_expansion=null"
+    one_sided = (rigid, law, "heat.wall.temperature=60 degC", "time.mechanical_step=1000 K")
+    clock = "{kind: prescribed, rate: [[100 s, 1], [200 s, 1]]}"
+    cement = (
+        f"regions.upper.thermal.cure={{kinetics: {clock}, heat: 1e6 J/m^3, initial: 0.999999, "
+        "gel: 0.5, shrinkage: 0}"
+    )
+    runs = [coupled.solve(monkeypatch, *one_sided, *own) for own in ((), (cement,))]
+    solid, hardened = (run.model.mechanics[0].solver.named() for run in runs)
+    for name in MOTION:
+        size = np.abs(solid[name].array).max()
+        assert np.abs(solid[name].array - hardened[name].array).max() <= 1e-4 * size, name
