@@ -23,7 +23,8 @@ MINUTE = 60.0
 # Sapareto & Dewey 1984, doi:10.1016/0360-3016(84)90379-1: minutes at 43 degC that do the same; one
 # degree more is half the time above 43 degC, a quarter below, and nothing counts below 39 degC.
 CEM43_THRESHOLDS = (16, 60, 240)
-_PIECES = ((39.0, 43.0, np.log(4.0)), (43.0, np.inf, np.log(2.0)))
+COUNTS_FROM = 39.0  # degC
+_PIECES = ((COUNTS_FROM, 43.0, np.log(4.0)), (43.0, np.inf, np.log(2.0)))
 # Henriques 1947, Moritz & Henriques 1947: rate of the damage integral, which is irreversible at 1.
 FREQUENCY = 3.1e98  # 1/s
 ACTIVATION = 6.28e5 / 8.314462618  # K
@@ -119,6 +120,16 @@ class Exposure:
             self.over[k] += seconds_over(start, end, seconds, level)
         self.cem43[:] += cem43(start, end, seconds)
         self.damage[:] += henriques_moritz(start, end, seconds)
+
+    def forget(self) -> None:
+        """Make all doses unknown from here on."""
+        for dose in (self.over, self.cem43, self.damage):
+            dose[:] = np.nan
+
+    @property
+    def forgotten(self) -> bool:
+        """Whether doses of any of the nodes are unknown."""
+        return bool(np.isnan(self.cem43).any())
 
     def levels(self) -> dict[str, Floats]:
         """Level of each criterion (n,), by name; not negative where nodes are dead.

@@ -40,7 +40,7 @@ from mantle.heat.temperature_jumps import TemperatureJumps
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import Rows, State, keyed, node_keys
 from mantle.results.level_sets import RegionCells
-from mantle.results.necrosis import CELSIUS, LEVELS, Exposure
+from mantle.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
 
@@ -48,6 +48,10 @@ W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
 # A piece of a step departs from the parabola by this [K] at most, unless it takes too many.
 _STRAIGHT = 0.01
 _MOST_PIECES = 8
+TIMELESS = (
+    "no times above a temperature, thermal doses or dead bone: a steady stage does not know how "
+    "long its heat took; give it a duration"
+)
 
 
 @dataclass
@@ -195,7 +199,8 @@ class ThermalRecord:
     ) -> None:
         """Take in an accepted step; collective.
 
-        A steady state is a step that takes no time: it adds to peaks, not to doses.
+        How long the way to a steady state takes is not known: it adds to peaks, and leaves doses
+        without a value unless nothing is as warm as what counts, before it and after it.
 
         Args:
             seconds: Time at its end [s].
@@ -212,6 +217,9 @@ class ThermalRecord:
             r.lowest = min(r.lowest, float(r.now.min(initial=np.inf)))
         if step > 0:
             self._expose(seconds, rates)
+        elif self._warm():
+            for r in self._regions.values():
+                r.exposure.forget()
         for r in self._regions.values():
             raise_to(r.peak, r.peak_time, r.now, np.full(len(r.now), seconds))
             states = [*r.before, (seconds, r.now)]
@@ -234,7 +242,8 @@ class ThermalRecord:
                 else bend(r.before[max(len(r.before) - 2, 0)], last, now)
             )
         warm = {
-            name: np.maximum(r.begin, r.now) > CELSIUS + 39.0 for name, r in self._regions.items()
+            name: np.maximum(r.begin, r.now) > CELSIUS + COUNTS_FROM
+            for name, r in self._regions.items()
         }
         local = max(float(np.abs(b[warm[n]]).max(initial=0.0)) for n, b in bends.items())
         worst = self._comm.allreduce(local, MPI.MAX)
@@ -245,6 +254,12 @@ class ThermalRecord:
             curve = [r.begin + s * (r.now - r.begin) - 4 * s * (1 - s) * bends[name] for s in at]
             for begin, end in pairwise(curve):
                 r.exposure.add(begin, end, step / pieces)
+
+    def _warm(self) -> bool:
+        """Whether anything is warm enough for doses at either end of a step; collective."""
+        local = (np.maximum(r.begin, r.now).max(initial=0.0) for r in self._regions.values())
+        hottest = self._comm.allreduce(max(map(float, local)), MPI.MAX)
+        return bool(hottest > CELSIUS + COUNTS_FROM)
 
     def _extremes_of(self, name: str, flux: Floats, entropy: Floats) -> None:
         x = self._extremes[name]
@@ -382,21 +397,24 @@ class ThermalRecord:
         cells = {name: RegionCells(self._forms, name) for name in self._nodes}
         surface = self._bone_surface(cells)
         regions = {name: self._region(r, cells[name]) for name, r in self._regions.items()}
-        for name in self.bone:
-            regions[name] |= self._dead(self._regions[name], cells[name], surface)
-        return {
+        result: dict[str, Any] = {
             "regions": regions,
             "interfaces": {name: self._interface(name) for name in self._sides},
         }
+        local = any(r.exposure.forgotten for r in self._regions.values())
+        if self._comm.allreduce(local, MPI.LOR):
+            return result | {"note": TIMELESS}
+        for name, r in self._regions.items():
+            regions[name] |= self._times(r)
+        for name in self.bone:
+            regions[name] |= self._dead(self._regions[name], cells[name], surface)
+        return result
 
     def _region(self, r: _Region, cells: RegionCells) -> dict[str, Any]:
         comm, volume = self._comm, r.nodes.volume
 
         def total(values: Floats) -> float:
             return float(comm.allreduce(float(values.sum()), MPI.SUM))
-
-        def largest(values: Floats) -> float:
-            return float(comm.allreduce(float(values.max(initial=0.0)), MPI.MAX))
 
         peak, place, when = _largest(comm, r.peak, r.nodes.x, r.peak_time)
         result: dict[str, Any] = {
@@ -407,15 +425,23 @@ class ThermalRecord:
             "temperature_mean": total(volume * r.now) / total(volume) - CELSIUS,
             "temperature_end_max": comm.allreduce(r.now.max(initial=-np.inf), MPI.MAX) - CELSIUS,
         }
-        for k, level in enumerate(LEVELS):
-            result[f"seconds_over_{level:g}"] = largest(r.exposure.over[k])
+        for level in LEVELS:
             result[f"volume_over_{level:g}"] = cells.volume(r.nodes.dof, r.peak - CELSIUS - level)
         return result
+
+    def _longest(self, dose: Floats) -> float:
+        """Largest dose of a region; collective."""
+        return float(self._comm.allreduce(float(dose.max(initial=0.0)), MPI.MAX))
+
+    def _times(self, r: _Region) -> dict[str, float]:
+        """Longest time of a node of a region above each level [s]."""
+        over = zip(LEVELS, r.exposure.over, strict=True)
+        return {f"seconds_over_{level:g}": self._longest(time) for level, time in over}
 
     def _dead(self, r: _Region, cells: RegionCells, surface: Floats) -> dict[str, float]:
         """Largest thermal doses of a region of bone, and dead volume and depth by criterion."""
         result = {
-            f"{name}_max": float(self._comm.allreduce(float(dose.max(initial=0.0)), MPI.MAX))
+            f"{name}_max": self._longest(dose)
             for name, dose in (("cem43", r.exposure.cem43), ("henriques_moritz", r.exposure.damage))
         }
         for criterion, level in r.exposure.levels().items():

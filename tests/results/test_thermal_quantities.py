@@ -20,6 +20,7 @@ from mantle.errors import InputError
 from mantle.heat.assembly import HeatForms
 from mantle.heat.nodes import ProbedPoint
 from mantle.meshes.distribute import TaggedMesh
+from mantle.results import tables
 from mantle.results.cure_quantities import CureRecord
 from mantle.results.thermal_quantities import HeatPassed, ThermalRecord
 from mantle.scene.bodies import Bodies, bodies_of
@@ -248,13 +249,32 @@ def test_a_sharp_turn_is_not_rounded_up(stack: TaggedMesh) -> None:
     assert bone["temperature_max"] == pytest.approx(57.0)
 
 
-def test_a_steady_state_takes_no_time(stack: TaggedMesh) -> None:
-    play = Play(stack, constant(30.0), constant(30.0))
-    play.states = (constant(60.0), constant(60.0))
-    bone = play.through(0.0)["regions"]["bone"]
-    assert bone["temperature_max"] == pytest.approx(60.0)
-    assert bone["seconds_over_47"] == 0 and bone["necrosis_47C_1min_volume"] == 0
-    assert play.through(10.0)["regions"]["bone"]["seconds_over_47"] == pytest.approx(10)
+DOSES = ("seconds_over", "cem43", "henriques_moritz", "necrosis")
+
+
+@pytest.mark.parametrize(("celsius", "known"), [((30.0, 60.0), False), ((60.0, 30.0), False),
+                                                 ((20.0, 38.9), True)])  # fmt: skip
+def test_doses_of_a_steady_state_are_unknown_if_it_is_warm(
+    stack: TaggedMesh, celsius: tuple[float, float], known: bool
+) -> None:
+    """However long it takes, and whatever comes later; CEM43 counts from 39 degC on."""
+    play = Play(stack, constant(celsius[0]), constant(celsius[0]))
+    play.states = (constant(celsius[1]), constant(celsius[1]))
+    hot = play.through(0.0)
+    assert hot["regions"]["bone"]["temperature_max"] == pytest.approx(max(celsius))
+    assert hot["regions"]["bone"]["volume_over_56"] == pytest.approx(32.0 * (max(celsius) > 56))
+    play.states = (constant(50.0), constant(20.0))
+    later = play.through(10.0, 20.0)
+    for summary in (hot, later):
+        doses = [key for r in summary["regions"].values() for key in r if key.startswith(DOSES)]
+        assert bool(doses) == known and ("note" in summary) == (not known)
+        lines = list(tables.lines({"thermal": summary}))
+        assert any(line.startswith("dead bone") for line in lines) == known
+        assert any("steady" in line for line in lines) == (not known)
+    if known:
+        # From 38.9 to 50 degC in a straight line, then 50.
+        over = 10 * (50.0 - 47.0) / (50.0 - 38.9) + 10
+        assert later["regions"]["bone"]["seconds_over_47"] == pytest.approx(over, rel=1e-6)
 
 
 def test_interfaces_that_conduct_report_their_flux(stack: TaggedMesh) -> None:
