@@ -1,10 +1,12 @@
-"""Bonded interfaces that heat or cure loads: would the bond hold?
+"""Bonded interfaces: would the bond hold?
 
-A bond that cannot part carries whatever shrinking and cooling ask of it. Its tractions, from the
-stress of the softer side, are compared with what cement and bone stand.
+A bond that cannot part carries whatever loads, shrinking and cooling ask of it. Its tractions, from
+the stress of the softer side, are compared with what cement on bone stands.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from mpi4py import MPI
 
@@ -22,10 +24,20 @@ TENSILE_STRENGTH, SHEAR_STRENGTH = 1.35, 2.25
 
 
 class Bond:
-    """A bonded interface, seen from its softer side."""
+    """A bonded interface, seen from its softer side.
+
+    Attributes:
+        name: Its name.
+        facets: How many of its facets this rank owns.
+    """
 
     def __init__(
-        self, problem: Problem, stresses: Stresses, name: str, soft: list[str], stiff: list[str]
+        self,
+        problem: Problem,
+        stresses: Stresses,
+        name: str,
+        soft: Sequence[str],
+        stiff: Sequence[str],
     ) -> None:
         """Find its facets.
 
@@ -38,6 +50,7 @@ class Bond:
         """
         self.name, self._comm, self._stresses = name, problem.comm, stresses
         self._sides = []
+        self.facets = 0
         vertices = np.vstack([np.zeros(3), np.eye(3)])
         for region in soft:
             f = facets_between(problem.tagged, [region], stiff)
@@ -47,6 +60,7 @@ class Bond:
             # The facets' points in the reference cell (f, q, 3).
             X = np.einsum("qk,fki->fqi", QUADRATURE, vertices[np.array(FACET_VERTICES)[f.local]])
             rows = np.searchsorted(stresses.cells[region], f.cells)
+            self.facets += len(rows)
             self._sides.append((region, rows, np.where(inward[..., None], -n, n), size / 6, X))
 
     def tractions(self) -> tuple[Floats, Floats, Floats]:
@@ -94,19 +108,6 @@ def _extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
 
 
 def bonds(problem: Problem, stresses: Stresses) -> tuple[Bond, ...]:
-    """Interfaces that cannot part in a scene that heat or cure loads; collective."""
-    scene, tagged = problem.scene, problem.tagged
-    if not (scene.expansions or scene.cures):
-        return ()
-    parting = {c.name for c in scene.contacts}
-    moduli = scene.moduli
-    found = []
-    for name, sides in tagged.interfaces.items():
-        stiffness = [max(moduli.get(r, np.inf) for r in side) for side in sides]
-        if name in parting or min(stiffness) == np.inf:
-            continue
-        k = int(np.argmin(stiffness))
-        bond = Bond(problem, stresses, name, list(sides[k]), list(sides[1 - k]))
-        if problem.comm.allreduce(bond.tractions()[2].sum(), MPI.SUM) > 0:
-            found.append(bond)
-    return tuple(found)
+    """The bonded interfaces of a scene that its mesh has facets of; collective."""
+    found = [Bond(problem, stresses, b.name, b.slave, b.master) for b in problem.scene.bonds]
+    return tuple(b for b in found if problem.comm.allreduce(b.facets, MPI.SUM) > 0)

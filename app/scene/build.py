@@ -13,7 +13,7 @@ import numpy as np
 
 from mantle.forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
 from mantle.scene.build_heat import field, heat
-from mantle.scene.laws import Coulomb, CoulombByPenalty, InterfaceLaw
+from mantle.scene.laws import BondTerm, Coulomb, CoulombByPenalty, InterfaceLaw
 from mantle.scene.loads import BodyForceTerm, Field, ForceTerm, LoadTerm, PressureTerm
 from mantle.scene.terms import (
     ContactTerm,
@@ -55,6 +55,11 @@ def build_scene(case: config.Case) -> Scene:
             term
             for name, law in case.interfaces.items()
             for term in _contact(name, law, sides[name], moduli)
+        ),
+        bonds=tuple(
+            term
+            for name, law in case.interfaces.items()
+            for term in _bond(name, law, sides[name], moduli)
         ),
         stages=tuple(
             SceneStage(
@@ -208,6 +213,15 @@ def _contact(
     gap_field = field(f"interfaces.{name}.gap", gap)
     modulus = _stiffness(slave, moduli)
     return (ContactTerm(name, master, slave, law, modulus, gap_field, tuple(history or ())),)
+
+
+def _bond(
+    name: str, section: config.InterfaceSection, sides: Sides, moduli: Mapping[str, float]
+) -> tuple[BondTerm, ...]:
+    """A bonded interface, unless no side of it deforms."""
+    if law_of(section) is not None or not np.isfinite(_stiffness(sides[1], moduli)):
+        return ()
+    return (BondTerm(name, *sides),)
 
 
 def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:

@@ -249,3 +249,18 @@ class Traction(InterfaceLaw):
     def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats:
         """None (n,) [-]."""
         return np.zeros_like(stiffness)
+
+
+@dataclass(frozen=True)
+class BondTerm:
+    """An interface without a law: its sides cannot part.
+
+    Attributes:
+        name: Name in the case file.
+        master: Regions on the stiffer side.
+        slave: Regions on the softer side, which is elastic.
+    """
+
+    name: str
+    master: tuple[str, ...]
+    slave: tuple[str, ...]

@@ -17,7 +17,7 @@ from ufl.core.expr import Expr
 
 from mantle.arrays import Floats
 from mantle.forms import elasticity, loads
-from mantle.scene.laws import InterfaceLaw
+from mantle.scene.laws import BondTerm, InterfaceLaw
 from mantle.scene.loads import Field, LoadTerm
 
 
@@ -390,6 +390,7 @@ class Scene:
     time: tuple[TimeStepping, ...] = ()
     # How heat that depends on contact is solved with it: monolithic or staggered; else empty.
     coupling: tuple[str, ...] = ()
+    bonds: tuple[BondTerm, ...] = ()
 
     @property
     def moduli(self) -> dict[str, float]:

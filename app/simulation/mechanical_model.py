@@ -22,7 +22,7 @@ class Mechanical:
         problem: What is solved.
         solver: By what.
         stresses: Its stresses.
-        bonds: Bonded interfaces that heat or cure loads.
+        bonds: Bonded interfaces.
         neighbours: States of the models before.
     """
 

@@ -221,9 +221,31 @@ def test_bonds_of_cylinders_cooled(curved: str, tolerance: float) -> None:
     assert found["stem_cement"].numbers()["area"] == pytest.approx(np.pi * 3 * 0.5, rel=2e-2)
 
 
-def test_only_bonds_that_something_loads_are_looked_at() -> None:
+@pytest.mark.parametrize(
+    ("pull", "shear"), [(1.3, 0.0), (1.4, 0.0), (-9.0, 2.2), (-9.0, 2.3), (1.0, 1.4), (1.0, 1.6)]
+)
+def test_bonds_of_a_bar_that_is_pulled_and_sheared(pull: float, shear: float) -> None:
+    """Without heat: uniform strain, given at its surface; an ellipse of 1.35 and 2.25 MPa."""
+    E, ν = 2200.0, 0.3
+    ε, γ = pull / E, shear * 2 * (1 + ν) / E
+    given = f"x: {γ} * z - {ν * ε} * x, y: -{ν * ε} * y, z: {ε} * z".replace("--", "")
+    faces = ("bottom", "top", "x_min", "x_max", "y_min", "y_max")
+    held = [f"{f}: {{kind: displacement, boundary: {f}, {given}}}" for f in faces]
+    one = f"{{youngs_modulus: {E} MPa, poisson_ratio: {ν}}}"
+    changes = (f"regions={{one: {one}, two: {one}}}", f"supports={{{', '.join(held)}}}")
+    bar = Heated.make(BAR, lambda scene: scene, *changes)
+    bar.solve({})
+    (bond,) = bonds(bar.problem, bar.stresses)
+    numbers = bond.numbers()
+    assert numbers["normal_mean"] == pytest.approx(pull, rel=1e-9)
+    assert numbers["shear_max"] == pytest.approx(shear, abs=1e-8)
+    fails = (max(pull, 0.0) / 1.35) ** 2 + (shear / 2.25) ** 2 > 1
+    assert numbers["strength_fraction"] == float(fails)
+
+
+def test_every_bond_is_looked_at() -> None:
     cold = Heated.make(CYLINDERS, expanding())
-    assert bonds(cold.problem, cold.stresses) == ()
+    assert [b.name for b in bonds(cold.problem, cold.stresses)] == ["stem_cement", "cement_bone"]
     parting = Heated.make(CYLINDERS, expanding(cement=80e-6), UNILATERAL[0])
     assert [b.name for b in bonds(parting.problem, parting.stresses)] == ["cement_bone"]
     rigid = Heated.make(CYLINDERS, expanding(cement=80e-6), "regions.stem={rigid: true}")
