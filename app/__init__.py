@@ -108,7 +108,8 @@ def mesh(case: LoadedCase) -> MeshData:
     sizing.check(case.file, case.config)
     with stack_needed():
         import gmsh  # noqa: F401  (only to tell early that it is missing)
-    return meshes.build(case.config.geometry, case.config.mesh, folders.cache("meshes"))
+    with case.file.placing():
+        return meshes.build(case.config.geometry, case.config.mesh, folders.cache("meshes"))
 
 
 def run(

@@ -75,7 +75,10 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 def _make(geometry: Any, mesh: Any) -> MeshData:
     """Mesh a geometry, check the mesh and describe it."""
     data = canonical(_generate(geometry, mesh))
-    quality = _quality.gate(data)
+    remedy = "Try another mesh.size, or other lengths in the section geometry."
+    if geometry.kind == "file":
+        remedy = "Repair the mesh file." if not geometry.is_script else "Try another mesh.size."
+    quality = _quality.gate(data, remedy)
     _check_parts(data, () if geometry.kind == "file" else set(data.regions) - DIVISIBLE)
     _check_interfaces(data, geometry.joined)
     notes = {

@@ -130,8 +130,12 @@ def places(
     return lines
 
 
-def gate(data: MeshData) -> Floats:
+def gate(data: MeshData, remedy: str) -> Floats:
     """Refuse a mesh with inverted or nearly flat elements.
+
+    Args:
+        data: The mesh.
+        remedy: What to do about it, in words.
 
     Returns:
         SICN of each cell (m,).
@@ -150,5 +154,5 @@ def gate(data: MeshData) -> Floats:
         f"{bad} of {len(quality)} elements are inverted or nearly flat"
         f" (signed inverse condition number below {BAD}); the worst:\n"
         + "\n".join(lines)
-        + "\nTry another mesh.size, or repair the mesh file."
+        + f"\n{remedy}"
     )

@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from mantle.errors import InputError
+from mantle.errors import GeometryError, InputError
 from mantle.schema.yaml_text import (
     LONGEST,
     MOST_NODES,
@@ -87,9 +87,12 @@ class CaseFile:
 
         Raises:
             InputError: One was raised within.
+            GeometryError: The same.
         """
         try:
             yield
+        except GeometryError as error:
+            raise GeometryError(self._placed(str(error))) from error
         except InputError as error:
             raise InputError([self._placed(m) for m in error.messages]) from error
 

@@ -22,6 +22,7 @@ def cross_check(parts: CaseParts) -> list[Fault]:
     """Every contradiction between the parts."""
     return [
         *_names(parts),
+        *_too_small(parts),
         *_histories(parts),
         *_stage_names(parts),
         *_support_stages(parts),
@@ -72,6 +73,18 @@ def _names(parts: CaseParts) -> Iterable[Fault]:
             for i, region in enumerate(getattr(entry, "regions", None) or ()):
                 if region not in regions:
                     yield _unknown((section, name, "regions", i), "region", region, regions, kind)
+
+
+def _too_small(parts: CaseParts) -> Iterable[Fault]:
+    """Lengths that cells of the mesh's size do not go with."""
+    if parts.geometry is None or parts.mesh is None:
+        return
+    size = parts.mesh.size
+    for key, (length, most) in parts.geometry.spans.items():
+        if size > most * length:
+            text = f"cannot be meshed with edges of {size:g} mm (mesh.size)"
+            expected = f"at least {size / most:.3g} mm, or a mesh.size of at most"
+            yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
 
 
 def _histories(parts: CaseParts) -> Iterable[Fault]:

@@ -368,6 +368,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
     return CaseParts(
         geometry=geometry,
+        mesh=part(MeshOptions, data["mesh"]) if "mesh" in data else None,
         regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
         interfaces=table("interfaces", Interface),
         supports=table("supports", Support) if isinstance(data.get("supports", {}), dict) else None,

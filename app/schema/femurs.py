@@ -9,7 +9,7 @@ from pydantic import model_validator
 
 from mantle.schema.fields import fail
 from mantle.schema.shapes import Mantle, MeshOptions, Point3, Shape, Sides
-from mantle.schema.units import Angle, Dimension, Length, NonNegativeLength, PositiveLength
+from mantle.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
 # Where the middle of each muscle's insertion lies on the bone (mm); as in `meshes.femur_bone`.
@@ -27,6 +27,8 @@ COARSEST = 5.0
 # thickness that is asked for less what the canal is widened (mm).
 FILLED = (0.0, 0.13, 0.45, 0.72, 0.78, 0.83, 0.87, 0.92)
 FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
+# Part of the stem that is in the bone at least; angles of a neck with its shaft (deg).
+INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
 
 
 def _between(at: float, values: tuple[float, ...]) -> float:
@@ -44,10 +46,12 @@ class _Femur(Shape):
         float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
     ] = 4.0
     """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
-    canal_widening: NonNegativeLength = 0.0
-    """Reaming: distance by which the endosteal surface is moved outwards."""
+    canal_widening: Annotated[
+        float, Dimension("mm", "a length", "1 mm", at_least=0.0, at_most=5.0)
+    ] = 0.0
+    """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
     stem_length: PositiveLength = 147.0
-    """From the shoulder to the tip."""
+    """From the shoulder to the tip; two thirds of it at least are below the neck cut."""
     stem_tip_z: Length = -118.0
     """Level of the tip."""
     stem_tip_half_width: PositiveLength = 3.0
@@ -64,29 +68,41 @@ class _Femur(Shape):
     """Half the antero-posterior depth there."""
     stem_corner_radius: PositiveLength = 3.0
     """Radius of the section's corners there."""
-    neck_diameter: PositiveLength = 9.8
-    """Diameter of the neck where it leaves the body."""
-    trunnion_diameter: PositiveLength = 12.0
-    """Diameter of the neck's end, which carries the head."""
-    head_offset: PositiveLength = 43.0
-    """Medial distance of the head's centre from the shaft axis."""
-    head_height: PositiveLength = 54.0
-    """Height of the head's centre above mid lesser trochanter."""
+    neck_diameter: Annotated[float, Dimension("mm", "a length", "10 mm", at_least=5.0)] = 9.8
+    """Diameter of the neck where it leaves the body: at least 5 mm, at most the body's width."""
+    trunnion_diameter: Annotated[
+        float, Dimension("mm", "a length", "12 mm", at_least=5.0, at_most=22.0)
+    ] = 12.0
+    """Diameter of the neck's end, which carries the head, 5 to 22 mm."""
+    head_offset: Annotated[
+        float, Dimension("mm", "a length", "43 mm", at_least=20.0, at_most=80.0)
+    ] = 43.0
+    """Medial distance of the head's centre from the shaft axis, 20 to 80 mm."""
+    head_height: Annotated[
+        float, Dimension("mm", "a length", "54 mm", at_least=20.0, at_most=100.0)
+    ] = 54.0
+    """Height of the head's centre above mid lesser trochanter, 20 to 100 mm; no part of the stem's
+    body is higher."""
     neck_angle: Angle = math.radians(130.0)
-    """Angle between neck and shaft (rad)."""
+    """Angle between neck and shaft (rad), 100 to 145 deg."""
     resection_height: Length = 5.0
     """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
     resection_angle: Angle = math.radians(38.0)
     """Angle of the cut to the transverse plane (rad)."""
     plug_length: PositiveLength = 10.0
     """Length of cement below the tip."""
-    distal_cut_z: Length = -200.0
-    """Level at which the shaft is cut and held."""
+    distal_cut_z: Annotated[float, Dimension("mm", "a length", "-200 mm", at_least=-350.0)] = -200.0
+    """Level at which the shaft is cut and held: below the plug, at least -350 mm."""
 
     @model_validator(mode="after")
     def _consistent(self) -> _Femur:
-        if self.distal_cut_z >= self.stem_tip_z - self.plug_length:
-            fail("is not below the cement plug", at=("distal_cut_z",))
+        plug = self.stem_tip_z - self.plug_length
+        if self.distal_cut_z >= plug:
+            fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
+        if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
+            fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
+        if not 0.0 <= self.resection_angle < math.pi / 2:
+            fail("is not between 0 and 90 deg", at=("resection_angle",))
         for end in ("stem", "stem_tip"):
             radius = getattr(self, f"{end}_corner_radius")
             half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
@@ -96,19 +112,27 @@ class _Femur(Shape):
                     at=(f"{end}_corner_radius",),
                 )
         shoulder = self.stem_tip_z + self.stem_length
+        inside = (self._cut - self.stem_tip_z) / INSIDE
+        if self.stem_length > min(inside, longest := self.head_height - self.stem_tip_z):
+            where = "out of the bone" if inside < longest else "above the head's centre"
+            fail(
+                f"{self.stem_length:g} mm puts the shoulder at z = {shoulder:g} mm, too far "
+                f"{where}; expected at most {min(inside, longest):.3g} mm",
+                at=("stem_length",),
+            )
         if not self.stem_tip_z < self.stem_section_z < shoulder:
             fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
-        self._check_section(shoulder, "the shoulder", 0.0)
-        plug = self.stem_tip_z - self.plug_length
+        width = 2.0 * self._check_section(shoulder, "the shoulder", 0.0)
         self._check_section(plug, "the end of the plug", self.cement_thickness)
-        if not math.pi / 2 < self.neck_angle < math.pi:
-            fail("is not between 90 and 180 deg", at=("neck_angle",))
-        if not 0.0 <= self.resection_angle < math.pi / 2:
-            fail("is not between 0 and 90 deg", at=("resection_angle",))
+        if self.neck_diameter > width:
+            text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
+            fail(text, at=("neck_diameter",))
         return self
 
-    def _check_section(self, z: float, where: str, offset: float) -> None:
-        """Refuse a section that the two given ones, continued to a level, leave no shape.
+    def _check_section(self, z: float, where: str, offset: float) -> float:
+        """Half-width of a section that the two given ones, continued to a level, make there (mm).
+
+        One that has no shape is refused.
 
         Args:
             z: The level (mm).
@@ -128,6 +152,7 @@ class _Femur(Shape):
                 text = f"at {where}, z = {z:g} mm, it has become {size:.3g} mm"
                 least = "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
                 fail(f"{text}; expected sections that stay {least} there", at=(f"stem_{name}",))
+        return sizes["half_width"]
 
     @property
     def head_centre(self) -> Point3:

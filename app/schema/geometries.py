@@ -28,6 +28,10 @@ from mantle.schema.units import Angle, PositiveLength, SizeVector
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
 __all__ += ["MeshOptions", "Sides"]
 
+# How long edges of cells may be: in radii, in thicknesses of rings and of blocks (measured: beyond
+# it gmsh fails or its cells are flat).
+ROUND, THIN, FLAT = 2.0, 10.0, 20.0
+
 
 class Block(Section):
     """One block of a stack."""
@@ -91,6 +95,11 @@ class Blocks(Shape):
         """``<lower>_<upper>`` for each pair of neighbours."""
         names = self.region_names
         return {f"{a}_{b}": ((a,), (b,)) for a, b in itertools.pairwise(names)}
+
+    @property
+    def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
+        """The edges of each block."""
+        return {("blocks", i, "size"): (min(b.size), FLAT) for i, b in enumerate(self.blocks)}
 
     @property
     def interface_area(self) -> float:
@@ -168,6 +177,17 @@ class Cylinders(Shape):
     def fraction(self) -> float:
         """Modelled part of the full circle."""
         return {"full": 1.0, "half": 0.5, "quarter": 0.25}[self.sector]
+
+    @property
+    def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
+        """The radius of the stem, the thickness of the others, where they are least; the length."""
+        rise = 0.5 * self.length * math.tan(abs(self.taper))
+        return {
+            ("stem_radius",): (self.stem_radius - rise, ROUND),
+            ("cement_thickness",): (self.cement_thickness, THIN),
+            ("bone_thickness",): (self.bone_thickness - rise, THIN),
+            ("length",): (self.length, FLAT),
+        }
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

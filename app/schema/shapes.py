@@ -41,9 +41,14 @@ class Shape(Section):
         return False
 
     @property
+    def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
+        """Lengths (mm) that limit the edges of cells, and how many times as long those may be."""
+        return {}
+
+    @property
     def coarsest_size(self) -> float:
         """Largest edge length that it can be meshed with (mm)."""
-        return math.inf
+        return min((most * length for length, most in self.spans.values()), default=math.inf)
 
     @property
     def mantles(self) -> tuple[Mantle, ...]:

@@ -155,8 +155,10 @@ def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
-    file = case_file.read(CONFIGS / "stance.yaml", ["geometry.distal_cut_z=-1e100 mm"])
-    with pytest.raises(InputError, match=r"mesh.size: 4 mm makes about .* GB$"):
+    file = case_file.read(
+        CONFIGS / "cylinders.yaml", ["geometry.length=1e10 mm", "geometry.taper=0 deg"]
+    )
+    with pytest.raises(InputError, match=r"mesh.size: 2 mm makes about .* GB$"):
         sizing.check(file, config.resolve(file, CONFIGS))
 
 

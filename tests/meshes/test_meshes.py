@@ -191,8 +191,8 @@ def test_the_gate_names_region_place_and_value(rod: MeshData) -> None:
     cell = rod.cells[np.flatnonzero(rod.cell_tags == rod.regions["cement"])[100]]
     points[cell[3]] = points[cell[:3]].mean(axis=0)
     with pytest.raises(GeometryError, match=r"cement at \(-?\d+\.\d\d, .*\) mm: -?0\.\d{4}"):
-        quality.gate(replace(rod, points=points))
-    quality.gate(rod)
+        quality.gate(replace(rod, points=points), "Do this.")
+    quality.gate(rod, "")
 
 
 def test_cache_returns_the_same_and_survives_damage(tmp_path: Path, rod: MeshData) -> None:

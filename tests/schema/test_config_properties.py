@@ -231,7 +231,11 @@ def cases(draw: st.DrawFn) -> dict[str, Any]:
             "kind": "blocks",
             "blocks": [{"name": n, "size": [x, y, draw(quantity("mm", side))]} for n in blocks],
         },
-        "mesh": {"size": draw(quantity("mm", positive)), "order": draw(st.sampled_from([1, 2]))},
+        # Blocks of 1 mm go with edges of up to 20 mm.
+        "mesh": {
+            "size": draw(quantity("mm", st.floats(1e-3, 20.0))),
+            "order": draw(st.sampled_from([1, 2])),
+        },
         "regions": {n: draw(elastic) for n in blocks},
         "interfaces": {f"{a}_{b}": draw(laws) for a, b in pairwise(blocks)},
         "supports": {"base": {"kind": "fixed", "boundary": "bottom"}, "side": draw(support)},
