@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from mantle.arrays import Bools, Floats, Ints
 from mantle.errors import InputError
-from mantle.forms.contact import SLIP, STICK
+from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.assembly import Mechanics
 from mantle.mechanics.points import PointForces, PointLaw, gap_vectors
 from mantle.mechanics.reduction import Reduction
@@ -58,7 +58,8 @@ class History:
         force: Interface force per area, conjugate to the jump (n, 3) [MPa].
         friction: Its part that friction carries (n, 3) [MPa].
         opening: Jump with the initial gap (n, 3) [mm].
-        accumulated: Sum of slip increments of each face (n, 3) [mm].
+        slip: Net sliding while in contact (n, 3) [mm].
+        path: Length of its path (n,) [mm].
         dissipation: Dissipated by friction so far (n,) [N mm].
         least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
@@ -70,7 +71,8 @@ class History:
     force: Floats
     friction: Floats
     opening: Floats
-    accumulated: Floats
+    slip: Floats
+    path: Floats
     dissipation: Floats
     least: Floats
     contact_work: Floats
@@ -159,7 +161,7 @@ class Jumps:
         self.set_time(0.0)
         zero, none = np.zeros((len(self.mine), 3)), np.zeros(len(self.mine))
         own = {k: np.zeros((len(none), *shape)) for k, shape in self._law.history.items()}
-        self.history = History(zero, zero, zero, self.gap, zero, none, none, none, none, own)
+        self.history = History(zero, zero, zero, self.gap, zero, none, none, none, none, none, own)
 
     # Construction
 
@@ -397,6 +399,9 @@ class Jumps:
     def commit(self, e: Floats, q: Floats, law: PointForces) -> None:
         """Make a converged state the history.
 
+        A point slides by the tangential part of a step at whose end it is in contact: the motion
+        for which the law gives its friction. What it moves while it is open is no slip.
+
         Dissipation is the implicit sum, new friction times the step's slip: what the incremental
         potential (eq. 55) makes non-negative at each point, where the trapezoidal rule is negative
         when friction reverses. Work is trapezoidal, so that the energy balance closes.
@@ -413,8 +418,8 @@ class Jumps:
         F = self.forces(e)
         normal = np.einsum("pk,pki->pi", law.pressures, self.normals)
         friction = F + normal
-        along = np.einsum("pi,pki->pk", step, self.normals)
-        slip = np.linalg.norm(step[:, None, :] - along[:, :, None] * self.normals, axis=2)
+        touching = self._can_open & (law.status != OPEN)
+        slid = np.where(touching[:, None], self._tangential(step, opening, law), 0.0)
         # Friction and slip as the law has them: none where a point is open or sticks, though the
         # solver's tolerance leaves some.
         rubbing = law.force + normal
@@ -428,8 +433,8 @@ class Jumps:
             force=F,
             friction=friction,
             opening=opening,
-            accumulated=old.accumulated
-            + np.where((law.pressures > 0) & self._can_open[:, None], slip, 0.0),
+            slip=old.slip + slid,
+            path=old.path + np.linalg.norm(slid, axis=1),
             dissipation=old.dissipation + dissipated,
             least=np.minimum(old.least, dissipated),
             contact_work=old.contact_work + self.weight * pushed,

@@ -20,6 +20,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from mantle.arrays import Floats, Ints
+from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.problem import Problem
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import ENDS, Rows, State
@@ -198,7 +199,7 @@ class MechanicalFields:
         self.bodies, self.space = problem.bodies, problem.space
 
     def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
-        """Displacement [mm], and by interface gap, slip [mm], pressure, shear [MPa], status."""
+        """Displacement [mm], and by interface gap, slip, motion [mm], tractions [MPa], status."""
         u = np.zeros((len(nodes.dof), 3))
         for b, function in enumerate(self._problem.displacements()):
             at = nodes.body == b
@@ -218,9 +219,18 @@ class MechanicalFields:
         return {"stress": σ}
 
     def _contact_rows(self, nodes: Copies) -> dict[int, Ints]:
-        """For each interface, the contact point of each node of the grid, -1 elsewhere."""
+        """For each interface, the contact points (n, 2) that nodes of the grid are or lie between.
+
+        The point twice at a corner, the ends of an edge of the interface at its middle, -1
+        elsewhere.
+        """
         rows: dict[int, Ints] = {}
-        numbers = self.space.dofmap.index_map.local_to_global(nodes.dof.astype(np.int32))
+        layout = self.space.dofmap.dof_layout
+        corner = np.array([layout.entity_dofs(0, v)[0] for v in range(4)])
+        dofs = self.space.dofmap.list[nodes.cell]
+        ends = np.take_along_axis(dofs, corner[nodes.ends], axis=1)
+        numbers = self.space.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
+        body = np.repeat(nodes.body, 2)
         for j in self._problem.jumps:
             p = j.points
             for i in range(len(self._problem.scene.contacts)):
@@ -230,28 +240,45 @@ class MechanicalFields:
                 at = np.clip(np.searchsorted(p.dof[order], numbers), 0, max(len(order) - 1, 0))
                 if len(order):
                     k = order[at]
-                    same = (p.bodies[k] == nodes.body[:, None]).any(axis=1)
+                    same = (p.bodies[k] == body[:, None]).any(axis=1)
                     match = (p.dof[k] == numbers) & same
                     found[match] = k[match]
-                rows[i] = found
+                rows[i] = _on_edges(found.reshape(-1, 2), p.triangles[i], len(p.dof))
         return rows
 
 
-def _interface(name: str, s: Samples, row: Ints) -> dict[str, Floats]:
-    """Fields of an interface at the grid's nodes: zero away from it, status -1."""
-    on = row >= 0
+def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
+    """Pairs of contact points (n, 2), -1 where no triangle of the interface has both."""
+    edges = np.sort(triangles[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
+    pairs = np.sort(rows, axis=1)
+    on = np.isin(pairs @ [points, 1], edges @ [points, 1]) | (rows[:, 0] == rows[:, 1])
+    return np.where((on & (rows >= 0).all(axis=1))[:, None], rows, -1)
 
-    def spread(values: Floats, away: float = 0.0) -> Floats:
-        out = np.full(len(row), away)
-        out[on] = values[row[on]]
+
+def _interface(name: str, s: Samples, rows: Ints) -> dict[str, Floats]:
+    """Fields of an interface at the grid's nodes: zero away from it, status -1.
+
+    They are linear along edges. In the middle of one the status is the more mobile of its ends.
+    """
+    on = rows[:, 0] >= 0
+
+    def spread(values: Floats) -> Floats:
+        out = np.zeros((len(rows), *values.shape[1:]))
+        out[on] = values[rows[on]].mean(axis=1)
         return out
 
+    status = np.full(len(rows), -1.0)
+    moves = np.argsort([STICK, SLIP, OPEN])  # rank of each status
+    ends = s.status[rows[on]]
+    status[on] = np.where(moves[ends[:, 0]] >= moves[ends[:, 1]], ends[:, 0], ends[:, 1])
     return {
-        f"{name}_gap": spread(s.gap.max(axis=1)),
-        f"{name}_slip": spread(s.slip.max(axis=1)),
+        f"{name}_gap": spread(s.opening),
+        f"{name}_slip": spread(s.slip),
+        f"{name}_slip_path": spread(s.path),
+        f"{name}_motion": spread(s.motion),
         f"{name}_pressure": spread(s.pressure),
         f"{name}_shear": spread(s.shear),
-        f"{name}_status": spread(s.status.astype(float), -1.0),
+        f"{name}_status": status,
     }
 
 

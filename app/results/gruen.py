@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
-from mantle.results.quantities import Samples, face_average
+from mantle.results.quantities import Samples
 from mantle.results.stresses import Stresses
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def summary(
         for i, contact in enumerate(problem.scene.contacts):
             for zone in zones.numbers:
                 at = (samples.interface == i) & (where == zone).any(axis=1)
-                if samples.area[at].any():
+                if at.any():
                     result[str(zone)]["interfaces"][contact.name] = _interface(samples, at)
     return result
 
@@ -83,12 +83,15 @@ def _energy_and_volume(
 
 def _interface(s: Samples, at: NDArray[np.bool_]) -> dict[str, float]:
     """Motion and tractions of the marked points of an interface; means by area."""
-    area, weight = s.area[at], s.weight[at]
+    weight = s.weight[at]
     result: dict[str, float] = {}
-    for name, values in (("gap", np.maximum(s.gap[at], 0.0)), ("slip", s.slip[at])):
-        result[f"{name}_max"] = float(values[area > 0].max())
-        result[f"{name}_mean"] = face_average(values, area)
-    for name, values in (("pressure", s.pressure[at]), ("shear", s.shear[at])):
+    for name, values in (
+        ("gap", np.maximum(s.opening[at], 0.0)),
+        ("slip", np.linalg.norm(s.slip[at], axis=1)),
+        ("motion", np.linalg.norm(s.motion[at], axis=1)),
+        ("pressure", s.pressure[at]),
+        ("shear", s.shear[at]),
+    ):
         result[f"{name}_max"] = float(values.max())
         result[f"{name}_mean"] = float(np.average(values, weights=weight))
     return result | {"area": float(weight.sum())}

@@ -7,6 +7,8 @@ import numpy as np
 from mantle.arrays import Floats
 
 PERCENTILE = 0.99
+# Bisections of a level: to the last digits.
+HALVINGS = 50
 
 
 def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) -> float:
@@ -17,3 +19,45 @@ def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) ->
     cumulative = np.cumsum(weights[order])
     k = np.searchsorted(cumulative, fraction * cumulative[-1])
     return float(values[order[min(int(k), len(values) - 1)]])
+
+
+class SurfaceField:
+    """A field that is linear on each triangle of a surface."""
+
+    def __init__(self, corners: Floats, area: Floats) -> None:
+        """Keep it.
+
+        Args:
+            corners: Its values at the corners of triangles (f, 3).
+            area: Their areas (f,) [mm2].
+        """
+        self._corners, self._area = np.sort(corners, axis=1), area
+
+    def mean(self) -> float:
+        """Mean by area; 0 without triangles."""
+        whole = self._area.sum()
+        return float(self._area @ self._corners.mean(axis=1) / whole) if whole > 0 else 0.0
+
+    def area_above(self, level: float) -> float:
+        """Area where it exceeds a level [mm2]."""
+        low, middle, high = self._corners.T
+        spread = np.where(high > low, high - low, 1.0)
+        top = (high - level) ** 2 / (spread * np.where(high > middle, high - middle, 1.0))
+        bottom = (level - low) ** 2 / (spread * np.where(middle > low, middle - low, 1.0))
+        share = np.where(level >= middle, top, 1.0 - bottom)
+        share = np.where(level >= high, 0.0, np.where(level < low, 1.0, share))
+        return float(self._area @ share)
+
+    def percentile(self, fraction: float = PERCENTILE) -> float:
+        """Smallest level that it does not exceed on this part of the area; 0 without triangles."""
+        if not len(self._area):
+            return 0.0
+        low, high = float(self._corners.min()), float(self._corners.max())
+        above = (1.0 - fraction) * float(self._area.sum())
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            if self.area_above(middle) > above:
+                low = middle
+            else:
+                high = middle
+        return high

@@ -1,4 +1,4 @@
-"""The numbers that people publish: interfaces, stresses by region, motion of the stem.
+"""The numbers that people publish of interfaces.
 
 All functions are collective and return the same plain values on every rank. Percentiles are
 weighted by area or volume; maxima are reported beside them because peaks at edges grow with
@@ -7,20 +7,15 @@ refinement.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
-
-from mpi4py import MPI
 
 import basix
 import numpy as np
-from numpy.typing import NDArray
 
-from mantle.arrays import Floats
+from mantle.arrays import Floats, Ints
 from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.problem import Problem, TrialState
-from mantle.results.percentiles import percentile
-from mantle.results.stresses import volumes_and_centres
+from mantle.results.percentiles import SurfaceField
 from mantle.schema.quantities import computed
 
 MICROMOTION = 0.030  # mm: where biology reacts
@@ -35,11 +30,6 @@ def _pressure(pressures: Floats, normals: Floats) -> Floats:
     return np.where(pressures.sum(axis=1) < 0, -size, size)
 
 
-def face_average(values: Floats, area: Floats) -> float:
-    """Mean of what belongs to the faces of points (n, 3), by their areas (n, 3)."""
-    return float(np.average(values[area > 0], weights=area[area > 0]))
-
-
 class Samples:
     """Contact points of all ranks, in canonical order, on every rank.
 
@@ -49,13 +39,14 @@ class Samples:
         interface: Interface of each point (n,).
         x: Position (n, 3) [mm].
         weight: Area (n,) [mm2].
-        area: Area of each face (n, 3) [mm2]; 0 beyond the point's faces.
-        gap: Opening of each face (n, 3) [mm].
-        slip: Tangential part of the jump on each face (n, 3) [mm].
-        accumulated: Sum of slip increments on each face (n, 3) [mm].
+        gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
+        opening: Opening of the point, the largest of its faces (n,) [mm].
+        slip: Net sliding while in contact (n, 3) [mm].
+        path: Length of the path of the slip (n,) [mm].
+        motion: Displacement of the second side as declared against the first (n, 3) [mm].
         pressure: Normal force per area, positive in compression (n,) [MPa].
         shear: Friction per area (n,) [MPa].
-        force: Force of the master on the slave per area (n, 3) [MPa].
+        force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
         status: State (n,).
         jump: Jump with the initial gap (n, 3) [mm].
         dissipation: Dissipated by friction (n,) [N mm].
@@ -69,18 +60,21 @@ class Samples:
         self.found: dict[int, dict[str, Any]] = {}
         (j,) = problem.jumps
         history = j.history
-        normal = np.einsum("pi,pki->pk", trial.jump, j.normals)
-        tangential = trial.jump[:, None, :] - normal[:, :, None] * j.normals
         opening = np.einsum("pi,pki->pk", trial.jump + j.gap, j.normals)
+        # The second side as declared is the slave or the master.
+        contacts = problem.scene.contacts
+        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[j.interface][:, None]
         used = np.arange(3)[None, :] < j.faces[:, None]
         local = {
             "row": j.mine,
             "gap": np.where(used, opening, 0.0),
-            "slip": np.where(used, np.linalg.norm(tangential, axis=2), 0.0),
-            "accumulated": np.where(used, history.accumulated, 0.0),
+            "opening": np.max(opening, axis=1, where=used, initial=-np.inf),
+            "slip": sign * history.slip,
+            "path": history.path,
+            "motion": sign * trial.jump,
             "pressure": _pressure(trial.law.pressures, j.normals),
             "shear": np.linalg.norm(history.friction, axis=1),
-            "force": -history.force,
+            "force": -sign * history.force,
             "status": np.where(j.faces > 0, trial.law.status, STICK),
             "jump": trial.jump + j.gap,
             "dissipation": history.dissipation,
@@ -90,16 +84,13 @@ class Samples:
         pieces = problem.comm.allgather(local)
         whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
         order = np.argsort(whole.pop("row"))
-        points = j.points
-        self.points = points
-        self.interface, self.x, self.weight = points.interface, points.x, points.weight
-        faces = np.arange(3)[None, :] < points.faces[:, None]
-        self.area = np.where(faces, points.areas, 0.0)
-        self.gap, self.slip, self.accumulated, self.pressure = (
-            whole[k][order] for k in ("gap", "slip", "accumulated", "pressure")
+        self.points = j.points
+        self.interface, self.x, self.weight = j.points.interface, j.points.x, j.points.weight
+        self.gap, self.opening, self.slip, self.path, self.motion = (
+            whole[k][order] for k in ("gap", "opening", "slip", "path", "motion")
         )
-        self.shear, self.force, self.status, self.jump = (
-            whole[k][order] for k in ("shear", "force", "status", "jump")
+        self.pressure, self.shear, self.force, self.status, self.jump = (
+            whole[k][order] for k in ("pressure", "shear", "force", "status", "jump")
         )
         self.dissipation, self.least, self.contact_work = (
             whole[k][order] for k in ("dissipation", "least", "contact_work")
@@ -115,52 +106,43 @@ def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
 
 def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
     at = s.interface == i
-    area, weight = s.area[at], s.weight[at]
+    weight, x = s.weight[at], s.x[at]
     total = float(weight.sum())
-    x = np.repeat(s.x[at][:, None, :], 3, axis=1)
-
-    def largest(values: Floats) -> tuple[float, list[float]]:
-        flat = np.where(area > 0, values, -np.inf).ravel()
-        k = int(np.argmax(flat))
-        return float(max(flat[k], 0.0)), [float(c) for c in x.reshape(-1, 3)[k]]
-
-    def p99(values: Floats) -> float:
-        return percentile(values[area > 0], area[area > 0])
-
-    gap, slip = np.maximum(s.gap[at], 0.0), s.slip[at]
-    pressure, shear = s.pressure[at], s.shear[at]
-    gap_max, gap_at = largest(gap)
-    slip_max, slip_at = largest(slip)
-    faces = area > 0
+    facets = Facets(s, i)
+    found: dict[str, Any] = {}
+    for name, values in (
+        ("gap", np.maximum(s.gap, 0.0)),
+        ("slip", np.linalg.norm(s.slip, axis=1)),
+        ("slip_path", s.path),
+        ("motion", np.linalg.norm(s.motion, axis=1)),
+        ("pressure", s.pressure),
+        ("shear", s.shear),
+    ):
+        field = facets.field(values)
+        here = values[at].reshape(len(x), -1).max(axis=1)
+        k = int(np.argmax(here))
+        found |= {
+            f"{name}_max": float(max(here[k], 0.0)),
+            f"{name}_p95": field.percentile(0.95),
+            f"{name}_p99": field.percentile(0.99),
+            f"{name}_mean": field.mean(),
+            f"{name}_max_at": [float(c) for c in x[k]],
+        }
+        if name in ("gap", "slip", "motion"):
+            found[f"area_{name}_over_30um"] = field.area_above(MICROMOTION)
 
     def fraction(state: int) -> float:
         return float(weight[s.status[at] == state].sum()) / total
 
     return {
-        "gap_max": gap_max,
-        "gap_p99": p99(gap),
-        "gap_mean": face_average(gap, area),
-        "gap_max_at": gap_at,
-        "slip_max": slip_max,
-        "slip_p99": p99(slip),
-        "slip_mean": face_average(slip, area),
-        "slip_max_at": slip_at,
-        "slip_accumulated_max": float(s.accumulated[at].max(initial=0.0)),
-        "pressure_max": float(pressure.max(initial=0.0)),
-        "pressure_p99": percentile(pressure, weight),
-        "pressure_mean": float(np.average(pressure, weights=weight)),
-        "shear_max": float(shear.max(initial=0.0)),
-        "shear_p99": percentile(shear, weight),
-        "shear_mean": float(np.average(shear, weights=weight)),
-        "penetration_max": float(np.maximum(-s.gap[at][faces], 0.0).max(initial=0.0)),
-        "penetration_sampled": _sampled_penetration(problem, s, i),
+        **found,
+        "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
+        "penetration_sampled": facets.penetration(),
         "open_fraction": fraction(OPEN),
         "stick_fraction": fraction(STICK),
         "slip_fraction": fraction(SLIP),
         "area": total,
         "facet_size": problem.jumps[0].edge_lengths[i],
-        "area_slip_over_30um": float(area[faces & (slip > MICROMOTION)].sum()),
-        "area_gap_over_30um": float(area[faces & (gap > MICROMOTION)].sum()),
         "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),
@@ -169,73 +151,45 @@ def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
     }
 
 
-def _sampled_penetration(problem: Problem, s: Samples, i: int) -> float:
-    """Largest penetration between the nodes: jump and normal interpolated on the facets [mm]."""
-    triangles = s.points.triangles[i]
-    if not len(triangles):
-        return 0.0
-    x = s.x[triangles]
-    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    normals = s.points.normals[triangles]
-    # At each corner the face of the point that this facet belongs to.
-    face = np.argmax(np.abs(np.einsum("fi,fcki->fck", flat, normals)), axis=2)
-    n = np.take_along_axis(normals, face[:, :, None, None], axis=2)[:, :, 0]
-    points = np.asarray(basix.make_quadrature(basix.CellType.triangle, 4)[0])
-    N = np.column_stack([1 - points.sum(axis=1), points])
-    d = np.einsum("qc,fci->fqi", N, s.jump[triangles])
-    n = np.einsum("qc,fci->fqi", N, n)
-    size = np.linalg.norm(n, axis=2)
-    gap = np.einsum("fqi,fqi->fq", d, n) / np.where(size > 0, size, 1.0)
-    return float(np.maximum(-gap, 0.0).max())
+class Facets:
+    """Facets of an interface: its points are their corners."""
 
+    def __init__(self, s: Samples, i: int) -> None:
+        """Find them.
 
-def stem_motion(problem: Problem, implant: Sequence[str], bone: Sequence[str]) -> dict[str, float]:
-    """Rigid motion of the implant against the bone (best fits over their volumes).
+        Args:
+            s: The contact points.
+            i: Number of the interface.
+        """
+        self._triangles: Ints = s.points.triangles[i]
+        self._jump = s.jump
+        x = s.x[self._triangles]
+        flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        area = np.linalg.norm(flat, axis=1) / 2
+        # Curved facets have a little more than their corners span.
+        whole = s.weight[s.interface == i].sum()
+        self._area = area * (whole / area.sum()) if len(area) else area
+        # At each corner the face of the point that this facet belongs to.
+        self._normals = s.points.normals[self._triangles]
+        along = np.abs(np.einsum("fi,fcki->fck", flat, self._normals))
+        self._face: Ints = np.argmax(along, axis=2)
 
-    Subsidence [mm] is distal (-z), retroversion [deg] turns the medial side (x) towards posterior
-    (-y), varus [deg] tilts the top of the stem towards medial.
+    def field(self, values: Floats) -> SurfaceField:
+        """Values at points (n,), or at the faces of points (n, 3), as a field on the facets."""
+        corners = values[self._triangles]
+        if values.ndim == 2:
+            corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
+        return SurfaceField(corners, self._area)
 
-    Args:
-        problem: The problem, solved.
-        implant: Regions of the implant.
-        bone: Regions of bone; without these or those there is no such motion.
-    """
-    if not implant or not bone:
-        return {}
-    stem_t, stem_ω, centre = _rigid_fit(problem, implant)
-    bone_t, bone_ω, bone_centre = _rigid_fit(problem, bone)
-    t = stem_t - bone_t - np.cross(bone_ω, centre - bone_centre)
-    ω = np.rad2deg(stem_ω - bone_ω)
-    return {
-        "subsidence": float(-t[2]),
-        "retroversion": float(-ω[2]),
-        "varus": float(ω[1]),
-    }
-
-
-def _rigid_fit(problem: Problem, regions: Sequence[str]) -> tuple[Floats, Floats, Floats]:
-    """Least-squares rigid motion of regions, weighted by volume: translation, rotation, centre."""
-    comm, displacements = problem.comm, problem.displacements()
-    xs: list[Floats] = []
-    us: list[Floats] = []
-    ws: list[Floats] = []
-    layout = problem.space.dofmap.dof_layout
-    corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
-    for r in regions:
-        cells = problem.mechanics.region_cells(r)
-        volumes, centres = volumes_and_centres(problem, cells)
-        v = displacements[problem.bodies.of_region[r]].x.array.reshape(-1, 3)
-        us.append(v[problem.space.dofmap.list[cells][:, corner]].mean(axis=1))
-        xs.append(centres)
-        ws.append(volumes)
-    x, u, w = np.concatenate(xs), np.concatenate(us), np.concatenate(ws)
-
-    def total(values: NDArray[np.floating[Any]]) -> Floats:
-        return np.asarray(comm.allreduce(np.einsum("p,p...->...", w, values), MPI.SUM))
-
-    volume = total(np.ones(len(w)))
-    centre, t = total(x) / volume, total(u) / volume
-    ξ, η = x - centre, u - t
-    second = total(np.einsum("pi,pj->pij", ξ, ξ))
-    inertia = np.trace(second) * np.eye(3) - second
-    return t, np.linalg.solve(inertia, total(np.cross(ξ, η))), centre
+    def penetration(self) -> float:
+        """Largest penetration between points: jump and normal interpolated on the facets [mm]."""
+        if not len(self._triangles):
+            return 0.0
+        n = np.take_along_axis(self._normals, self._face[:, :, None, None], axis=2)[:, :, 0]
+        points = np.asarray(basix.make_quadrature(basix.CellType.triangle, 4)[0])
+        N = np.column_stack([1 - points.sum(axis=1), points])
+        d = np.einsum("qc,fci->fqi", N, self._jump[self._triangles])
+        n = np.einsum("qc,fci->fqi", N, n)
+        size = np.linalg.norm(n, axis=2)
+        gap = np.einsum("fqi,fqi->fq", d, n) / np.where(size > 0, size, 1.0)
+        return float(np.maximum(-gap, 0.0).max())

@@ -46,9 +46,15 @@ class _Law:
 class Stresses:
     """Stress at quadrature points of every elastic region, compiled once."""
 
-    def __init__(self, problem: Problem, timing: Timing) -> None:
-        """Compile the stress of each region; collective."""
-        self._problem, self._timing = problem, timing
+    def __init__(self, problem: Problem, timing: Timing, around_z: bool = False) -> None:
+        """Compile the stress of each region; collective.
+
+        Args:
+            problem: The problem.
+            timing: Of the run.
+            around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
+        """
+        self._problem, self._timing, self._around_z = problem, timing, around_z
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         degree = 4 * (problem.scene.order - 1)
         quadrature = basix.make_quadrature(basix.CellType.tetrahedron, degree)
@@ -167,7 +173,6 @@ class Stresses:
             result = {
                 "von_mises_max": float(mises.max()),
                 "von_mises_p99": percentile(mises, volume),
-                "hoop_p99": percentile(hoop, volume),
                 "principal_max": float(principal.max()),
                 "principal_p99": percentile(principal, volume),
                 "principal_min": float(least.min()),
@@ -178,6 +183,8 @@ class Stresses:
                     float(volume[principal > level].sum()) for level in STRESS_LEVELS
                 ],
             }
+            if self._around_z:
+                result["hoop_p99"] = percentile(hoop, volume)
         return self._problem.comm.bcast(result) | computed("regions", self, region)
 
 
@@ -202,7 +209,7 @@ def volumes_and_centres(problem: Problem, cells: NDArray[np.int32]) -> tuple[Flo
 
 
 def _hoop(σ: Floats, x: Floats) -> Floats:
-    """Stress around the model's z axis (n,) [MPa]."""
+    """Stress around the z axis (n,) [MPa]."""
     r = np.hypot(x[:, 0], x[:, 1])
     r = np.where(r > 0, r, 1.0)
     t = np.column_stack([-x[:, 1] / r, x[:, 0] / r, np.zeros(len(x))])

@@ -54,7 +54,7 @@ def build_scene(case: config.Case) -> Scene:
         contacts=tuple(
             term
             for name, law in case.interfaces.items()
-            for term in _contact(name, law, sides[name], moduli)
+            for term in _contact(name, law, case.geometry.interface_sides[name], moduli)
         ),
         bonds=tuple(
             term
@@ -202,17 +202,18 @@ def _(section: config.Penalty) -> InterfaceLaw:
 
 
 def _contact(
-    name: str, section: config.InterfaceSection, sides: Sides, moduli: Mapping[str, float]
+    name: str, section: config.InterfaceSection, declared: Sides, moduli: Mapping[str, float]
 ) -> tuple[ContactTerm, ...]:
     """A term between a master and a slave; a bonded interface is none at all."""
     law = law_of(section)
     if law is None:
         return ()
-    master, slave = sides
+    master, slave = _stiffer_first(declared, moduli)
     gap, history = section.initial_gap
     gap_field = field(f"interfaces.{name}.gap", gap)
     modulus = _stiffness(slave, moduli)
-    return (ContactTerm(name, master, slave, law, modulus, gap_field, tuple(history or ())),)
+    course, turned = tuple(history or ()), master != tuple(declared[0])
+    return (ContactTerm(name, master, slave, law, modulus, gap_field, course, turned),)
 
 
 def _bond(

@@ -125,6 +125,7 @@ class ContactTerm:
         modulus: Modulus of the softer side [MPa].
         gap: Initial gap (n,) at points [mm], negative where the bodies interfere.
         history: Amplitudes of the gap at the ends of the stages, or empty (see `gap_at`).
+        turned: Whether the master is the second side as declared.
     """
 
     name: str
@@ -134,6 +135,7 @@ class ContactTerm:
     modulus: float
     gap: Field
     history: tuple[float, ...]
+    turned: bool = False
 
 
 # Pairs of seconds since the start of the run and multiplier, linear in between; empty: always one.

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -42,6 +42,7 @@ from mantle.schema.fields import (
     Name,
     Section,
     Text,
+    Word,
 )
 from mantle.schema.geometries import (
     Block,
@@ -147,6 +148,10 @@ class Case(Section):
     """A line for people."""
     geometry: Geometry
     """Bodies, interfaces and boundaries."""
+    side: Annotated[Literal["left", "right"], Word()] = "left"
+    """Side of the hip, z being proximal and y anterior: x is medial of a left one and lateral of a
+    right one. It decides the signs of retroversion and varus, and nothing else. Parametric femurs
+    are left; their numbers are those of the mirrored right one."""
     mesh: MeshOptions
     """Mesh size and order."""
     regions: Annotated[dict[Name, Region], MAPPING]

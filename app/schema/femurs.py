@@ -175,6 +175,11 @@ class _Femur(Shape):
         return True
 
     @property
+    def is_around_z(self) -> bool:
+        """The stem is along the shaft."""
+        return True
+
+    @property
     def has_gruen_zones(self) -> bool:
         """Bone around the stem, or where it will be."""
         return True

@@ -157,6 +157,11 @@ class Cylinders(Shape):
         return {"stem": "implant", "cement": "cement", "bone": "bone"}
 
     @property
+    def is_around_z(self) -> bool:
+        """The layers are."""
+        return True
+
+    @property
     def boundary_names(self) -> tuple[str, ...]:
         """Ends by region and together, the outer surface, and the planes of symmetry."""
         ends = tuple(f"{r}_{end}" for r in self.region_names for end in ("top", "bottom"))

@@ -146,24 +146,26 @@ _interface, _region = partial(Quantity, "interfaces"), partial(Quantity, "region
 for _key, _word, _unit, _shown, _digits, _order in (
     ("gap", "debonding", "mm", "um", 1, MOTION),
     ("slip", "slip", "mm", "um", 1, MOTION),
+    ("slip_path", "path of slip", "mm", "um", 1, MOTION),
+    ("motion", "motion", "mm", "um", 1, MOTION),
     ("pressure", "pressure", "MPa", "", 2, STRESS),
     ("shear", "shear stress", "MPa", "", 2, STRESS),
 ):
     _how = partial(_interface, unit=_unit, shown=_shown, digits=_digits)
+    _told = _key != "slip_path"
     add(
-        _how(f"{_key}_max", label=f"{_word}, max", peak=True, history=True),
-        _how(f"{_key}_p99", label=f"{_word}, p99", order=_order, history=True, headline=True),
+        _how(f"{_key}_max", label=f"{_word}, max", peak=True, history=_told),
+        _how(f"{_key}_p95", label=f"{_word}, p95", order=_order),
+        _how(f"{_key}_p99", label=f"{_word}, p99", order=_order, history=_told, headline=_told),
         _how(f"{_key}_mean", label=f"{_word}, mean", order=MOTION),
     )
 add(
-    _interface("slip_accumulated_max", "mm", "um"),
     _interface("penetration_max", "mm", "um", exact=True, history=True, headline=True),
     _interface("penetration_sampled", "mm", "um", exact=True),
     _interface("open_fraction", "-", "%", 0, history=True, headline=True),
     _interface("stick_fraction", "-", "%", 0, history=True),
     _interface("slip_fraction", "-", "%", 0, history=True, headline=True),
-    _interface("area_slip_over_30um", "mm^2"),
-    _interface("area_gap_over_30um", "mm^2"),
+    *(_interface(f"area_{key}_over_30um", "mm^2") for key in ("gap", "slip", "motion")),
     _interface("force", "N", order=MOTION, vector=True),
     _interface("dissipation", "N mm", order=MOTION, history=True),
     _interface("dissipation_min", "N mm", history=True),
@@ -178,6 +180,10 @@ add(
     Quantity("stem", "subsidence", "mm", "um", 1, order=MOTION, headline=True),
     Quantity("stem", "retroversion", "deg", digits=3, order=MOTION, headline=True),
     Quantity("stem", "varus", "deg", digits=3, order=MOTION, headline=True),
+    *(
+        Quantity("stem", f"{end}_displacement", "mm", "um", 1, order=MOTION, vector=True)
+        for end in ("tip", "top")
+    ),
     Quantity("bonds", "strength_fraction", "-", "%", 0),
     *(Quantity("bonds", f"normal_{how}", "MPa") for how in ("mean", "max")),
     *(Quantity("bonds", f"shear_{how}", "MPa") for how in ("mean", "max")),

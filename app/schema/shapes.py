@@ -56,6 +56,11 @@ class Shape(Section):
         return ()
 
     @property
+    def is_around_z(self) -> bool:
+        """Whether the z axis is that of a stem, or where one will be."""
+        return False
+
+    @property
     def has_gruen_zones(self) -> bool:
         """Whether it has the bone around a stem, or where one will be (`meshes.gruen`)."""
         return False

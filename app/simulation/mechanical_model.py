@@ -26,10 +26,10 @@ class Mechanical:
         neighbours: States of the models before.
     """
 
-    def __init__(self, problem: Problem, solver: Solver, timing: Timing) -> None:
+    def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
         """Compile what is evaluated; collective."""
         self.problem, self.solver = problem, solver
-        self.stresses = Stresses(problem, timing)
+        self.stresses = Stresses(problem, timing, around_z)
         self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
         self.neighbours = Neighbours(problem, solver)
         self._balance: list[Balance] = []

@@ -27,6 +27,7 @@ from mantle.results import gruen, quantities
 from mantle.results.field_output import HeatFields, Layer, MechanicalFields
 from mantle.results.output import on_root
 from mantle.results.quantities import Samples
+from mantle.results.stem_motion import stem_motion
 from mantle.scene.build import build_scene
 from mantle.scene.terms import Scene, SceneStage
 from mantle.schema import config
@@ -160,7 +161,8 @@ class Model:
             like.clear()
         timing = self._timing
         problem = Problem(self.scene, self.tagged, factor, timing, *like[:1])
-        return (Mechanical(problem, self._solver(mechanical(problem)), self._timing),)
+        solver, around_z = self._solver(mechanical(problem)), self._case.geometry.is_around_z
+        return (Mechanical(problem, solver, around_z, self._timing),)
 
     def _heat(self) -> tuple[tuple[CoupledSystem | Staggered, ...], tuple[HeatState, ...]]:
         """Heat and what solves it, where anything conducts."""
@@ -312,8 +314,7 @@ class Model:
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if m.bonds:
                 numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
-            implant, bone = (self._case.of_tissue(t) for t in ("implant", "bone"))
-            numbers["stem"] = quantities.stem_motion(m.problem, implant, bone)
+            numbers["stem"] = stem_motion(m.problem, self._case)
         for t in self.thermal:
             numbers["thermal"] = t.record.summary()
             for cure in t.cure:

@@ -1,0 +1,149 @@
+"""Slip is sliding in contact, motion is all of it, and the stem moves against its own bone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mantle.results.percentiles import SurfaceField
+from mantle.results.stem_motion import stem_motion
+from mantle.results.stresses import Stresses
+from mantle.system.timing import Timing
+from tests import support
+
+# A rigid block on an elastic one without Poisson's ratio: it moves as it is told to.
+BLOCKS = """
+geometry:
+  kind: blocks
+  blocks:
+    - {name: lower, size: [4 mm, 4 mm, 2 mm]}
+    - {name: upper, size: [4 mm, 4 mm, 2 mm]}
+mesh: {order: 1, size: 2 mm, far_size: 2 mm}
+regions:
+  lower: {youngs_modulus: 100 MPa, poisson_ratio: 0}
+  upper: {rigid: true}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 0}
+supports:
+  floor: {kind: fixed, boundary: bottom}
+"""
+
+
+def moved(path: list[tuple[float, float]], law: str = "friction_coefficient: 0") -> dict[str, Any]:
+    """The interface after the upper block has followed a path of (x, z) [mm], a stage each."""
+    x, z = ([0.0, *values] for values in zip(*path, strict=True))
+    hand = (
+        f"supports.x={{kind: displacement, boundary: top, x: 1 mm, history: {x[1:]}}}",
+        "supports.y={kind: roller, boundary: top, axis: y}",
+        f"supports.z={{kind: displacement, boundary: top, z: 1 mm, history: {z[1:]}}}",
+        "stages=[" + ", ".join(f"{{name: s{k}}}" for k in range(len(path))) + "]",
+        f"interfaces.lower_upper={{kind: contact, {law}}}",
+    )
+    return support.solve(BLOCKS, *hand).interfaces["lower_upper"]
+
+
+def test_what_moves_aside_while_it_is_open_has_not_slid() -> None:
+    """Pressed, lifted by 20 um, moved aside by 50 um."""
+    q = moved([(0, -0.001), (0, 0.02), (0.05, 0.02)])
+    assert q["slip_max"] == pytest.approx(0, abs=1e-12)
+    assert q["slip_path_max"] == pytest.approx(0, abs=1e-12)
+    assert q["motion_mean"] == pytest.approx(np.hypot(0.05, 0.02), rel=1e-9)
+    assert q["gap_mean"] == pytest.approx(0.02, rel=1e-9)
+    assert q["area_slip_over_30um"] == 0
+    assert q["area_motion_over_30um"] == pytest.approx(16)
+
+
+def test_slip_is_net_and_its_path_is_longer() -> None:
+    """Pressed, 40 um to the right and 10 um back; then lifted: the slip stays."""
+    there = [(0, -0.001), (0.04, -0.001), (0.03, -0.001)]
+    for path in (there, [*there, (0.03, 0.02), (0.08, 0.02)]):
+        q = moved(path)
+        assert q["slip_mean"] == pytest.approx(0.03, rel=1e-9)
+        assert q["slip_path_mean"] == pytest.approx(0.05, rel=1e-9)
+    # The lower block is shorter by 1 um, of which its upper side gives way.
+    assert moved(there)["motion_mean"] == pytest.approx(0.03, rel=1e-9)
+    assert q["motion_mean"] == pytest.approx(np.hypot(0.08, 0.02), rel=1e-9)
+
+
+def test_what_sticks_has_not_slid() -> None:
+    """Friction of 10 holds what moves aside by as much as it is pressed."""
+    q = moved([(0, -0.01), (0.01, -0.01)], "friction_coefficient: 10")
+    assert q["slip_max"] < 1e-12 and q["motion_max"] < 1e-12
+
+
+@pytest.mark.parametrize("stiff", ["lower", "upper"])
+def test_the_force_is_that_on_the_second_body(stiff: str) -> None:
+    """Pressed down by 16 N, whichever side is the softer one."""
+    modulus = {"lower": 100, "upper": 100} | {stiff: 1000}
+    case = BLOCKS.replace(
+        "upper: {rigid: true}", "upper: {youngs_modulus: 100 MPa, poisson_ratio: 0}"
+    )
+    q = support.solve(
+        case,
+        *(f"regions.{name}.youngs_modulus={value} MPa" for name, value in modulus.items()),
+        "loads={press: {kind: pressure, boundary: top, pressure: 1 MPa}}",
+        "supports.x={kind: roller, boundary: top, axis: x}",
+        "supports.y={kind: roller, boundary: top, axis: y}",
+    ).interfaces["lower_upper"]
+    np.testing.assert_allclose(q["force"], [0, 0, 16], atol=1e-8)
+
+
+def test_percentiles_are_levels_of_the_linear_field() -> None:
+    """f = x on the unit square, cut in two triangles: as much lies below a level as it says."""
+    field = SurfaceField(np.array([[0.0, 1.0, 1.0], [0.0, 1.0, 0.0]]), np.array([0.5, 0.5]))
+    for level in (0.01, 0.3, 0.5, 0.95, 0.99):
+        assert field.percentile(level) == pytest.approx(level, abs=1e-12)
+        assert field.area_above(level) == pytest.approx(1 - level, abs=1e-12)
+    assert field.mean() == pytest.approx(0.5)
+    same = SurfaceField(np.full((3, 3), 2.0), np.ones(3))
+    assert same.percentile() == 2.0 and same.area_above(2.0) == 0 and same.area_above(1.0) == 3.0
+
+
+BONDED = (
+    "interfaces.stem_cement={kind: bonded}",
+    "interfaces.cement_bone={kind: bonded}",
+)
+# The bone stands on its lower end, and bends and is squeezed.
+BENT = (
+    *("supports={foot: {kind: fixed, boundary: bone_bottom}}", "geometry.length=60 mm"),
+    "loads={hip: {kind: force, boundary: bone_top, force: [300 N, 0 N, -900 N]}}",
+)
+
+
+def test_a_bonded_stem_hardly_moves_against_its_own_bone() -> None:
+    """However much the bone bends: its top moves a hundred times as far."""
+    solved = support.solve(support.STEM, *BONDED, *BENT)
+    motion = stem_motion(solved.problem, solved.case)
+    top = float(np.linalg.norm(motion["top_displacement"]))
+    assert top > 0.03
+    assert abs(motion["subsidence"]) < 0.01 * top
+    assert np.linalg.norm(motion["tip_displacement"]) < 0.1 * top
+
+
+def test_a_right_hip_is_the_mirror_image_of_a_left_one() -> None:
+    """Of a load towards +x and one towards -x, with a torque about the axis."""
+    found = []
+    for side, sign in (("left", 1), ("right", -1)):
+        solved = support.solve(
+            support.STEM,
+            *BONDED,
+            "mesh.order=2",
+            f"side={side}",
+            f"loads.hip.force=[{sign * 300} N, 100 N, -900 N]",
+            f"loads.torque={{kind: body_force, regions: [stem], density: "
+            f"['{sign * 0.05} * y', '{-sign * 0.05} * x', 0 N/mm^3]}}",
+        )
+        found.append(stem_motion(solved.problem, solved.case))
+    left, right = found
+    for key in ("subsidence", "retroversion", "varus"):
+        assert abs(left[key]) > 1e-5
+        # The meshes are not mirror images of each other.
+        assert right[key] == pytest.approx(left[key], rel=0.02), (key, left, right)
+
+
+def test_only_what_has_an_axis_has_hoop_stress() -> None:
+    solved = support.solve(BLOCKS, "supports.lid={kind: fixed, boundary: top}")
+    assert "hoop_p99" not in Stresses(solved.problem, Timing()).region("lower")
+    assert "hoop_p99" in Stresses(solved.problem, Timing(), around_z=True).region("lower")
