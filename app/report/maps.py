@@ -114,7 +114,10 @@ def _rows(name: str, columns: Sequence[tuple[str, Run, Sheet]]) -> list[MapRow]:
 
 def _contact(name: str, quantity: str, factor: float) -> Callable[[Run], Floats | None]:
     def values(run: Run) -> Floats | None:
-        return factor * run.at_interface(name, quantity) if name in run.contacts else None
+        if name not in run.contacts:
+            return None
+        found = run.at_interface(name, quantity)
+        return factor * (np.linalg.norm(found, axis=1) if found.ndim == 2 else found)
 
     return values
 

@@ -161,18 +161,20 @@ class Run(Results):
         return self.on_cells("stress", step).reshape(-1, 3, 3)
 
     def at_interface(self, name: str, quantity: str, step: int | str = -1) -> Floats:
-        """An interface quantity at every node (n,), as `on_interface` selects them.
+        """An interface quantity at every node (n,), slip and motion (n, 3); zero away from it.
 
         Args:
             name: The interface.
-            quantity: gap, slip [mm], pressure, shear [MPa] or status.
+            quantity: gap, slip, slip_path, motion [mm], pressure, shear [MPa] or status.
             step: Which written step.
         """
         return self.on_points(f"{name}_{quantity}", step)
 
     def on_interface(self, name: str) -> NDArray[np.bool_]:
         """The nodes that are contact points of an interface (n,), those of both sides."""
-        return self.at_interface(name, "status", 0) >= 0
+        corners = np.zeros(len(self.points), dtype=bool)
+        corners[self.cells[:, :4]] = True
+        return corners & (self.at_interface(name, "status", 0) >= 0)
 
     def areas(self, name: str) -> Floats:
         """Area of an interface that belongs to each node (n,), half of it on each side [mm2].

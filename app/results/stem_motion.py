@@ -22,11 +22,11 @@ END = 1e-6
 def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     """Motion of the implant; nothing without implant or bone; collective.
 
-    ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are the rigid motion of
-    the surface that the stem shows to cement or bone, against that of the surface which the bone
-    shows to cement or stem over the same length: least-squares fits by area. The neck and the
-    bending of the femur below the tip have no part in them. Retroversion turns the medial side
-    towards posterior, varus tilts the top towards medial; `Case.side` says where medial is.
+    ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are the rigid motion that
+    fits best, by area, how the surface of the stem that faces cement or bone moves against the
+    nearest surface of bone that faces cement or stem. The neck and the bending of the femur have no
+    part in them. Retroversion turns the medial side towards posterior, varus tilts the top towards
+    medial; `Case.side` says where medial is.
 
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are those of the stem's lowest and
     highest nodes in the frame of the model, with the bending of the femur.
@@ -37,6 +37,8 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     )
     if not implant or not bone:
         return {}
+    from scipy.spatial import cKDTree  # imported late: few runs need it
+
     comm = problem.comm
     x, u, w = _surface(problem, implant, [*cement, *bone])
     z = _corners(problem, implant)[0][:, 2]
@@ -48,19 +50,13 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
         f"{name}_displacement": _at_height(problem, implant, end, END * (ends[1] - ends[0]))
         for name, end in zip(("tip", "top"), ends, strict=True)
     }
-    if comm.allreduce(len(w)) == 0:
+    beside = comm.allgather(_surface(problem, bone, [*cement, *implant])[:2])
+    y, v = (np.concatenate([part[k] for part in beside]) for k in range(2))
+    if not len(y) or comm.allreduce(len(w)) == 0:
         return found  # it touches something else
-    low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
-    high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
-    y, v, a = _surface(problem, bone, [*cement, *implant])
-    # A flat one has no length.
-    beside = (high == low) | ((y[:, 2] >= low) & (y[:, 2] <= high))
-    if comm.allreduce(int(beside.sum())) == 0:
-        return found
-    stem_t, stem_ω, centre = _rigid_fit(comm, x, u, w)
-    bone_t, bone_ω, bone_centre = _rigid_fit(comm, y[beside], v[beside], a[beside])
-    t = stem_t - bone_t - np.cross(bone_ω, centre - bone_centre)
-    ω = np.rad2deg(stem_ω - bone_ω)
+    nearest: Ints = cKDTree(y).query(x)[1] if len(x) else np.zeros(0, dtype=np.int64)
+    t, ω = _rigid_fit(comm, x, u - v[nearest], w)
+    ω = np.rad2deg(ω)
     medial = 1.0 if case.side == "left" else -1.0
     return {
         "subsidence": float(-t[2]),
@@ -120,8 +116,8 @@ def _at_height(problem: Problem, regions: Sequence[str], z: float, within: float
     return [float(c) for c in values[first].mean(axis=0)]
 
 
-def _rigid_fit(comm: MPI.Comm, x: Floats, u: Floats, w: Floats) -> tuple[Floats, Floats, Floats]:
-    """Least-squares rigid motion of points: translation, rotation, centre; collective.
+def _rigid_fit(comm: MPI.Comm, x: Floats, u: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Least-squares rigid motion of points: translation of their centre, rotation; collective.
 
     Args:
         comm: The ranks.
@@ -134,8 +130,7 @@ def _rigid_fit(comm: MPI.Comm, x: Floats, u: Floats, w: Floats) -> tuple[Floats,
         return np.asarray(comm.allreduce(np.einsum("p,p...->...", w, values), MPI.SUM))
 
     whole = total(np.ones(len(w)))
-    centre, t = total(x) / whole, total(u) / whole
-    ξ, η = x - centre, u - t
+    ξ, t = x - total(x) / whole, total(u) / whole
     second = total(np.einsum("pi,pj->pij", ξ, ξ))
     inertia = np.trace(second) * np.eye(3) - second
-    return t, np.linalg.solve(inertia, total(np.cross(ξ, η))), centre
+    return t, np.linalg.solve(inertia, total(np.cross(ξ, u - t)))

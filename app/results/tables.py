@@ -138,7 +138,7 @@ def _layout(
 
 
 def _sentence(section: str, name: str, numbers: Mapping[str, Any]) -> str:
-    own = TABLE[section].items()
+    own = [(key, q) for key, q in TABLE[section].items() if not q.vector]
     texts = {key: f"{q.text(numbers)} {q.shown}".removesuffix(" -") for key, q in own}
     reached = (
         f", {part} % everywhere at {texts[f'time_{part}']}"

@@ -78,7 +78,9 @@ def same(
         for name in run.contacts:
             pressure = other.at_interface(name, "pressure", step)[k] * stresses
             # Gap and slip are one vector. One that is nothing but rounding has no scale of its own.
-            sizes = [float(other.at_interface(name, q, step).max()) for q in ("gap", "slip")]
+            sizes = [
+                float(np.abs(other.at_interface(name, q, step)).max()) for q in ("gap", "slip")
+            ]
             jump = max(*(lengths * x for x in sizes), NOTHING * float(np.abs(u).max()))
             for quantity, factor in (
                 ("gap", lengths),
@@ -87,6 +89,8 @@ def same(
                 ("shear", stresses),
             ):
                 reference = other.at_interface(name, quantity, step)[k] * factor
+                if quantity == "slip":
+                    reference = reference @ R.T
                 scale = jump if quantity in ("gap", "slip") else float(pressure.max())
                 value = run.at_interface(name, quantity, step)
                 words = f"{quantity} of {name} at time {time:g}"
@@ -288,7 +292,7 @@ def unpenalized(runs: Sequence[Run], penalties: Sequence[float], name: str) -> S
 
 def _final(run: Run) -> Floats:
     """Displacement and slips at the end, as one vector."""
-    slips = [run.at_interface(name, "slip") for name in run.contacts]
+    slips = [run.at_interface(name, "slip").ravel() for name in run.contacts]
     return np.concatenate([run.displacement().ravel(), *slips])
 
 

@@ -87,7 +87,7 @@ def contact_width(run: Run, reference: float, axes: int, size: float) -> Sample:
 
     The error is in cells.
     """
-    touching = run.at_interface("contact", "pressure") > 0
+    touching = run.on_interface("contact") & (run.at_interface("contact", "pressure") > 0)
     value = float(np.linalg.norm(run.points[touching, :axes], axis=1).max(initial=0.0))
     return Sample(abs(value - reference) / size, value, reference)
 
@@ -104,7 +104,7 @@ def stick_width(run: Run, size: float) -> Sample:
     shear, _, pressure = np.abs(run.summary["interfaces"]["contact"]["force"]) / thickness
     a = exact.hertz_line(pressure, 10.0, exact.contact_modulus(CEMENT, CEMENT)).a
     reference = exact.stick_half_width(a, shear, pressure, friction)
-    sticking = run.at_interface("contact", "status") == 1
+    sticking = run.on_interface("contact") & (run.at_interface("contact", "status") == 1)
     value = float(np.abs(run.points[sticking, 0]).max(initial=0.0))
     return Sample(abs(value - reference) / size, value, reference)
 

@@ -332,7 +332,7 @@ def test_scaled_loads_take_no_iterations() -> None:
     q, p = double["interfaces"]["stem_cement"], numbers["interfaces"]["stem_cement"]
     # Dissipation is of second degree.
     assert q["dissipation"] == pytest.approx(4 * p["dissipation"], rel=1e-10)
-    assert q["slip_accumulated_max"] == pytest.approx(2 * p["slip_accumulated_max"], rel=1e-10)
+    assert q["slip_path_max"] == pytest.approx(2 * p["slip_path_max"], rel=1e-10)
 
 
 def test_neighbours_save_iterations() -> None:

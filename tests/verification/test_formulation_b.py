@@ -309,7 +309,7 @@ def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
         own = jumps.interface == k
         slip, work = sums([s.interfaces[name] for s in b])
         order = np.argsort(jumps.points.vertex[jumps.mine][own])
-        assert difference(jumps.history.accumulated[own, 0][order], slip) < TOLERANCE
+        assert difference(jumps.history.path[own][order], slip) < TOLERANCE
         if friction[name]:
             assert difference(jumps.history.dissipation[own][order], work) < TOLERANCE
     # The case says something about history only if points of all kinds occur.

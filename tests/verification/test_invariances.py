@@ -52,7 +52,7 @@ def assert_same(one: Solved, other: Solved, tolerance: float = 1e-6) -> None:
         for i in np.unique(a.interface):
             on = a.interface == i
             pressure = float(a.pressure[on].max())
-            for name in ("gap", "slip", "accumulated", "pressure", "shear", "force"):
+            for name in ("gap", "slip", "path", "motion", "pressure", "shear", "force"):
                 x, y = getattr(a, name)[on], getattr(b, name)[on]
                 scale = pressure if name == "shear" else float(np.abs(x).max())
                 assert np.abs(x - y).max() < tolerance * scale, (i, name)

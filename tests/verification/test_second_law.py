@@ -125,7 +125,7 @@ def test_friction_dissipates_at_every_point_in_every_step(text: str, law: str, s
         return v - np.einsum("sni,ni->sn", v, normals)[:, :, None] * normals
 
     friction = tangential(np.array([-s.force for s in solved.samples]))
-    slip = tangential(increments(solved, "jump"))
+    slip = tangential(increments(solved, "motion"))
     expected = solved.last.weight * np.einsum("sni,sni->sn", friction, slip)
     assert np.abs(increments(solved, "dissipation") - expected).max() < 1e-9 * expected.max()
 
@@ -245,7 +245,7 @@ def test_penalty_springs_dissipate_nothing_while_they_hold() -> None:
         ),
         "interfaces.lower_upper.friction_coefficient=5",
     )
-    moved = float(solved.last.slip.max() * solved.last.shear.max()) * 36
+    moved = float(solved.last.path.max() * solved.last.shear.max()) * 36
     assert moved > 1e-4
     assert abs(solved.interfaces["lower_upper"]["dissipation"]) < 1e-12 * moved
 
