@@ -20,7 +20,7 @@ BALANCES = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
 def step_header() -> str:
     """Column titles of the step lines."""
     return (
-        f"{'step':>4} {'load':>7} {'newton':>6} {'krylov':>6} {'residual':>9} "
+        f"{'step':>4} {'time':>7} {'newton':>6} {'krylov':>6} {'residual':>9} "
         f"{'open':>6} {'slip':>6} {'penetration':>12} {'wall':>8} {'left':>8}"
     )
 

@@ -121,7 +121,9 @@ def _point(value: object, info: ValidationInfo) -> object:
     value = spread_unit(value)
     if not isinstance(value, str):
         return value
-    points: dict[str, tuple[float, float, float]] = (info.context or {}).get("points", {})
+    points: dict[str, tuple[float, float, float]] | None = (info.context or {}).get("points", {})
+    if points is None:
+        return ["0 mm"] * 3  # the geometry is wrong, and that is told already
     if value not in points:
         known = f" or one of {', '.join(points)}" if points else " (this geometry names no points)"
         fail(f"{show(value)} is not a point; expected [x, y, z] lengths{known}")

@@ -287,7 +287,7 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
 
 def _resolved(file: CaseFile, folder: Path) -> Case:
     """A case by itself, without its variations."""
-    context: dict[str, Any] = {"folder": folder, "points": {}}
+    context: dict[str, Any] = {"folder": folder}
     parts = _parts(file.data, context)
     try:
         case = Case.model_validate(file.data, context=context)
@@ -319,7 +319,7 @@ def is_study(data: dict[str, Any]) -> bool:
 
 def geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
     """The geometry in the content of a case file, whatever is wrong with the rest."""
-    found: Geometry | None = _parts(data, {"folder": folder, "points": {}}).geometry
+    found: Geometry | None = _parts(data, {"folder": folder}).geometry
     return found
 
 
@@ -354,7 +354,7 @@ RENEWALS.append(_renew)
 def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
     """Every part that is valid by itself, so that the rest can still be checked against it.
 
-    The points that the geometry names are added to the context on the way.
+    The points that the geometry names are put into the context on the way: None if it is wrong.
     """
 
     def part(kind: Any, value: object) -> Any:
@@ -369,7 +369,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
         return {name: part(kind, value) for name, value in values.items()} if is_table else {}
 
     geometry = part(Geometry, data["geometry"]) if "geometry" in data else None
-    context["points"].update({} if geometry is None else geometry.points)
+    context["points"] = None if geometry is None else geometry.points
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
     return CaseParts(
         geometry=geometry,

@@ -1341,3 +1341,16 @@ def test_one_rank_of_a_plain_mpirun_speaks_and_all_exit_with_2(tmp_path: Path) -
     assert result.returncode == 2
     assert result.stderr.count("regions.stem.youngs_modulus: '110 mm' is a length") == 1
     assert result.stdout == ""
+
+
+@pytest.mark.parametrize("wrong", ["stem_length: 250 mm", "stem_legth: 147 mm", "neck_angle: 2"])
+def test_a_wrong_geometry_is_the_only_error(wrong: str, tmp_path: Path) -> None:
+    """Which points it would name is not known: that loads act there is no error."""
+    path = tmp_path / "case.yaml"
+    text = (Path(__file__).parents[2] / "configs/stance.yaml").read_text()
+    path.write_text(text.replace("  kind: femur\n", f"  kind: femur\n  {wrong}\n"))
+    (message,) = complaints(path)
+    assert "geometry." in message
+    # What else is wrong with such a load is told all the same.
+    path.write_text(path.read_text().replace("at: psoas", "at: psoas\n    histori: [1]"))
+    assert ["geometry." in m or "histori" in m for m in complaints(path)] == [True, True]
