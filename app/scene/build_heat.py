@@ -41,13 +41,13 @@ def heat(case: config.Case, sides: Mapping[str, Sides]) -> dict[str, Any]:
     """
     thermal = {n: r.thermal for n, r in case.regions.items() if r.thermal is not None}
     conductors = tuple(_conductor(n, t, case.regions[n]) for n, t in thermal.items())
-    effusivity = {c.region: _effusivity(c) for c in conductors}
+    effusivities = {c.region: effusivity(c) for c in conductors}
     laws = case.interfaces.items()
     contacts = tuple(term for name, law in laws for term in _contact(name, law, sides[name]))
     friction = tuple(
         term
         for name, law in laws
-        for term in _friction(name, law, case.geometry.interface_sides[name], sides, effusivity)
+        for term in _friction(name, law, case.geometry.interface_sides[name], sides, effusivities)
     )
     coupled = bool(friction) or any(c.per_pressure > 0 for c in contacts)
     staggered = case.solver.coupling == "staggered"
@@ -83,7 +83,7 @@ def _conductor(name: str, thermal: config.Thermal, region: config.Region) -> Con
     return ConductorTerm(name, conductivity, fibre, capacity, thermal.initial_temperature)
 
 
-def _effusivity(conductor: ConductorTerm) -> float:
+def effusivity(conductor: ConductorTerm) -> float:
     """sqrt(k c), with the geometric mean of the three conductivities [N/(mm K s^1/2)]."""
     k = conductor.conductivity
     mean = (k[0] * k[1] ** 2) ** (1 / 3) if conductor.fibre else k[0]

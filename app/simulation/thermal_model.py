@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from dolfinx import fem
 from numpy.typing import NDArray
 
+from mantle.heat.first_contact import FirstContact
 from mantle.heat.flows import stored
 from mantle.heat.nodes import ProbedPoint
 from mantle.numerics.state import State
@@ -45,11 +47,21 @@ class ThermalModel:
             case.of_tissue("bone"),
             [ProbedPoint(name, p.at, p.region or "") for name, p in case.output.probes.items()],
         )
-        self.record.start(conduction.temperatures(heating.vectors()))
+        self._first_contact = FirstContact(conduction)
+        # Once a steady state has been reached the first instants are over.
+        self._settled = False
+        self.record.start(self._reported(0.0))
         self.cure: tuple[CureRecord, ...] = tuple(
             CureRecord(conduction.comm, heating.degrees()) for _ in conduction.cures
         )
         self.balance = HeatBalance(stored(conduction, heating.vectors()), {})
+
+    def _reported(self, seconds: float) -> list[fem.Function]:
+        """Temperatures of the bodies, as they are reported at a time; collective."""
+        temperatures = self.conduction.temperatures(self.heating.vectors())
+        if not self._settled:
+            self._first_contact.put(temperatures, seconds)
+        return temperatures
 
     def update(self, accepted: HeatStep) -> None:
         """Take in a step; collective."""
@@ -60,6 +72,8 @@ class ThermalModel:
             exchange(self._names, j, temperatures, τ.array, j.friction, self._shares[j.interface])
             for j, τ in zip(conduction.jumps, x[1:], strict=True)
         ]
+        self._settled = self._settled or accepted.dt == 0.0
+        temperatures = self._reported(accepted.seconds)
         highest = conduction.bounds(x).high
         rates = heating.slopes() if heating.begins_at_event(accepted) else ()
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
@@ -81,6 +95,7 @@ class ThermalModel:
         return {
             "heating": self.heating.memory(),
             "record": self.record.state(),
+            "settled": self._settled,
             "cure": [c.state(self._keys()) for c in self.cure],
             "balance": self.balance.state(),
         }
@@ -89,6 +104,7 @@ class ThermalModel:
         """Restore heat, mechanics and their history; collective."""
         self.heating.resume(state["heating"])
         self.record.resume(state["record"])
+        self._settled = state["settled"]
         for cure, found in zip(self.cure, state["cure"], strict=True):
             cure.resume(found, self._keys())
         self.balance.resume(state["balance"])

@@ -1,0 +1,86 @@
+"""Regions of different temperature in perfect contact: what is reported from the first instant."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mantle.campaigns.work_precision import fitted_order
+from mantle.verification.closed_forms_heat import HalfSpaces
+from tests import coupled, support
+
+TEXT = (support.CONFIGS / "verification" / "half_spaces.yaml").read_text()
+SPACES = HalfSpaces((0.2, 1.2e-6 * 1.45e6), (0.58, 1.85e-6 * 1.26e6), (100.0, 37.0))
+SECONDS = 10.0
+SIZES = (1.0, 0.5, 0.25)
+
+
+@cache
+def half_spaces(size: float, *overrides: str) -> coupled.Coupled:
+    """Cement of 100 degC on bone of 37, on cells of one size [mm]."""
+    blocks = [f"geometry.blocks.{k}.size=[{size} mm, {size} mm, 8 mm]" for k in (0, 1)]
+    mesh = [f"mesh.{key}={size} mm" for key in ("size", "far_size")]
+    bone = "regions.bone.tissue=bone"
+    with pytest.MonkeyPatch.context() as patch:
+        return coupled.solve(patch, *blocks, *mesh, bone, *overrides, text=TEXT)
+
+
+def interface(run: coupled.Coupled) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and hottest temperatures of the bone [degC], which are those of its interface."""
+    record = run.model.thermal[0].record
+    T = np.array([row["bone temperature_max [degC]"] for row in record.rows])
+    return np.array(record.seconds), T
+
+
+def test_the_interface_has_the_temperature_of_half_spaces_from_the_start() -> None:
+    """At every step; what is left goes with the mesh. It began at 63.9 degC instead of 58.2."""
+    worst = [float(np.abs(interface(half_spaces(h))[1] - SPACES.contact).max()) for h in SIZES]
+    assert all(error < 0.1 for error in worst), worst
+    assert interface(half_spaces(1.0))[1][0] == pytest.approx(SPACES.contact, abs=1e-9)
+
+
+def test_peaks_and_doses_of_the_interface_are_those_of_half_spaces() -> None:
+    """It stays at 58.2 degC: time above 56 degC is all there is, CEM43 R^(43 - T) of it."""
+    minutes = 2.0 ** (SPACES.contact - 43.0) * SECONDS / 60.0
+    for h in SIZES:
+        summary = half_spaces(h).model.thermal[0].record.summary()["regions"]["bone"]
+        assert summary["temperature_max"] == pytest.approx(SPACES.contact, abs=0.1)
+        assert summary["seconds_over_56"] == pytest.approx(SECONDS, rel=1e-9)
+        assert summary["cem43_max"] == pytest.approx(minutes, rel=0.02)
+
+
+def test_refinement_in_time_leads_to_the_closed_form() -> None:
+    """The hottest bone over tolerances of a step: error of the largest temperature ever."""
+    for tolerance in (1.0, 0.1, 0.01):
+        _, T = interface(half_spaces(0.5, f"time.tolerance={tolerance} K"))
+        assert T.max() == pytest.approx(SPACES.contact, abs=0.1), tolerance
+
+
+def test_equal_steps_converge_in_first_order() -> None:
+    """Backward Euler: mean temperature of the bone, which is the heat that has come over."""
+    e = np.sqrt(0.2 * 1.2e-6 * 1.45e6)
+    came = e * (100.0 - SPACES.contact) * 2 * np.sqrt(SECONDS / np.pi)
+    exact = 37.0 + came / (1.85e-6 * 1.26e6 * 8.0)
+    steps = (4.0, 16.0, 64.0)
+    errors = []
+    for n in steps:
+        run = half_spaces(
+            0.25,
+            "time.method=backward_euler",
+            f"stages.0.increments={n:g}",
+            "stages.0.adaptive=false",
+        )
+        summary = run.model.thermal[0].record.summary()["regions"]["bone"]
+        errors.append(abs(summary["temperature_mean"] - exact))
+    assert fitted_order([1 / n for n in steps], errors) > 0.9, errors
+
+
+def test_a_steady_state_is_past_the_start() -> None:
+    """However short the times of the cells: it is linear between given temperatures."""
+    ends = "heat={hot: {kind: temperature, boundary: bottom, temperature: 100 degC}, cold: "
+    ends += "{kind: temperature, boundary: top, temperature: 37 degC}}"
+    run = half_spaces(1.0, ends, "stages=[{name: rest, steady: true}]")
+    bone = run.model.thermal[0].record.rows[-1]["bone temperature_max [degC]"]
+    assert bone == pytest.approx((100.0 * 0.2 + 37.0 * 0.58) / 0.78, abs=1e-6)
