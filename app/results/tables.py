@@ -36,8 +36,9 @@ TABLES: dict[str, tuple[Column, ...]] = {
         Column("interface", "", (14, 14)),
         Column("gap max/p99", "gap_max gap_p99", (15, 21)),
         Column("slip max/p99", "slip_max slip_p99", (15, 21)),
-        Column("pressure max/p99", "pressure_max pressure_p99", (17, 23)),
-        Column("shear max/p99", "shear_max shear_p99", (17, 23)),
+        Column("motion max/p99", "motion_max motion_p99", (15, 21)),
+        Column("pressure max/p95", "pressure_max pressure_p95", (17, 23)),
+        Column("shear max/p95", "shear_max shear_p95", (17, 23)),
         Column(
             title="open/stick/slip",
             keys="open_fraction stick_fraction slip_fraction",
