@@ -15,7 +15,7 @@ from typing import Any
 
 from mantle.errors import ConvergenceError, InputError
 from mantle.schema import config
-from mantle.schema.variation_options import split
+from mantle.schema.variation_options import CHANGED, split
 from mantle.system import identity
 from mantle.system.folders import FAILED
 
@@ -141,10 +141,11 @@ def runs_of(
     done = {mark.parent.name[-DIGITS:]: mark.parent for mark in finished(folder)}
     saved = (folder / "runs").glob(f"{SHARED}*/*/checkpoint-*.h5")
     begun = {path.parent.name[-DIGITS:]: path.parent.parent.name for path in saved}
-    digests = [
-        _digest(case, (config.dump(case),), job.ranks)
-        for job, case in zip(jobs, cases, strict=True)
-    ]
+    digests = []
+    for job, case in zip(jobs, cases, strict=True):
+        # The same case, made in two ways, may have two titles.
+        own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
+        digests.append(_digest(case, (config.dump(own),), job.ranks))
     processes = _processes(jobs, cases, digests, cores)
     found: dict[str, BatchRun] = {}
     for job, case, digest in zip(jobs, cases, digests, strict=True):

@@ -81,7 +81,7 @@ from mantle.schema.thermal_options import (
     TimeOptions,
 )
 from mantle.schema.validation import problems
-from mantle.schema.variation_options import Variations, every, expand
+from mantle.schema.variation_options import Variations, every, expand, titled
 
 __all__ = [
     "Autocatalytic",
@@ -308,7 +308,13 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
         mesh = mesh.model_copy(update={"curved": curved})
     time = (case.time or TimeOptions()) if case.conducts else None
     return case.model_copy(
-        update={"regions": regions, "interfaces": interfaces, "mesh": mesh, "time": time}
+        update={
+            "title": titled(case.title, file),
+            "regions": regions,
+            "interfaces": interfaces,
+            "mesh": mesh,
+            "time": time,
+        }
     )
 
 

@@ -15,8 +15,9 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from mantle.schema.case_file import Path
+from mantle.schema.case_file import CaseFile, Path, words
 from mantle.schema.fields import MAPPING, Name, did_you_mean, fail, show
+from mantle.system.layout import plain
 
 # The name of the entry whose lists multiply.
 GRID = "grid"
@@ -33,6 +34,10 @@ ALLOWED = (
 )
 # A value that can be part of the name of a folder.
 LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
+# Sections that a title does not tell of.
+UNTITLED = ("output", "solver", "study", "variations")
+# What stands between a title and what is changed.
+CHANGED = "; changed: "
 
 
 @dataclass(frozen=True)
@@ -182,3 +187,26 @@ def short_keys(keys: Sequence[str]) -> dict[str, str]:
         return ".".join(own)
 
     return {key: shortened(key) for key in keys}
+
+
+def titled(title: str, file: CaseFile) -> str:
+    """The title of a case with what options, a sweep or a variation have changed in it.
+
+    Args:
+        title: The title; nothing is added to none, nor to one that is changed itself.
+        file: The case.
+    """
+    keys = {place: words(place) for place in file.places.values() if isinstance(place, str)}
+    if not title or ["title"] in keys.values():
+        return title
+    told = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
+    short = short_keys(list(told))
+    values = (f"{short[key]} {plain(_value(file.data, path))}" for key, path in told.items())
+    return f"{title}{CHANGED}{', '.join(values)}" if told else title
+
+
+def _value(data: Any, path: Sequence[str]) -> Any:
+    """What stands at a path."""
+    for word in path:
+        data = data[int(word) if isinstance(data, list) else word]
+    return data
