@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mantle.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
-from mantle.report.paper.cases import QUANTITIES
+from mantle.report.paper.cases import PERCENTILES
 from mantle.report.paper.compare import named
 from mantle.report.sweep_results import SweptCase, magnitude
 from mantle.schema import quantities
@@ -21,7 +21,7 @@ def headlines(cases: Sequence[SweptCase]) -> list[str]:
     found: dict[str, None] = {}
     for case in cases:
         for name in case.summary.get("interfaces", {}):
-            found |= {f"{name}.{q}_p99": None for q in QUANTITIES}
+            found |= {f"{name}.{q}_{part}": None for q, part in PERCENTILES.items()}
     for case in cases:
         # What burns is the bone; cement may be as hot as it starts.
         regions = case.summary.get("thermal", {}).get("regions", {})

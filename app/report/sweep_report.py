@@ -148,17 +148,18 @@ def _summary(
 
 def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
     """How far mantle's numbers are from the paper's, over all peaks of the stance."""
-    found = [r.ratios for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
+    of_stance = [r for r in rows if r.fact.kind == "peak" and r.fact.model == "stance"]
+    found = [r.ratios for r in of_stance if not r.quantity]
     peaks = [p for p, _ in found if p is not None]
-    p99 = [q for _, q in found if q is not None]
-    if not peaks or not p99:
+    settled = [q for _, q in found if q is not None]
+    if not peaks or not settled:
         return []
     near = sum(0.5 <= p <= 2.0 for p in peaks)
     return [
         f"Over {len(peaks)} peaks of single-limb stance, mantle's largest value is "
         f"{statistics.median(peaks):.2g} times the paper's in the median (from {min(peaks):.2g} to "
-        f"{max(peaks):.2g}; {near} within a factor of 2), its 99th percentile "
-        f"{statistics.median(p99):.2g} times."
+        f"{max(peaks):.2g}; {near} within a factor of 2), its percentile "
+        f"{statistics.median(settled):.2g} times."
     ]
 
 
@@ -167,8 +168,8 @@ def _trends(trends: Sequence[Trend]) -> Blocks:
     if not trends:
         return []
     text = (
-        "By 99th percentiles: undecided where the difference is smaller than the estimated errors "
-        "in sum; numbers without ± have no estimate and were taken as they are. Beside it the "
+        "By percentiles, of motions the 99th, of tractions the 95th: undecided where the difference "
+        "is smaller than the estimated errors in sum; numbers without ± have no estimate and were taken as they are. Beside it the "
         "verdict by the largest values, as the paper gives them, whose errors are not known."
     )
     rows = [
@@ -183,8 +184,8 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
     """The paper's numbers beside mantle's."""
     if not rows:
         return []
-    head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, p99 ± error"]
-    head += ["max / paper", "p99 / paper", "case, remarks"]
+    head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, percentile ± error"]
+    head += ["max / paper", "percentile / paper", "case, remarks"]
     lines = []
     for r in rows:
         f = r.fact
@@ -196,7 +197,7 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
                 r.stem or f.stem,
                 f"{r.thickness:g}" if r.thickness is not None else f.thickness,
                 compare.named(f.place),
-                compare.named(f.quantity),
+                compare.named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity),
                 f"{relation}{f.value:g} {printed(f.unit)}",
                 "-" if r.peak is None else f"{r.peak:.3g}",
                 "-" if r.number is None else str(r.number),
@@ -206,9 +207,10 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
         )
     text = (
         "The paper gives peaks. mantle's largest values sit at edges and still change with the "
-        "mesh; its 99th percentiles by area settle, and have an error (for temperatures that of "
-        "the largest value, where it is known). Ratios of temperatures are of their rise above "
-        "37 °C."
+        "mesh; its percentiles by area, the 99th of motions and the 95th of tractions, settle and "
+        "have an error (for temperatures that of the largest value, where it is known). The "
+        "paper's slip may be sliding in contact or all motion: both stand beside it. Ratios of "
+        "temperatures are of their rise above 37 °C."
     )
     return paragraph(text) + table(head, lines)
 

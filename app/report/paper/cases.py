@@ -26,7 +26,12 @@ HOT = 100.0  # degC
 # Contact quantities: key in the summary, unit for people, factor.
 _CONTACT = {
     key: quantities.TABLE["interfaces"][f"{key}_max"]
-    for key in ("gap", "slip", "pressure", "shear")
+    for key in ("gap", "slip", "motion", "pressure", "shear")
+}
+# The percentile of each that converges.
+PERCENTILES = {
+    key: next(p for p in ("p95", "p99") if quantities.TABLE["interfaces"][f"{key}_{p}"].headline)
+    for key in _CONTACT
 }
 QUANTITIES = {key: (quantities.printed(q.shown), q.factor) for key, q in _CONTACT.items()}
 WORDS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
@@ -239,8 +244,9 @@ Numbers = Callable[[SweptCase], Number | None]
 
 
 def contact(place: str, quantity: str, how: str) -> Numbers:
-    """A contact quantity of an interface, of which ``max`` or ``p99``."""
-    return lambda case: case.number(f"{place}.{quantity}_{how}")
+    """A contact quantity of an interface, of which ``max`` or ``percentile``."""
+    part = PERCENTILES[quantity] if how == "percentile" else how
+    return lambda case: case.number(f"{place}.{quantity}_{part}")
 
 
 def series(family: dict[float, SweptCase], of: Numbers) -> dict[float, Number]:

@@ -20,6 +20,7 @@ from mantle.report.paper.cases import (
     STEMS,
     WORDS,
     Cases,
+    contact,
     same,
 )
 from mantle.report.paper.heat import AT, bone_peak, cement_peak
@@ -27,6 +28,8 @@ from mantle.report.sweep_results import Number, SweepResults, SweptCase, magnitu
 
 FACTS = Path(__file__).with_name("numbers.csv")
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}
+# The paper's sliding may be that of points in contact, or all that the sides move.
+READINGS_OF = {"slip": ("slip", "motion")}
 # A slip at 2 mm so many times that of a thicker mantle is a jump; the paper's are 32 and 13.
 JUMP = 5.0
 BODY = 37.0  # degC
@@ -95,8 +98,9 @@ class ComparedNumber:
         stem: Its stem.
         thickness: Its thickness [mm].
         peak: Mantle's largest value, in the paper's unit.
-        number: The 99th percentile; of temperatures the largest value, if its error is known.
+        number: The percentile; of temperatures the largest value, if its error is known.
         remark: How mantle's number is meant, or why there is none.
+        quantity: Mantle's, where it is another reading of the paper's word.
     """
 
     fact: Fact
@@ -106,6 +110,7 @@ class ComparedNumber:
     peak: float | None
     number: Number | None
     remark: str
+    quantity: str = ""
 
     @property
     def ratios(self) -> tuple[float | None, float | None]:
@@ -147,7 +152,12 @@ def _stance_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
     for stem in STEMS.values() if fact.stem == "both" else (fact.stem,):
         family = cases.stances(stem, fact.friction, done=False)
         found = {t: c for t, c in family.items() if fact.matches(t)}
-        rows += [_stance_row(fact, stem, t, c) for t, c in found.items() if c.done]
+        rows += [
+            _stance_row(fact, stem, t, c, reading)
+            for t, c in found.items()
+            if c.done
+            for reading in READINGS_OF.get(fact.quantity, (fact.quantity,))
+        ]
         rows += [_nothing(fact, stem, t, _why(c)) for t, c in found.items() if not c.done]
         if not found:
             why = f"no case of this sweep has a mantle of {fact.thickness} mm, a {stem} stem and "
@@ -155,12 +165,13 @@ def _stance_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
     return rows
 
 
-def _stance_row(fact: Fact, stem: str, thickness: float, case: SweptCase) -> ComparedNumber:
-    name = f"{fact.place}.{fact.quantity}"
-    peak, p99 = case.number(f"{name}_max"), case.number(f"{name}_p99")
+def _stance_row(
+    fact: Fact, stem: str, thickness: float, case: SweptCase, quantity: str
+) -> ComparedNumber:
+    peak, settled = (contact(fact.place, quantity, how)(case) for how in ("max", "percentile"))
     remark = ""
     if fact.kind in ("exceeded", "not exceeded"):
-        over = case.number(f"{fact.place}.area_{fact.quantity}_over_30um")
+        over = case.number(f"{fact.place}.area_{quantity}_over_30um")
         area = case.number(f"{fact.place}.area")
         if over is not None and area is not None:
             remark = f"mantle: more than 30 µm on {_share(over.value / area.value)} of the area"
@@ -170,8 +181,9 @@ def _stance_row(fact: Fact, stem: str, thickness: float, case: SweptCase) -> Com
         stem,
         thickness,
         None if peak is None else peak.value,
-        p99,
+        settled,
         remark,
+        quantity if quantity != fact.quantity else "",
     )
 
 
@@ -254,14 +266,24 @@ def csv_rows(rows: Iterable[ComparedNumber]) -> list[dict[str, Any]]:
     """The comparison as rows of a table, by their titles."""
     head = (
         "id,model,stem,thickness [mm],cement-bone friction,place,quantity,kind,unit,paper,"
-        "mantle max,mantle p99,mantle error,max over paper,p99 over paper,case,remark"
+        "mantle quantity,mantle max,mantle percentile,mantle error,max over paper,"
+        "percentile over paper,case,remark"
     ).split(",")
     found = []
     for r in rows:
         f, n = r.fact, r.number
         thickness = f.thickness if r.thickness is None else r.thickness
         what = [f.id, f.model, r.stem or f.stem, thickness, f.friction, f.place, f.quantity, f.kind]
-        own = [f.unit, f.value, r.peak, n and n.value, n and n.error, *r.ratios, r.case]
+        own = [
+            f.unit,
+            f.value,
+            r.quantity or f.quantity,
+            r.peak,
+            n and n.value,
+            n and n.error,
+            *r.ratios,
+            r.case,
+        ]
         remark = "; ".join(filter(None, (r.remark, f.remark)))
         found.append(dict(zip(head, [*what, *own, remark], strict=True)))
     return found

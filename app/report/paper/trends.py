@@ -98,7 +98,7 @@ def judge(cases: Cases) -> list[Trend]:
     """All trends."""
     return [
         *(
-            Trend(name, claim, of(cases, "p99"), _all(p.verdict for p in of(cases, "max")))
+            Trend(name, claim, of(cases, "percentile"), _all(p.verdict for p in of(cases, "max")))
             for name, claim, of in _MECHANICAL
         ),
         *_heat(cases),
