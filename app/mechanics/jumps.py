@@ -178,10 +178,6 @@ class Jumps:
         self._laws[forms].set(laws)
         return self._laws[forms]
 
-    def scale_friction(self, share: float) -> None:
-        """Multiply the friction coefficients by a share, until the next call."""
-        self._law.set([c.law.with_friction(share) for c in self._contacts])
-
     def tie(self, on: bool) -> bool:
         """Tie interfaces that were open everywhere so far, or none; collective if it does.
 

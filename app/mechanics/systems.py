@@ -191,11 +191,6 @@ class ContactSystem(System):
         """Multiple of the augmentation asked for that would be chosen; collective."""
         return self._jumps.usual_augmentation()
 
-    def scale_friction(self, share: float) -> bool:
-        """Solve with this share of all friction coefficients, if there is friction."""
-        self._jumps.scale_friction(share)
-        return any(c.law.frictional for c in self._problem.scene.contacts)
-
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""
         return self._jumps.tie(on)

@@ -24,8 +24,6 @@ log = logging.getLogger("mantle")
 AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
 # Factors of the default augmentation, if the case asks for another one and nothing has helped.
 USUAL = (1.0, 0.1, 0.01)
-# Factors of the friction coefficients, in turn, if Newton does not converge with all of it.
-FRICTIONS = (0.25, 0.5, 0.75, 1.0)
 
 
 @dataclass(frozen=True)
@@ -199,8 +197,8 @@ class Solver:
         may give poor directions. The augmentation is scaled: a large one makes contact points
         change state back and forth, and Newton continues from the current state with a smaller one.
         The line search is switched on or off: at a kink of the contact law it may cut steps to
-        nothing where full steps converge. Friction starts small and grows. At last an augmentation
-        that the case asked for is replaced by the default, for it may be off by powers of ten.
+        nothing where full steps converge. At last an augmentation that the case asked for is
+        replaced by the default, for it may be off by powers of ten.
         """
         if not self._newton.met and self._system.tie(True):
             start.copy(self.x)
@@ -225,10 +223,9 @@ class Solver:
         if not self._lost() and self._newton.has_kinks:
             self._newton.use_search(self._other)
             yield "full Newton steps" if self._other == "basic" else "line search"
-        if not self._newton.met:
-            yield from self._with_less_friction(start)
         if self._newton.met or (usual := self._system.usual_augmentation()) == 1.0:
             return
+        self._newton.use_search(self._newton.usual)
         start.copy(self.x)
         for share in USUAL:
             if self._lost():
@@ -239,20 +236,6 @@ class Solver:
                 f"augmentation {self._augmentation:.3g} r, {share:g} times the default"
                 f"{self._values()}"
             )
-
-    def _with_less_friction(self, start: PETSc.Vec) -> Iterator[str]:
-        """Solve from the start with friction that grows in steps to its full value."""
-        self._newton.use_search(self._newton.usual)
-        self._augmentation = 1.0
-        self._system.scale_augmentation(1.0)
-        start.copy(self.x)
-        try:
-            for share in FRICTIONS:
-                if not self._system.scale_friction(share) or not np.isfinite(self.x.norm()):
-                    return
-                yield f"{share:.0%} of the friction coefficients"
-        finally:
-            self._system.scale_friction(1.0)
 
     def _lost(self) -> bool:
         """Whether no remedy applies: converged, or the current state is not finite."""

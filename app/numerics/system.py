@@ -110,10 +110,6 @@ class System(Protocol):
         """Multiple of the augmentation asked for that would be chosen; collective."""
         return 1.0
 
-    def scale_friction(self, share: float) -> bool:
-        """Solve with this share of all friction coefficients; whether there is friction."""
-        return False
-
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far; whether there are any."""
         return False

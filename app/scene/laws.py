@@ -111,10 +111,6 @@ class InterfaceLaw(ABC):
     def response(self, at: AtPoint) -> Response:
         """The formula."""
 
-    def with_friction(self, share: float) -> InterfaceLaw:
-        """The law with a share of its friction."""
-        return self
-
     def trial_stiffness(self, met: Floats, factor: float) -> Floats:
         """Stiffness of the trial force (n,) [MPa/mm].
 
@@ -166,10 +162,6 @@ class Coulomb(InterfaceLaw):
         state = (at.F, at.jump, at.gap, at.jump_old, at.S_star)
         found = contact_law(*state, at.normals, at.values.get("μ"), at.r)
         return Response(found.force, found.jacobian, found.pressures, found.status)
-
-    def with_friction(self, share: float) -> InterfaceLaw:
-        """The law with a share of its friction."""
-        return replace(self, coefficient=share * self.coefficient)
 
     def trial_stiffness(self, met: Floats, factor: float) -> Floats:
         """The augmentation asked for, or the default (n,) [MPa/mm]."""

@@ -144,10 +144,6 @@ class CoupledSystem(System):
         """Multiple of the augmentation asked for that would be chosen; collective."""
         return self._motion.usual_augmentation()
 
-    def scale_friction(self, share: float) -> bool:
-        """Solve with this share of all friction coefficients, if there is friction."""
-        return self._motion.scale_friction(share)
-
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""
         return self._motion.tie(on)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from mantle.numerics.newton import NewtonResult, Solver
-from mantle.numerics.snes import Snes
 from mantle.stepping.load_steps import LoadStepper
 from tests import support
 
@@ -163,38 +161,3 @@ def test_a_line_search_comes_back_as_it_was(tmp_path: Path) -> None:
     assert described(solver) != before
     solver._newton.use_search("bt")
     assert described(solver) == before
-
-
-def test_friction_grows_to_what_it_is_where_nothing_else_helps(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Newton is kept from starting with all of the friction; the answer is the same."""
-    caplog.set_level(logging.INFO, "mantle")
-    problem, solver = support.assemble(support.case(STEM))
-    problem.set_time(1.0)
-    assert solver.solve().converged
-    expected = solver.x.copy()
-    problem, solver = support.assemble(support.case(STEM))
-    problem.set_time(1.0)
-    (jumps,) = problem.jumps
-    shares = [1.0]
-    newton, lessen = Snes.run, type(jumps).scale_friction
-
-    def note(self: Any, share: float) -> None:
-        shares.append(share)
-        lessen(self, share)
-
-    def refuse(self: Snes) -> tuple[int, int]:
-        if len(shares) == 1:
-            self.residuals, self.flips = [1.0], [0]
-            return 0, 0
-        return newton(self)
-
-    monkeypatch.setattr(type(jumps), "scale_friction", note)
-    monkeypatch.setattr(Snes, "run", refuse)
-    assert solver.solve().converged
-    assert shares == [1.0, 0.25, 0.5, 0.75, 1.0, 1.0]
-    expected.axpy(-1.0, solver.x)
-    assert expected.norm() < 1e-6 * solver.x.norm()
-    said = [m.rpartition(": ")[2] for m in caplog.messages if "of the friction" in m]
-    assert [words.split()[0] for words in said] == ["25%", "50%", "75%", "100%"]
