@@ -32,7 +32,7 @@ class Piece:
         volume: Its volume [mm3].
         surface: Area of its surface [mm2].
         box: Edges of its bounding box (3,) [mm].
-        flat: Part of its cells that have all their corners on surfaces that nothing holds.
+        free: Part of its surface that nothing holds.
     """
 
     region: str
@@ -41,7 +41,24 @@ class Piece:
     volume: float
     surface: float
     box: Floats
-    flat: float
+    free: float
+
+    @property
+    def edge(self) -> float:
+        """Edge of a regular tetrahedron of the mean size of its cells [mm]."""
+        return float((6 * np.sqrt(2) * self.volume / self.cells) ** (1 / 3))
+
+    @property
+    def thickness(self) -> float:
+        """Thickness of a bar or plate of its length, volume and surface [mm].
+
+        It is the lesser side h of a section b h with 2 (b + h) around it, exact for a block; that
+        of a shell too.
+        """
+        length = float(self.box.max())
+        section = self.volume / length
+        quarter = (self.surface - 2 * section) / length / 4
+        return quarter - float(np.sqrt(max(quarter**2 - section, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -109,8 +126,10 @@ def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
     bare = outer.copy()
     tags = [t for name in held for t in data.boundaries.get(name, ())]
     bare[outside[np.isin(keys, on[np.isin(data.facet_tags, tags)])]] = False
-    areas = np.bincount(piece[cell[outer]], facet_areas(data.points, faces[outer]), minlength=count)
-    flat = _flat(data.cells, faces, cell, piece, bare, count)
+    areas, free = (
+        np.bincount(piece[cell[some]], facet_areas(data.points, faces[some]), minlength=count)
+        for some in (outer, bare)
+    )
     volumes = cell_volumes(data.points, data.cells)
     middles = data.points[data.cells[:, :4]].mean(axis=1)
     pieces = []
@@ -121,9 +140,8 @@ def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
         centre = volumes[here] @ middles[here] / volume
         region = names[int(data.cell_tags[here][0])]
         box = np.ptp(nodes, axis=0)
-        pieces.append(
-            Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, float(flat[k]))
-        )
+        part = float(free[k] / areas[k])
+        pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
     rows = np.flatnonzero((behind >= 0) & outer & (piece[cell] < piece[np.maximum(behind, 0)]))
     first, second = piece[cell[rows]], piece[behind[rows]]
     corners = {
@@ -166,19 +184,6 @@ def _numbered(a: Ints, b: Ints) -> tuple[Ints, Ints]:
     else:
         label = np.unique(both, axis=0, return_inverse=True)[1].ravel()
     return label[: len(a)], label[len(a) :]
-
-
-def _flat(
-    cells: Ints, faces: Ints, cell: Ints, piece: Ints, bare: np.ndarray, count: int
-) -> Floats:
-    """Part of the cells of each piece whose corners are all on bare faces of it."""
-    n = int(cells.max()) + 1
-    nodes = faces[bare, :3]
-    known = np.unique(nodes + n * piece[cell[bare]][:, None])
-    keys = cells[:, :4] + n * piece[:, None]
-    all_bare = np.isin(keys, known).all(axis=1)
-    total = np.bincount(piece, minlength=count)
-    return np.asarray(np.bincount(piece, weights=all_bare, minlength=count) / total)
 
 
 def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:

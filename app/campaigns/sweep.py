@@ -59,6 +59,8 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
 
     rows = write(batch.run(jobs, folder, options.cores, options.slurm, write))
     log.info("%s", _table(rows))
+    for text in layout.noted([(r["name"], r["notes"]) for r in rows]):
+        log.warning("note: %s", text)
     if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
         log.info("\n%s", spread)
     log.info(
@@ -147,6 +149,7 @@ def _row(p: SweptRun, result: Result, folder: Path) -> dict[str, Any]:
         "status": STATUS.get(result.exit_code, FAILED),
         "exit_code": result.exit_code,
         "message": result.message,
+        "notes": summary.get("notes", []),
         "seconds": round(result.seconds, 2),
         "unknowns": solver.get("dofs"),
         "newton_iterations": solver.get("newton_iterations"),
@@ -170,6 +173,7 @@ def _csv(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> str:
             {
                 "case": r["name"],
                 "status": r["status"],
+                "notes": "; ".join(r["notes"]),
                 **{key: r["overrides"].get(key, "") for key in keys},
                 **numbers,
                 "unknowns [-]": r["unknowns"],

@@ -23,7 +23,7 @@ from mantle.report.paper.trends import VERDICTS, Trend
 from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
 from mantle.schema.quantities import printed
 from mantle.system.folders import csv_text, write_text
-from mantle.system.layout import duration
+from mantle.system.layout import duration, noted
 
 PAGE, COMPARISON, PICTURES = "report.html", "comparison.csv", "report"
 MOST_NUMBERS = 11  # in the table of cases
@@ -89,6 +89,7 @@ def run(folder: Path) -> Written:
             ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
             ("other", "What else varies", drawn(multiples)),
             ("uncertain", "What is not known well", _uncertain(sweep)),
+            ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
             ("cases", "All cases", _parts(sweep.cases)),
         ]
         text = page.page(
@@ -139,6 +140,8 @@ def _summary(
     failed = [c.name for c in sweep.cases if not c.done]
     if failed:
         lines.append(f"Without results: {', '.join(failed)}. Why stands in the table of all cases.")
+    if warned := sum(bool(c.notes) for c in sweep.cases):
+        lines.append(f"Notes were made of {warned} cases; they stand above the table of all cases.")
     if trends:
         names = {v: [t.name for t in trends if t.verdict == v] for v in VERDICTS}
         each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
@@ -168,9 +171,10 @@ def _trends(trends: Sequence[Trend]) -> Blocks:
     if not trends:
         return []
     text = (
-        "By percentiles, of motions the 99th, of tractions the 95th: undecided where the difference "
-        "is smaller than the estimated errors in sum; numbers without ± have no estimate and were taken as they are. Beside it the "
-        "verdict by the largest values, as the paper gives them, whose errors are not known."
+        "By percentiles, of motions the 99th, of tractions the 95th: undecided where the "
+        "difference is smaller than the estimated errors in sum; numbers without ± have no "
+        "estimate and were taken as they are. Beside it the verdict by the largest values, as the "
+        "paper gives them, whose errors are not known."
     )
     rows = [
         [t.name, t.claim, t.verdict, t.peaks or "-", [f"{p.verdict}: {p.text}" for p in t.parts]]

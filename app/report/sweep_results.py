@@ -63,6 +63,7 @@ class SweptCase:
         ranks: MPI ranks.
         numbers: Headline numbers by name, as the sweep kept them.
         errors: Their estimated errors.
+        notes: What the run has warned of.
     """
 
     name: str
@@ -77,6 +78,7 @@ class SweptCase:
     ranks: int = 1
     numbers: dict[str, float] = field(default_factory=dict)
     errors: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def done(self) -> bool:
@@ -167,6 +169,7 @@ _KEYS: dict[str, tuple[type, ...]] = {
     "ranks": (int,),
     "numbers": (dict,),
     "errors": (dict,),
+    "notes": (list,),
 }
 _REQUIRED = ("name", "folder", "status")
 
@@ -233,7 +236,7 @@ def _problems(data: Any) -> list[str]:
 
 
 def _named(types: tuple[type, ...]) -> str:
-    return {str: "a text", dict: "a mapping", int: "a number"}[types[0]]
+    return {str: "a text", dict: "a mapping", list: "a list", int: "a number"}[types[0]]
 
 
 def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
@@ -244,6 +247,7 @@ def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
         own[key] = {k: float(v) for k, v in table.items() if isinstance(v, int | float)}
     own.setdefault("part", "")
     own.setdefault("overrides", {})
+    own["notes"] = tuple(map(str, own.get("notes", ())))
     own["unknowns"] = int(own.get("unknowns", 0))
     own["folder"] = folder / own["folder"]
     return SweptCase(**own)

@@ -216,7 +216,8 @@ class Session:
         comm, timing = self._comm, self._timing
         found = self._restart(folder=output, case=case) if self._restart else None
         model = Model(case, comm, self._options, timing, self._stop, self._models)
-        self.note(model.judge())
+        notes = [*unusual_input.warnings(case), *model.judge()]
+        self.note(notes)
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
             case.title or self._case.path.stem,
@@ -263,7 +264,8 @@ class Session:
         blas_check.check(comm)  # once more: what has converged by wrong sums is no result
         recorder.flush()
         summary = recorder.summary("converged", total)
-        self.note(case_on_mesh.doubts(case, summary["regions"]))
+        summary["notes"] = [*notes, *case_on_mesh.doubts(case, summary["regions"])]
+        self.note(summary["notes"])
         if case.output.condition:
             for m in model.mechanics:
                 A = m.solver.snes.getJacobian()[0]

@@ -100,6 +100,7 @@ def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> R
         "overrides": v.changes,
         "status": status,
         "numbers": headlines(summary),
+        "notes": summary.get("notes", []),
         "newton_iterations": solver.get("newton_iterations"),
         "linear_iterations": solver.get("linear_iterations"),
         "seconds": round(seconds, 3),

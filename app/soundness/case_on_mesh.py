@@ -37,9 +37,10 @@ if TYPE_CHECKING:
 SMALL, TOO_MUCH, FAR = 0.05, 0.25, 0.5
 # Strains beyond which small-strain elasticity says nothing of any material.
 STRAIN = 0.05
-# A piece is a shell if its volume over half its surface is below this part of its middle extent; it
-# is one cell thick if nearly all of its cells have all their corners on its surface.
-THIN, ONE_CELL = 0.2, 0.8
+# A piece is slender if it is thinner than this part of its length. Bars and plates of linear cells
+# of edge l and thickness h are stiffer than they are by BENDING (l / h)^2 (measured with 1 to 5
+# cells through them: 2.2 to 3.0); more than TOO_STIFF is noted.
+SLENDER, BENDING, TOO_STIFF = 0.2, 2.3, 0.1
 # Part of the points of an interface that supports have to hold on both sides to be noted.
 MOSTLY = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
@@ -83,7 +84,7 @@ def judge(case: config.Case, found: Parts) -> list[str]:
         *split,
         *_clamped(case, found),
         *_large(case, found),
-        *_one_cell_thick(case, found),
+        *_too_stiff(case, found),
         *_strained(case, found),
     ]
 
@@ -307,19 +308,20 @@ def _size(case: config.Case, found: Parts) -> list[str]:
     ]
 
 
-def _one_cell_thick(case: config.Case, found: Parts) -> list[str]:
-    """Thin regions with one linear cell through them."""
+def _too_stiff(case: config.Case, found: Parts) -> list[str]:
+    """Slender regions of linear cells, which bend too little."""
     if case.mesh.order != 1:
         return []
-    thin = {
-        p.region: None
-        for p in found.pieces
-        if p.flat > ONE_CELL
-        and 2 * p.volume / p.surface < THIN * float(np.median(p.box))
-        and modulus(case.regions[p.region])
-    }
+    worst: dict[str, tuple[float, float, float]] = {}
+    for p in found.pieces:
+        slender = p.thickness < SLENDER * float(p.box.max())
+        if slender and p.free > MOSTLY and modulus(case.regions[p.region]):
+            excess = BENDING * (p.edge / p.thickness) ** 2
+            here = (excess, p.thickness, p.edge)
+            worst[p.region] = max(worst.get(p.region, here), here)
     return [
-        f"region '{name}' is thin and one cell thick: linear tetrahedra are far too stiff where it "
-        "bends; use mesh.order: 2, or a mesh.size of less than half its thickness"
-        for name in thin
+        f"region '{name}' is {thickness:.3g} mm thick, of linear cells of {edge:.3g} mm: where it "
+        f"bends it is about {float(f'{100 * excess:.2g}'):.0f} % too stiff; use mesh.order: 2"
+        for name, (excess, thickness, edge) in worst.items()
+        if excess > TOO_STIFF
     ]

@@ -43,6 +43,23 @@ def count(number: float) -> str:
     return f"{round(number):,}".replace(",", " ")
 
 
+def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
+    """Each note of some cases once, with the cases that have it: all, or their names.
+
+    Args:
+        cases: Names of all cases, and the notes of each.
+    """
+    every = list(cases)
+    found: dict[str, list[str]] = {}
+    for name, notes in every:
+        for note in notes:
+            found.setdefault(note, []).append(name)
+    return [
+        f"{note} ({'all cases' if len(names) == len(every) else ', '.join(names)})"
+        for note, names in found.items()
+    ]
+
+
 def plain(value: object) -> str:
     """A value on one line, floats shortened for the eye."""
     if isinstance(value, dict):

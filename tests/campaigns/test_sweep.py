@@ -292,6 +292,7 @@ def test_tables_have_a_row_for_each_case(bench: Bench, caplog: pytest.LogCapture
     assert rows[2] == {
         "case": "soft_friction_coefficient=0.4_pressure=1MPa",
         "status": "converged",
+        "notes": "",
         "regions.lower.youngs_modulus": "1 GPa",
         FRICTION: "0.4",
         "loads.press.pressure": "1 MPa",

@@ -63,7 +63,7 @@ def test_check_tells_what_it_understood(capsys: pytest.CaptureFixture[str]) -> N
     out, err = capsys.readouterr()
     assert err == ""
     for line in (
-        "Single-limb stance, titanium stem, 4 mm mantle",
+        "Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm",
         "  cement_thickness: 3 mm  (0.3 cm)",
         "  stem_length: 147 mm  [default]",
         "  neck_angle: 130 deg  [default]",

@@ -739,7 +739,7 @@ def test_shipped_configuration(name: str, coarsened: Coarsened) -> None:
     out, stderr = coarsened(name)
     # Coarsened, some are one linear cell thick: rightly told.
     notes = [line for line in stderr.splitlines() if "note: " in line]
-    assert all("one cell thick" in note for note in notes), notes
+    assert all("of linear cells" in note for note in notes), notes
     assert (out / "DONE").exists()
     folders = {p.parent for p in out.glob("**/summary.json")}
     assert len(folders) == (14 if name == "variations.yaml" else 1)

@@ -1,0 +1,93 @@
+"""Linear cells that bend too little: how much of it is noted, and where."""
+
+from __future__ import annotations
+
+import csv
+import html
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mantle import meshes
+from mantle.cli import main
+from mantle.soundness import case_on_mesh
+from tests import support
+
+# A cantilever of E = 1 GPa and nu = 0, pushed down at its end by 1 N.
+BEAM = """
+geometry: {{kind: blocks, blocks: [{{name: beam, size: [{L} mm, {b} mm, {h} mm]}}]}}
+mesh: {{size: {size} mm, far_size: {size} mm, order: {order}}}
+regions: {{beam: {{youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}}}}
+supports: {{wall: {{kind: fixed, boundary: x_min}}}}
+loads: {{tip: {{kind: force, boundary: x_max, force: [0 N, 0 N, -1 N]}}}}
+"""
+
+
+def noted(text: str) -> list[str]:
+    case = support.case(text)
+    return case_on_mesh.judge(case, case_on_mesh.look(case, meshes.build(case.geometry, case.mesh)))
+
+
+@pytest.mark.parametrize(
+    ("L", "b", "h", "size"),
+    [(100, 10, 10, 10), (100, 10, 10, 5), (100, 10, 10, 2.5), (50, 10, 10, 5), (100, 40, 5, 5)],
+)
+def test_a_beam_is_as_stiff_as_it_is_noted_to_be(L: float, b: float, h: float, size: float) -> None:
+    """Timoshenko: L^3 / (3 E I) + L / (5/6 G b h) at the end; the same mesh of order 2 is exact."""
+    text = BEAM.format(L=L, b=b, h=h, size=size, order=1)
+    (note,) = noted(text)
+    said = re.fullmatch(
+        r"region 'beam' is ([\d.]+) mm thick, of linear cells of [\d.]+ mm: where it bends it is "
+        r"about (\d+) % too stiff; use mesh.order: 2",
+        note,
+    )
+    assert said and float(said[1]) == pytest.approx(h, rel=0.1)
+    exact = L**3 / (3 * 1000 * b * h**3 / 12) + L / (5 / 6 * 500 * b * h)
+    x, u = support.solve(text).displacement("beam")
+    excess = exact / -u[np.isclose(x[:, 0], L), 2].mean() - 1
+    assert 1 / 1.4 < 0.01 * float(said[2]) / excess < 1.4
+    assert noted(text.replace("order: 1", "order: 2")) == []
+
+
+def test_what_does_not_bend_is_not_noted() -> None:
+    """A cube; a bar of many cells; a slice between rollers."""
+    assert noted(BEAM.format(L=10, b=10, h=10, size=10, order=1)) == []
+    assert noted(BEAM.format(L=50, b=10, h=10, size=1.3, order=1)) == []
+    plate = BEAM.format(L=50, b=50, h=2, size=4, order=1)
+    assert len(noted(plate)) == 1
+    rollers = "".join(
+        f"  {side}: {{kind: roller, boundary: {side}, axis: z}}\n" for side in ("bottom", "top")
+    )
+    held = plate.replace("x_min}}", "x_min}").replace("supports: {", f"supports:\n{rollers}  ")
+    assert noted(held) == []
+
+
+def test_check_and_run_tell_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text(BEAM.format(L=100, b=10, h=10, size=10, order=1))
+    assert main(["check", "--mesh", str(path)]) == 0
+    assert "note: region 'beam' is 10 mm thick" in capsys.readouterr().err
+
+
+def test_notes_of_runs_reach_summary_table_and_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sweep over the order: the linear case is noted, the other is not."""
+    (tmp_path / "case.yaml").write_text(BEAM.format(L=100, b=10, h=10, size=10, order=1))
+    (tmp_path / "sweep.yaml").write_text("base: case.yaml\ngrid: {mesh.order: [1, 2]}\n")
+    folder = tmp_path / "out"
+    assert main(["sweep", str(tmp_path / "sweep.yaml"), "-o", str(folder), "--cores", "1"]) == 0
+    linear, quadratic = json.loads((folder / "sweep.json").read_text())["cases"]
+    (note,) = linear["notes"]
+    assert "of linear cells" in note and quadratic["notes"] == []
+    summary = json.loads((folder / linear["folder"] / "summary.json").read_text())
+    assert summary["notes"] == [note]
+    assert f"note: {note} ({linear['name']})" in "".join(capsys.readouterr())
+    rows = list(csv.DictReader((folder / "sweep.csv").open()))
+    assert [row["notes"] for row in rows] == [note, ""]
+    assert main(["report", str(folder)]) == 0
+    page = html.unescape((folder / "report.html").read_text())
+    assert f"{note} ({linear['name']})" in page and "Notes were made of 1 cases" in page
