@@ -416,13 +416,7 @@ class Jumps:
         friction = F + normal
         touching = self._can_open & (law.status != OPEN)
         slid = np.where(touching[:, None], self._tangential(step, opening, law), 0.0)
-        # Friction and slip as the law has them: none where a point is open or sticks, though the
-        # solver's tolerance leaves some.
-        rubbing = law.force + normal
-        slipped = step + (self._multiplier(F) - rubbing) / self.stiffness[:, None]
-        rubbed = np.einsum("pi,pi->p", rubbing, self._tangential(slipped, opening, law))
-        slides = self._frictional & (law.status == SLIP)
-        dissipated = self.weight * np.where(slides, rubbed, 0.0)
+        dissipated = self.weight * np.einsum("pi,pi->p", *self.rubbing(e, q, law))
         pushed = np.einsum("pi,pi->p", old.force - old.friction - normal, opening - old.opening) / 2
         self.history = History(
             jump=q.copy(),
@@ -438,8 +432,25 @@ class Jumps:
             own=law.history,
         )
 
-    def _tangential(self, step: Floats, opening: Floats, law: PointForces) -> Floats:
-        """Part of a step tangential to the closed faces of each point (n, 3) [mm].
+    def rubbing(self, e: Floats, q: Floats, law: PointForces) -> tuple[Floats, Floats]:
+        """Friction [MPa] and slip [mm] of a step as the law has them, each (n, 3).
+
+        None where a point is open or sticks, though the solver's tolerance leaves some.
+        """
+        force = law.force + np.einsum("pk,pki->pi", law.pressures, self.normals)
+        missing = self._multiplier(self.forces(e)) - force
+        slip = q - self.history.jump + missing / self.stiffness[:, None]
+        slides = (self._frictional & (law.status == SLIP))[:, None]
+        force, slip = (
+            np.where(slides, self._tangential(slip, q + self.gap, law, v), 0.0)
+            for v in (force, slip)
+        )
+        return force, slip
+
+    def _tangential(
+        self, step: Floats, opening: Floats, law: PointForces, of: Floats | None = None
+    ) -> Floats:
+        """Part of a step, or of other vectors, tangential to the closed faces (n, 3).
 
         At an edge that is the part along it: the force of a point that friction on one face holds
         against another acts across the edge too, but nothing slips there.
@@ -447,7 +458,8 @@ class Jumps:
         gap = np.einsum("pi,pki->pk", opening, self.normals)
         closed = (law.pressures > 0) | (gap <= CLOSED * np.linalg.norm(step, axis=1)[:, None])
         n = np.where(closed[:, :, None], self.normals, 0.0)
-        return step - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, step)
+        whole = step if of is None else of
+        return whole - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, whole)
 
 
 def _refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:

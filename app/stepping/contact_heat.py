@@ -1,12 +1,18 @@
 r"""Contact as the heat sees it: pressures, the power of friction, and how both change.
 
-With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
-pressure p = |F_n| and friction power per area F_T · Δq/Δt change by
+Friction heats by what it dissipates (`Jumps.rubbing`): w = F_T · s per area since the time step
+began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty stretch. A
+stage of length h that starts from the work w* has the power (w - w*)/h: w is one more unknown of
+the integrator, so that its sum over the stages is the work of the whole step.
 
-.. math:: dp = m·P' dS, \qquad d(F_T·Δq)/Δt = (P' dS)_T·Δq/Δt + F_T·dq/Δt,
+With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
+pressure p = |F_n| and friction work change by
+
+.. math:: dp = m·P' dS, \qquad dw = s·P' dS + F_T·(dq - (de/W + P' dS)/r),
           \qquad dS = -de/W + r\,dq
 
-with e the equilibrium of the rows of the contact points and m the direction of the pressure.
+with e the equilibrium of the rows of the contact points and m the direction of the pressure. A
+multiplier takes part in S and s by its share.
 """
 
 from __future__ import annotations
@@ -44,6 +50,7 @@ class ContactHeat:
     Attributes:
         heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
+        work: Work of friction per area since the time step began, as the heat knows it [N/mm].
         expands: Regions whose expansion follows temperature; that of what sets is history.
     """
 
@@ -55,6 +62,8 @@ class ContactHeat:
         comm, points = problem.comm, j.points
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
         self._n = len(j.mine)
+        self.start(np.inf, np.zeros(self._n))
+        self.work = np.zeros(self._n)
         self.heats = _heats(scene, problem, conduction, number)
         heated = {f.interface for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
@@ -82,22 +91,23 @@ class ContactHeat:
             regions = {r: self._conduction.of_region(r) for r in self.expands}
             self._problem.set_temperature(regions)
 
-    def power(self, trial: TrialState, elapsed: float) -> Floats:
-        """Power of friction per area at own contact points (n,) [N/(mm s)]."""
-        (j,) = self._problem.jumps
-        slip = trial.jump - j.history.jump
-        tangential = trial.law.force - _normal(trial.law, j.normals)
-        # The rounding of sticking points is no heat, and none cools.
-        return np.where(self.rubbing, np.maximum(_dot(tangential, slip), 0.0), 0.0) / elapsed
+    def start(self, h: float, work: Floats) -> None:
+        """Begin a stage.
 
-    def to_heat(self, trial: TrialState, elapsed: float) -> None:
+        Args:
+            h: Its length [s]; infinite for a steady state, in which friction has no power.
+            work: Work of friction per area from which it starts (n,) [N/mm].
+        """
+        self._h, self._before = h, work
+
+    def to_heat(self, trial: TrialState) -> None:
         """Set the pressures and the friction heat that the heat equation uses."""
         (j,) = self._problem.jumps
         pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
-        power = self.power(trial, elapsed)
+        self.work = np.where(self.rubbing, _dot(*self._rubbing(trial)), 0.0)
+        power = (self.work - self._before) / self._h
         for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
             t.pressure = _times(P, pressure)
-            t.friction = _times(P, power)
         for friction in self._conduction.frictions:
             friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
             for i, c in enumerate(self._problem.scene.contacts):
@@ -105,14 +115,24 @@ class ContactHeat:
                     mine = float((j.weight * power)[j.interface == i].sum())
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
-    def rounding(self, trial: TrialState, elapsed: float) -> float:
+    def report(self, seconds: float) -> None:
+        """Tell the heat what friction heats per area in the mean of a step of so many seconds."""
+        for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
+            t.friction = _times(P, self.work / seconds)
+
+    def _rubbing(self, trial: TrialState) -> tuple[Floats, Floats]:
+        """Friction [MPa] and slip [mm] at own points, each (n, 3)."""
+        (j,) = self._problem.jumps
+        return j.rubbing(trial.equilibrium, trial.jump, trial.law)
+
+    def rounding(self, trial: TrialState) -> float:
         """Rounding error of the power of friction by long slips; collective [N mm/s]."""
         (j,) = self._problem.jumps
         slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may be far from where they were.
         met = j.share * j.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
         force = (met + j.stiffness * j.weight) * np.linalg.norm(trial.jump, axis=1)
-        power = np.where(self.rubbing, force * slip, 0.0) / elapsed
+        power = np.where(self.rubbing, force * slip, 0.0) / self._h
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
@@ -124,17 +144,17 @@ class ContactHeat:
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
 
-    def power_rows(self, trial: TrialState, elapsed: float) -> PointDerivatives:
+    def power_rows(self, trial: TrialState) -> PointDerivatives:
         """How the friction power changes."""
         (j,) = self._problem.jumps
-        slip = trial.jump - j.history.jump
-        tangential = trial.law.force - _normal(trial.law, j.normals)
-        warm = self.rubbing & (_dot(tangential, slip) > 0)
-        along = np.einsum("pi,pki->pk", slip, j.normals)
-        slides = slip - np.einsum("pk,pki->pi", along, j.normals)
-        rows = self._rows(slides, trial)
-        scale = np.where(warm, 1 / elapsed, 0.0)[:, None]
-        return PointDerivatives(scale * rows.by_equilibrium, scale * (rows.by_jump + tangential))
+        force, slip = self._rubbing(trial)
+        given = force / j.stiffness[:, None]
+        rows = self._rows(slip - given, trial)
+        scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
+        lost = (j.share / j.weight)[:, None] * given
+        return PointDerivatives(
+            scale * (rows.by_equilibrium - lost), scale * (rows.by_jump + force)
+        )
 
     def _rows(self, along: Floats, trial: TrialState) -> PointDerivatives:
         """Of the force along directions (n, 3): by -e/W as far as the trial force has it, by q."""

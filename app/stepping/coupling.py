@@ -35,7 +35,7 @@ class CoupledSystem(System):
     """Heat and mechanics as one system.
 
     Attributes:
-        elapsed: Time since the last committed state of the mechanics [s], set from outside.
+        exchange: Contact as the heat sees it.
     """
 
     prefix = "mantle_"
@@ -60,7 +60,6 @@ class CoupledSystem(System):
         self.exchange = ContactHeat(scene, problem, conduction)
         self._n = len(heat.blocks())
         self._forces = self._thermal_forces() if self.exchange.expands else None
-        self.elapsed = 1.0
         # Heat enters the rows of its nodes and of its jumps.
         self._nodes = self._entries()
         fresh = list(self.blocks().values())
@@ -103,14 +102,14 @@ class CoupledSystem(System):
         """Heat that is lacking with the contact as it is, forces with the heat as it is."""
         self.exchange.to_mechanics(x[: self._n])
         self._motion.residual(x[self._n :], f[self._n :])
-        self.exchange.to_heat(self._motion.trial, self.elapsed)
+        self.exchange.to_heat(self._motion.trial)
         self._heat.residual(x[: self._n], f[: self._n])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """All blocks, of the state whose residual was asked for last."""
         self._motion.jacobian(x[self._n :])
         trial = self._motion.trial
-        self.exchange.to_heat(trial, self.elapsed)
+        self.exchange.to_heat(trial)
         self._heat.jacobian(x[: self._n])
         up, back = self._from_motion(trial, x)
         _copy(up, self._up)
@@ -128,7 +127,7 @@ class CoupledSystem(System):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""
         (heat,) = self._heat.measure(x[: self._n], f[: self._n])
-        noise = self.exchange.rounding(self._problem.trial(*x[self._n :]), self.elapsed)
+        noise = self.exchange.rounding(self._problem.trial(*x[self._n :]))
         heat = replace(heat, rounding=heat.rounding + noise)
         return [heat, *self._motion.measure(x[self._n :], f[self._n :])]
 
@@ -209,7 +208,7 @@ class CoupledSystem(System):
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and what comes back to its own."""
         (j,) = self._problem.jumps
-        power = self._matrices(self.exchange.power_rows(trial, self.elapsed))
+        power = self._matrices(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
         jumps, pressed = self._conduction.jumps, self.exchange.pressed
         for t, P, τ in zip(jumps, pressed, x[1 : self._n], strict=True):

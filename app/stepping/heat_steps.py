@@ -7,7 +7,7 @@ or of heat and mechanics together where heat depends on contact (`stepping.coupl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Protocol
 
 from mpi4py import MPI
@@ -55,8 +55,20 @@ class HeatStep:
 class Beside(Protocol):
     """Fields solved in one system with the heat."""
 
-    def place(self, seconds: float) -> None:
-        """Set it to the time of a stage [s]."""
+    def none(self) -> Floats:
+        """What it gives off in a step that has not begun, which the step integrates."""
+
+    def place(self, seconds: float, h: float, given: Floats) -> None:
+        """Set it to a stage.
+
+        Args:
+            seconds: Time at its end.
+            h: Its length [s].
+            given: From how much that it has given off the stage starts.
+        """
+
+    def given(self) -> Floats:
+        """How much it has given off at the end of the stage last solved."""
 
 
 class Partner(Protocol):
@@ -171,18 +183,22 @@ class HeatState:
 
     def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
         """One stage."""
-        n = len(self.vectors())
-        if not self.conduction.begin(start[:n], start[n:], h, seconds):
+        n, own = len(self.vectors()), len(self.state)
+        if not self.conduction.begin(start[:n], start[n:own], h, seconds):
             return None
         self.put(guess)
-        for other in self.beside:
-            other.place(seconds)
+        for other, given in zip(self.beside, start[own:], strict=True):
+            other.place(seconds, h, given)
         self.outcome = self.solver.solve()
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
         self._stages.append(flows(self.conduction, self.vectors()))
-        return self._state(self.vectors())
+        return [*self._state(self.vectors()), *(other.given() for other in self.beside)]
+
+    def _with_others(self, state: State) -> State:
+        """A state with what the fields beside the heat give off from there on."""
+        return [*state, *(other.none() for other in self.beside)]
 
     def start(self, longest: float) -> float:
         """Find the rate of change at the start of a stage, and a first step for it [s].
@@ -206,13 +222,12 @@ class HeatState:
         A step that leaves the extremes of the data is done again: where the mesh makes it, with the
         edges that do (`heat.monotone`), else by backward Euler.
         """
+        whole = [self._with_others(part) for part in (self.state, self._slope)]
         for name in dict.fromkeys((self.method.name, "backward_euler")):
             method = METHODS[name]
             while True:
                 self._stages = []
-                found = integrator.step(
-                    method, self.state, self._slope, dt, self.seconds, self._solve
-                )
+                found = integrator.step(method, *whole, dt, self.seconds, self._solve)
                 if found is None or not self.conduction.outside(self.vectors()):
                     break
                 if not self.conduction.correct(self.vectors()):
@@ -221,7 +236,11 @@ class HeatState:
                 continue
             if found is None or not self.conduction.outside(self.vectors()):
                 break
-        return None if found is None else (found, method)
+        if found is None:
+            return None
+        own = slice(len(self.state))
+        parts = {f.name: getattr(found, f.name)[own] for f in fields(found)}
+        return integrator.StageStep(**parts), method
 
     def accept(self, found: integrator.StageStep, method: Method, dt: float) -> HeatStep:
         """Make a step history."""
@@ -243,9 +262,10 @@ class HeatState:
     def rest(self) -> HeatStep | None:
         """Go to the steady state; None if it does not converge."""
         self._stages = []
-        found = self._solve(self.state, np.inf, self.seconds, self.state)
+        found = self._solve(self._with_others(self.state), np.inf, self.seconds, self.state)
         if found is None:
             return None
+        found = found[: len(self.state)]
         self.state, self._slope = found, [np.zeros_like(part) for part in found]
         self.total.steps += 1
         return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)

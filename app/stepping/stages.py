@@ -15,6 +15,9 @@ from functools import partial
 from itertools import pairwise
 from typing import Protocol
 
+import numpy as np
+
+from mantle.arrays import Floats
 from mantle.errors import ConvergenceError
 from mantle.numerics.integrator import Controller
 from mantle.numerics.state import State
@@ -314,9 +317,9 @@ class SolvedWithHeat:
         Args:
             motion: The mechanics.
             heating: The heat, whose solver solves both.
-            system: Gets the time that friction has.
+            system: Solves both.
         """
-        self._motion, self._heating, self._system = motion, heating, system
+        self._motion, self._heating, self._exchange = motion, heating, system.exchange
         heating.beside = (self,)
         self._start = self._committed = heating.seconds
         self._before = heating.warmth()
@@ -335,15 +338,23 @@ class SolvedWithHeat:
             if named[name] is not vector:
                 vector.copy(named[name])
 
-    def place(self, seconds: float) -> None:
-        """Set the mechanics to the time of a stage."""
+    def none(self) -> Floats:
+        """No work of friction."""
+        return np.zeros_like(self._exchange.work)
+
+    def given(self) -> Floats:
+        """Work of friction per area since the step began."""
+        return self._exchange.work
+
+    def place(self, seconds: float, h: float, given: Floats) -> None:
+        """Set the mechanics to the time of a stage, and friction to its length."""
         part = (
             min((seconds - self._start) / self._stage.duration, 1.0)
             if not self._stage.steady
             else 1.0
         )
         self._motion.problem.set_time(self._k + part)
-        self._system.elapsed = (seconds - self._committed) or 1.0
+        self._exchange.start(h, given)
         if not self._heating.outcome.converged:
             self._restore()
 
@@ -354,6 +365,7 @@ class SolvedWithHeat:
         for name, vector in self._motion.solver.named().items():
             if named[name] is not vector:
                 named[name].copy(vector)
+        self._exchange.report((self._heating.seconds - self._committed) or np.inf)
         self._committed = self._heating.seconds
         if not self._heating.sets:
             self._motion.commit(self._stage, time, self._heating.outcome, started, whole)

@@ -23,7 +23,7 @@ class Staggered:
     It takes the place of a solver of both.
 
     Attributes:
-        elapsed: Time since the last committed state of the mechanics [s], set from outside.
+        exchange: Contact as the heat sees it.
     """
 
     def __init__(
@@ -35,9 +35,8 @@ class Staggered:
         motion: Solver,
     ) -> None:
         """Join two solvers."""
-        self._exchange, self._conduction, self._problem = exchange, conduction, problem
+        self.exchange, self._conduction, self._problem = exchange, conduction, problem
         self._heat, self._motion = heat, motion
-        self.elapsed = 1.0
 
     def named(self) -> dict[str, PETSc.Vec]:
         """Blocks of the current state by name."""
@@ -56,7 +55,7 @@ class Staggered:
             outcome = _after(outcome, self._heat.solve())
             if not outcome.converged:
                 break
-            self._exchange.to_mechanics(self._heat.blocks())
+            self.exchange.to_mechanics(self._heat.blocks())
             outcome = _after(outcome, self._motion.solve())
             if not outcome.converged:
                 break
@@ -77,7 +76,7 @@ class Staggered:
         """Set pressures and friction heat from the current state of the mechanics."""
         u, q = self._motion.parts()
         assert q is not None
-        self._exchange.to_heat(self._problem.trial(u, q), self.elapsed)
+        self.exchange.to_heat(self._problem.trial(u, q))
 
     def _holds(self) -> bool:
         """Whether the heat still balances with the contact that follows from it; collective."""

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
+from mantle.campaigns.work_precision import fitted_order
 from mantle.stepping.staggered import Staggered
 from tests import coupled
 
@@ -143,21 +144,70 @@ def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     compare(one, together, 1e-8)
 
 
-@pytest.mark.parametrize("way", ["monolithic", "staggered"])
+@pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
+@pytest.mark.parametrize(
+    "overrides", [[], ["solver.coupling=staggered"], [PENALTY]], ids=["one", "staggered", "penalty"]
+)
 def test_heat_of_friction_is_what_friction_dissipates(
-    monkeypatch: pytest.MonkeyPatch, way: str
+    monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
 ) -> None:
-    """With backward Euler step by step, to the tolerance of the equations; the balance closes."""
-    c = coupled.solve(monkeypatch, f"solver.coupling={way}", "solver.tolerance=1e-12")
+    """Step by step, to the tolerance of the equations; the balance closes."""
+    c = coupled.solve(monkeypatch, *overrides, f"time.method={method}", "solver.tolerance=1e-12")
     before = c.before
     for accepted, dissipated in zip(c.steps, c.dissipated, strict=True):
         heat = accepted.heats["friction lower_upper"]
         assert heat > 1e-3
-        assert heat == pytest.approx(dissipated - before, rel=1e-9)
+        assert heat == pytest.approx(dissipated - before, rel=1e-8)
         before = dissipated
-    balance = c.model.thermal[0].balance
-    assert balance.heats["friction lower_upper"] == pytest.approx(before - c.before, rel=1e-9)
-    assert balance.heat < 1e-12
+    (thermal,) = c.model.thermal
+    balance = thermal.balance
+    assert balance.heats["friction lower_upper"] == pytest.approx(before - c.before, rel=1e-8)
+    assert balance.heat < 1e-11
+    assert thermal.record.summary()["interfaces"]["lower_upper"]["entropy_production_min"] > -1e-15
+
+
+# Pressed and slid in proportion, from nothing, by blocks that temperature does not change.
+TOGETHER = (
+    "supports.press={kind: displacement, boundary: top, z: -0.005 mm}",
+    "supports.slide={kind: displacement, boundary: top, x: 0.03 mm, y: 0 mm}",
+    *STIFF,
+)
+
+
+def together(monkeypatch: pytest.MonkeyPatch, steps: int, *overrides: str) -> coupled.Coupled:
+    """Solve that in equal steps."""
+    stage = f"stages=[{{name: slide, duration: 2 s, increments: {steps}, adaptive: false}}]"
+    return coupled.solve(monkeypatch, *TOGETHER, stage, "solver.tolerance=1e-12", *overrides)
+
+
+@pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
+def test_heat_of_force_and_slip_that_grow_together(
+    monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """Force F t, slip s t, t from 0 to 1: n implicit steps give F s (n + 1)/(2 n), of order 1."""
+    counts, heats = (1, 2, 4, 8), []
+    for n in counts:
+        c = together(monkeypatch, n, f"time.method={method}")
+        (j,) = c.model.mechanics[0].problem.jumps
+        h = j.history
+        whole = float(j.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
+        heats.append(sum(step.heats["friction lower_upper"] for step in c.steps))
+        assert heats[-1] == pytest.approx(whole * (n + 1) / (2 * n), rel=1e-8)
+    errors = [heat - whole / 2 for heat in heats]
+    assert fitted_order([1 / n for n in counts], errors) == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
+def test_what_springs_stretch_is_no_heat(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    """Stuck by penalty: n increments would give A τ s (n + 1)/(2 n)."""
+    law = PENALTY.replace("friction_coefficient: 0.3", "friction_coefficient: 5")
+    little = "supports.slide={kind: displacement, boundary: top, x: 0.003 mm, y: 0 mm}"
+    c = together(monkeypatch, 2, f"time.method={method}", law, little)
+    (j,) = c.model.mechanics[0].problem.jumps
+    h = j.history
+    assert float(j.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
+    assert c.dissipated == (0.0, 0.0)
+    assert [step.heats["friction lower_upper"] for step in c.steps] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("perfect", [False, True], ids=["conductance", "perfect"])
