@@ -370,7 +370,7 @@ class SolvedWithHeat:
         if not self._heating.sets:
             self._motion.commit(self._stage, time, self._heating.outcome, started, whole)
             return
-        # Within the step stiffness and free strain were those before it.
+        # Within the step stiffness and free strain were those before it: an error of first order.
         before, now = self._before, self._heating.warmth()
         self._before = now
 

@@ -252,3 +252,29 @@ def test_only_what_sets_may_expand(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in MOTION:
         size = np.abs(solid[name].array).max()
         assert np.abs(solid[name].array - hardened[name].array).max() <= 1e-4 * size, name
+
+
+def test_what_heat_sees_of_setting_cement_is_a_step_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stiffness and free strain of the step come after its heat: what that misses is of order 1.
+
+    In the motion, and in the heat of friction over what friction dissipates.
+    """
+    kinetics = "{kind: prescribed, rate: [[0 s, 1], [3 s, 1]]}"
+    cement = (
+        f"regions.upper.thermal.cure={{kinetics: {kinetics}, heat: 2e7 J/m^3, initial: 0.3, "
+        "gel: 0.4, shrinkage: 0.01}"
+    )
+    counts, motion, heat = (4, 8, 16), [], []
+    for n in counts:
+        changes = (cement, f"stages.1.increments={n}", "time.mechanical_step=1000 K")
+        c = coupled.solve(monkeypatch, *changes)
+        kept = c.model.mechanics[0].solver.named()["displacement"].array
+        seen = c.solver.named()["displacement"].array
+        motion.append(float(np.abs(seen - kept).max() / np.abs(kept).max()))
+        dissipated = c.dissipated[-1] - c.before
+        heats = sum(step.heats["friction lower_upper"] for step in c.steps)
+        heat.append(abs(heats / dissipated - 1))
+    steps = [1 / n for n in counts]
+    assert motion[0] < 0.05 and heat[-1] < 0.3
+    assert fitted_order(steps, motion) == pytest.approx(1.0, abs=0.05), motion
+    assert fitted_order(steps, heat) > 0.9, heat
