@@ -16,7 +16,7 @@ from typing import Protocol
 from mpi4py import MPI
 
 import numpy as np
-from dolfinx import fem
+from dolfinx import fem, la
 from numpy.typing import NDArray
 
 from mantle.arrays import Floats, Ints
@@ -28,7 +28,13 @@ from mantle.results.necrosis import CELSIUS
 from mantle.results.quantities import Samples
 from mantle.results.stresses import Stresses
 from mantle.results.thermal_quantities import W_PER_M2, Interfaces, ThermalRecord
-from mantle.results.vtkhdf import QUADRATIC_NODES, QUADRATIC_TETRAHEDRON, TETRAHEDRON, GridFile
+from mantle.results.vtkhdf import (
+    QUADRATIC_NODES,
+    QUADRATIC_TETRAHEDRON,
+    TETRAHEDRON,
+    GridFile,
+    write_last_step,
+)
 from mantle.scene.bodies import Bodies, cell_tags
 from mantle.stepping.heat_steps import HeatState
 
@@ -74,7 +80,7 @@ class Fields:
             layers: The mechanics, if there are any, then the heat; at least one of them.
             path: The file.
         """
-        self._layers = tuple(layers)
+        self._layers, self._path = tuple(layers), path
         space, owned = layers[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
         dofs = space.dofmap.list[:owned]
@@ -110,6 +116,7 @@ class Fields:
             cells[:, QUADRATIC_NODES] if quadratic else cells,
             QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
             {"region": tags.astype(np.int32)},
+            {"region_names": tuple(tagged.regions)},
             ghosts=number[~mine],
         )
         of_cells = tagged.mesh.topology.original_cell_index[:owned]
@@ -154,6 +161,16 @@ class Fields:
             return False
         return True
 
+    def close(self) -> None:
+        """Write the last step to a file of its own, for readers that know no time; on rank 0.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        part = self._path.with_name("final.vtkhdf.partial")
+        write_last_step(self._path, part)
+        part.replace(self._path.with_name("final.vtkhdf"))
+
     def write(self, time: float, samples: Samples | None) -> None:
         """Append a step; collective."""
         point: dict[str, Floats] = {}
@@ -197,6 +214,9 @@ class MechanicalFields:
         """Write these of a problem."""
         self._problem, self._stresses = problem, stresses
         self.bodies, self.space = problem.bodies, problem.space
+        index_map = self.space.dofmap.index_map
+        # Stress times volume, and volume, at the nodes of a body.
+        self._sums = la.vector(index_map, len(COMPONENTS) + 1)
 
     def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
         """Displacement [mm], and by interface gap, slip, motion [mm], tractions [MPa], status."""
@@ -204,7 +224,7 @@ class MechanicalFields:
         for b, function in enumerate(self._problem.displacements()):
             at = nodes.body == b
             u[at] = function.x.array.reshape(-1, 3)[nodes.dof[at]]
-        point: dict[str, Floats] = {"displacement": u}
+        point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
         if samples is not None:
             rows = self._contact_rows(nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
@@ -213,10 +233,39 @@ class MechanicalFields:
 
     def cell(self, cells: int) -> dict[str, Floats]:
         """Mean stress [MPa]."""
-        σ = np.zeros((cells, 9))
+        σ = np.zeros((cells, len(COMPONENTS)))
         for region, own in self._stresses.cells.items():
-            σ[own] = self._stresses.mean(region).reshape(-1, 9)
-        return {"stress": σ}
+            σ[own] = _components(self._stresses.mean(region))
+        return _named(σ)
+
+    def _nodal_stress(self, nodes: Copies) -> Floats:
+        """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.
+
+        Within a cell it is the linear field that fits its stress best.
+        """
+        dofs, X = self.space.dofmap.list, self.space.element.interpolation_points()
+        found = np.zeros((len(nodes.dof), len(COMPONENTS)))
+        regions: dict[int, list[str]] = {}
+        for region in self._stresses.cells:
+            regions.setdefault(int(self.bodies.of_region[region]), []).append(region)
+        for body in range(len(self.bodies.names)):
+            sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)
+            sums[:] = 0.0
+            for region in regions.get(body, ()):
+                cells, ξ = self._stresses.cells[region], self._stresses.at(region)
+                linear = [np.column_stack([np.ones(len(p)), p]) for p in (ξ, X)]
+                extrapolate = linear[1] @ np.linalg.pinv(linear[0])
+                σ = _components(self._stresses.evaluate(region))
+                volume = self._stresses.places(region)[1].sum(axis=1)
+                at_nodes = np.einsum("nq,cqi->cni", extrapolate, σ) * volume[:, None, None]
+                np.add.at(sums[:, :-1], dofs[cells], at_nodes)
+                np.add.at(sums[:, -1], dofs[cells], volume[:, None])
+            self._sums.scatter_reverse(la.InsertMode.add)
+            self._sums.scatter_forward()
+            at = nodes.body == body
+            mean = sums[nodes.dof[at]]
+            found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
+        return found
 
     def _contact_rows(self, nodes: Copies) -> dict[int, Ints]:
         """For each interface, the contact points (n, 2) that nodes of the grid are or lie between.
@@ -245,6 +294,30 @@ class MechanicalFields:
                     found[match] = k[match]
                 rows[i] = _on_edges(found.reshape(-1, 2), p.triangles[i], len(p.dof))
         return rows
+
+
+# Of a symmetric tensor in the order in which VTK names them: XX, YY, ZZ, XY, YZ, XZ.
+COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+
+
+def _components(σ: Floats) -> Floats:
+    """Six components (..., 6) of symmetric tensors (..., 3, 3)."""
+    return np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
+
+
+def _named(σ: Floats) -> dict[str, Floats]:
+    """Stress by components (n, 6), its von Mises and principal stresses [MPa]."""
+    full = np.empty((len(σ), 3, 3))
+    for k, (i, j) in enumerate(COMPONENTS):
+        full[:, i, j] = full[:, j, i] = σ[:, k]
+    principal = np.linalg.eigvalsh(full)
+    apart = principal - np.roll(principal, 1, axis=1)
+    return {
+        "stress": σ,
+        "von_mises": np.sqrt((apart**2).sum(axis=1) / 2),
+        "principal_max": principal[:, 2],
+        "principal_min": principal[:, 0],
+    }
 
 
 def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:

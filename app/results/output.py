@@ -39,7 +39,7 @@ UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
 HISTORY, SECTION = "temperature.png", "temperature_section.png"
 # What is written at the end; all that a run directory has.
-ENDS = ("DONE", "summary.json", "provenance.json", HISTORY, SECTION)
+ENDS = ("DONE", "summary.json", "provenance.json", "final.vtkhdf", HISTORY, SECTION)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 log = logging.getLogger("mantle")
 
@@ -162,6 +162,15 @@ class Writer:
         with _full_disk("fields.vtkhdf"):
             for grid in self._grids:
                 grid.write(time, samples)
+
+    def last_fields(self) -> None:
+        """Write the last written step of the fields alone, too; collective.
+
+        Raises:
+            StoppedError: The disk is full.
+        """
+        for grid in self._grids:
+            _write(self._comm, grid.close, "final.vtkhdf")
 
     def history(self, row: dict[str, Any]) -> None:
         """Add a row to history.csv, with what there is to say then; collective."""

@@ -158,7 +158,8 @@ class Run(Results):
 
     def stress(self, step: int | str = -1) -> Floats:
         """Mean stress of each cell at a written step (m, 3, 3) [MPa]."""
-        return self.on_cells("stress", step).reshape(-1, 3, 3)
+        # VTK's order: XX, YY, ZZ, XY, YZ, XZ.
+        return self.on_cells("stress", step)[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
 
     def at_interface(self, name: str, quantity: str, step: int | str = -1) -> Floats:
         """An interface quantity at every node (n,), slip and motion (n, 3); zero away from it.

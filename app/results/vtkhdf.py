@@ -49,6 +49,7 @@ class GridFile:
         cells: Array,
         cell_type: int,
         cell_data: Mapping[str, Array],
+        texts: Mapping[str, Sequence[str]],
         ghosts: npt.ArrayLike = (),
         order: Sequence[Array] | None = None,
         steps: int = 0,
@@ -63,6 +64,7 @@ class GridFile:
                 i < n is one of this rank's points, and n + i is ``ghosts[i]``.
             cell_type: VTK's number of the cell type.
             cell_data: Constant values in this rank's own cells, shape (m,) or (m, components).
+            texts: Lists of words that belong to the whole grid.
             ghosts: Global numbers of points that other ranks own; the points of all ranks are
                 numbered in the order of the ranks, as by ``dolfinx.common.IndexMap``.
             order: To go on, on rank 0: for each point and for each cell of the file the row of
@@ -76,7 +78,7 @@ class GridFile:
         self.comm = comm
         self.path = path
         self.steps = 0
-        self._constant = frozenset(cell_data)
+        self._constant, self._texts = frozenset(cell_data), tuple(texts)
         self._names: tuple[frozenset[str], frozenset[str]] | None = None
         self._order = order
         if order is not None:
@@ -89,7 +91,7 @@ class GridFile:
         first = sum(counts[: comm.rank])
         number = np.concatenate([first + np.arange(len(points)), np.asarray(ghosts, np.int64)])
         shape = self._points, self._cells, cells.shape[1]
-        self._on_root(lambda: _create(path, *shape, cell_type))
+        self._on_root(lambda: _create(path, *shape, cell_type, texts))
         arrays = {
             "Points": (np.asarray(points, np.float64), self._points),
             "Connectivity": (number[cells].ravel(), self._cells * cells.shape[1]),
@@ -118,6 +120,7 @@ class GridFile:
         offsets = {f"PointDataOffsets/{name}": self.steps * self._points for name in point}
         offsets |= {f"CellDataOffsets/{name}": self.steps * self._cells for name in cell}
         offsets |= {f"CellDataOffsets/{name}": 0 for name in self._constant}
+        offsets |= {f"FieldDataOffsets/{name}": 0 for name in self._texts}
         self._on_root(lambda: _commit(self.path, self.steps, time, offsets))
         self._names = names
         self.steps += 1
@@ -176,7 +179,14 @@ class GridFile:
             raise error
 
 
-def _create(path: Path, points: int, cells: int, nodes: int, cell_type: int) -> None:
+def _create(
+    path: Path,
+    points: int,
+    cells: int,
+    nodes: int,
+    cell_type: int,
+    texts: Mapping[str, Sequence[str]],
+) -> None:
     """Make the file with everything that does not come from other ranks."""
     with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
         root = file.create_group("VTKHDF")
@@ -187,12 +197,47 @@ def _create(path: Path, points: int, cells: int, nodes: int, cell_type: int) -> 
         root["NumberOfConnectivityIds"] = np.array([nodes * cells])
         root["Offsets"] = nodes * np.arange(cells + 1)
         root["Types"] = np.full(cells, cell_type, np.uint8)
-        for name in ("PointData", "CellData"):
+        for name in ("PointData", "CellData", "FieldData"):
             root.create_group(name)
             root.create_group(f"Steps/{name}Offsets")
+        for name, words in texts.items():
+            # VTK reads no other encoding.
+            ascii_words = [word.encode("ascii", "replace") for word in words]
+            kind = h5py.string_dtype("ascii")
+            root.create_dataset(f"FieldData/{name}", data=ascii_words, dtype=kind)
         root["Steps"].attrs["NSteps"] = 0
         file.flush()
         path.write_bytes(file.id.get_file_image())
+
+
+def write_last_step(path: Path, target: Path) -> None:
+    """Write the last step of a file alone, as a grid without time.
+
+    Args:
+        path: A closed file with a step at least.
+        target: The new one, replaced if it exists.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    with (
+        h5py.File(path, "r", locking=False) as file,
+        h5py.File(target.name, "w", driver="core", backing_store=False) as new,
+    ):
+        source, root = file["VTKHDF"], new.create_group("VTKHDF")
+        for name in ("Version", "Type"):
+            root.attrs[name] = source.attrs[name]
+        for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds", "Points"):
+            root[name] = source[name][:]
+        for name in ("Connectivity", "Offsets", "Types"):
+            root[name] = source[name][:]
+        source.copy("FieldData", root)
+        for kind, rows in (("PointData", "Points"), ("CellData", "Types")):
+            for name, values in source[kind].items():
+                start = int(source[f"Steps/{kind}Offsets/{name}"][-1])
+                root[f"{kind}/{name}"] = values[start : start + len(source[rows])]
+        new.flush()
+        target.write_bytes(new.id.get_file_image())
 
 
 def _cut(path: Path, points: int, cells: int, steps: int) -> None:

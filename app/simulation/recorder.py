@@ -235,9 +235,10 @@ class Recorder:
         self._writer.fields(self._time, self._samples)
 
     def flush(self) -> None:
-        """Write the fields of the last step, unless they are, and the pictures."""
+        """Write the fields of the last step, unless they are; the last alone; the pictures."""
         if self._written < self._rows:
             self._fields()
+        self._writer.last_fields()
         for t in self._model.thermal:
             self._writer.pictures(t.conduction, t.record)
 

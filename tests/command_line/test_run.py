@@ -26,7 +26,8 @@ from mantle.simulation import keep_finished
 from mantle.system import identity
 from tests import support
 
-FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}
+FILES = {"case.yaml", "fields.vtkhdf", "final.vtkhdf", "history.csv", "provenance.json"}
+FILES |= {"summary.json", "DONE"}
 INTERFACE = {
     *("gap_max", "gap_p99", "gap_max_at", "slip_max", "slip_p99", "slip_max_at"),
     *("pressure_max", "pressure_p99", "shear_max", "shear_p99"),
@@ -244,8 +245,10 @@ def test_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
         cells = grid["Connectivity"][:].reshape(-1, 4)
         region = grid["CellData/region"][:]
         expected = {f"{i}_{f}" for i in summary["interfaces"] for f in FIELDS} | {"displacement"}
-        assert set(grid["PointData"]) == expected
-        assert set(grid["CellData"]) == {"region", "stress"}
+        stresses = {"stress", "von_mises", "principal_max", "principal_min"}
+        assert set(grid["PointData"]) == expected | stresses
+        assert set(grid["CellData"]) == {"region"} | stresses
+        assert list(grid["FieldData/region_names"].asstr()) == ["stem", "cement", "bone"]
         n, m = len(points), len(cells)
 
         def last(kind: str, name: str, count: int) -> np.ndarray:
@@ -267,7 +270,19 @@ def test_fields_are_read_back(done: tuple[Path, Path, str]) -> None:
             unique = np.unique(points[on].round(9), axis=0)
             assert len(on) == 2 * len(unique)
         u = last("PointData", "displacement", n)
-        σ = last("CellData", "stress", m).reshape(-1, 3, 3)
+        six = last("CellData", "stress", m)
+        σ = six[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
+        deviator = σ - np.trace(σ, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+        mises = np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2)))
+        np.testing.assert_allclose(last("CellData", "von_mises", m), mises, rtol=1e-9, atol=1e-9)
+        # At points it is between what the cells around have.
+        at_points = last("PointData", "stress", n)
+        assert (at_points.min(axis=0) >= six.min(axis=0) - 1e-9).all()
+        assert (at_points.max(axis=0) <= six.max(axis=0) + 1e-9).all()
+    with h5py.File(done[1] / "final.vtkhdf") as file:
+        assert "Steps" not in file["VTKHDF"]
+        np.testing.assert_array_equal(file["VTKHDF/PointData/displacement"][:], u)
+        np.testing.assert_array_equal(file["VTKHDF/CellData/stress"][:], six)
     assert np.isfinite(u).all() and np.abs(u).max() > 1e-3
     np.testing.assert_allclose(σ, σ.transpose(0, 2, 1), atol=1e-9)
     x = points[cells]
@@ -312,7 +327,9 @@ def test_force_replaces_results(done: tuple[Path, Path, str], tmp_path: Path) ->
     more = ("--set", "output.fields=false", "--force")
     result = run(case, "-o", output, *more)
     assert result.returncode == 0, result.stderr
-    assert {p.name for p in output.iterdir()} == (FILES - {"fields.vtkhdf"}) | {"notes.txt"}
+    assert {p.name for p in output.iterdir()} == (FILES - {"fields.vtkhdf", "final.vtkhdf"}) | {
+        "notes.txt"
+    }
     assert (output / "DONE").read_text() == ""
 
 

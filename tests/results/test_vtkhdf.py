@@ -49,7 +49,9 @@ def write_cube(path, order):
         nodes, kind = nodes[:, vtkhdf.QUADRATIC_NODES], vtkhdf.QUADRATIC_TETRAHEDRON
     region = {"region": (middle[:, 2] > 0.5).astype(np.int32)}
     ghosts = space.dofmap.index_map.ghosts
-    file = vtkhdf.GridFile(cube.comm, path, points, nodes, kind, region, ghosts)
+    file = vtkhdf.GridFile(
+        cube.comm, path, points, nodes, kind, region, {"names": ("one", "two")}, ghosts
+    )
     for step in range(STEPS):
         u, t = displacement(points.T, step).T, temperature(points.T, step)
         cell = {"stress": stress(middle.T, step).T, "height": middle[:, 2] + step}
@@ -64,7 +66,7 @@ def strip(path):
     left, right, ghosts = (0, 3, []) if comm.rank == 0 else (3, 0, 3 * comm.rank + np.arange(3))
     quads = [(left + i, right + i, right + i + 1, left + i + 1) for i in range(2)]
     triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
-    file = vtkhdf.GridFile(comm, path, points, triangles, TRIANGLE, {}, ghosts)
+    file = vtkhdf.GridFile(comm, path, points, triangles, TRIANGLE, {}, {}, ghosts)
     return file, points
 
 
@@ -231,7 +233,7 @@ def test_wrong_fields_are_refused(tmp_path):
 
 def test_constant_cell_data_are_written_once(tmp_path):
     points, cells = np.eye(4, 3), np.arange(4)[None]
-    grid = points, cells, vtkhdf.TETRAHEDRON, {"region": np.zeros(1)}
+    grid = points, cells, vtkhdf.TETRAHEDRON, {"region": np.zeros(1)}, {}
     file = vtkhdf.GridFile(MPI.COMM_SELF, tmp_path / "fields.vtkhdf", *grid)
     with pytest.raises(ValueError, match="every step writes the same fields, once"):
         file.write(0.0, {}, {"region": np.zeros(1)})
