@@ -146,6 +146,7 @@ def run(
         InputError: The case cannot be solved, or the folder holds something already.
         GeometryError: The case cannot be meshed.
         ConvergenceError: It could not be solved; the last converged state is in the folder.
+        UnusableError: Solved, but the numbers are not to be used; everything is in the folder.
         StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
         EnvironmentProblem: A package, a compiler or MPI is missing or unusable.
     """

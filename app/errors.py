@@ -76,6 +76,12 @@ class StoppedError(MantleError):
     exit_code = 5
 
 
+class UnusableError(MantleError):
+    """Solved, but out of balance or beyond small displacements: do not use the numbers."""
+
+    exit_code = 6
+
+
 class EnvironmentProblem(MantleError):
     """A package, a compiler or MPI is missing or unusable."""
 
@@ -108,6 +114,12 @@ def stack_needed() -> Iterator[None]:
         ) from error
 
 
+KINDS = (
+    *(InputError, GeometryError, ConvergenceError),
+    *(StoppedError, UnusableError, EnvironmentProblem),
+)
+
+
 def gravest(codes: Iterable[int], message: str) -> MantleError:
     """An error that leaves with the highest of some exit codes; one that is none of ours is 70.
 
@@ -115,8 +127,7 @@ def gravest(codes: Iterable[int], message: str) -> MantleError:
         codes: How runs have ended that failed.
         message: What to say.
     """
-    ours = (InputError, GeometryError, ConvergenceError, StoppedError, EnvironmentProblem)
-    kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in ours}
+    kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in KINDS}
     worst = max((kinds.get(code, MantleError) for code in codes), key=lambda kind: kind.exit_code)
     return worst(message)
 

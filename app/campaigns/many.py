@@ -56,7 +56,7 @@ def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
         note = f"shares the matrices of {result.process}" if result.process in seen else ""
         if result.folder in seen:
             note, about = "the same as one above", "-"
-        elif not result.exit_code:
+        elif result.summary:
             note, about = f"done in {layout.duration(result.seconds)}", "-"
         seen |= {result.process, result.folder}
         if about != "-":

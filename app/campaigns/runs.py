@@ -13,7 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mantle.errors import ConvergenceError, InputError
+from mantle.errors import ConvergenceError, InputError, UnusableError
+from mantle.results.log import faults
 from mantle.schema import config
 from mantle.schema.variation_options import CHANGED, split
 from mantle.system import identity
@@ -54,10 +55,11 @@ class Result:
     Attributes:
         job: The job.
         folder: Its run directory.
-        exit_code: 0 if it is done, else that of ``mantle run``.
+        exit_code: 0 if it is done, else that of ``mantle run``: of one that is done, but not to be
+            used, too.
         seconds: Wall time: of the process, or of the run if it shared one.
         summary: ``summary.json``; empty unless the run is done.
-        message: Why it failed: the last lines of its log; empty if it is done.
+        message: Why it failed: the last lines of its log; empty if it is done and of use.
         process: Who ran it; several jobs may share one.
     """
 
@@ -233,7 +235,9 @@ def result_of(job: Job, folder: Path, run: BatchRun) -> Result:
         # that was killed before it could tell how long it took.
         own = status_of(folder, run.path.name) if run.path.parent == folder / "runs" else None
         total = summary.get("timing", {}).get("total", 0.0)
-        return result(0, own[1] if own else total, summary, "")
+        why = "; ".join(faults(summary))
+        code = UnusableError.exit_code if why else 0
+        return result(code, own[1] if own else total, summary, f"do not use: {why}" if why else "")
     with suppress(OSError):
         # In a process that goes on without it, what it said stands in its folder.
         why = (run.path / FAILED).read_text(encoding="utf-8").strip()

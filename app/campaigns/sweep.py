@@ -22,6 +22,7 @@ from mantle.campaigns import batch, many, uncertainty
 from mantle.campaigns.many import Options
 from mantle.campaigns.runs import Job, Result
 from mantle.errors import InputError, gravest
+from mantle.results.log import UNUSABLE
 from mantle.schema import case_file, quantities, sweep_file
 from mantle.schema.sweep_file import SweptRun
 from mantle.schema.sweep_options import Sweep, samples
@@ -31,7 +32,7 @@ from mantle.system.folders import csv_text, write_json, write_text
 
 log = logging.getLogger("mantle")
 
-STATUS = {0: "converged", 4: "not converged", 5: "stopped"}
+STATUS = {0: "converged", 4: "not converged", 5: "stopped", 6: UNUSABLE}
 FAILED = "failed"
 NOT_CONVERGED = "no convergence"
 
@@ -71,7 +72,9 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     failed = [row for row in rows if row["exit_code"]]
     if failed:
         reasons = [f"{r['name']}: {_reason(r['message'])} (in {r['folder']})" for r in failed]
-        text = "\n".join([f"{len(failed)} of {len(rows)} cases failed:", *reasons])
+        text = "\n".join(
+            [f"{len(failed)} of {len(rows)} cases failed or are not to be used:", *reasons]
+        )
         raise gravest([r["exit_code"] for r in failed], text)
 
 

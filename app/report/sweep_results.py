@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 from mantle.errors import InputError
+from mantle.results.log import UNUSABLE
 from mantle.schema import case_file, quantities
 from mantle.schema.units import NUMBER
 
 CONVERGED = "converged"
-STATUSES = (CONVERGED, "not converged", "failed", "stopped")
+STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
 
 
 @dataclass(frozen=True)

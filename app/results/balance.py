@@ -18,11 +18,11 @@ from mantle.mechanics.problem import Problem, TrialState
 from mantle.numerics.state import State
 from mantle.scene.terms import Elastic, amplitude
 
-_SUMS = ("_work", "_spent", "_scale", "force", "moment", "energy")
+_SUMS = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 
 
 class Balance:
-    """Sums kept from step to step.
+    """Sums kept from step to step, relative to the largest of the history.
 
     Work is summed by the trapezoidal rule, which is exact for linear bodies: external work (loads,
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
@@ -95,7 +95,7 @@ class Balance:
 
     def begin(self) -> None:
         """Reset to the unloaded state."""
-        self._work = self._spent = self._scale = 0.0
+        self._work = self._spent = self._scale = self._largest = 0.0
         self._last = self._rest
         self.force = self.moment = self.energy = 0.0
 
@@ -218,6 +218,8 @@ class Balance:
             # What only swells has reactions of rounding alone.
             scale = float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
             scale = max(scale, self._problem.load_size)
+        # What is let go has forces of rounding alone.
+        scale = self._largest = max(self._largest, scale)
         self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)
         moment = sums[2] + sums[3] - new["spring_moments"]
         self.moment = _relative(float(np.linalg.norm(moment)), scale * self._diagonal)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mantle.errors import UnusableError
 from mantle.results import tables
 from mantle.schema.quantities import TABLE
 
@@ -13,8 +16,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("mantle")
 
+# The status of what is solved but not to be used.
+UNUSABLE = "do not use"
+BEYOND = "exceeds the size of its facets: beyond small displacements"
+
 # How well what is summed has to be balanced: forces to rounding, heat to its solver's tolerance.
-BALANCES = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
+BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
 
 
 def step_header() -> str:
@@ -77,25 +84,54 @@ def closing_table(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def unbalanced(summary: Mapping[str, Any]) -> list[str]:
+    """What is not in balance; a number that is none is not either."""
+    b = summary["balance"]
+    return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
+
+
+def too_far(summary: Mapping[str, Any]) -> list[str]:
+    """Interfaces on which bodies slip farther than their facets are wide."""
+    return [n for n, q in summary["interfaces"].items() if q["slip_max"] > q["facet_size"]]
+
+
+def faults(summary: Mapping[str, Any]) -> list[str]:
+    """Why the numbers of a solved case are not to be used; nothing if they are."""
+    lost = [
+        f"the balance of {name} is {summary['balance'][name]:.1e}, not below {BALANCES[name]:g}"
+        for name in unbalanced(summary)
+    ]
+    return lost + [f"slip on {name} {BEYOND}" for name in too_far(summary)]
+
+
+def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
+    """Refuse results that are not to be used.
+
+    Args:
+        summaries: The summary of each run directory.
+
+    Raises:
+        UnusableError: With the reasons of each.
+    """
+    found = {folder: "; ".join(faults(s)) for folder, s in summaries.items()}
+    if bad := [f"do not use the numbers in {f}: {why}" for f, why in found.items() if why]:
+        raise UnusableError("\n".join(bad))
+
+
 def verdict(summary: dict[str, Any]) -> str:
     """One sentence on how far the numbers can be trusted."""
     b, solver, t = summary["balance"], summary["solver"], summary["timing"]
-    good = all(b[name] < limit for name, limit in BALANCES.items() if name in b)
+    lost = unbalanced(summary)
     penetration = max((q["penetration_max"] for q in summary["interfaces"].values()), default=0.0)
     held = "equilibrium exact to rounding" if "force" in b else "no heat lost"
-    balanced = held if good else "NOT balanced: do not use"
+    balanced = f"NOT balanced ({', '.join(lost)}): do not use" if lost else held
     if penetration >= 1e-9:
         q = TABLE["interfaces"]["penetration_max"]
         balanced += f", the bodies penetrate by {q.factor * penetration:.2g} {q.shown}"
     elif summary["interfaces"]:
         balanced += ", contact exact to rounding"
-    far = [n for n, q in summary["interfaces"].items() if q["slip_max"] > q["facet_size"]]
-    beyond = (
-        f"; slip on {' and '.join(far)} exceeds the size of its facets: "
-        "beyond small displacements, do not use"
-        if far
-        else ""
-    )
+    far = too_far(summary)
+    beyond = f"; slip on {' and '.join(far)} {BEYOND}, do not use" if far else ""
     error = (
         "± is the estimated error of mesh and step"
         if summary.get("error", {}).get("companions")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mantle.errors import InputError
+from mantle.results.log import check_usable
 from mantle.schema import config
 from mantle.schema.loaded_case import LoadedCase
 from mantle.soundness import sizing
@@ -65,12 +66,22 @@ def prepare(
 
     Raises:
         InputError: The case does not fit this machine, or the folder cannot be used.
+        UnusableError: All is there, but not to be used.
     """
     if restart not in ("", "auto") and case.config.variations:
         raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
     sizing.check(case.file, case.config)
     folders.prepare_run(output, force or keep or bool(restart))
-    return keep and _everything(case, output)
+    if not (keep and _everything(case, output)):
+        return False
+    names = [v.name for v in case.variations()] if case.config.variations else [""]
+    check_usable(
+        {
+            output / n: json.loads((output / n / "summary.json").read_text(encoding="utf-8"))
+            for n in names
+        }
+    )
+    return True
 
 
 def _everything(case: LoadedCase, output: Path) -> bool:

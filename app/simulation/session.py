@@ -98,6 +98,7 @@ def run(
         if not case.config.variations:
             summary = session.solve(case.config, (), output)
             log.info("%s", text.closing_table(summary))
+            text.check_usable({output: summary})
         else:
             session.vary(output, keep)
     log.info("results in %s", output)
@@ -152,6 +153,7 @@ class Session:
 
         Raises:
             ConvergenceError: Some did not converge; the others are done.
+            UnusableError: All did, but the numbers of some are not to be used.
             StoppedError: Those before are done.
         """
         varied = self._case.variations()
@@ -159,11 +161,13 @@ class Session:
         mark = output / "DONE"
         on_root(self._comm, lambda: mark.unlink(missing_ok=True), share=False)
         rows: dict[int, variations.Row] = {}
+        solved: dict[Path, dict[str, Any]] = {}
         failed: dict[str, str] = {}
         if keep:
             finished = on_root(self._comm, lambda: keep_finished.summaries(output, varied)) or {}
             for i, old in finished.items():
-                rows[i] = variations.row(varied[i], old, "converged", old["timing"]["total"])
+                solved[output / varied[i].name] = old
+                rows[i] = variations.row(varied[i], old, old["status"], old["timing"]["total"])
             log.info("%d of %d variations are finished already", len(rows), len(chain))
         for number, i in enumerate(chain):
             if i in rows:
@@ -171,10 +175,10 @@ class Session:
             v, folder = varied[i], output / varied[i].name
             log.info("variation %d of %d: %s", number + 1, len(chain), v.name)
             on_root(self._comm, partial(_prepare, folder), share=False)
-            status = "converged"
             summary: dict[str, Any] = {}
             try:
-                summary = self.solve(v.case, v.overrides, folder)
+                summary = solved[folder] = self.solve(v.case, v.overrides, folder)
+                status = summary["status"]
                 log.info("%s", text.verdict(summary))
             except ConvergenceError as failure:
                 status, failed[v.name] = "not converged", str(failure)
@@ -198,6 +202,7 @@ class Session:
                 f"{len(failed)} of {len(chain)} variations did not converge: {names} (in {output})"
             )
         on_root(self._comm, partial(write_text, mark, ""), share=False)
+        text.check_usable(solved)
 
     def solve(self, case: config.Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
         """Solve a case and write its run directory; collective.
@@ -265,6 +270,8 @@ class Session:
         recorder.flush()
         summary = recorder.summary("converged", total)
         summary["notes"] = [*notes, *case_on_mesh.doubts(case, summary["regions"])]
+        if text.faults(summary):
+            summary["status"] = text.UNUSABLE
         self.note(summary["notes"])
         if case.output.condition:
             for m in model.mechanics:

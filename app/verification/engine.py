@@ -18,7 +18,7 @@ from mantle.campaigns import batch, many
 from mantle.campaigns.many import Options
 from mantle.campaigns.runs import Job, Result
 from mantle.campaigns.work_precision import fitted_order
-from mantle.errors import ConvergenceError, GeometryError, InputError, Reason
+from mantle.errors import ConvergenceError, GeometryError, InputError, Reason, UnusableError
 from mantle.results.reading import Run
 from mantle.schema import config
 from mantle.system import layout
@@ -228,7 +228,8 @@ def judge(check: Check, results: Sequence[Result]) -> CheckResult:
         check: The check.
         results: Of its runs, in their order.
     """
-    failed = [r for r in results if r.exit_code]
+    # Whether numbers are right is judged here, also those that are not to be used.
+    failed = [r for r in results if r.exit_code not in (0, UnusableError.exit_code)]
     if failed:
         first = failed[0]
         explained = first is results[0] and first.exit_code in REFUSALS
