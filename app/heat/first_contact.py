@@ -31,9 +31,8 @@ class FirstContact:
         """Find them; collective."""
         scene, forms, of = conduction.scene, conduction.forms, conduction.bodies.of_region
         sums = [forms.zeros() for _ in range(2)]
-        low, high = (
-            [np.full(forms.owned, s) for _ in conduction.bodies.names] for s in (np.inf, -np.inf)
-        )
+        low = [part + np.inf for part in forms.zeros()]
+        high = [part - np.inf for part in forms.zeros()]
         for c in scene.conductors:
             b, here = of[c.region], forms.volumes(c.region) > 0
             sums[0][b] += np.where(here, effusivity(c), 0.0)

@@ -435,8 +435,8 @@ class ThermalRecord:
 
     def _times(self, r: _Region) -> dict[str, float]:
         """Longest time of a node of a region above each level [s]."""
-        over = zip(LEVELS, r.exposure.over, strict=True)
-        return {f"seconds_over_{level:g}": self._longest(time) for level, time in over}
+        over = r.exposure.over
+        return {f"seconds_over_{x:g}": self._longest(over[k]) for k, x in enumerate(LEVELS)}
 
     def _dead(self, r: _Region, cells: RegionCells, surface: Floats) -> dict[str, float]:
         """Largest thermal doses of a region of bone, and dead volume and depth by criterion."""

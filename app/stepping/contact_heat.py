@@ -63,7 +63,7 @@ class ContactHeat:
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
         self._n = len(j.mine)
         self.start(np.inf, np.zeros(self._n))
-        self.work = np.zeros(self._n)
+        self.work: Floats = np.zeros(self._n)
         self.heats = _heats(scene, problem, conduction, number)
         heated = {f.interface for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
@@ -105,7 +105,7 @@ class ContactHeat:
         (j,) = self._problem.jumps
         pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
         self.work = np.where(self.rubbing, _dot(*self._rubbing(trial)), 0.0)
-        power = (self.work - self._before) / self._h
+        power = np.asarray((self.work - self._before) / self._h, dtype=np.float64)
         for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
             t.pressure = _times(P, pressure)
         for friction in self._conduction.frictions:
@@ -117,8 +117,9 @@ class ContactHeat:
 
     def report(self, seconds: float) -> None:
         """Tell the heat what friction heats per area in the mean of a step of so many seconds."""
+        power = np.asarray(self.work / seconds, dtype=np.float64)
         for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
-            t.friction = _times(P, self.work / seconds)
+            t.friction = _times(P, power)
 
     def _rubbing(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] at own points, each (n, 3)."""

@@ -222,12 +222,12 @@ class HeatState:
         A step that leaves the extremes of the data is done again: where the mesh makes it, with the
         edges that do (`heat.monotone`), else by backward Euler.
         """
-        whole = [self._with_others(part) for part in (self.state, self._slope)]
+        state, slope = (self._with_others(part) for part in (self.state, self._slope))
         for name in dict.fromkeys((self.method.name, "backward_euler")):
             method = METHODS[name]
             while True:
                 self._stages = []
-                found = integrator.step(method, *whole, dt, self.seconds, self._solve)
+                found = integrator.step(method, state, slope, dt, self.seconds, self._solve)
                 if found is None or not self.conduction.outside(self.vectors()):
                     break
                 if not self.conduction.correct(self.vectors()):
