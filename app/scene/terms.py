@@ -353,15 +353,14 @@ class SceneStage:
 
 @dataclass(frozen=True)
 class TimeStepping:
-    """How stages that take time are integrated.
+    """How stages that take time are integrated; none in scenes without heat.
 
     Attributes:
         method: sdirk4 or backward_euler.
         tolerance: Error of temperature per step [K] (and of cure, as the temperature it releases).
         first_step: First step of a stage [s]; 0: chosen.
-        mechanical_step: Change of temperature anywhere [K] (and of cure, as the temperature it
-            releases) after which the mechanics are solved again, where heat does not need them
-            sooner.
+        mechanical_step: Change [K], measured likewise, after which the mechanics are solved again where heat
+            does not need them sooner.
     """
 
     method: str
@@ -388,7 +387,6 @@ class Scene:
     friction_heat: tuple[FrictionHeat, ...] = ()
     expansions: tuple[Expansion, ...] = ()
     cures: tuple[CureTerm, ...] = ()
-    # Of stages that take time; empty in scenes without heat.
     time: tuple[TimeStepping, ...] = ()
     # How heat that depends on contact is solved with it: monolithic or staggered; else empty.
     coupling: tuple[str, ...] = ()
