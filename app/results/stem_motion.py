@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -24,9 +25,9 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
 
     ``subsidence`` [mm] (distal, -z), ``retroversion`` and ``varus`` [deg] are the rigid motion that
     fits best, by area, how the surface of the stem that faces cement or bone moves against the
-    nearest surface of bone that faces cement or stem. The neck and the bending of the femur have no
-    part in them. Retroversion turns the medial side towards posterior, varus tilts the top towards
-    medial; `Case.side` says where medial is.
+    nearest surface of bone that faces cement or stem. The neck has no part in them, nor have the
+    rigid motion and the bending of the femur. Retroversion turns the medial side towards posterior,
+    varus tilts the top towards medial; `Case.side` says where medial is.
 
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are those of the stem's lowest and
     highest nodes in the frame of the model, with the bending of the femur.
@@ -50,13 +51,17 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
         f"{name}_displacement": _at_height(problem, implant, end, END * (ends[1] - ends[0]))
         for name, end in zip(("tip", "top"), ends, strict=True)
     }
-    beside = comm.allgather(_surface(problem, bone, [*cement, *implant])[:2])
-    y, v = (np.concatenate([part[k] for part in beside]) for k in range(2))
+    beside = comm.allgather(_surface(problem, bone, [*cement, *implant]))
+    y, v, a = (np.concatenate([part[k] for part in beside]) for k in range(3))
     if not len(y) or comm.allreduce(len(w)) == 0:
         return found  # it touches something else
+    # The rigid motion of all bone moves stem and bone differently where they are apart: it is taken
+    # out first. What is left, the bone's deformation, is that of the nearest point.
+    whole = _rigid_fit(MPI.COMM_SELF, y, v, a)
     nearest: Ints = cKDTree(y).query(x)[1] if len(x) else np.zeros(0, dtype=np.int64)
-    t, ω = _rigid_fit(comm, x, u - v[nearest], w)
-    ω = np.rad2deg(ω)
+    deformed = (v - whole(y))[nearest]
+    motion = _rigid_fit(comm, x, u - whole(x) - deformed, w)
+    t, ω = motion.translation, np.rad2deg(motion.rotation)
     medial = 1.0 if case.side == "left" else -1.0
     return {
         "subsidence": float(-t[2]),
@@ -116,8 +121,21 @@ def _at_height(problem: Problem, regions: Sequence[str], z: float, within: float
     return [float(c) for c in values[first].mean(axis=0)]
 
 
-def _rigid_fit(comm: MPI.Comm, x: Floats, u: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """Least-squares rigid motion of points: translation of their centre, rotation; collective.
+@dataclass(frozen=True)
+class _Motion:
+    """A rigid motion: rotation (3,) [rad] about a centre (3,) [mm], and its translation (3,)."""
+
+    centre: Floats
+    translation: Floats
+    rotation: Floats
+
+    def __call__(self, x: Floats) -> Floats:
+        """Displacement of points (n, 3) [mm]."""
+        return np.asarray(self.translation + np.cross(self.rotation, x - self.centre))
+
+
+def _rigid_fit(comm: MPI.Comm, x: Floats, u: Floats, w: Floats) -> _Motion:
+    """Least-squares rigid motion of points; collective.
 
     Args:
         comm: The ranks.
@@ -130,7 +148,8 @@ def _rigid_fit(comm: MPI.Comm, x: Floats, u: Floats, w: Floats) -> tuple[Floats,
         return np.asarray(comm.allreduce(np.einsum("p,p...->...", w, values), MPI.SUM))
 
     whole = total(np.ones(len(w)))
-    ξ, t = x - total(x) / whole, total(u) / whole
+    centre, t = total(x) / whole, total(u) / whole
+    ξ = x - centre
     second = total(np.einsum("pi,pj->pij", ξ, ξ))
     inertia = np.trace(second) * np.eye(3) - second
-    return t, np.linalg.solve(inertia, total(np.cross(ξ, u - t)))
+    return _Motion(centre, t, np.linalg.solve(inertia, total(np.cross(ξ, u - t))))

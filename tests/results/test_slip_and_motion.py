@@ -122,6 +122,16 @@ def test_a_bonded_stem_hardly_moves_against_its_own_bone() -> None:
     assert np.linalg.norm(motion["tip_displacement"]) < 0.1 * top
 
 
+def test_a_hip_that_turns_as_a_whole_has_no_motion_inside() -> None:
+    """By 0.01 rad about an axis askew: stem and bone keep their places to each other."""
+    turn = "outer: {kind: displacement, boundary: bone_surface, x: 0.004 * z - 0.008 * y, "
+    turn += "y: 0.008 * x - 0.005 * z, z: 0.005 * y - 0.004 * x}"
+    solved = support.solve(support.STEM, *BONDED, f"supports={{{turn}}}", "loads={}")
+    motion = stem_motion(solved.problem, solved.case)
+    assert max(abs(motion[k]) for k in ("subsidence", "retroversion", "varus")) < 1e-9
+    assert np.linalg.norm(motion["top_displacement"]) > 0.01
+
+
 def test_a_right_hip_is_the_mirror_image_of_a_left_one() -> None:
     """Of a load towards +x and one towards -x, with a torque about the axis."""
     found = []
