@@ -359,8 +359,8 @@ class TimeStepping:
         method: sdirk4 or backward_euler.
         tolerance: Error of temperature per step [K] (and of cure, as the temperature it releases).
         first_step: First step of a stage [s]; 0: chosen.
-        mechanical_step: Change [K], measured likewise, after which the mechanics are solved again where heat
-            does not need them sooner.
+        mechanical_step: Change [K], measured likewise, after which the mechanics are solved again,
+            where heat does not need them sooner.
     """
 
     method: str
