@@ -24,10 +24,11 @@ from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.problem import Problem
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import ENDS, Rows, State
+from mantle.results.heat_passed import W_PER_M2
 from mantle.results.necrosis import CELSIUS
 from mantle.results.quantities import Samples
 from mantle.results.stresses import Stresses
-from mantle.results.thermal_quantities import W_PER_M2, Interfaces, ThermalRecord
+from mantle.results.thermal_quantities import Interfaces, ThermalRecord
 from mantle.results.vtkhdf import (
     QUADRATIC_NODES,
     QUADRATIC_TETRAHEDRON,

@@ -23,7 +23,7 @@ from mantle.numerics.state import Rows, State
 from mantle.system.folders import write_bytes
 
 # Of the layout of the file.
-FORMAT = 2
+FORMAT = 3
 # The first block, of a size that HDF5 looks behind.
 BLOCK = 512
 # What stands for rows in the text of a state.

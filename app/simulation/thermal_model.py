@@ -12,7 +12,8 @@ from mantle.heat.nodes import ProbedPoint
 from mantle.numerics.state import State
 from mantle.results.cure_quantities import CureRecord
 from mantle.results.heat_balance import HeatBalance
-from mantle.results.thermal_quantities import ThermalRecord, exchange
+from mantle.results.heat_passed import exchange
+from mantle.results.thermal_quantities import ThermalRecord
 from mantle.schema import config
 from mantle.stepping.heat_steps import HeatState, HeatStep
 

@@ -233,7 +233,9 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
         "mantle.scene.bodies",
         "mantle.results.balance",
         "mantle.results.heat_balance",
+        "mantle.results.heat_passed",
         "mantle.results.quantities",
+        "mantle.results.region_temperatures",
         "mantle.results.thermal_quantities",
         "mantle.soundness.diagnosis",
     ):

@@ -22,7 +22,8 @@ from mantle.heat.nodes import ProbedPoint
 from mantle.meshes.distribute import TaggedMesh
 from mantle.results import tables
 from mantle.results.cure_quantities import CureRecord
-from mantle.results.thermal_quantities import HeatPassed, ThermalRecord
+from mantle.results.heat_passed import HeatPassed
+from mantle.results.thermal_quantities import ThermalRecord
 from mantle.scene.bodies import Bodies, bodies_of
 from mantle.system.timing import Timing
 from tests import coupled, support

@@ -1,0 +1,187 @@
+"""Temperatures of one region over time: its peaks, its heat doses, and their numbers.
+
+Peaks are those of the nodes; between steps the peak in time is that of a parabola, where the steps
+before and after leave room for it. Heat doses follow the parabola through the step and the one
+before it in straight pieces, bent no further than leaves it between the ends of the step; after a
+kink in what heats, the parabola that ends with the right slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Self
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+
+from mantle.arrays import Bools, Floats, Ints
+from mantle.heat import curves_in_time
+from mantle.heat.curves_in_time import bend, bend_after_kink, peak_between, raise_to
+from mantle.heat.nodes import ThermalNodes
+from mantle.numerics.state import Rows, State, keyed
+from mantle.results.level_sets import RegionCells
+from mantle.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure
+
+
+@dataclass
+class RegionTemperatures:
+    """Values recorded at this rank's nodes of one region (n,).
+
+    Attributes:
+        nodes: The nodes.
+        now: Temperatures of the last state [K].
+        peak: Highest temperatures so far [K].
+        peak_time: When they were [s].
+        lowest: Lowest temperature of any node so far [K].
+        exposure: Heat doses so far.
+        before: Up to three states before the last one, newest last.
+    """
+
+    nodes: ThermalNodes
+    now: Floats
+    peak: Floats
+    peak_time: Floats
+    lowest: float
+    exposure: Exposure
+    before: list[curves_in_time.State] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, nodes: ThermalNodes, temperatures: Sequence[fem.Function], seconds: float) -> Self:
+        """The record of an initial state."""
+        T = nodes.values(temperatures)
+        time = np.full(len(T), seconds)
+        return cls(nodes, T, T.copy(), time, float(T.min(initial=np.inf)), Exposure.of(len(T)))
+
+    @property
+    def begin(self) -> Floats:
+        """Temperatures before the step last taken in."""
+        return self.before[-1][1]
+
+    @property
+    def warm(self) -> Bools:
+        """Nodes that are warm enough for doses at either end of that step."""
+        return np.maximum(self.begin, self.now) > CELSIUS + COUNTS_FROM
+
+    def take(self, last: float, temperatures: Sequence[fem.Function]) -> None:
+        """Take in the temperatures at the end of a step that began at a last time."""
+        self.before = [*self.before[-2:], (last, self.now)]
+        self.now = self.nodes.values(temperatures)
+        self.lowest = min(self.lowest, float(self.now.min(initial=np.inf)))
+
+    def bend(self, seconds: float, rates: Sequence[Floats]) -> Floats:
+        """How far the middle of a step that ends now is off a straight line [K].
+
+        Args:
+            seconds: Time at its end [s].
+            rates: Rates of change then, of own nodes of the bodies, if it began with a kink [K/s].
+        """
+        last, now = self.before[-1], (seconds, self.now)
+        if rates:
+            return bend_after_kink(last, now, rates[self.nodes.body][self.nodes.dof])
+        return bend(self.before[max(len(self.before) - 2, 0)], last, now)
+
+    def expose(self, bends: Floats, pieces: int, step: float) -> None:
+        """Count the doses of a step of so many seconds, in straight pieces."""
+        at, begin = np.linspace(0.0, 1.0, pieces + 1), self.begin
+        curve = [begin + s * (self.now - begin) - 4 * s * (1 - s) * bends for s in at]
+        for first, then in pairwise(curve):
+            self.exposure.add(first, then, step / pieces)
+
+    def raise_peak(self, seconds: float, highest: float) -> None:
+        """Raise the peaks to the state at a time, and to what was before it, `highest` at most."""
+        raise_to(self.peak, self.peak_time, self.now, np.full(len(self.now), seconds))
+        states = [*self.before, (seconds, self.now)]
+        if len(states) == 4 and all(a[0] < b[0] for a, b in pairwise(states)):
+            peak, time = peak_between(*states)
+            raise_to(self.peak, self.peak_time, np.minimum(peak, highest), time)
+
+    # What a run remembers
+
+    def state(self, comm: MPI.Comm, nodes: Ints) -> State:
+        """All that is history, given the keys of all nodes; collective."""
+        x, keys = self.exposure, nodes[self.nodes.dof]
+        columns = [self.now, self.peak, self.peak_time, x.cem43, x.damage, *x.over]
+        return {
+            "nodes": Rows(keys, np.column_stack(columns)),
+            "lowest": comm.allreduce(self.lowest, MPI.MIN),
+            "before": [[t, keyed(keys, T)] for t, T in self.before],
+        }
+
+    def resume(self, state: State, nodes: Ints) -> None:
+        """Restore temperatures, peaks and doses."""
+        keys = nodes[self.nodes.dof]
+        self.now, self.peak, self.peak_time, cem43, damage, *over = (
+            column.copy() for column in state["nodes"].of(keys).T
+        )
+        self.exposure = Exposure(np.array(over), cem43, damage)
+        self.lowest = state["lowest"]
+        self.before = [(t, T.of(keys)) for t, T in state["before"]]
+
+    # The summary
+
+    def temperatures(self, comm: MPI.Comm, cells: RegionCells) -> dict[str, Any]:
+        """Extremes and mean [degC], and volumes that were warmer than each level; collective."""
+        volume = self.nodes.volume
+
+        def total(values: Floats) -> float:
+            return float(comm.allreduce(float(values.sum()), MPI.SUM))
+
+        peak, place, when = largest(comm, self.peak, self.nodes.x, self.peak_time)
+        end = comm.allreduce(self.now.max(initial=-np.inf), MPI.MAX)
+        result: dict[str, Any] = {
+            "temperature_max": peak - CELSIUS,
+            "temperature_max_at": place,
+            "temperature_max_time": when,
+            "temperature_min": comm.allreduce(self.lowest, MPI.MIN) - CELSIUS,
+            "temperature_mean": total(volume * self.now) / total(volume) - CELSIUS,
+            "temperature_end_max": end - CELSIUS,
+        }
+        for level in LEVELS:
+            over = self.peak - CELSIUS - level
+            result[f"volume_over_{level:g}"] = cells.volume(self.nodes.dof, over)
+        return result
+
+    def times(self, comm: MPI.Comm) -> dict[str, float]:
+        """Longest time of a node above each level [s]; collective."""
+        over = self.exposure.over
+        return {f"seconds_over_{x:g}": _longest(comm, over[k]) for k, x in enumerate(LEVELS)}
+
+    def dead(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
+        """Largest thermal doses, and dead volume and depth by criterion; collective.
+
+        Args:
+            comm: The ranks.
+            cells: The cells of the region.
+            surface: Triangles that depth is measured from (f, 3, 3) [mm].
+        """
+        x, dof = self.exposure, self.nodes.dof
+        result = {
+            "cem43_max": _longest(comm, x.cem43),
+            "henriques_moritz_max": _longest(comm, x.damage),
+        }
+        for criterion, level in x.levels().items():
+            result[f"necrosis_{criterion}_volume"] = cells.volume(dof, level)
+            if len(surface):
+                result[f"necrosis_{criterion}_depth"] = cells.depth(dof, level, surface)
+        return result
+
+
+def _longest(comm: MPI.Comm, dose: Floats) -> float:
+    """Largest dose of a region; collective."""
+    return float(comm.allreduce(float(dose.max(initial=0.0)), MPI.MAX))
+
+
+def largest(
+    comm: MPI.Comm, values: Floats, x: Floats, times: Floats
+) -> tuple[float, list[float], float]:
+    """Largest value of all ranks with place and time; of equal ones the first place."""
+    best = (-np.inf, [0.0, 0.0, 0.0], 0.0)
+    if len(values):
+        equal = np.flatnonzero(values == values.max())
+        k = equal[np.lexsort(x[equal].T[::-1])[0]]
+        best = (float(values[k]), [float(c) for c in x[k]], float(times[k]))
+    return min(comm.allgather(best), key=lambda b: (-b[0], b[1]))
