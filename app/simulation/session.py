@@ -270,6 +270,7 @@ class Session:
         recorder.flush()
         summary = recorder.summary("converged", total)
         summary["notes"] = [*notes, *case_on_mesh.doubts(case, summary["regions"])]
+        summary["notes"] += [note for t in model.thermal for note in t.heating.notes]
         if text.faults(summary):
             summary["status"] = text.UNUSABLE
         self.note(summary["notes"])

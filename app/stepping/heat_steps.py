@@ -24,7 +24,10 @@ from mantle.numerics.integrator import METHODS, Method, State
 from mantle.numerics.newton import NewtonResult
 from mantle.numerics.state import State as SavedState
 from mantle.scene.terms import Scene
+from mantle.stepping import stability
+from mantle.stepping.coupling import CoupledSystem
 from mantle.stepping.load_steps import Summary
+from mantle.stepping.staggered import Staggered
 from mantle.stepping.thermal_loading import ThermalLoading, Warmth
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
@@ -98,10 +101,12 @@ class HeatState:
         conduction: The operators.
         solver: What solves a stage.
         beside: What else is in its system, if anything.
+        system: Heat and mechanics in one, if they are.
         outcome: What the solver said last.
         state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
         seconds: Time since the start of the run [s].
         total: What it took so far.
+        notes: What is to be known about its states.
         loading: What it tells the mechanics.
     """
 
@@ -116,10 +121,12 @@ class HeatState:
         (self.options,) = scene.time
         self.conduction, self.solver = conduction, solver
         self.beside: tuple[Beside, ...] = ()
+        self.system: CoupledSystem | Staggered | None = None
         self.outcome = NewtonResult(False, 0, 0, (), (), False)
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
         self.total = Summary()
+        self.notes: list[str] = []
         self.state = self._state(conduction.initial())
         self._slope: State = [np.zeros_like(part) for part in self.state]
         self._stages: list[dict[str, float]] = []
@@ -136,6 +143,7 @@ class HeatState:
             "seconds": self.seconds,
             "converged": self.outcome.converged,
             "total": asdict(self.total),
+            "notes": list(self.notes),
             "state": conduction.pack(self.state),
             "slope": conduction.pack(self._slope),
             "strains": self.loading.strains(),
@@ -148,6 +156,7 @@ class HeatState:
         self.seconds = found["seconds"]
         self.outcome = replace(self.outcome, converged=found["converged"])
         self.total = Summary(**found["total"])
+        self.notes = list(found["notes"])
         self.state = self.conduction.unpack(found["state"])
         self._slope = self.conduction.unpack(found["slope"])
         self.loading.resume(found["strains"])
@@ -269,6 +278,37 @@ class HeatState:
         self.state, self._slope = found, [np.zeros_like(part) for part in found]
         self.total.steps += 1
         return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
+
+    def examine(self, stage: str) -> None:
+        """Note if the steady state just found is one that nothing stays in; collective.
+
+        Only where pressures that follow temperature change the conductance, and nothing sets.
+
+        Args:
+            stage: Name of its stage.
+        """
+        system = self.system
+        if not isinstance(system, CoupledSystem) or self.sets:
+            return
+        if not (system.exchange.expands and system.exchange.pressed):
+            return
+        n = len(self.vectors())
+
+        def begin(h: float) -> None:
+            self.conduction.begin(self.state[:n], self.state[n:], h, self.seconds)
+
+        named = self.solver.named()
+        x = [named[name] for name in system.blocks()]
+        unstable = stability.grows(system, x, begin)
+        begin(np.inf)
+        self.put(self.state)
+        system.residual(x, [v.duplicate() for v in x])
+        if unstable:
+            self.notes.append(
+                f"the steady state of stage '{stage}' is not stable: a small change grows, so that "
+                "nothing stays in it; other initial temperatures, or a stage with a `duration`, "
+                "lead to another"
+            )
 
     # What others ask of the state
 

@@ -159,6 +159,7 @@ class HeatStepper:
                 "heat and the fields coupled to it did not converge\n"
                 "  what to change: give the stage a duration instead"
             )
+        self.heating.examine(stage.name)
         self._finish_step(k, stage, 1.0, accepted, started, True)
 
     def _fixed(self, k: int, stage: SceneStage) -> None:
@@ -320,7 +321,7 @@ class SolvedWithHeat:
             system: Solves both.
         """
         self._motion, self._heating, self._exchange = motion, heating, system.exchange
-        heating.beside = (self,)
+        heating.beside, heating.system = (self,), system
         self._start = self._committed = heating.seconds
         self._before = heating.warmth()
         heating.loading.interpolate(motion.problem, self._before, self._before, 1.0)
