@@ -311,7 +311,7 @@ def _named(σ: Floats) -> dict[str, Floats]:
     full = np.empty((len(σ), 3, 3))
     for k, (i, j) in enumerate(COMPONENTS):
         full[:, i, j] = full[:, j, i] = σ[:, k]
-    principal = np.linalg.eigvalsh(full)
+    principal: Floats = np.linalg.eigvalsh(full).astype(np.float64)
     apart = principal - np.roll(principal, 1, axis=1)
     return {
         "stress": σ,

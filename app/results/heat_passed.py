@@ -79,7 +79,7 @@ class InterfaceExtremes:
         """Those of all ranks; collective."""
         highest = np.array([self.jump, self.flux, -self.entropy_min, self.entropy_max])
         comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
-        jump, flux, low, high = highest.tolist()
+        jump, flux, low, high = (float(value) for value in highest)
         return InterfaceExtremes(jump, flux, -low, high)
 
     def summary(self) -> dict[str, float]:

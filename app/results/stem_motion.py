@@ -104,8 +104,8 @@ def _values(problem: Problem, region: str) -> Floats:
 def _corners(problem: Problem, regions: Sequence[str]) -> tuple[Floats, Floats]:
     """Corners of own cells of regions (n, 3) [mm], and their displacement (n, 3) [mm]."""
     x = problem.space.tabulate_dof_coordinates()
-    rows = [_corner_dofs(problem, problem.mechanics.region_cells(r)).ravel() for r in regions]
-    rows = [np.unique(row) for row in rows]
+    cells = [problem.mechanics.region_cells(r) for r in regions]
+    rows: list[Ints] = [np.unique(_corner_dofs(problem, c)) for c in cells]
     u = [_values(problem, r)[row] for r, row in zip(regions, rows, strict=True)]
     return x[np.concatenate(rows)], np.concatenate(u)
 

@@ -69,8 +69,8 @@ def _names(path: Path, modified: int) -> tuple[tuple[int, str, bool], ...]:
     version = header.split(b"\n", 2)[1].split()[:1]
     if version not in ([b"2.2"], [b"4.1"]):
         raise ValueError("not of .msh format 2.2 or 4.1; save it again with gmsh")
-    _, found, rest = header.partition(b"$PhysicalNames")
-    if not found:
+    _, begins, rest = header.partition(b"$PhysicalNames")
+    if not begins:
         return ()
     section = rest.partition(b"$EndPhysicalNames")[0]
     matches = [m for line in section.split(b"\n") if (m := ENTRY.fullmatch(line))]

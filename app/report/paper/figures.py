@@ -54,22 +54,20 @@ def paper(cases: Cases, folder: Path) -> tuple[list[Figure], list[str]]:
 def _planned(cases: Cases) -> Iterator[tuple[int, str, list[Panel], str, str]]:
     """Number, title, panels and horizontal axis of each figure, and why there may be none."""
     thickness = "thickness of the mantle (mm)"
-    for number, compared, title in (
+    over_thickness: list[tuple[int, tuple[str, ...], str]] = [
         (3, ("gap",), "Largest debonding over the thickness of the mantle"),
         (4, ("shear",), "Largest interfacial shear stress over the thickness of the mantle"),
         (5, ("slip", "motion"), "Largest sliding and motion over the thickness of the mantle"),
-    ):
+    ]
+    for number, compared, title in over_thickness:
         panels = [_over_thickness(cases, p, q) for q in compared for p in PLACES]
         yield number, title, panels, thickness, "no stem at two thicknesses"
     friction = "friction coefficient of the cement-bone interface"
-    for number, compared, title in (
-        (
-            6,
-            ("gap", "slip", "motion"),
-            "Debonding, sliding, motion over the cement-bone friction",
-        ),
+    over_friction: list[tuple[int, tuple[str, ...], str]] = [
+        (6, ("gap", "slip", "motion"), "Debonding, sliding, motion over the cement-bone friction"),
         (7, ("pressure", "shear"), "Pressure and shear over the cement-bone friction"),
-    ):
+    ]
+    for number, compared, title in over_friction:
         panels = [_over_friction(cases, p, q) for q in compared for p in PLACES]
         yield number, title, panels, friction, "no stem at two frictions"
     title, lacking = (
