@@ -49,6 +49,19 @@ def flows(conduction: Conduction, x: Sequence[PETSc.Vec]) -> dict[str, float]:
     return every
 
 
+def through(conduction: Conduction, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+    """Heat per time from the first side to the second [N mm/s]; collective.
+
+    Of each interface of finite conductance, friction heat left out.
+    """
+    names = [c.name for c in conduction.scene.thermal_contacts]
+    sums = np.zeros(len(names))
+    here = conduction.at(x)
+    for j, (flux, _, _) in zip(conduction.jumps, here.flux, strict=True):
+        sums += np.bincount(j.interface, j.weight * flux, minlength=len(names))
+    return dict(zip(names, map(float, conduction.comm.allreduce(sums)), strict=True))
+
+
 def stored(conduction: Conduction, x: Sequence[PETSc.Vec]) -> float:
     """Heat stored, from an arbitrary but fixed temperature on [N mm]; collective."""
     local = sum(

@@ -141,22 +141,11 @@ class Probes:
         self.names = tuple(p.name for p in probes)
         self._comm = tagged.mesh.comm
         self._mine: list[tuple[int, int, Ints, Floats]] = []
-        tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]
-        names = {tag: name for name, tag in tagged.regions.items()}
         for k, probe in enumerate(probes):
-            wanted = tagged.regions[probe.region] if probe.region else tags
-            cells = np.flatnonzero(tags == wanted)
-            cell, share, inside = _nearest(tagged, cells, np.array(probe.at))
-            best, rank = self._comm.allreduce((inside, -self._comm.rank), MPI.MAX)
-            if best < -_OUTSIDE:
-                where = f"region '{probe.region}'" if probe.region else "the model"
-                raise InputError(
-                    f"output.probes.{probe.name}: {list(probe.at)} mm is not in {where}; allowed: "
-                    "a point inside"
-                )
-            if rank == -self._comm.rank:
-                body = of_region[names[int(tags[cell])]]
-                self._mine.append((k, body, space.dofmap.list[cell].astype(np.int64), share))
+            if (found := locate(tagged, probe)) is not None:
+                cell, region, share = found
+                dofs = space.dofmap.list[cell].astype(np.int64)
+                self._mine.append((k, of_region[region], dofs, share))
 
     def values(self, temperatures: Sequence[fem.Function]) -> Floats:
         """Temperatures of the probes (p,) [K]; collective."""
@@ -164,6 +153,31 @@ class Probes:
         for k, body, dofs, share in self._mine:
             local[k] = share @ temperatures[body].x.array[dofs]
         return np.asarray(self._comm.allreduce(local, MPI.SUM))
+
+
+def locate(tagged: TaggedMesh, probe: ProbedPoint) -> tuple[int, str, Floats] | None:
+    """The cell that holds a point, its region, and the barycentric coordinates there (4,).
+
+    Collective; one rank has it, the others None.
+
+    Raises:
+        InputError: The point is not in its region.
+    """
+    comm = tagged.mesh.comm
+    tags = cell_tags(tagged)[: tagged.mesh.topology.index_map(3).size_local]
+    wanted = tagged.regions[probe.region] if probe.region else tags
+    cell, share, inside = _nearest(tagged, np.flatnonzero(tags == wanted), np.array(probe.at))
+    best, rank = comm.allreduce((inside, -comm.rank), MPI.MAX)
+    if best < -_OUTSIDE:
+        where = f"region '{probe.region}'" if probe.region else "the model"
+        raise InputError(
+            f"output.probes.{probe.name}: {list(probe.at)} mm is not in {where}; allowed: "
+            "a point inside"
+        )
+    if rank != -comm.rank:
+        return None
+    names = {tag: name for name, tag in tagged.regions.items()}
+    return cell, names[int(tags[cell])], share
 
 
 def _nearest(tagged: TaggedMesh, cells: Ints, point: Floats) -> tuple[int, Floats, float]:

@@ -82,7 +82,7 @@ class SolverOptions(Section):
 
 
 class Probe(Section):
-    """A point whose temperature is recorded."""
+    """A point whose displacement and temperature are recorded."""
 
     at: Point
     """Position."""
@@ -135,4 +135,4 @@ class OutputOptions(Section):
     probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(
         default_factory=dict
     )
-    """Points whose temperature is recorded over time."""
+    """Points whose displacement and temperature are recorded over time."""

@@ -38,8 +38,6 @@ def _without_heat(parts: CaseParts, whole: bool) -> Iterable[Fault]:
         yield Fault(("heat",), text)
     if parts.time:
         yield Fault(("time",), text)
-    if getattr(parts.output, "probes", None):
-        yield Fault(("output", "probes"), text)
     for i, stage in enumerate(parts.stages or ()):
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"

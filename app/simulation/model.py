@@ -316,7 +316,7 @@ class Model:
                 numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
             numbers["stem"] = stem_motion(m.problem, self._case)
         for t in self.thermal:
-            numbers["thermal"] = t.record.summary()
+            numbers["thermal"] = t.record.summary() | {"flows": t.flows}
             for cure in t.cure:
                 numbers["cure"] = cure.summary()
         return numbers

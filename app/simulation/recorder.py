@@ -13,10 +13,12 @@ import numpy as np
 
 from mantle.errors import StoppedError
 from mantle.forms.contact import OPEN, SLIP
+from mantle.heat.nodes import ProbedPoint
 from mantle.mechanics.problem import TrialState
 from mantle.numerics.state import State
 from mantle.results import log as text
 from mantle.results.balance import Balance
+from mantle.results.displacement_probes import DisplacementProbes
 from mantle.results.output import UNITS, Writer
 from mantle.results.quantities import Samples
 from mantle.scene.terms import SceneStage
@@ -87,6 +89,9 @@ class Recorder:
         with timing.phase("assemble"):
             self._balances = [m.balance(about) for m in model.mechanics]
             self._critical = [uniqueness.check(m.problem) for m in model.mechanics]
+        probes = case.output.probes
+        points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
+        self._probes = [DisplacementProbes(m.problem, points) for m in model.mechanics]
         self._samples: Samples | None = None
         self._trials: tuple[TrialState, ...] = ()
         self._time = 0.0
@@ -201,6 +206,9 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
+        for probes in self._probes:
+            for name, u in probes.values().items():
+                row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in self._model.interfaces(self._samples).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
@@ -258,6 +266,11 @@ class Recorder:
             "time": self._time,
             **model.numbers(self._samples),
             **model.places(self._samples),
+            "probes": {
+                name: {"displacement": u}
+                for probes in self._probes
+                for name, u in probes.values().items()
+            },
             "balance": balance,
             "solver": {
                 "dofs": sum(sizes.values()),

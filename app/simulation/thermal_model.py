@@ -7,7 +7,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from mantle.heat.first_contact import FirstContact
-from mantle.heat.flows import stored
+from mantle.heat.flows import stored, through
 from mantle.heat.nodes import ProbedPoint
 from mantle.numerics.state import State
 from mantle.results.cure_quantities import CureRecord
@@ -30,6 +30,8 @@ class ThermalModel:
         record: Temperatures as far as they are reported.
         cure: Degrees of cure, if anything sets.
         balance: What came in, is stored and left.
+        flows: Heat per time at the end of the last step: into the model by condition, and through
+            interfaces of finite conductance from the first side to the second [mW].
     """
 
     def __init__(self, case: config.Case, heating: HeatState) -> None:
@@ -56,6 +58,7 @@ class ThermalModel:
             CureRecord(conduction.comm, heating.degrees()) for _ in conduction.cures
         )
         self.balance = HeatBalance(stored(conduction, heating.vectors()), {})
+        self.flows: dict[str, dict[str, float]] = {}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Temperatures of the bodies, as they are reported at a time; collective."""
@@ -80,6 +83,7 @@ class ThermalModel:
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         for cure in self.cure:
             cure.update(accepted.seconds, heating.degrees(), heating.rates())
+        self.flows = {"into": dict(accepted.flows), "through": through(conduction, x)}
         heat = stored(conduction, x)
         rounding = conduction.measure(x, conduction.vectors()).rounding
         if accepted.dt == 0.0:
@@ -99,6 +103,7 @@ class ThermalModel:
             "settled": self._settled,
             "cure": [c.state(self._keys()) for c in self.cure],
             "balance": self.balance.state(),
+            "flows": self.flows,
         }
 
     def resume(self, state: State) -> None:
@@ -109,6 +114,7 @@ class ThermalModel:
         for cure, found in zip(self.cure, state["cure"], strict=True):
             cure.resume(found, self._keys())
         self.balance.resume(state["balance"])
+        self.flows = state["flows"]
 
     def _keys(self) -> dict[str, NDArray[np.int64]]:
         """Keys of the nodes of each region that sets."""

@@ -838,7 +838,6 @@ HOT_TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
             f"22:1: heat: {NOWHERE}",
             f"33:21: stages[0].duration: nothing takes time: {NOWHERE}",
             f"35:1: time: {NOWHERE}",
-            f"37:3: output.probes: {NOWHERE}",
         ],
     ),
     "conductor beside solids": (
