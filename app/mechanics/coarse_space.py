@@ -168,7 +168,7 @@ class SlidingMotions:
         votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
         owner = np.argmax(comm.allgather(votes), axis=0)
         self.displacement = matrix_sum([reduction.rows(nodal.matrix(owner)), others.matrix(owner)])
-        self.displacement.zeroRows(problem.supported_rows(), diag=0.0)
+        self.displacement.zeroRows(problem.supports.rows, diag=0.0)
         self._jump = jumps.matrix(owner)
         self._free = block_diagonal(comm, len(y))
         self.jump = self._free.matMult(self._jump)

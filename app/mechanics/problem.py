@@ -15,7 +15,6 @@ from petsc4py import PETSc
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
 from mantle.arrays import Floats, Ints
 from mantle.mechanics.assembly import Mechanics
@@ -25,10 +24,11 @@ from mantle.mechanics.forces import Forces
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.points import PointForces
 from mantle.mechanics.reduction import holds, near_null_space, reduction_of, support_of_dofs
+from mantle.mechanics.supports import HeldRows
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.preconditioners import Inverse, stiffness_options
 from mantle.numerics.state import State, keyed, node_keys
-from mantle.scene.bodies import bodies_of, boundary_facets, cell_tags
+from mantle.scene.bodies import bodies_of
 from mantle.scene.terms import Scene, amplitude
 from mantle.system.timing import Timing
 
@@ -56,6 +56,8 @@ class Problem:
         time: Current time: stage k runs from k to k + 1.
         version: Counts how often the stiffness has changed: preconditioners are of one version.
         inverse: Solves with the stiffness alone.
+        supports: What the supports of the current stage meet of the stiffness.
+        forces: Loads, eigenstrains and free strains.
         load_size: Norm of the nodal forces of loads and free strains [N].
     """
 
@@ -100,28 +102,17 @@ class Problem:
         options = stiffness_options("auto", self.K, scene.order)
         own = Inverse(self.K, lambda: self.version, options)
         self.inverse: Inverse = like.inverse if like is not None else own
+        parts = scene, tagged, self.bodies, self.mechanics, self.reduction
         self.jumps: tuple[Jumps, ...] = (
-            (
-                Jumps(
-                    scene,
-                    tagged,
-                    self.bodies,
-                    self.mechanics,
-                    self.reduction,
-                    augmentation_factor,
-                    timing,
-                ),
-            )
-            if scene.contacts
-            else ()
+            (Jumps(*parts, augmentation_factor, timing),) if scene.contacts else ()
         )
-        self._reaction_rows += [self._supported(j.C) for j in self.jumps]
+        self.supports.couple(self.jumps)
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
             for j in self.jumps
             for b in j.moves
         }
-        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
+        self.forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
         self.expansions: tuple[Expansions, ...] = (
             (Expansions(scene, self.mechanics, self.bodies),) if self.mechanics.swelling else ()
         )
@@ -140,7 +131,7 @@ class Problem:
             state.x.array[:] = 0
         for j in self.jumps:
             j.begin(scene.contacts, augmentation_factor)
-        self._forces = Forces(scene, self.mechanics, self.bodies, self.jumps, self._forces)
+        self.forces = Forces(scene, self.mechanics, self.bodies, self.jumps, self.forces)
         self.set_time(0.0)
 
     # Construction
@@ -150,17 +141,12 @@ class Problem:
         support_of = support_of_dofs(self.scene, self.tagged, self.bodies, self.space, self._stage)
         self.reduction = reduction_of(self.scene, self.tagged, self.space, support_of)
         self.held = self.reduction.held
-        self._first = self.comm.exscan(len(self.held)) or 0
 
     def _constrained(self) -> PETSc.Mat:
-        """The stiffness with the supports of the current stage; keeps what they meet of it."""
+        """The stiffness with the supports of the current stage; these keep what they meet of it."""
         K = self.reduction.matrix(self.mechanics.matrix(self._stiffness))
-        self._lifts = [_lift(K, unit) for unit in self.reduction.unit]
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        rows = self.supported_rows()
-        self._reaction_rows = [self._supported(K)]
-        self._typical = _typical(K)
-        K.zeroRowsColumns(rows, diag=self._typical)
+        self.supports = HeldRows(K, self.reduction)
         self._diagonal = K.getDiagonal()
         return K
 
@@ -170,15 +156,9 @@ class Problem:
         K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         for j in self.jumps:
             j.restiffen(self.mechanics, self.reduction)
-        self._reaction_rows += [self._supported(j.C) for j in self.jumps]
+        self.supports.couple(self.jumps)
         self.version += 1
         self.set_time(self.time)
-
-    def bodies_at(self, boundary: str) -> set[int]:
-        """Bodies that have facets on a boundary; collective."""
-        f = boundary_facets(self.tagged, boundary)
-        here = {int(b) for b in np.unique(self.bodies.of_tag[cell_tags(self.tagged)[f.cells]])}
-        return set().union(*self.comm.allgather(here))
 
     # What a run remembers
 
@@ -274,16 +254,11 @@ class Problem:
     def set_time(self, time: float) -> None:
         """Set loads, supports and gaps to a time; the state itself does not move."""
         self.time = time
-        action = self._forces.at(time)
+        action = self.forces.at(time)
         self.f, self.f_q = self.reduction.vector(action.nodal), action.jump
         self.load_size = float(self.f.norm())
-        self._given = np.zeros(len(self.held))
-        for support, unit, lift in zip(
-            self.scene.supports, self.reduction.unit, self._lifts, strict=True
-        ):
-            a = amplitude(support.history, time)
-            self._given += a * unit
-            self.f.axpy(a, lift)
+        amplitudes = [amplitude(s.history, time) for s in self.scene.supports]
+        self._given = self.supports.move(self.f, amplitudes)
         for j in self.jumps:
             j.set_time(time)
         self.mechanics.set_amplitudes(
@@ -301,7 +276,7 @@ class Problem:
             temperatures: For each region that expands, values at the vertices [K], ghosts included.
         """
         for x in self.expansions:
-            self._forces.set_free("heat", x.set(temperatures))
+            self.forces.set_free("heat", x.set(temperatures))
         self.set_time(self.time)
 
     def set_cure(
@@ -325,7 +300,7 @@ class Problem:
         for s in self.setting:
             if s.stiffen():
                 self._renew()
-            self._forces.set_free("cure", s.forces())
+            self.forces.set_free("cure", s.forces())
             self.set_time(self.time)
 
     def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
@@ -335,7 +310,7 @@ class Problem:
             moves: For each region whose temperatures jumps move, what they add to the nodal ones.
         """
         (x,) = self.expansions
-        return x.stiffness(moves, self.reduction, self.jumps, self.supported_rows())
+        return x.stiffness(moves, self.reduction, self.jumps, self.supports.rows)
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the supported components of a displacement to their current values."""
@@ -359,16 +334,7 @@ class Problem:
         for j in self.jumps:
             j.C.multAdd(q, out, out)
         out.axpy(-1.0, self.f)
-        out.array[self.held] = self._typical * (u.array_r - self._given)[self.held]
-
-    def supported_rows(self) -> NDArray[np.int32]:
-        """Global rows that supports hold, of this rank."""
-        return (self._first + np.flatnonzero(self.held)).astype(np.int32)
-
-    def _supported(self, A: PETSc.Mat) -> PETSc.Mat:
-        """Rows of a matrix that supports hold."""
-        rows = PETSc.IS().createGeneral(self.supported_rows(), comm=self.comm)
-        return A.createSubMatrix(rows)
+        out.array[self.held] = self.supports.typical * (u.array_r - self._given)[self.held]
 
     def force_scale(self, u: PETSc.Vec, q: PETSc.Vec | None) -> float:
         """Size of the forces in a state: loads, reactions and interface forces [N].
@@ -376,15 +342,12 @@ class Problem:
         Not what supports would have to push a model with that holds still: on a fine mesh that is
         far more than any force there is.
         """
-        reaction = self._reaction_rows[0].createVecLeft()
-        self._reaction_rows[0].mult(u, reaction)
         scale = self.load_size
-        for j, rows in zip(self.jumps, self._reaction_rows[1:], strict=True):
-            rows.multAdd(q, reaction, reaction)
+        for j in self.jumps:
             e = j.equilibrium(u, q, self.f_q)
             for forces in (np.where(j.held, 0.0, e), self.f_q):
                 scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
-        return scale + float(reaction.norm())
+        return scale + float(self.supports.forces(u, q).norm())
 
     def rounding(self, u: PETSc.Vec) -> float:
         """Residual that rounding alone leaves at a displacement: a stiff body that moves [N]."""
@@ -409,18 +372,6 @@ class Problem:
         """Displacement of each body, as last spread."""
         return self.mechanics.displacements(self.moved)
 
-    def applied(self) -> tuple[Floats, Floats]:
-        """Loads now acting on own nodes and jumps [N]; no eigenstrains, no supports."""
-        return self._forces.applied(self.time)
-
-    def resultants(self) -> list[Floats]:
-        """Resultant of each load now acting [N]."""
-        return self._forces.resultants(self.time)
-
-    def free_work(self, u: PETSc.Vec) -> float:
-        """Half the work of the free strains' forces now acting in a displacement [N mm]."""
-        return self._forces.free_work(self.reduction.expand(u))
-
     def augmentation(self, trial: bool = False) -> dict[str, float]:
         """Augmentation or penalty of each interface [MPa/mm]; collective.
 
@@ -444,18 +395,3 @@ class Problem:
                 j.commit(trial.equilibrium, trial.jump, trial.law)
         for s in self.setting:
             s.commit(self.displacements())
-
-
-def _lift(K: PETSc.Mat, unit: Floats) -> PETSc.Vec:
-    """Minus the forces of a support's displacements at full amplitude."""
-    given, forces = K.createVecRight(), K.createVecLeft()
-    given.array[:] = unit
-    K.mult(given, forces)
-    forces.scale(-1)
-    return forces
-
-
-def _typical(K: PETSc.Mat) -> float:
-    """Mean diagonal of a matrix: what supported rows get, so that scales stay alike."""
-    diagonal = K.getDiagonal()
-    return float(diagonal.sum()) / diagonal.getSize()

@@ -97,7 +97,7 @@ class ContactSystem(System):
         (self._jumps,) = problem.jumps
         j: Jumps = self._jumps
         self._C = j.C.copy()
-        self._C.zeroRows(problem.supported_rows(), diag=0.0)
+        self._C.zeroRows(problem.supports.rows, diag=0.0)
         self._coupled = self.version
         self._rows = block_diagonal(j.comm, len(j.mine))
         self._A_qu = self._rows.matMult(j.Ct)
@@ -151,7 +151,7 @@ class ContactSystem(System):
         if self._coupled != self.version:
             self._coupled = self.version
             self._jumps.C.copy(self._C)
-            self._C.zeroRows(self._problem.supported_rows(), diag=0.0)
+            self._C.zeroRows(self._problem.supports.rows, diag=0.0)
 
     def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
         """Set the rows of the jumps."""

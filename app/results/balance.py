@@ -135,7 +135,7 @@ class Balance:
             internal += self._assemble(form)
         setting = [self._assemble(form) for _, form in self._setting]
         internal += sum(setting)
-        loads_u, loads_q = problem.applied()
+        loads_u, loads_q = problem.forces.applied(problem.time)
         reaction = np.where(problem.reduction.reacting, internal - loads_u, 0.0)
 
         def scalar(form: fem.Form) -> float:
@@ -195,13 +195,13 @@ class Balance:
         self._work += external
         contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
         spent = (new["energy"], self._spent, contact)
-        free = problem.free_work(u)
+        free = problem.forces.free_work(problem.reduction.expand(u))
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
         self.energy = _relative(self._work - sum(spent), self._scale)
         self._forces(new)
 
     def _forces(self, new: dict) -> None:
-        comm = self._problem.comm
+        problem, comm = self._problem, self._problem.comm
         loads_u = new["loads_u"].reshape(-1, 3)
         reaction = new["reaction"].reshape(-1, 3)
         sums = [
@@ -213,11 +213,11 @@ class Balance:
                 np.cross(self._arm, reaction).sum(axis=0),
             )
         ]
-        scale = float(sum(np.linalg.norm(r) for r in self._problem.resultants()))
+        scale = float(sum(np.linalg.norm(r) for r in problem.forces.resultants(problem.time)))
         if not scale:
             # What only swells has reactions of rounding alone.
             scale = float(comm.allreduce(np.abs(reaction).sum(), MPI.SUM))
-            scale = max(scale, self._problem.load_size)
+            scale = max(scale, problem.load_size)
         # What is let go has forces of rounding alone.
         scale = self._largest = max(self._largest, scale)
         self.force = _relative(float(np.linalg.norm(sums[0] + sums[1] - new["springs"])), scale)

@@ -131,6 +131,13 @@ def boundary_facets(tagged: TaggedMesh, boundary: str) -> FacetCells:
     return FacetCells(facets, cells, _local_numbers(tagged, facets, cells))
 
 
+def bodies_at(tagged: TaggedMesh, bodies: Bodies, boundary: str) -> set[int]:
+    """Bodies that have facets on a boundary; collective."""
+    cells = boundary_facets(tagged, boundary).cells
+    here = {int(b) for b in np.unique(bodies.of_tag[cell_tags(tagged)[cells]])}
+    return set().union(*tagged.mesh.comm.allgather(here))
+
+
 def _interior(tagged: TaggedMesh) -> tuple[Ints, Ints, Ints]:
     """Owned facets with two cells, and these cells."""
     topology = tagged.mesh.topology

@@ -17,6 +17,7 @@ from mantle.mechanics.problem import Problem, TrialState
 from mantle.numerics.active_set import ActiveSet
 from mantle.numerics.newton import NewtonResult, Solver
 from mantle.numerics.rigid_motions import add_relative, describe, rigid_modes
+from mantle.scene.bodies import bodies_at
 from mantle.soundness import uniqueness
 
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
@@ -234,7 +235,7 @@ def runaway(problem: Problem, trial: TrialState) -> str:
     has then moved further than small displacements allow, and against hardly any stiffness.
     """
     (j,) = problem.jumps
-    forces = sum(float(np.linalg.norm(r)) for r in problem.resultants())
+    forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
     pushed = any(unit.any() for unit in problem.reduction.unit)
     if problem.comm.allreduce(pushed, MPI.LOR) or not forces:
         return ""  # where supports move the model, they may move it far
@@ -266,7 +267,7 @@ def _held_every_way(problem: Problem) -> set[int]:
     conditions += [(s.boundary, s.components) for s in scene.supports]
     conditions += [(f.boundary, tuple(k > 0 for k in f.stiffness)) for f in scene.foundations]
     for boundary, axes in conditions:
-        for body in problem.bodies_at(boundary):
+        for body in bodies_at(problem.tagged, problem.bodies, boundary):
             held.setdefault(body, set()).update(k for k, given in enumerate(axes) if given)
     return {body for body, axes in held.items() if len(axes) == 3}
 
@@ -275,4 +276,4 @@ def held_bodies(problem: Problem) -> set[int]:
     """Bodies with a support or a foundation."""
     boundaries = [s.boundary for s in problem.scene.supports]
     boundaries += [f.boundary for f in problem.scene.foundations]
-    return {body for name in boundaries for body in problem.bodies_at(name)}
+    return {body for name in boundaries for body in bodies_at(problem.tagged, problem.bodies, name)}

@@ -35,7 +35,7 @@ loads:
 def nodal_moment(solved: support.Solved, about: tuple[float, float, float]) -> np.ndarray:
     """Moment of the applied nodal forces about a point [N mm]."""
     x = solved.problem.space.tabulate_dof_coordinates()
-    forces = solved.problem.applied()[0].reshape(-1, 3)
+    forces = solved.problem.forces.applied(solved.problem.time)[0].reshape(-1, 3)
     return np.cross(x[: len(forces)] - np.array(about), forces).sum(axis=0)
 
 
@@ -50,7 +50,9 @@ def test_force_at_a_point_has_its_resultant_and_moment(order: int) -> None:
         "interfaces={}",
     )
     force = np.array([150.0, -80.0, -900.0])
-    np.testing.assert_allclose(solved.problem.resultants()[0], force, rtol=1e-11)
+    np.testing.assert_allclose(
+        solved.problem.forces.resultants(solved.problem.time)[0], force, rtol=1e-11
+    )
     scale = np.linalg.norm(force) * np.linalg.norm(at)
     assert np.abs(nodal_moment(solved, at)).max() < 1e-12 * scale
 
@@ -70,7 +72,7 @@ def test_pressure_and_body_force_have_their_resultants() -> None:
         "loads={p: {kind: pressure, boundary: top, pressure: 2 MPa}, "
         "g: {kind: body_force, regions: [bone], density: [0 N/mm^3, 1e-3 N/mm^3, 0 N/mm^3]}}",
     )
-    pressure, weight = solved.problem.resultants()
+    pressure, weight = solved.problem.forces.resultants(solved.problem.time)
     data = solved.tagged.mesh.geometry
     cells = solved.tagged.cell_tags.find(solved.tagged.regions["bone"])
     x = data.x[data.dofmap[cells]]
@@ -98,7 +100,9 @@ loads:
     solved = support.solve(text, f"mesh.order={order}", balances=True)
     # Over 0..4, 0..3, 2..4, twice.
     exact = 2 * np.array([8 * 4.5 * 2, 12 * 56 / 3, 24 * 0.02])
-    np.testing.assert_allclose(solved.problem.resultants()[0], exact, rtol=1e-12)
+    np.testing.assert_allclose(
+        solved.problem.forces.resultants(solved.problem.time)[0], exact, rtol=1e-12
+    )
     m_x = 2 * (12 * 1.5 * 0.04 - 12 * (4**4 - 2**4) / 4)
     m_y = 2 * (8 * 4.5 * 6 - 3 * 8 * 2 * 0.02)
     m_z = 2 * (8 * 3 * 56 / 3 - 8 * 9 * 2)
@@ -113,7 +117,7 @@ def test_varying_load_is_not_evaluated_outside_its_regions() -> None:
     bone = f"loads.hip={{kind: body_force, regions: [bone], {density}}}"
     problem, _ = support.assemble(support.case(CYLINDERS, "geometry.taper=0 deg", bone))
     # The middle of the bone's cells is beyond 10 mm, its inner surface at 11 mm.
-    assert np.isfinite(problem.resultants()[0]).all()
+    assert np.isfinite(problem.forces.resultants(problem.time)[0]).all()
     with pytest.raises(InputError, match=r"loads\.hip\.density\[0\]: .*not finite at"):
         support.assemble(support.case(CYLINDERS, bone.replace("[bone]", "[stem]")))
 
