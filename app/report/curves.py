@@ -150,7 +150,7 @@ def _labels(line: Line) -> tuple[str, str, str]:
     """Of the curve, its peaks and what is published, in the legend."""
     own = line.label in STEM_COLOURS
     paper = f"{line.label}, paper" if own else "paper"
-    curve = f"{line.label}, p99" if own and line.peaks else line.label
+    curve = f"{line.label}, percentile" if own and line.peaks else line.label
     return curve, f"{line.label}, max", paper
 
 

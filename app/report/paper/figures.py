@@ -97,10 +97,15 @@ def _panel(
     return Panel(WORDS[place], f"{WORDS[quantity]} ({QUANTITIES[quantity][0]})", lines)
 
 
+def _stars(stem: str, place: str, quantity: str) -> list[tuple[float, float, float]]:
+    """What the paper gives; its slip may be sliding or all motion."""
+    return published(stem, place, "slip" if quantity == "motion" else quantity)
+
+
 def _over_thickness(cases: Cases, place: str, quantity: str) -> Panel:
     families = {stem: cases.stances(stem) for stem in STEMS.values()}
     return _panel(
-        place, quantity, families, lambda s: [(t, v) for t, _, v in published(s, place, quantity)]
+        place, quantity, families, lambda s: [(t, v) for t, _, v in _stars(s, place, quantity)]
     )
 
 
@@ -110,7 +115,7 @@ def _over_friction(cases: Cases, place: str, quantity: str) -> Panel:
         place,
         quantity,
         families,
-        lambda s: [(mu, v) for t, mu, v in published(s, place, quantity) if t == 4.0],
+        lambda s: [(mu, v) for t, mu, v in _stars(s, place, quantity) if t == 4.0],
     )
 
 
