@@ -22,7 +22,7 @@ log = logging.getLogger("mantle")
 
 Chosen = list[tuple[str, SweptCase]]
 
-SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "pressure": "YlOrRd"}
+SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "motion": "YlGnBu", "pressure": "YlOrRd"}
 THICKNESSES = (4.0, 2.0)
 
 
