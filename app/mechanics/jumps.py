@@ -17,67 +17,37 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from dolfinx import fem
 from numpy.typing import NDArray
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.errors import InputError
+from mantle.arrays import Bools, Floats
 from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.assembly import Mechanics
+from mantle.mechanics.contact_history import History
+from mantle.mechanics.held_jumps import _refuse_moving_rigid, _refuse_released
+from mantle.mechanics.jump_moves import jump_moves
 from mantle.mechanics.points import PointForces, PointLaw, gap_vectors
 from mantle.mechanics.reduction import Reduction
 from mantle.meshes.contact_facets import InterfaceFacets
 from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import ContactPoints, Entries, Holds, contact_points
-from mantle.numerics.sparse import from_triplets, matrix_sum, owners
+from mantle.meshes.interfaces import contact_points
+from mantle.numerics.sparse import diagonal_blocks, matrix_sum, owners
 from mantle.numerics.state import Rows, State, keyed
 from mantle.scene.bodies import Bodies, contact_facets, held_vertices
 from mantle.scene.laws import InterfaceLaw
-from mantle.scene.terms import ContactTerm, Scene, Support, amplitude, gap_at
+from mantle.scene.terms import ContactTerm, Scene, amplitude, gap_at
 from mantle.schema.run_options import USUAL_AUGMENTATION
 from mantle.system.timing import Timing
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6
-
-
-@dataclass
-class History:
-    """Converged state of the contact points of this rank: committed, never half-updated.
-
-    Attributes:
-        jump: Jump (n, 3) [mm].
-        force: Interface force per area, conjugate to the jump (n, 3) [MPa].
-        friction: Its part that friction carries (n, 3) [MPa].
-        opening: Jump with the initial gap (n, 3) [mm].
-        slip: Net sliding while in contact (n, 3) [mm].
-        path: Length of its path (n,) [mm].
-        dissipation: Dissipated by friction so far (n,) [N mm].
-        least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
-        contact_work: Work of the pressures in the opening so far (n,) [N mm].
-        work: Work of the whole interface force in the jump so far (n,) [N mm].
-        own: What the laws of the interfaces remember, by name: (n, ...).
-    """
-
-    jump: Floats
-    force: Floats
-    friction: Floats
-    opening: Floats
-    slip: Floats
-    path: Floats
-    dissipation: Floats
-    least: Floats
-    contact_work: Floats
-    work: Floats
-    own: Mapping[str, Floats]
 
 
 class Jumps:
@@ -131,7 +101,7 @@ class Jumps:
             float(edges[self.facets.interface == i].mean()) for i in range(len(scene.contacts))
         ]
         self._given = [self._given_by(s) for s in range(len(scene.supports))]
-        self._find_moves(mechanics, entries, place)
+        self.moves, self._strips = jump_moves(mechanics, entries, place, len(self.mine))
         self.C, self.D, self.Ct = self._coupling(mechanics, reduction)
         self._work = self.Ct.createVecLeft()
         self._laws: dict[tuple[Hashable, ...], PointLaw] = {}
@@ -223,29 +193,6 @@ class Jumps:
         jump = np.zeros(sign.shape)
         jump[rows] = sign[rows] * self._supports[s].values(self.points.x[rows])
         return jump[self.mine]
-
-    def _find_moves(self, mechanics: Mechanics, entries: Entries, place: Ints) -> None:
-        """Find the displacement of each body by jumps, and the stiffness of the cells that move."""
-        index_map = mechanics.space.dofmap.index_map
-        start, end = (3 * k for k in index_map.local_range)
-        n_u, n_q = 3 * index_map.size_local, 3 * len(self.mine)
-        self.moves: dict[int, PETSc.Mat] = {}
-        self._strips: dict[int, fem.Form] = {}
-        ghosts = index_map.ghosts
-        for body in map(int, np.unique(entries.body)):
-            here = entries.body == body
-            row, column, value = entries.row[here], entries.column[here], entries.value[here]
-            column = 3 * place[column // 3] + column % 3
-            own = (row >= start) & (row < end)
-            B = from_triplets(self.comm, n_u, n_q, row[own] - start, column[own], value[own])
-            self.moves[body] = B
-            marked = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=bool)
-            nodes = np.unique(row // 3)
-            marked[: index_map.size_local] = np.isin(
-                np.arange(start // 3, end // 3, dtype=np.int64), nodes
-            )
-            marked[index_map.size_local :] = np.isin(ghosts, nodes)
-            self._strips[body] = mechanics.strip_stiffness(body, marked)
 
     def _coupling(
         self, mechanics: Mechanics, reduction: Reduction
@@ -345,11 +292,8 @@ class Jumps:
     def residual(self, e: Floats, q: Floats, law: PointForces) -> Floats:
         """Residual e + W P at own points (n, 3) [N]; the given jumps where supports hold."""
         r = e + self.weight[:, None] * law.force
-        return np.where(self.held, self._scale[:, None] * (q - self.given), r)
-
-    @property
-    def _scale(self) -> Floats:
-        return self.stiffness * self.weight
+        scale = self.stiffness * self.weight
+        return np.where(self.held, scale[:, None] * (q - self.given), r)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
         """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
@@ -361,16 +305,12 @@ class Jumps:
         added = self.weight[:, None, None] * by_jump
         held = self.held[:, :, None] & np.eye(3, dtype=bool)[None]
         times = np.where(self.held[:, :, None], 0.0, times)
-        return times, np.where(held, self._scale[:, None, None], added)
+        scale = self.stiffness * self.weight
+        return times, np.where(held, scale[:, None, None], added)
 
     def local_stiffness(self) -> Floats:
         """Stiffness that the jump of each own point meets with all else held (n, 3, 3) [N/mm]."""
-        starts, columns, values = self.D.getDiagonalBlock().getValuesCSR()
-        rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
-        k = rows // 3 == columns // 3
-        blocks = np.zeros((len(self.mine), 3, 3))
-        blocks[rows[k] // 3, rows[k] % 3, columns[k] % 3] = values[k]
-        return blocks
+        return diagonal_blocks(self.D, 3)
 
     # What a run remembers
 
@@ -389,8 +329,6 @@ class Jumps:
         values = {name: found.of(self.mine) for name, found in state.items()}
         own = {name: values.pop(f"own {name}") for name in self._law.history}
         self.history = History(**values, own=own)
-
-    # Commit
 
     def commit(self, e: Floats, q: Floats, law: PointForces) -> None:
         """Make a converged state the history.
@@ -460,41 +398,3 @@ class Jumps:
         n = np.where(closed[:, :, None], self.normals, 0.0)
         whole = step if of is None else of
         return whole - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, whole)
-
-
-def _refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
-    """Refuse supports that give jumps in some stages only: what is unknown may not change.
-
-    Raises:
-        InputError: One holds a body where another one holds what it touches.
-    """
-    for s, support in enumerate(supports):
-        if not all(support.active) and (points.given == s).any():
-            raise InputError(
-                f"supports.{support.name}: it is let go of, but holds its body on an interface "
-                "where the other side is held too; allowed: a boundary away from such edges, the "
-                "same stages for both, or an elastic foundation instead of one of them"
-            )
-
-
-def _refuse_moving_rigid(
-    scene: Scene, bodies: Bodies, holds: Holds, points: ContactPoints, entries: Entries
-) -> None:
-    """Refuse jumps that would move a rigid region: its nodes have no displacement of their own.
-
-    Raises:
-        InputError: A support holds an elastic side where it does not hold the rigid one.
-    """
-    rigid = {r.region for r in scene.rigid}
-    for body in np.unique(entries.body):
-        if rigid.issuperset(bodies.names[body].split(" + ")):
-            point, component = np.divmod(entries.column[entries.body == body][0], 3)
-            there = (holds.vertex == points.vertex[point]) & (holds.body != body)
-            support = scene.supports[holds.support[there, component].max()]
-            x, y, z = points.x[point]
-            raise InputError(
-                f"supports.{support.name}: holds along {'xyz'[component]} what touches the rigid "
-                f"region '{bodies.names[body]}' where none holds the region, at ({x:.4g}, {y:.4g}, "
-                f"{z:.4g}) mm; allowed: the same components of both, e.g. a roller on the side of "
-                "the region too"
-            )

@@ -100,3 +100,13 @@ def _csr(comm: MPI.Comm, blocks: Floats) -> tuple[NDArray, NDArray, NDArray]:
         columns.astype(PETSc.IntType),
         np.ascontiguousarray(blocks).ravel(),
     )
+
+
+def diagonal_blocks(matrix: PETSc.Mat, size: int) -> Floats:
+    """Blocks on the diagonal of a matrix, of this rank's rows (n, size, size)."""
+    starts, columns, values = matrix.getDiagonalBlock().getValuesCSR()
+    rows = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
+    k = rows // size == columns // size
+    blocks = np.zeros(((len(starts) - 1) // size, size, size))
+    blocks[rows[k] // size, rows[k] % size, columns[k] % size] = values[k]
+    return blocks

@@ -16,18 +16,15 @@ from typing import Protocol
 from mpi4py import MPI
 
 import numpy as np
-from dolfinx import fem, la
+from dolfinx import fem
 from numpy.typing import NDArray
 
 from mantle.arrays import Floats, Ints
-from mantle.forms.contact import OPEN, SLIP, STICK
-from mantle.mechanics.problem import Problem
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.state import ENDS, Rows, State
 from mantle.results.heat_passed import W_PER_M2
 from mantle.results.necrosis import CELSIUS
 from mantle.results.quantities import Samples
-from mantle.results.stresses import Stresses
 from mantle.results.thermal_quantities import Interfaces, ThermalRecord
 from mantle.results.vtkhdf import (
     QUADRATIC_NODES,
@@ -206,154 +203,6 @@ def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
 def none(n: int = 0) -> Ints:
     """Keys of which nothing is known."""
     return np.zeros(n, dtype=np.int64)
-
-
-class MechanicalFields:
-    """Displacement, stress, and what contact points do."""
-
-    def __init__(self, problem: Problem, stresses: Stresses) -> None:
-        """Write these of a problem."""
-        self._problem, self._stresses = problem, stresses
-        self.bodies, self.space = problem.bodies, problem.space
-        index_map = self.space.dofmap.index_map
-        # Stress times volume, and volume, at the nodes of a body.
-        self._sums = la.vector(index_map, len(COMPONENTS) + 1)
-
-    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
-        """Displacement [mm], and by interface gap, slip, motion [mm], tractions [MPa], status."""
-        u = np.zeros((len(nodes.dof), 3))
-        for b, function in enumerate(self._problem.displacements()):
-            at = nodes.body == b
-            u[at] = function.x.array.reshape(-1, 3)[nodes.dof[at]]
-        point: dict[str, Floats] = {"displacement": u, **_named(self._nodal_stress(nodes))}
-        if samples is not None:
-            rows = self._contact_rows(nodes)
-            for i, contact in enumerate(self._problem.scene.contacts):
-                point |= _interface(contact.name, samples, rows[i])
-        return point
-
-    def cell(self, cells: int) -> dict[str, Floats]:
-        """Mean stress [MPa]."""
-        σ = np.zeros((cells, len(COMPONENTS)))
-        for region, own in self._stresses.cells.items():
-            σ[own] = _components(self._stresses.mean(region))
-        return _named(σ)
-
-    def _nodal_stress(self, nodes: Copies) -> Floats:
-        """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.
-
-        Within a cell it is the linear field that fits its stress best.
-        """
-        dofs, X = self.space.dofmap.list, self.space.element.interpolation_points()
-        found = np.zeros((len(nodes.dof), len(COMPONENTS)))
-        regions: dict[int, list[str]] = {}
-        for region in self._stresses.cells:
-            regions.setdefault(int(self.bodies.of_region[region]), []).append(region)
-        for body in range(len(self.bodies.names)):
-            sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)
-            sums[:] = 0.0
-            for region in regions.get(body, ()):
-                cells, ξ = self._stresses.cells[region], self._stresses.at(region)
-                linear = [np.column_stack([np.ones(len(p)), p]) for p in (ξ, X)]
-                extrapolate = linear[1] @ np.linalg.pinv(linear[0])
-                σ = _components(self._stresses.evaluate(region))
-                volume = self._stresses.places(region)[1].sum(axis=1)
-                at_nodes = np.einsum("nq,cqi->cni", extrapolate, σ) * volume[:, None, None]
-                np.add.at(sums[:, :-1], dofs[cells], at_nodes)
-                np.add.at(sums[:, -1], dofs[cells], volume[:, None])
-            self._sums.scatter_reverse(la.InsertMode.add)
-            self._sums.scatter_forward()
-            at = nodes.body == body
-            mean = sums[nodes.dof[at]]
-            found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
-        return found
-
-    def _contact_rows(self, nodes: Copies) -> dict[int, Ints]:
-        """For each interface, the contact points (n, 2) that nodes of the grid are or lie between.
-
-        The point twice at a corner, the ends of an edge of the interface at its middle, -1
-        elsewhere.
-        """
-        rows: dict[int, Ints] = {}
-        layout = self.space.dofmap.dof_layout
-        corner = np.array([layout.entity_dofs(0, v)[0] for v in range(4)])
-        dofs = self.space.dofmap.list[nodes.cell]
-        ends = np.take_along_axis(dofs, corner[nodes.ends], axis=1)
-        numbers = self.space.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
-        body = np.repeat(nodes.body, 2)
-        for j in self._problem.jumps:
-            p = j.points
-            for i in range(len(self._problem.scene.contacts)):
-                found = np.full(len(numbers), -1, dtype=np.int64)
-                here = np.flatnonzero(p.interface == i)
-                order = here[np.argsort(p.dof[here], kind="stable")]
-                at = np.clip(np.searchsorted(p.dof[order], numbers), 0, max(len(order) - 1, 0))
-                if len(order):
-                    k = order[at]
-                    same = (p.bodies[k] == body[:, None]).any(axis=1)
-                    match = (p.dof[k] == numbers) & same
-                    found[match] = k[match]
-                rows[i] = _on_edges(found.reshape(-1, 2), p.triangles[i], len(p.dof))
-        return rows
-
-
-# Of a symmetric tensor in the order in which VTK names them: XX, YY, ZZ, XY, YZ, XZ.
-COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
-
-
-def _components(σ: Floats) -> Floats:
-    """Six components (..., 6) of symmetric tensors (..., 3, 3)."""
-    return np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
-
-
-def _named(σ: Floats) -> dict[str, Floats]:
-    """Stress by components (n, 6), its von Mises and principal stresses [MPa]."""
-    full = np.empty((len(σ), 3, 3))
-    for k, (i, j) in enumerate(COMPONENTS):
-        full[:, i, j] = full[:, j, i] = σ[:, k]
-    principal: Floats = np.linalg.eigvalsh(full).astype(np.float64)
-    apart = principal - np.roll(principal, 1, axis=1)
-    return {
-        "stress": σ,
-        "von_mises": np.sqrt((apart**2).sum(axis=1) / 2),
-        "principal_max": principal[:, 2],
-        "principal_min": principal[:, 0],
-    }
-
-
-def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
-    """Pairs of contact points (n, 2), -1 where no triangle of the interface has both."""
-    edges = np.sort(triangles[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
-    pairs = np.sort(rows, axis=1)
-    on = np.isin(pairs @ [points, 1], edges @ [points, 1]) | (rows[:, 0] == rows[:, 1])
-    return np.where((on & (rows >= 0).all(axis=1))[:, None], rows, -1)
-
-
-def _interface(name: str, s: Samples, rows: Ints) -> dict[str, Floats]:
-    """Fields of an interface at the grid's nodes: zero away from it, status -1.
-
-    They are linear along edges. In the middle of one the status is the more mobile of its ends.
-    """
-    on = rows[:, 0] >= 0
-
-    def spread(values: Floats) -> Floats:
-        out = np.zeros((len(rows), *values.shape[1:]))
-        out[on] = values[rows[on]].mean(axis=1)
-        return out
-
-    status = np.full(len(rows), -1.0)
-    moves = np.argsort([STICK, SLIP, OPEN])  # rank of each status
-    ends = s.status[rows[on]]
-    status[on] = np.where(moves[ends[:, 0]] >= moves[ends[:, 1]], ends[:, 0], ends[:, 1])
-    return {
-        f"{name}_gap": spread(s.opening),
-        f"{name}_slip": spread(s.slip),
-        f"{name}_slip_path": spread(s.path),
-        f"{name}_motion": spread(s.motion),
-        f"{name}_pressure": spread(s.pressure),
-        f"{name}_shear": spread(s.shear),
-        f"{name}_status": status,
-    }
 
 
 class HeatFields:

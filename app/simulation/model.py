@@ -24,7 +24,8 @@ from mantle.numerics.newton import Solver
 from mantle.numerics.state import State
 from mantle.numerics.system import System
 from mantle.results import gruen, quantities
-from mantle.results.field_output import HeatFields, Layer, MechanicalFields
+from mantle.results.field_output import HeatFields, Layer
+from mantle.results.mechanical_fields import MechanicalFields
 from mantle.results.output import on_root
 from mantle.results.quantities import Samples
 from mantle.results.stem_motion import stem_motion
