@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mantle.errors import UnusableError
 from mantle.results import tables
 from mantle.schema.quantities import TABLE
@@ -86,13 +88,17 @@ def closing_table(summary: dict[str, Any]) -> str:
 
 def unbalanced(summary: Mapping[str, Any]) -> list[str]:
     """What is not in balance; a number that is none is not either."""
-    b = summary["balance"]
+    b = summary.get("balance", {})
     return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
 
 
 def too_far(summary: Mapping[str, Any]) -> list[str]:
     """Interfaces on which bodies slip farther than their facets are wide."""
-    return [n for n, q in summary["interfaces"].items() if q["slip_max"] > q["facet_size"]]
+    return [
+        name
+        for name, q in summary.get("interfaces", {}).items()
+        if q.get("slip_max", 0.0) > q.get("facet_size", np.inf)
+    ]
 
 
 def faults(summary: Mapping[str, Any]) -> list[str]:

@@ -29,8 +29,8 @@ __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "
 __all__ += ["MeshOptions", "Sides"]
 
 # How long edges of cells may be: in radii, in thicknesses of rings and of blocks (measured: beyond
-# it gmsh fails or its cells are flat).
-ROUND, THIN, FLAT = 2.0, 10.0, 20.0
+# it gmsh fails or its cells are flat; rings of 20 and blocks of 25 are solved in `mantle stress`).
+ROUND, THIN, FLAT = 2.0, 20.0, 25.0
 
 
 class Block(Section):

@@ -101,9 +101,9 @@ loads: {{push: {{kind: pressure, boundary: stem_top, pressure: 1 MPa}}}}
         # 10 tan 8 deg = 1.405 mm less at the narrow end.
         ({"stem": 2, "taper": 8}, 3, "stem_radius",
          ("1.5 mm", f"{2 * (2 - 10 * math.tan(math.radians(8))):.3g} mm")),
-        ({"cement": 0.01}, 4, "cement_thickness", ("0.3 mm", "0.1 mm")),
-        ({"bone": 0.2}, 5, "bone_thickness", ("0.3 mm", "2 mm")),
-        ({"length": 0.01}, 6, "length", ("0.15 mm", "0.2 mm")),
+        ({"cement": 0.01}, 4, "cement_thickness", ("0.15 mm", "0.2 mm")),
+        ({"bone": 0.1}, 5, "bone_thickness", ("0.15 mm", "2 mm")),
+        ({"length": 0.01}, 6, "length", ("0.12 mm", "0.25 mm")),
     ],
 )  # fmt: skip
 def test_lengths_that_no_mesh_of_this_size_has(
@@ -134,5 +134,5 @@ def test_a_thin_block_is_named(tmp_path: Path) -> None:
         "supports: {base: {kind: fixed, boundary: bottom}}\n"
         "loads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     )
-    with pytest.raises(InputError, match=r"case.yaml:5:\d+: geometry.blocks\[1\].size: .*0.15 mm"):
+    with pytest.raises(InputError, match=r"case.yaml:5:\d+: geometry.blocks\[1\].size: .*0.12 mm"):
         config.load(path)
