@@ -12,7 +12,7 @@ from mantle.scene.bodies import Bodies
 from mantle.scene.terms import Scene, Support
 
 
-def _refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
+def refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
     """Refuse supports that give jumps in some stages only: what is unknown may not change.
 
     Raises:
@@ -27,7 +27,7 @@ def _refuse_released(supports: Sequence[Support], points: ContactPoints) -> None
             )
 
 
-def _refuse_moving_rigid(
+def refuse_moving_rigid(
     scene: Scene, bodies: Bodies, holds: Holds, points: ContactPoints, entries: Entries
 ) -> None:
     """Refuse jumps that would move a rigid region: its nodes have no displacement of their own.

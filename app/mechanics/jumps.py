@@ -31,7 +31,7 @@ from mantle.arrays import Bools, Floats
 from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.assembly import Mechanics
 from mantle.mechanics.contact_history import History
-from mantle.mechanics.held_jumps import _refuse_moving_rigid, _refuse_released
+from mantle.mechanics.held_jumps import refuse_moving_rigid, refuse_released
 from mantle.mechanics.jump_moves import jump_moves
 from mantle.mechanics.points import PointForces, PointLaw, gap_vectors
 from mantle.mechanics.reduction import Reduction
@@ -88,8 +88,8 @@ class Jumps:
             tagged, bodies, space, scene.supports, np.unique(self.facets.vertices)
         )
         self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
-        _refuse_released(scene.supports, self.points)
-        _refuse_moving_rigid(scene, bodies, holds, self.points, entries)
+        refuse_released(scene.supports, self.points)
+        refuse_moving_rigid(scene, bodies, holds, self.points, entries)
         self.mine, place = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.weight = self.points.weight[self.mine]
         self.normals = self.points.normals[self.mine]
