@@ -30,7 +30,7 @@ def test_probes_record_displacements(order: int, tmp_path: Path) -> None:
     path.write_text(BAR.format(kind=BLOCK, order=order, regions=f"bar: {ELASTIC}"))
     assert main(["run", str(path), "-o", str(folder)]) == 0
     probes = json.loads((folder / "summary.json").read_text())["probes"]
-    rows = list(csv.DictReader((folder / "history.csv").open()))
+    rows = list(csv.DictReader((folder / "history.csv").read_text().splitlines()))
     for name, z in (("tip", 4.7), ("low", 1.1)):
         assert probes[name]["displacement"] == pytest.approx([0, 0, -0.01 * z], abs=1e-12)
         course = [float(row[f"{name} displacement.z [mm]"]) for row in rows]

@@ -86,7 +86,7 @@ def test_notes_of_runs_reach_summary_table_and_page(
     summary = json.loads((folder / linear["folder"] / "summary.json").read_text())
     assert summary["notes"] == [note]
     assert f"note: {note} ({linear['name']})" in "".join(capsys.readouterr())
-    rows = list(csv.DictReader((folder / "sweep.csv").open()))
+    rows = list(csv.DictReader((folder / "sweep.csv").read_text().splitlines()))
     assert [row["notes"] for row in rows] == [note, ""]
     assert main(["report", str(folder)]) == 0
     page = html.unescape((folder / "report.html").read_text())
