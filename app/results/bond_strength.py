@@ -15,7 +15,7 @@ import numpy as np
 from mantle.arrays import Floats
 from mantle.mechanics.problem import Problem
 from mantle.meshes.contact_facets import QUADRATURE, surface
-from mantle.results.stresses import Stresses
+from mantle.results.stresses import Stresses, extrapolated
 from mantle.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
 
 # Strength of the cement-bone interface [MPa]: Mann, Werner & Ayers 1999, as quoted by the paper in
@@ -67,7 +67,7 @@ class Bond:
         """Normal traction, positive in tension, shear [MPa] and area [mm2] at own points (p,)."""
         parts = []
         for region, rows, n, area, X in self._sides:
-            σ = _extrapolated(self._stresses.evaluate(region)[rows], self._stresses.at(region), X)
+            σ = extrapolated(self._stresses.evaluate(region)[rows], self._stresses.at(region), X)
             t = np.einsum("fqij,fqj->fqi", σ, n)
             normal = np.einsum("fqi,fqi->fq", t, n)
             shear = np.linalg.norm(t - normal[..., None] * n, axis=2)
@@ -93,18 +93,6 @@ class Bond:
             "shear_mean": float(shear @ area / total),
             "shear_max": float(shear.max()),
         }
-
-
-def _extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
-    """Stress (f, p, 3, 3) at points (p, 3) of each cell, continued to others (f, q, 3) linearly."""
-
-    def basis(x: Floats) -> Floats:
-        # One point knows no slope.
-        one = np.ones((*x.shape[:-1], 1))
-        return np.concatenate([one, x], axis=-1) if len(points) > 1 else one
-
-    continued = basis(X) @ np.linalg.pinv(basis(points))
-    return np.asarray(np.einsum("fqp,fpij->fqij", continued, σ))
 
 
 def bonds(problem: Problem, stresses: Stresses) -> tuple[Bond, ...]:

@@ -10,7 +10,7 @@ from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.problem import Problem
 from mantle.results.field_output import Copies
 from mantle.results.quantities import Samples
-from mantle.results.stresses import Stresses
+from mantle.results.stresses import Stresses, extrapolated
 
 
 class MechanicalFields:
@@ -58,13 +58,11 @@ class MechanicalFields:
             sums = self._sums.array.reshape(-1, len(COMPONENTS) + 1)
             sums[:] = 0.0
             for region in regions.get(body, ()):
-                cells, ξ = self._stresses.cells[region], self._stresses.at(region)
-                linear = [np.column_stack([np.ones(len(p)), p]) for p in (ξ, X)]
-                extrapolate = linear[1] @ np.linalg.pinv(linear[0])
-                σ = _components(self._stresses.evaluate(region))
+                cells, σ = self._stresses.cells[region], self._stresses.evaluate(region)
+                nodes_of = np.broadcast_to(X, (len(cells), *X.shape))
+                σ = _components(extrapolated(σ, self._stresses.at(region), nodes_of))
                 volume = self._stresses.places(region)[1].sum(axis=1)
-                at_nodes = np.einsum("nq,cqi->cni", extrapolate, σ) * volume[:, None, None]
-                np.add.at(sums[:, :-1], dofs[cells], at_nodes)
+                np.add.at(sums[:, :-1], dofs[cells], σ * volume[:, None, None])
                 np.add.at(sums[:, -1], dofs[cells], volume[:, None])
             self._sums.scatter_reverse(la.InsertMode.add)
             self._sums.scatter_forward()

@@ -8,7 +8,6 @@ from typing import Any
 import basix
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 from ufl import as_vector
 
 from mantle.arrays import Floats
@@ -201,11 +200,16 @@ def _stiffness(e: Elastic) -> Floats:
     return np.array(columns).T
 
 
-def volumes_and_centres(problem: Problem, cells: NDArray[np.int32]) -> tuple[Floats, Floats]:
-    """Volume (c,) [mm3] and centroid (c, 3) [mm] of cells, from their vertices."""
-    geometry = problem.tagged.mesh.geometry
-    x = geometry.x[geometry.dofmap[cells][:, :4]]
-    return np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) / 6, x.mean(axis=1)
+def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:
+    """Stress (f, p, 3, 3) at points (p, 3) of each cell, continued to others (f, q, 3) linearly."""
+
+    def basis(x: Floats) -> Floats:
+        # One point knows no slope.
+        one = np.ones((*x.shape[:-1], 1))
+        return np.concatenate([one, x], axis=-1) if len(points) > 1 else one
+
+    continued = basis(X) @ np.linalg.pinv(basis(points))
+    return np.asarray(np.einsum("fqp,fpij->fqij", continued, σ))
 
 
 def _hoop(σ: Floats, x: Floats) -> Floats:
