@@ -107,10 +107,17 @@ def _distinct(normals: Floats, areas: Floats) -> tuple[Floats, Floats]:
     return np.array(ns), np.array(sizes)
 
 
-def drop_held(normals: Floats, areas: Floats, faces: Ints, held: Bools) -> None:
-    """Take the components that supports hold out of the normals; a face with none left goes."""
-    for p in np.flatnonzero(held.any(axis=1)):
-        ns = np.where(held[p], 0.0, normals[p, : faces[p]])
+def drop_held(normals: Floats, areas: Floats, faces: Ints, held: Floats) -> None:
+    """Take what supports hold out of the normals; a face with nothing left goes.
+
+    Args:
+        normals: Of the faces of each point (n, 3, 3), changed in place as the others.
+        areas: Of the faces (n, 3) [mm2].
+        faces: Their number (n,).
+        held: Projectors on what supports hold (n, 3, 3).
+    """
+    for p in np.flatnonzero(held.any(axis=(1, 2))):
+        ns = normals[p, : faces[p]] @ (np.eye(3) - held[p])
         size = np.linalg.norm(ns, axis=1)
         left = size > INDEPENDENT
         total = areas[p].sum()
@@ -121,6 +128,11 @@ def drop_held(normals: Floats, areas: Floats, faces: Ints, held: Bools) -> None:
             faces[p] = len(kept)
             normals[p, : len(kept)] = kept
             areas[p, : len(kept)] = total * kept_areas / kept_areas.sum()
+
+
+def projectors(axes: Floats, which: Bools) -> Floats:
+    """Projectors (n, 3, 3) on some (n, 3) of the axes, which are columns (n, 3, 3)."""
+    return np.asarray(np.einsum("nic,nc,njc->nij", axes, which, axes))
 
 
 def distinct_rows(rows: Ints) -> tuple[Ints, Ints, Ints]:

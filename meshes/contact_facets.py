@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-from mpi4py import MPI
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mantle.arrays import Floats, Ints
 
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
 # Three points that integrate second-order polynomials on a triangle (barycentric, equal weights).
 QUADRATURE = np.full((3, 3), 1 / 6) + np.eye(3) / 2
+# The vertices of a triangle, and the middles of the edges opposite them.
+NODES = np.concatenate([np.eye(3), (1 - np.eye(3)) / 2])
 
 
 @dataclass(frozen=True)
@@ -126,6 +130,20 @@ def surface(x: Floats, at: Floats) -> tuple[Floats, Floats]:
     cross = np.cross(t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0])
     size = np.linalg.norm(cross, axis=2)
     return cross / size[:, :, None], size
+
+
+def nodal_normals(x: Floats, inside: Floats, at: Floats) -> Floats:
+    """Outward normals of facets at some of their points, as long as their areas (f, q, 3) [mm2].
+
+    Args:
+        x: Nodes of the facets (f, 3 or 6, 3) [mm].
+        inside: A point inside the cell of each (f, 3) [mm].
+        at: Barycentric points (q, 3).
+    """
+    normals, size = surface(x, at)
+    flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    away = np.sign(np.einsum("fi,fi->f", flat, x[:, 0] - inside))
+    return normals * (away * size.mean(axis=1) / 2)[:, None, None]
 
 
 def shape_functions(at: Floats, nodes: int) -> Floats:

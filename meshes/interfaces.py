@@ -16,6 +16,8 @@ Rules where things meet, for each displacement component of a vertex:
   one that would close a cycle is not enforced at that vertex.
 * Where supports hold both sides of a jump, the jump is given by them and the interface carries no
   reported force in that component; the normals drop it.
+* The components are those along x, y, z, or along the axes of a vertex that has its own because a
+  support holds it along another direction. The jumps themselves are along x, y, z everywhere.
 
 All facets of the contact interfaces are gathered on every rank and sorted by the vertex numbers of
 the mesh file, so that the result does not depend on the partition. They are few.
@@ -23,14 +25,18 @@ the mesh file, so that the result does not depend on the partition. They are few
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mantle.arrays import Bools, Floats, Ints
 
-from .contact_faces import distinct_rows, drop_held, faces_around, shared
+from .contact_faces import distinct_rows, drop_held, faces_around, projectors, shared
 from .contact_facets import InterfaceFacets
+
+# Parts of a jump below this are rounding.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,7 @@ class ContactPoints:
         weight: Area of the point (n,) [mm2].
         given: Supports (master, slave) that fix each component of the jump, -1 where it is free
             (n, 3, 2).
+        axes: Axes of these components, as columns (n, 3, 3).
         triangles: For each interface, its facets as rows of contact points (f_i, 3).
         unenforced: Number of (vertex, interface) pairs left out because they close a cycle.
     """
@@ -78,6 +85,7 @@ class ContactPoints:
     areas: Floats
     weight: Floats
     given: Ints
+    axes: Floats
     triangles: tuple[Ints, ...]
     unenforced: int
 
@@ -85,6 +93,11 @@ class ContactPoints:
     def held(self) -> Bools:
         """Components of the jump that supports give (n, 3)."""
         return self.given[:, :, 0] >= 0
+
+    @property
+    def held_part(self) -> Floats:
+        """Projectors on the part of the jump that supports give (n, 3, 3)."""
+        return projectors(self.axes, self.held)
 
 
 @dataclass(frozen=True)
@@ -107,7 +120,7 @@ class Entries:
 
 
 def contact_points(
-    facets: InterfaceFacets, holds: Holds, interfaces: int
+    facets: InterfaceFacets, holds: Holds, interfaces: int, axes: Mapping[int, Floats] | None = None
 ) -> tuple[ContactPoints, Entries]:
     """Contact points of all interfaces and what their jumps do to each body.
 
@@ -115,6 +128,7 @@ def contact_points(
         facets: The facets of all contact interfaces.
         holds: What supports hold at the vertices of these facets.
         interfaces: Number of contact interfaces.
+        axes: Axes (3, 3) of the vertices that have their own, which components are along.
     """
     bodies = int(max(facets.master.max(), facets.slave.max())) + 1
     facet = np.repeat(np.arange(len(facets.area)), 3)
@@ -138,7 +152,11 @@ def contact_points(
     at_point = corner_point >= 0
     np.maximum.at(stiffness, corner_point[at_point], facets.stiffness[facet[at_point]])
     given, at_vertex = _jumps_at_vertices(vertex, sides, stiffness, holds)
-    drop_held(normals, areas, faces, given[:, :, 0] >= 0)
+    own, own_axes = axes or {}, np.tile(np.eye(3), (len(vertex), 1, 1))
+    turned = np.isin(vertex, list(own))
+    for p in np.flatnonzero(turned):
+        own_axes[p] = own[int(vertex[p])]
+    drop_held(normals, areas, faces, projectors(own_axes, given[:, :, 0] >= 0))
     dof = facets.vertex_dofs.ravel()[first][kept]
     points = ContactPoints(
         interface=every[kept, 0],
@@ -151,17 +169,18 @@ def contact_points(
         areas=areas,
         weight=areas.sum(axis=1),
         given=given,
+        axes=own_axes,
         triangles=tuple(
             triangles[(facets.interface == i) & (triangles >= 0).all(axis=1)]
             for i in range(interfaces)
         ),
         unenforced=int((~kept).sum()),
     )
-    body, where, column, value = at_vertex
-    vertices = Entries(body, 3 * dof[where] + column % 3, column, value)
+    at_vertex = _along_xyz(at_vertex, points.axes, turned)
+    vertices = replace(at_vertex, row=3 * dof[at_vertex.row // 3] + at_vertex.row % 3)
     if facets.edge_dofs.shape[1] == 0:
         return points, vertices
-    return points, _join(vertices, _at_edges(facets, vertex, points.held, at_vertex))
+    return points, _join(vertices, _at_edges(facets, points, at_vertex))
 
 
 def _without_cycles(vertex: Ints, master: Ints, slave: Ints) -> Bools:
@@ -178,11 +197,12 @@ def _without_cycles(vertex: Ints, master: Ints, slave: Ints) -> Bools:
 
 def _jumps_at_vertices(
     vertex: Ints, sides: Ints, stiffness: Floats, holds: Holds
-) -> tuple[Ints, tuple[Ints, Ints, Ints, Floats]]:
+) -> tuple[Ints, Entries]:
     """Which jumps supports give, and how each body moves with the others.
 
     Returns:
-        ``given`` of ContactPoints, and the triplets body, point whose vertex moves, column, sign.
+        ``given`` of ContactPoints, and entries whose rows are 3 point + component, of any point of
+        the vertex that moves; both in the components of the vertex.
     """
     n = len(vertex)
     # The support that holds each side of each point, component by component.
@@ -212,12 +232,34 @@ def _jumps_at_vertices(
             extra += _tree(rows, sides, side[:, :, c], given[:, :, c], c, stiffness)
     pick = alone[point]
     more = np.array(extra, dtype=np.float64).reshape(-1, 4)
-    return given.transpose(0, 2, 1), (
+    where = np.concatenate([point[pick], more[:, 1].astype(np.int64)])
+    columns = np.concatenate([column[pick], more[:, 2].astype(np.int64)])
+    return given.transpose(0, 2, 1), Entries(
         np.concatenate([moving.ravel()[pick], more[:, 0].astype(np.int64)]),
-        np.concatenate([point[pick], more[:, 1].astype(np.int64)]),
-        np.concatenate([column[pick], more[:, 2].astype(np.int64)]),
+        3 * where + columns % 3,
+        columns,
         np.concatenate([sign.ravel()[pick], more[:, 3]]),
     )
+
+
+def _along_xyz(entries: Entries, axes: Floats, turned: Bools) -> Entries:
+    """Entries of points with axes of their own, as of displacements and jumps along x, y, z."""
+    pick = turned[entries.column // 3]
+    if not pick.any():
+        return entries
+    point, c = np.divmod(entries.column[pick], 3)
+    along = axes[point, :, c]
+    value = entries.value[pick, None, None] * along[:, :, None] * along[:, None, :]
+    keys = np.broadcast_arrays(
+        entries.body[pick, None, None],
+        (entries.row[pick] - c)[:, None, None] + np.arange(3)[:, None],
+        3 * point[:, None, None] + np.arange(3),
+    )
+    rows, _, number = distinct_rows(np.stack([k.ravel() for k in keys], axis=1))
+    total: Floats = np.bincount(number, value.ravel(), len(rows)).astype(np.float64)
+    rows, total = rows[(kept := np.abs(total) > ROUNDING)], total[kept]
+    plain = Entries(*(getattr(entries, k)[~pick] for k in vars(entries)))
+    return _join(plain, Entries(rows[:, 0], rows[:, 1], rows[:, 2], total))
 
 
 def _tree(
@@ -266,12 +308,7 @@ def _tree(
     return out
 
 
-def _at_edges(
-    facets: InterfaceFacets,
-    vertex: Ints,
-    held: Bools,
-    at_vertex: tuple[Ints, Ints, Ints, Floats],
-) -> Entries:
+def _at_edges(facets: InterfaceFacets, points: ContactPoints, at_vertex: Entries) -> Entries:
     r"""The jump is linear along an edge: its middle node takes half of either end.
 
     The middle of a curved edge is off its chord by σ, along which a linear jump changes too. With t
@@ -284,11 +321,10 @@ def _at_edges(
 
     Args:
         facets: The facets.
-        vertex: Vertex of each point (n,).
-        held: Components of the jump of each point that supports give (n, 3).
-        at_vertex: Triplets of the vertices.
+        points: The points.
+        at_vertex: Entries of the vertices, their rows 3 point + component.
     """
-    body, where, column, value = at_vertex
+    vertex, (where, moved) = points.vertex, np.divmod(at_vertex.row, 3)
     # Every (edge, body) of the interfaces once, with both ends.
     ends = np.stack(
         [facets.vertices[:, [1, 2]], facets.vertices[:, [0, 2]], facets.vertices[:, [0, 1]]], 1
@@ -300,13 +336,14 @@ def _at_edges(
         ]
     )
     rows, _, _ = distinct_rows(rows)
-    bends = _bends(facets, rows[:, 0])
     stride = int(max(facets.vertices.max(), vertex.max())) + 1
-    # A component that supports give at both ends may be one that they hold in the middle.
-    at = np.zeros((stride, 3), dtype=bool)
-    np.logical_or.at(at, vertex, held)
-    plain = at[rows[:, 2]] & at[rows[:, 3]]
-    key = body * stride + vertex[where]
+    # What supports give at both ends may be what they hold in the middle.
+    known, first, number = np.unique(vertex, return_index=True, return_inverse=True)
+    held = np.zeros((len(known), 3), dtype=bool)
+    np.logical_or.at(held, number, points.held)
+    at = projectors(points.axes[first], held)[np.searchsorted(known, rows[:, 2:])]
+    bends = (np.eye(3) - at[:, 0] @ at[:, 1]) @ _bends(facets, rows[:, 0])
+    key = at_vertex.body * stride + vertex[where]
     order = np.argsort(key, kind="stable")
     key = key[order]
     pieces = []
@@ -317,16 +354,14 @@ def _at_edges(
         edge = np.repeat(np.arange(len(rows)), count)
         inside = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         entry = order[np.repeat(lo, count) + inside]
-        component = column[entry] % 3
-        bend = np.where(plain[edge][:, :, None], 0.0, sign * bends[edge])
-        block: Floats = np.eye(3) / 2 + bend
-        turned = block[np.arange(len(entry)), :, component] * value[entry, None]
+        block: Floats = np.eye(3) / 2 + sign * bends[edge]
+        turned = block[np.arange(len(entry)), :, moved[entry]] * at_vertex.value[entry, None]
         used = turned != 0
         pieces.append(
             Entries(
                 np.repeat(rows[edge, 1], 3)[used.ravel()],
                 (3 * rows[edge, :1] + np.arange(3))[used],
-                np.repeat(column[entry], 3)[used.ravel()],
+                np.repeat(at_vertex.column[entry], 3)[used.ravel()],
                 turned[used],
             )
         )

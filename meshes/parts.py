@@ -13,6 +13,7 @@ import numpy as np
 
 from mantle.arrays import Floats, Ints
 
+from .contact_facets import NODES, nodal_normals
 from .data import MeshData, cell_faces, cell_volumes, components, facet_areas
 
 # Nodes this close, in parts of the mesh's diagonal, are meant to be one.
@@ -89,6 +90,7 @@ class Parts:
         touches: Where pieces of different regions share facets.
         joined: Pairs of pieces of one region that share nodes.
         boundaries: For each boundary and piece the nodes of the piece on it (n,).
+        normals: Mean unit normals at the nodes of some boundaries, zero elsewhere (n, 3).
         boundary_areas: Area of each boundary [mm2].
         x: Coordinates of all nodes (n, 3) [mm].
         interfaces: Corner nodes of the facets of each interface (n,).
@@ -100,6 +102,7 @@ class Parts:
     touches: tuple[Touch, ...]
     joined: frozenset[tuple[int, int]]
     boundaries: Mapping[str, Mapping[int, Ints]]
+    normals: Mapping[str, Floats]
     boundary_areas: Mapping[str, float]
     x: Floats
     interfaces: Mapping[str, Ints]
@@ -107,12 +110,13 @@ class Parts:
     told: tuple[str, ...] = ()
 
 
-def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
+def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = ()) -> Parts:
     """Find them.
 
     Args:
         data: The mesh.
         held: Boundaries that supports hold.
+        curved: Boundaries whose normals are wanted.
     """
     names = {tag: name for name, tag in data.regions.items()}
     neighbours = data.neighbours
@@ -153,6 +157,7 @@ def parts(data: MeshData, held: Collection[str] = ()) -> Parts:
         touches=tuple(_touches(data.points, faces[rows], first, second)),
         joined=_joined(data.cells, piece, pieces),
         boundaries=_boundaries(data, keys, on, piece[cell[outside]]),
+        normals={name: _normals(data, name, keys, on, middles[cell[outside]]) for name in curved},
         boundary_areas={
             name: float(facet_areas(data.points, data.facets[np.isin(data.facet_tags, tags)]).sum())
             for name, tags in data.boundaries.items()
@@ -257,6 +262,27 @@ def _boundaries(data: MeshData, keys: Ints, on: Ints, owner: Ints) -> dict[str, 
             if k >= 0
         }
     return found
+
+
+def _normals(data: MeshData, name: str, keys: Ints, on: Ints, inside: Floats) -> Floats:
+    """Mean normals of a boundary at all nodes (n, 3), zero where it is not.
+
+    Args:
+        data: The mesh.
+        name: The boundary.
+        keys: Numbers of all faces on the outside (f,).
+        on: Numbers of the facets of the boundaries.
+        inside: Points in the cells of all faces on the outside (f, 3) [mm].
+    """
+    here = np.flatnonzero(np.isin(data.facet_tags, data.boundaries.get(name, ())))
+    here = here[np.isin(on[here], keys)]
+    order = np.argsort(keys)
+    cells = order[np.searchsorted(keys, on[here], sorter=order)]
+    facets, sums = data.facets[here], np.zeros(data.points.shape)
+    at = NODES[: facets.shape[1]]
+    np.add.at(sums, facets, nodal_normals(data.points[facets], inside[cells], at))
+    size = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.divide(sums, size, out=sums, where=size > 0)
 
 
 def coincident(points: Floats) -> Ints:

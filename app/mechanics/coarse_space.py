@@ -136,7 +136,7 @@ class SlidingMotions:
         """Find who moves where; collective."""
         (j,) = problem.jumps
         comm, space, reduction = problem.comm, problem.space, problem.reduction
-        self._comm, self._held = comm, j.held
+        self._comm, self._allowing = comm, np.eye(3) - j.held
         nodes = space.dofmap.index_map.size_local
         x, y = space.tabulate_dof_coordinates()[:nodes], j.points.x[j.mine]
         large = Boxes(j.points.x)
@@ -183,7 +183,7 @@ class SlidingMotions:
             slope: Generalized derivative P' of the law at own points (n, 3, 3).
         """
         free = free_directions(slope)
-        free[self._held[:, :, None] | self._held[:, None, :]] = 0
+        free = self._allowing @ free @ self._allowing
         changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
         changed, points = self._comm.allreduce(np.array([changed, len(free)]))
         if changed <= STALE * points and (self.version or not changed):

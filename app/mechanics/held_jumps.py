@@ -40,10 +40,14 @@ def refuse_moving_rigid(
         if rigid.issuperset(bodies.names[body].split(" + ")):
             point, component = np.divmod(entries.column[entries.body == body][0], 3)
             there = (holds.vertex == points.vertex[point]) & (holds.body != body)
-            support = scene.supports[holds.support[there, component].max()]
+            # Where a vertex has its own axes, entries are not those of one component.
+            oblique = not np.array_equal(points.axes[point], np.eye(3))
+            held = holds.support[there] if oblique else holds.support[there, component]
+            support = scene.supports[held.max()]
+            along = "" if oblique else f"along {'xyz'[component]} "
             x, y, z = points.x[point]
             raise InputError(
-                f"supports.{support.name}: holds along {'xyz'[component]} what touches the rigid "
+                f"supports.{support.name}: holds {along}what touches the rigid "
                 f"region '{bodies.names[body]}' where none holds the region, at ({x:.4g}, {y:.4g}, "
                 f"{z:.4g}) mm; allowed: the same components of both, e.g. a roller on the side of "
                 "the region too"

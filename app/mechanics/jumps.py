@@ -40,7 +40,8 @@ from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.interfaces import contact_points
 from mantle.numerics.sparse import diagonal_blocks, matrix_sum, owners
 from mantle.numerics.state import Rows, State, keyed
-from mantle.scene.bodies import Bodies, contact_facets, held_vertices
+from mantle.scene.bodies import Bodies, contact_facets
+from mantle.scene.frames import Frames, held_at
 from mantle.scene.laws import InterfaceLaw
 from mantle.scene.terms import ContactTerm, Scene, amplitude, gap_at
 from mantle.schema.run_options import USUAL_AUGMENTATION
@@ -57,6 +58,7 @@ class Jumps:
         points: All contact points, replicated.
         facets: All interface facets, replicated.
         mine: Rows of ``points`` that this rank owns (n,).
+        held: Projectors on what supports give of each own jump (n, 3, 3).
         edge_lengths: Mean edge of the facets of each interface [mm].
         augmented: Whether each own point is of an augmented-Lagrangian interface (n,).
         stiffness: Stiffness of the trial force of each own point (n,) [MPa/mm].
@@ -70,6 +72,7 @@ class Jumps:
         bodies: Bodies,
         mechanics: Mechanics,
         reduction: Reduction,
+        frames: Frames | None,
         augmentation_factor: float,
         timing: Timing,
     ) -> None:
@@ -84,17 +87,15 @@ class Jumps:
         self.facets: InterfaceFacets = contact_facets(
             tagged, bodies, space, scene.contacts, scene.moduli
         )
-        holds = held_vertices(
-            tagged, bodies, space, scene.supports, np.unique(self.facets.vertices)
-        )
-        self.points, entries = contact_points(self.facets, holds, len(scene.contacts))
+        holds, axes = held_at(frames, tagged, bodies, space, scene.supports, self.facets)
+        self.points, entries = contact_points(self.facets, holds, len(scene.contacts), axes)
         refuse_released(scene.supports, self.points)
         refuse_moving_rigid(scene, bodies, holds, self.points, entries)
         self.mine, place = owners(self.comm, space.dofmap.index_map, self.points.dof)
         self.weight = self.points.weight[self.mine]
         self.normals = self.points.normals[self.mine]
         self.faces = self.points.faces[self.mine]
-        self.held = self.points.held[self.mine]
+        self.held = self.points.held_part[self.mine]
         self.interface = self.points.interface[self.mine]
         edges = np.linalg.norm(self.facets.x - np.roll(self.facets.x, 1, axis=1), axis=2)
         self.edge_lengths = [
@@ -190,8 +191,9 @@ class Jumps:
         master, slave = self.points.given[:, :, 0] == s, self.points.given[:, :, 1] == s
         sign = slave.astype(float) - master
         rows = np.flatnonzero(sign.any(axis=1))
-        jump = np.zeros(sign.shape)
-        jump[rows] = sign[rows] * self._supports[s].values(self.points.x[rows])
+        jump, axes = np.zeros(sign.shape), self.points.axes[rows]
+        values = np.einsum("pic,pi->pc", axes, self._supports[s].values(self.points.x[rows]))
+        jump[rows] = np.einsum("pic,pc->pi", axes, sign[rows] * values)
         return jump[self.mine]
 
     def _coupling(
@@ -220,7 +222,7 @@ class Jumps:
             here = self.interface == i
             gap[here] = gap_at(self._full_gap[here], c.history, time)
         self.gap = gap_vectors(self.normals, self.faces, gap)
-        self.given = np.zeros(self.held.shape)
+        self.given = np.zeros((len(self.mine), 3))
         for support, jump in zip(self._supports, self._given, strict=True):
             self.given += amplitude(support.history, time) * jump
 
@@ -260,17 +262,20 @@ class Jumps:
 
     def forces(self, e: Floats) -> Floats:
         """Interface force per area from equilibrium (n, 3) [MPa]; zero where supports hold."""
-        return np.where(self.held, 0.0, -e / self.weight[:, None])
+        return self.let(-e / self.weight[:, None])
+
+    def let(self, vectors: Floats) -> Floats:
+        """The part of vectors at own points that supports do not give (n, 3)."""
+        return vectors - np.einsum("pij,pj->pi", self.held, vectors)
 
     def law(self, e: Floats, q: Floats) -> PointForces:
         """The law at own points for a trial state."""
-        free = ~self.held
         F = self._multiplier(self.forces(e))
         law = self._law.evaluate(
-            F * free,
-            q * free,
+            self.let(F),
+            self.let(q),
             self.gap,
-            self.history.jump * free,
+            self.let(self.history.jump),
             self.stiffness,
             self.history.own,
         )
@@ -278,7 +283,7 @@ class Jumps:
             old, n = self.history.jump, self.normals
             slid = old - np.einsum("pik,pkj,pj->pi", np.linalg.pinv(n), n, old)
             trial = F + self.stiffness[:, None] * (q + self.gap - slid)
-            law.force[self._tied] = (trial * free)[self._tied]
+            law.force[self._tied] = self.let(trial)[self._tied]
             law.jacobian[self._tied] = np.eye(3)
             law.by_jump[self._tied] = (self.stiffness[:, None, None] * np.eye(3))[self._tied]
             law.status[self._tied] = STICK
@@ -293,20 +298,15 @@ class Jumps:
         """Residual e + W P at own points (n, 3) [N]; the given jumps where supports hold."""
         r = e + self.weight[:, None] * law.force
         scale = self.stiffness * self.weight
-        return np.where(self.held, scale[:, None] * (q - self.given), r)
+        return self.let(r) + scale[:, None] * (q - self.let(q) - self.given)
 
     def row_factors(self, law: PointForces) -> tuple[Floats, Floats]:
         """Blocks (n, 3, 3) that multiply [C^T, D], and those added to D, in the Jacobian rows."""
-        P, by_jump = law.jacobian.copy(), law.by_jump.copy()
-        for derivative in (P, by_jump):
-            derivative[self.held[:, :, None] | self.held[:, None, :]] = 0
-        eye = np.eye(3)[None]
-        times = eye - self.share[:, None, None] * P
-        added = self.weight[:, None, None] * by_jump
-        held = self.held[:, :, None] & np.eye(3, dtype=bool)[None]
-        times = np.where(self.held[:, :, None], 0.0, times)
-        scale = self.stiffness * self.weight
-        return times, np.where(held, scale[:, None, None], added)
+        free = np.eye(3) - self.held
+        P, by_jump = free @ law.jacobian @ free, free @ law.by_jump @ free
+        scale = (self.stiffness * self.weight)[:, None, None]
+        times = free - self.share[:, None, None] * P
+        return times, self.weight[:, None, None] * by_jump + scale * self.held
 
     def local_stiffness(self) -> Floats:
         """Stiffness that the jump of each own point meets with all else held (n, 3, 3) [N/mm]."""

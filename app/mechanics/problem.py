@@ -23,12 +23,13 @@ from mantle.mechanics.expansion import Expansions, ThermalStiffness
 from mantle.mechanics.forces import Forces
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.points import PointForces
-from mantle.mechanics.reduction import holds, near_null_space, reduction_of, support_of_dofs
+from mantle.mechanics.reduction import near_null_space, reduction_of
 from mantle.mechanics.supports import HeldRows
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.preconditioners import Inverse, stiffness_options
 from mantle.numerics.state import State, keyed, node_keys
 from mantle.scene.bodies import bodies_of
+from mantle.scene.frames import frames_of
 from mantle.scene.terms import Scene, amplitude
 from mantle.system.timing import Timing
 
@@ -53,6 +54,7 @@ class Problem:
         expansions: Thermal expansion of what has constant moduli, or an empty tuple.
         setting: What sets, or an empty tuple.
         u: Displacement, the continuous field.
+        frames: Nodes with axes of their own, if a support needs them.
         time: Current time: stage k runs from k to k + 1.
         version: Counts how often the stiffness has changed: preconditioners are of one version.
         inverse: Solves with the stiffness alone.
@@ -90,6 +92,7 @@ class Problem:
         self.u = self.mechanics.u
         self._owned = 3 * self.space.dofmap.index_map.size_local
         self._stage = self.version = 0
+        self.frames = frames_of(scene, tagged, self.bodies, self.space)
         self._reduce()
         self.setting: tuple[CuringStress, ...] = (
             (CuringStress(scene, self.mechanics, self.bodies, timing),) if scene.cures else ()
@@ -102,7 +105,7 @@ class Problem:
         options = stiffness_options("auto", self.K, scene.order)
         own = Inverse(self.K, lambda: self.version, options)
         self.inverse: Inverse = like.inverse if like is not None else own
-        parts = scene, tagged, self.bodies, self.mechanics, self.reduction
+        parts = scene, tagged, self.bodies, self.mechanics, self.reduction, self.frames
         self.jumps: tuple[Jumps, ...] = (
             (Jumps(*parts, augmentation_factor, timing),) if scene.contacts else ()
         )
@@ -138,8 +141,8 @@ class Problem:
 
     def _reduce(self) -> None:
         """Find the unknowns that the supports of the current stage hold."""
-        support_of = support_of_dofs(self.scene, self.tagged, self.bodies, self.space, self._stage)
-        self.reduction = reduction_of(self.scene, self.tagged, self.space, support_of)
+        parts = self.scene, self.tagged, self.bodies, self.space
+        self.reduction = reduction_of(*parts, self._stage, self.frames)
         self.held = self.reduction.held
 
     def _constrained(self) -> PETSc.Mat:
@@ -243,7 +246,7 @@ class Problem:
             u: The displacement, which stays.
         """
         then, self._stage = self._stage, stage
-        if all(holds(s, then) == holds(s, stage) for s in self.scene.supports):
+        if all(s.holds(then) == s.holds(stage) for s in self.scene.supports):
             return
         old = self.reduction
         self._reduce()
@@ -345,7 +348,7 @@ class Problem:
         scale = self.load_size
         for j in self.jumps:
             e = j.equilibrium(u, q, self.f_q)
-            for forces in (np.where(j.held, 0.0, e), self.f_q):
+            for forces in (j.let(e), self.f_q):
                 scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
         return scale + float(self.supports.forces(u, q).norm())
 

@@ -1,8 +1,9 @@
 r"""From nodal displacements to independent unknowns: supports, and regions that move rigidly.
 
-The displacement of all nodes is U = P ũ. Without rigid regions P is the identity. The nodes of a
-rigid region move by :math:`t + ω × (x - c)`; its six parameters are rotated so that those its
-supports determine come first, and then they are held like any supported component.
+The displacement of all nodes is U = P ũ. Mostly P is the identity. The nodes of a rigid region move
+by :math:`t + ω × (x - c)`; its six parameters are rotated so that those its supports determine come
+first, and then they are held like any supported component. Nodes that supports hold along other
+directions than x, y, z have unknowns along axes of their own (`scene.frames`).
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.rigid_motions import rigid_modes
 from mantle.numerics.state import State, keyed
 from mantle.scene.bodies import Bodies, boundary_facets, cell_tags
-from mantle.scene.terms import Scene, Support
+from mantle.scene.frames import Frames
+from mantle.scene.terms import Scene
 
 # A motion of a rigid region counts as held when its supports resist it by more than this fraction
 # of the motion they resist most.
@@ -66,45 +68,63 @@ class Reduction(Protocol):
         """Fill u with the saved own unknowns."""
 
 
-def holds(support: Support, stage: int) -> bool:
-    """Whether a support holds in a stage."""
-    return support.active[stage] if support.active else True
-
-
-def support_of_dofs(
-    scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace, stage: int
+def _support_of_dofs(
+    scene: Scene,
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    stage: int,
+    frames: Frames | None,
 ) -> Ints:
-    """Support that holds each local dof in a stage, -1 where none does (3 per node, with ghosts).
+    """Support that holds each own component in a stage, -1 where none does (3 per node).
 
-    Where supports on several bodies hold a node, the body of lowest number wins: it is the base of
-    that node (see `meshes.interfaces`).
+    Components are along the axes of the node. Where supports on several bodies hold a node, the
+    body of lowest number wins: it is the base of that node (see `meshes.interfaces`).
     """
     index_map = space.dofmap.index_map
-    support = np.full(3 * (index_map.size_local + index_map.num_ghosts), -1, dtype=np.int64)
+    support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
+    rows, places = frames.own(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
+    own = support[rows]
+    holding = [s for s, term in enumerate(scene.supports) if term.holds(stage)]
     tags = cell_tags(tagged)
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
     for body in reversed(range(len(bodies.names))):
-        for s, (term, f) in enumerate(zip(scene.supports, patches, strict=True)):
-            if not holds(term, stage):
-                continue
+        for s in holding:
+            f = patches[s]
             mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
             nodes = fem.locate_dofs_topological(space, 2, mine.astype(np.int32))
-            for c in np.flatnonzero(term.components):
-                support[3 * nodes + c] = s
-    return support
+            for c in np.flatnonzero(scene.supports[s].components):
+                support[nodes, c] = s
+        if frames:
+            mine = frames.support(places, body, holding)
+            own = np.where(mine >= 0, mine, own)
+    support[rows] = own
+    return support[: index_map.size_local].ravel()
 
 
-def given_values(scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> list[Floats]:
-    """Displacement of own nodes by each support at full amplitude (n, 3) [mm]; collective."""
-    x = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local]
-    own = support_of[: 3 * len(x)].reshape(-1, 3)
+def _given_values(
+    scene: Scene, space: fem.FunctionSpace, support_of: Ints, axes: Floats | None
+) -> list[Floats]:
+    """Displacement of own nodes by each support at full amplitude (n, 3) [mm]; collective.
+
+    Args:
+        scene: The scene.
+        space: Of the displacement.
+        support_of: Support that holds each own component (3 n,).
+        axes: Axes of own nodes that components are along (n, 3, 3); None: x, y, z.
+    """
+    own = support_of.reshape(-1, 3)
+    x = space.tabulate_dof_coordinates()[: len(own)]
 
     def values() -> list[Floats]:
         result: list[Floats] = []
         for s, term in enumerate(scene.supports):
             rows = np.flatnonzero((own == s).any(axis=1))
             given = np.zeros((len(x), 3))
-            given[rows] = np.where(own[rows] == s, term.values(x[rows]), 0.0)
+            values = term.values(x[rows])
+            if axes is not None:
+                values = np.einsum("nic,ni->nc", axes[rows], values)
+            given[rows] = np.where(own[rows] == s, values, 0.0)
             result.append(given)
         return result
 
@@ -112,16 +132,14 @@ def given_values(scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> li
 
 
 class AllFree:
-    """No rigid region: the unknowns are the nodal displacements."""
+    """The unknowns are the nodal displacements along x, y, z."""
 
     def __init__(self, scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> None:
         """Read off what supports hold."""
-        owned = 3 * space.dofmap.index_map.size_local
-        own = support_of[:owned]
-        self.held: Bools = own >= 0
-        self.unit: list[Floats] = [g.ravel() for g in given_values(scene, space, support_of)]
+        self.held: Bools = support_of >= 0
+        self.unit: list[Floats] = [g.ravel() for g in _given_values(scene, space, support_of, None)]
         self.reacting: Bools = self.held
-        x = space.tabulate_dof_coordinates()[: owned // 3]
+        x = space.tabulate_dof_coordinates()[: len(support_of) // 3]
         self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
@@ -152,11 +170,19 @@ class AllFree:
         u.array[:] = state["nodes"].of(nodes).ravel()
 
 
-class WithRigid:
-    """Rigid regions: six unknowns each, on rank 0, in place of their nodes."""
+class ByMatrix:
+    """P as a matrix: axes of nodes, and rigid regions.
+
+    A rigid region has six unknowns on rank 0 in place of its nodes.
+    """
 
     def __init__(
-        self, scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace, support_of: Ints
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        space: fem.FunctionSpace,
+        support_of: Ints,
+        frames: Frames | None,
     ) -> None:
         """Build P; collective.
 
@@ -168,24 +194,33 @@ class WithRigid:
         x = space.tabulate_dof_coordinates()[:nodes]
         region = _region_of_nodes(scene, tagged, space)[:nodes]
         free = self._free = np.flatnonzero(region < 0)
+        axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
+        turned = np.zeros(nodes, dtype=bool)
+        if frames:
+            mine, places = frames.own(space.dofmap.index_map)
+            axes[mine], turned[mine] = frames.axes[places], region[mine] < 0
         n_rigid = len(scene.rigid)
         n = 3 * len(free) + (6 * n_rigid if comm.rank == 0 else 0)
         start = comm.exscan(n) or 0
         tail = comm.bcast(3 * len(free))
         self.held: Bools = np.zeros(n, dtype=bool)
         self.unit: list[Floats] = [np.zeros(n) for _ in scene.supports]
-        own = support_of[: 3 * nodes].reshape(-1, 3)
+        own = support_of.reshape(-1, 3)
         self.held[: 3 * len(free)] = (own[free] >= 0).ravel()
-        given = given_values(scene, space, support_of)
+        given = _given_values(scene, space, support_of, axes)
         for unit, values in zip(self.unit, given, strict=True):
             unit[: 3 * len(free)] = values[free].ravel()
         reacting = (own >= 0) & (region < 0)[:, None]
+        reacting[turned] = reacting[turned].any(axis=1, keepdims=True)
         self.modes: Floats = np.zeros((6, n))
-        self.modes[:, : 3 * len(free)] = rigid_modes(x[free]).reshape(-1, 6).T
+        modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
+        self.modes[:, : 3 * len(free)] = modes.reshape(-1, 6).T
         columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
         entries = np.zeros((nodes, 3, 6))
         columns[free, :, 0] = start + np.arange(3 * len(free)).reshape(-1, 3)
         entries[free, :, 0] = 1
+        columns[turned, :, :3] = columns[turned, :, 0][:, None]
+        entries[turned, :, :3] = axes[turned]
         self._bases: dict[int, Floats] = {}
         for k, body in enumerate(scene.rigid):
             here = np.flatnonzero(region == k)
@@ -194,7 +229,8 @@ class WithRigid:
             scale = np.ptp(nodes_of, axis=0).max() or 1.0
             local = rigid_modes((x[here] - centre) / scale)
             held = own[here] >= 0
-            rows, *wanted = gather(comm, local[held], *(values[here][held] for values in given))
+            along = axes[here].swapaxes(1, 2) @ local
+            rows, *wanted = gather(comm, along[held], *(values[here][held] for values in given))
             basis, rank, amounts = _held_motions(scene, body.region, rows, wanted)
             place = tail + 6 * k
             columns[here] = place + np.arange(6)
@@ -253,17 +289,22 @@ class WithRigid:
     def state(self, u: PETSc.Vec, nodes: Ints) -> State:
         """Displacements of free nodes, motions of rigid regions and the axes that they are in."""
         free = 3 * len(self._free)
+        nodal = self.expand(u).array_r.reshape(-1, 3)
         regions = np.arange(len(self._bases))
         axes = np.array(list(self._bases.values())).reshape(-1, 36)
         return {
-            "nodes": keyed(nodes[self._free], u.array_r[:free]),
+            "nodes": keyed(nodes[self._free], nodal[self._free].ravel()),
             "rigid": keyed(regions, u.array_r[free:].reshape(-1, 6)),
             "axes": keyed(regions, axes),
         }
 
     def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
         """Fill u with saved displacements and motions; other ranks may have chosen other axes."""
-        u.array[: 3 * len(self._free)] = state["nodes"].of(nodes[self._free]).ravel()
+        nodal = np.zeros((len(nodes), 3))
+        nodal[self._free] = state["nodes"].of(nodes[self._free]).reshape(-1, 3)
+        found = self._P.createVecLeft()
+        found.array[:] = nodal.ravel()
+        u.array[:] = self.vector(found).array
         regions = np.arange(len(self._bases))
         motions, axes = (state[name].of(regions) for name in ("rigid", "axes"))
         for (place, basis), motion, old in zip(self._bases.items(), motions, axes, strict=True):
@@ -325,11 +366,17 @@ def _held_motions(
 
 
 def reduction_of(
-    scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace, support_of: Ints
+    scene: Scene,
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    stage: int,
+    frames: Frames | None,
 ) -> Reduction:
-    """The reduction a scene needs; collective."""
-    if scene.rigid:
-        return WithRigid(scene, tagged, space, support_of)
+    """The reduction a scene needs in a stage; collective."""
+    support_of = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
+    if scene.rigid or frames:
+        return ByMatrix(scene, tagged, space, support_of, frames)
     return AllFree(scene, space, support_of)
 
 

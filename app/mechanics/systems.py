@@ -130,8 +130,8 @@ class ContactSystem(System):
         """Put given displacements and jumps into a state."""
         u, q = x
         self._problem.impose(u)
-        held = self._jumps.held.ravel()
-        q.array[held] = self._jumps.given.ravel()[held]
+        j = self._jumps
+        q.array[:] = (j.let(q.array_r.reshape(-1, 3)) + j.given).ravel()
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""

@@ -146,7 +146,7 @@ class Balance:
         for j in problem.jumps:
             jump = trial.jump.ravel().copy() if trial is not None else np.zeros(3 * len(j.mine))
             e = trial.equilibrium if trial is not None else np.zeros((len(j.mine), 3))
-            held_q = np.where(j.held, e, 0.0).ravel()
+            held_q = (e - j.let(e)).ravel()
         return {
             "u": problem.reduction.expand(u).array.copy(),
             "q": jump,

@@ -196,7 +196,7 @@ def contact_facets(
                 f"interfaces.{c.name}: its two sides share no facet of the mesh; allowed: regions "
                 "that touch on a conforming mesh"
             )
-    vertices, vertex_dofs, edge_dofs, x, inside = _facet_nodes(
+    vertices, vertex_dofs, edge_dofs, x, inside = facet_nodes(
         tagged, space, FacetCells(facet, slave, _local_numbers(tagged, facet, slave))
     )
     stiffness = np.zeros(len(bodies.of_tag))
@@ -216,7 +216,7 @@ def contact_facets(
     )
 
 
-def _facet_nodes(
+def facet_nodes(
     tagged: TaggedMesh, space: fem.FunctionSpace, f: FacetCells
 ) -> tuple[Ints, Ints, Ints, NDArray, NDArray]:
     """Vertex numbers, vertex dofs, edge dofs, coordinates of facets, and a point in their cells."""
@@ -282,7 +282,7 @@ def held_vertices(
     tags = cell_tags(tagged)
     for s, support in enumerate(supports):
         f = boundary_facets(tagged, support.boundary)
-        corners = _facet_nodes(tagged, space, f)[0].ravel()
+        corners = facet_nodes(tagged, space, f)[0].ravel()
         owners = np.repeat(bodies.of_tag[tags[f.cells]], 3)
         near = np.isin(corners, vertices)
         found.append((corners[near], owners[near], np.full(int(near.sum()), s)))

@@ -124,13 +124,14 @@ def _foundation(support: config.Support) -> tuple[FoundationTerm, ...]:
 def _support(
     name: str, support: config.Support, stages: tuple[config.Stage, ...]
 ) -> tuple[Support, ...]:
+    normal: tuple[float, ...] | str = ()
     match support:
         case config.Fixed():
             given: tuple[float | str | None, ...] = (0.0, 0.0, 0.0)
             history = None
         case config.Roller():
             given = tuple(0.0 if axis == support.axis else None for axis in "xyz")
-            history = None
+            history, normal = None, support.normal or ()
         case config.Displacement():
             given, history = (support.x, support.y, support.z), support.history
         case _:
@@ -140,7 +141,7 @@ def _support(
     held = support.stages
     active = () if held is None else tuple(stage.name in held for stage in stages)
     factors = _history(history, len(stages))
-    return (Support(name, support.boundary, (x, y, z), values, factors, active),)
+    return (Support(name, support.boundary, (x, y, z), values, factors, active, normal),)
 
 
 @singledispatch

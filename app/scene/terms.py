@@ -31,8 +31,8 @@ def gap_at(gap: Floats, history: Sequence[float], time: float) -> Floats:
 
     Args:
         gap: At full amplitude (n,) [mm].
-        history: Its amplitudes at the ends of the stages. Empty: a clearance is there from the
-            start, as the geometry has it, an interference grows through the first stage.
+        history: Its amplitudes at the ends of the stages. Empty: a clearance is there at once, an
+            interference grows through the first stage.
         time: Stage k runs from k to k + 1.
     """
     if history:
@@ -103,6 +103,7 @@ class Support:
         values: Their values (n, 3) at points at full amplitude [mm].
         history: Amplitudes at the ends of the stages.
         active: Whether it holds in each stage; empty: in all.
+        normal: Of a support that holds this direction alone, a unit vector or "face".
     """
 
     name: str
@@ -111,6 +112,11 @@ class Support:
     values: Field
     history: tuple[float, ...]
     active: tuple[bool, ...] = ()
+    normal: tuple[float, ...] | str = ()
+
+    def holds(self, stage: int) -> bool:
+        """Whether it holds in a stage."""
+        return self.active[stage] if self.active else True
 
 
 @dataclass(frozen=True)
@@ -191,14 +197,7 @@ class HeatFluxTerm:
 
 @dataclass(frozen=True)
 class ConvectionTerm:
-    """Heat exchange of a boundary with what surrounds it.
-
-    Attributes:
-        name: Name in the case file.
-        boundary: Boundary name.
-        coefficient: Film coefficient [N/(mm s K)].
-        ambient: Temperature of the surroundings [K].
-    """
+    """Heat exchange of a boundary: film coefficient [N/(mm s K)], temperature around it [K]."""
 
     name: str
     boundary: str

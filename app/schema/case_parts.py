@@ -15,6 +15,7 @@ class CaseParts:
     """
 
     geometry: Any
+    side: Any
     mesh: Any
     regions: Mapping[str, Any] | None
     interfaces: Mapping[str, Any]

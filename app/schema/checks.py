@@ -13,6 +13,7 @@ from mantle.errors import Reason
 from mantle.schema import thermal_checks
 from mantle.schema.case_file import Fault, Path
 from mantle.schema.case_parts import CaseParts
+from mantle.schema.femurs import Femur, IntactFemur
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor, Rigid
 from mantle.schema.quantities import of_run
@@ -28,6 +29,7 @@ def cross_check(parts: CaseParts) -> list[Fault]:
         *_support_stages(parts),
         *_rigid(parts),
         *_held(parts),
+        *_side(parts),
         *thermal_checks.cross_check(parts),
         *thermal_checks.probe_regions(parts),
         *quantities(parts.geometry, parts.study),
@@ -165,7 +167,7 @@ def _held(parts: CaseParts) -> Iterable[Fault]:
         held = {
             axis
             for support in parts.supports.values()
-            for axis in support.held_axes
+            for axis in getattr(support, "felt_axes", support.held_axes)
             if not (stages := getattr(support, "stages", None)) or stage in stages
         }
         when = f" in stage '{stage}'" if stage else ""
@@ -174,6 +176,16 @@ def _held(parts: CaseParts) -> Iterable[Fault]:
             allowed = "expected a support: fixed, roller, displacement or foundation"
             text = f"nothing holds the model{along}{when}; {allowed} [{Reason.LOOSE_BODY}]"
             yield Fault(("supports",), text)
+
+
+def _side(parts: CaseParts) -> Iterable[Fault]:
+    """Femurs that are made here are left ones."""
+    if parts.side == "right" and isinstance(parts.geometry, Femur | IntactFemur):
+        text = (
+            f"the geometry ({parts.geometry.kind}) is a left femur; expected left, whose numbers "
+            "are those of the mirrored right one"
+        )
+        yield Fault(("side",), text)
 
 
 def quantities(geometry: Any, study: Any) -> Iterable[Fault]:

@@ -5,12 +5,19 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    GetCoreSchemaHandler,
+    ValidationInfo,
+    model_validator,
+)
+from pydantic_core import core_schema
 
 from mantle.schema.expressions import Varying
-from mantle.schema.fields import ITEMS, Extensible, Kinds, Name, Section, Word, fail, show
+from mantle.schema.fields import ITEMS, TAG, Extensible, Kinds, Name, Section, Word, fail, show
 from mantle.schema.materials import History
-from mantle.schema.units import Dimension, ForceVector, Length, Stiffness, Stress
+from mantle.schema.units import Axis, Dimension, ForceVector, Length, Stiffness, Stress
 from mantle.schema.vectors import Triple, spread_unit
 
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
@@ -43,21 +50,62 @@ class Fixed(Section):
         return "xyz"
 
 
+class _Normal:
+    """Marks a field that is a direction or the word `face`."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Either, told apart before it is read."""
+
+        def check(value: object) -> object:
+            if isinstance(value, list | tuple) or value == "face":
+                return value
+            fail(f"{show(value)} is no direction; expected e.g. [1, 1, 0], or face")
+
+        kinds: dict[Any, core_schema.CoreSchema] = {
+            TAG + "face": core_schema.literal_schema(["face"]),
+            TAG + "axis": handler.generate_schema(Axis),
+        }
+        union = core_schema.tagged_union_schema(
+            kinds, lambda value: TAG + ("face" if value == "face" else "axis")
+        )
+        return core_schema.no_info_before_validator_function(check, union)
+
+
 class Roller(Section):
-    """No displacement along one axis."""
+    """No displacement along one direction: of `axis` and `normal` exactly one."""
 
     kind: Literal["roller"] = "roller"
     boundary: Name
     """Boundary of the geometry."""
-    axis: Annotated[Literal["x", "y", "z"], Word()]
-    """The axis."""
+    axis: Annotated[Literal["x", "y", "z"], Word()] | None = None
+    """The direction, if it is an axis."""
+    normal: Annotated[Axis | Literal["face"], _Normal()] | None = None
+    """The direction; any length but zero, normalised. `face`: at each node along the outward
+    normal of the boundary there, the mean of its facets."""
     stages: StageNames = None
     """Stages in which it holds; all by default."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Roller:
+        either = "expected axis: x, y or z, or normal: [1, 1, 0] or face"
+        if self.axis is not None and self.normal is not None:
+            fail(f"stands beside axis; {either}", at=("normal",))
+        if self.axis is None and self.normal is None:
+            fail(f"has no direction; {either}")
+        return self
 
     @property
     def held_axes(self) -> str:
         """Axes along which the model cannot move freely."""
-        return self.axis
+        return self.axis or ""
+
+    @property
+    def felt_axes(self) -> str:
+        """Axes along which it may resist a motion."""
+        normal = (1.0, 1.0, 1.0) if isinstance(self.normal, str) else self.normal or ()
+        return self.held_axes + "".join(a for a, c in zip("xyz", normal, strict=False) if c)
 
 
 class Displacement(Section):

@@ -151,7 +151,7 @@ class Case(Section):
     side: Annotated[Literal["left", "right"], Word()] = "left"
     """Side of the hip, z being proximal and y anterior: x is medial of a left one and lateral of a
     right one. It decides the signs of retroversion and varus, and nothing else. Parametric femurs
-    are left; their numbers are those of the mirrored right one."""
+    are left, and nothing else: their numbers are those of the mirrored right one."""
     mesh: MeshOptions
     """Mesh size and order."""
     regions: Annotated[dict[Name, Region], MAPPING]
@@ -379,6 +379,7 @@ def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
     default: tuple[Stage, ...] = Case.model_fields["stages"].default
     return CaseParts(
         geometry=geometry,
+        side=data.get("side"),
         mesh=part(MeshOptions, data["mesh"]) if "mesh" in data else None,
         regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
         interfaces=table("interfaces", Interface),

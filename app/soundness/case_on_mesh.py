@@ -18,6 +18,7 @@ from mantle.scene.build_heat import field
 from mantle.schema import config
 from mantle.schema.materials import Conductor, Rigid
 from mantle.soundness.free_motions import (
+    directions,
     gaps_of,
     groups_of,
     history_of,
@@ -56,7 +57,8 @@ def look(case: config.Case, data: MeshData) -> Parts:
         case: A case on it.
         data: The mesh.
     """
-    return parts(data, {s.boundary for s in case.supports.values()})
+    faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
+    return parts(data, {s.boundary for s in case.supports.values()}, faces)
 
 
 def judge(case: config.Case, found: Parts) -> list[str]:
@@ -145,16 +147,16 @@ def _clamped(case: config.Case, found: Parts) -> list[str]:
     for name in gaps_of(case, found):
         held: list[NDArray[np.bool_]] = []
         for side in case.geometry.interface_sides[name]:
-            axes = np.zeros((len(found.x), 3), dtype=bool)
+            here = np.zeros((len(found.x), 3, 3))
             for s in case.supports.values():
                 if s.kind == "foundation":
                     continue
                 for piece, nodes in found.boundaries.get(s.boundary, {}).items():
                     if found.pieces[piece].region in side:
-                        for axis in s.held_axes:
-                            axes[nodes, "xyz".index(axis)] = True
-            held.append(axes[found.interfaces[name]])
-        both = float(np.mean(np.logical_and(*held).all(axis=1)))
+                        d = directions(s, found, nodes)
+                        here[nodes] += d.swapaxes(1, 2) @ d
+            held.append(np.linalg.eigvalsh(here[found.interfaces[name]])[:, 0] > SAME)
+        both = float(np.mean(np.logical_and(*held)))
         if both > MOSTLY:
             notes.append(
                 f"supports hold both sides of interface '{name}' at {100 * both:.0f} % of its "

@@ -22,6 +22,8 @@ from mantle.soundness import uniqueness
 
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
 _FREE = 1e-10
+# A body is held in every direction when supports hold more than this of each.
+HELD = 1e-3
 # What a contact point does, by its status.
 STATES = ("open", "stick", "slip")
 # Changing points that a message lists.
@@ -262,14 +264,17 @@ def runaway(problem: Problem, trial: TrialState) -> str:
 def _held_every_way(problem: Problem) -> set[int]:
     """Bodies with supports or foundations along all three axes; planes of symmetry leave one."""
     scene = problem.scene
-    held: dict[int, set[int]] = {}
-    conditions: list[tuple[str, tuple[bool, ...]]] = []
-    conditions += [(s.boundary, s.components) for s in scene.supports]
-    conditions += [(f.boundary, tuple(k > 0 for k in f.stiffness)) for f in scene.foundations]
-    for boundary, axes in conditions:
+    conditions = [(s.boundary, np.diag(s.components).astype(float)) for s in scene.supports]
+    if problem.frames is not None:
+        for s, support in enumerate(scene.supports):
+            if support.normal:
+                conditions[s] = support.boundary, problem.frames.held_by(s)
+    conditions += [(f.boundary, np.diag(np.sign(f.stiffness))) for f in scene.foundations]
+    held: dict[int, Floats] = {}
+    for boundary, part in conditions:
         for body in bodies_at(problem.tagged, problem.bodies, boundary):
-            held.setdefault(body, set()).update(k for k, given in enumerate(axes) if given)
-    return {body for body, axes in held.items() if len(axes) == 3}
+            held[body] = held.get(body, 0.0) + part
+    return {body for body, part in held.items() if np.linalg.eigvalsh(part)[0] > HELD}
 
 
 def held_bodies(problem: Problem) -> set[int]:

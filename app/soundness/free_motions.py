@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats
+from mantle.arrays import Floats, Ints
 from mantle.meshes.parts import Parts, Piece
 from mantle.numerics.rigid_motions import describe, rigid_modes
 from mantle.scene.build_heat import field
@@ -70,6 +70,15 @@ def holds(support: Any, stage: str) -> bool:
     return stages is None or stage in stages
 
 
+def directions(support: Any, found: Parts, nodes: Ints) -> Floats:
+    """Directions that a support holds at nodes of its boundary, as rows (n, k, 3)."""
+    normal = getattr(support, "normal", None)
+    if normal == "face":
+        return found.normals[support.boundary][nodes][:, None]
+    rows = np.eye(3)[["xyz".index(a) for a in support.held_axes]] if normal is None else [normal]
+    return np.broadcast_to(rows, (len(nodes), len(rows), 3))
+
+
 def _holding(case: config.Case) -> Iterator[tuple[int, dict[str, Any]]]:
     """Supports that hold in each stage, once where they are those of the stage before."""
     before: dict[str, Any] = {}
@@ -98,9 +107,9 @@ class _Bodies:
         n = len(self._groups)
         held = np.zeros((n, 6, 6))
         for s in supports:
-            axes = ["xyz".index(a) for a in s.held_axes]
             for piece, nodes in self._found.boundaries.get(s.boundary, {}).items():
-                rows = self._modes(self._found.x[nodes])[:, axes].reshape(-1, 6)
+                modes = self._modes(self._found.x[nodes])
+                rows = (directions(s, self._found, nodes) @ modes).reshape(-1, 6)
                 held[self._of[piece]] += rows.T @ rows
         blocks = []
         for b in range(n):

@@ -101,9 +101,9 @@ def critical_friction_of_points(j: Jumps) -> Floats:
     """
     stiffness = j.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
-    stiffness[j.held[:, :, None] | j.held[:, None, :]] = 0
-    total = np.trace(stiffness, axis1=1, axis2=2)[:, None]
-    stiffness += np.where(j.held, total, 0.0)[:, :, None] * np.eye(3)
+    free = np.eye(3) - j.held
+    stiffness = free @ stiffness @ free
+    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * j.held
     critical = np.full(len(j.mine), np.inf)
     for k in range(j.normals.shape[1]):
         on = j.faces > k

@@ -118,7 +118,7 @@ class Nested:
         named = solver.named(x)
         u, q = named["displacement"], named["jump"]
         (j,) = problem.jumps
-        q.array[:] = np.where(j.held, j.given, jump).ravel()
+        q.array[:] = (j.let(jump) + j.given).ravel()
         problem.impose(u)
         r, du = u.duplicate(), u.duplicate()
         problem.residual_u(u, q, r)

@@ -65,6 +65,22 @@ def test_no_hip_is_like_that(
     assert limit in message
 
 
+@pytest.mark.parametrize("kind", ["femur", "intact_femur"])
+def test_a_femur_that_is_made_here_is_a_left_one(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    more = IMPLANT if kind == "femur" else ""
+    text = HIP.format(kind=kind, key="canal_widening", value="1 mm", more=more)
+    path.write_text(f"{text.rstrip()}\nside: left\n")
+    config.load(path)
+    path.write_text(f"{text.rstrip()}\nside: right\n")
+    with pytest.raises(InputError) as caught:
+        config.load(path)
+    (message,) = caught.value.messages
+    line = len(text.rstrip().splitlines()) + 1
+    assert message.startswith(f"{path}:{line}:1: side: the geometry ({kind}) is a left femur;")
+    assert "expected left" in message
+
+
 def test_what_only_the_mesher_sees_has_its_place_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -47,7 +47,12 @@ def test_taylor_remainder_is_of_second_order(
     c = coupled.solve(monkeypatch, *overrides)
     solver, problem = c.solver, c.model.mechanics[0].problem
     conduction, (j,) = c.model.thermal[0].conduction, problem.jumps
-    held = [conduction.held, *(t.held for t in conduction.jumps), problem.held, j.held.ravel()]
+    held = [
+        conduction.held,
+        *(t.held for t in conduction.jumps),
+        problem.held,
+        j.points.held[j.mine].ravel(),
+    ]
     free = dict(zip(solver.named(), map(np.logical_not, held), strict=True))
     rng = np.random.default_rng(1)
 

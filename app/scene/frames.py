@@ -1,0 +1,264 @@
+"""Axes of nodes that supports hold along other directions than x, y, z.
+
+Each such node has three axes of its own, the same in every stage and for every body there: what
+any of these holds is along some of them. All other nodes have x, y, z, and need nothing from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from dolfinx import fem
+from dolfinx.common import IndexMap
+
+from mantle.arrays import Bools, Floats, Ints
+from mantle.errors import InputError
+from mantle.meshes.contact_faces import projectors
+from mantle.meshes.contact_facets import (
+    NODES,
+    InterfaceFacets,
+    gather,
+    nodal_normals,
+    shape_functions,
+)
+from mantle.meshes.distribute import TaggedMesh
+from mantle.meshes.interfaces import Holds
+from mantle.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, held_vertices
+from mantle.scene.terms import Scene, Support
+
+# Directions are one within about a milliradian: squares of sines below this are zero.
+ONE = 1e-6
+# Cosine of the angle between a facet and the mean of a boundary at a node of a smooth one.
+SMOOTH = np.cos(np.radians(40.0))
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Nodes that have their own axes, replicated (n of them).
+
+    Attributes:
+        node: Their global blocked dofs, rising (n,).
+        axes: Their axes as columns (n, 3, 3).
+        acts: Whether each support acts on each body there (n, bodies, supports).
+        along: Whether it holds each axis (n, supports, 3).
+    """
+
+    node: Ints
+    axes: Floats
+    acts: Bools
+    along: Bools
+
+    def own(self, index_map: IndexMap) -> tuple[Ints, Ints]:
+        """Local numbers of the nodes that this rank owns, and their places here."""
+        low, high = index_map.local_range
+        places = np.flatnonzero((self.node >= low) & (self.node < high))
+        return self.node[places] - low, places
+
+    def held_by(self, s: int) -> Floats:
+        """Mean of the projectors on what a support holds (3, 3)."""
+        here = self.acts[:, :, s].any(axis=1)
+        return np.asarray(projectors(self.axes[here], self.along[here, s]).mean(axis=0))
+
+    def support(self, places: Ints, bodies: Ints | int, order: Sequence[int]) -> Ints:
+        """Support that holds each axis of bodies at nodes, -1 where none does (m, 3).
+
+        Args:
+            places: The nodes, by their place here (m,).
+            bodies: The bodies (m,), or one.
+            order: The supports that hold; later ones go before earlier ones.
+        """
+        found = np.full((len(places), 3), -1, dtype=np.int64)
+        for s in order:
+            found[self.acts[places, bodies, s][:, None] & self.along[places, s]] = s
+        return found
+
+
+def held_at(
+    frames: Frames | None,
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    supports: Sequence[Support],
+    facets: InterfaceFacets,
+) -> tuple[Holds, dict[int, Floats]]:
+    """What supports hold at vertices of interfaces, and the axes of those with their own."""
+    numbers, first = np.unique(facets.vertices, return_index=True)
+    holds = held_vertices(tagged, bodies, space, supports, numbers)
+    if frames is None:
+        return holds, {}
+    dof = facets.vertex_dofs.ravel()[first][np.searchsorted(numbers, holds.vertex)]
+    rows = np.flatnonzero(np.isin(dof, frames.node))
+    places, held = np.searchsorted(frames.node, dof[rows]), holds.support.copy()
+    order = sorted(range(len(supports)), key=lambda s: all(supports[s].active))
+    held[rows] = frames.support(places, holds.body[rows], order)
+    axes = {int(v): frames.axes[p] for v, p in zip(holds.vertex[rows], places, strict=True)}
+    return replace(holds, support=held), axes
+
+
+def frames_of(
+    scene: Scene, tagged: TaggedMesh, bodies: Bodies, space: fem.FunctionSpace
+) -> Frames | None:
+    """The nodes that need axes of their own; None if no support does; collective.
+
+    Raises:
+        InputError: A boundary is not smooth, or supports do not go together at a node.
+    """
+    supports = scene.supports
+    if not any(s.normal for s in supports):
+        return None
+    comm, tags = tagged.mesh.comm, cell_tags(tagged)
+    at = NODES[: 3 + 3 * (scene.order > 1)]
+    found = []
+    for s in supports:
+        f = boundary_facets(tagged, s.boundary)
+        _, vertices, edges, x, inside = facet_nodes(tagged, space, f)
+        dofs = np.hstack([vertices, edges])
+        body = np.broadcast_to(bodies.of_tag[tags[f.cells]][:, None], dofs.shape)
+        place = np.einsum("qn,fni->fqi", shape_functions(at, x.shape[1]), x)
+        n = nodal_normals(x, inside, at)
+        found.append((dofs.ravel(), body.ravel(), place.reshape(-1, 3), n.reshape(-1, 3)))
+    (near,) = gather(
+        comm, np.concatenate([f[0] for f, s in zip(found, supports, strict=True) if s.normal])
+    )
+    node = np.unique(near)
+    acts = np.zeros((len(node), len(bodies.names), len(supports)), dtype=bool)
+    places = np.zeros((len(node), 3))
+    held = np.zeros((len(node), len(supports), 3, 3))
+    for k, (s, rows) in enumerate(zip(supports, found, strict=True)):
+        here = np.isin(rows[0], node)
+        dof, body, x, n = gather(comm, *(r[here] for r in rows))
+        at_node = np.searchsorted(node, dof)
+        acts[at_node, body, k] = True
+        places[at_node] = x
+        held[at_node, k] = np.diag(s.components)
+        if s.normal:
+            known = isinstance(s.normal, tuple)
+            d = np.tile(s.normal, (len(x), 1)) if known else _means(s, at_node, n, places)[at_node]
+            held[at_node, k] = np.einsum("ni,nj->nij", d, d)
+    axes, along = np.zeros((len(node), 3, 3)), np.zeros((len(node), len(supports), 3), dtype=bool)
+    patterns, which = np.unique(acts.reshape(len(node), -1), axis=0, return_inverse=True)
+    for p, pattern in enumerate(patterns.reshape(-1, *acts.shape[1:])):
+        some = np.flatnonzero(which.ravel() == p)
+        axes[some], along[some] = _axes(supports, _groups(scene, pattern), held[some], places[some])
+    return Frames(node, axes, acts, along)
+
+
+def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Floats:
+    """Mean normals of a boundary at nodes (n, 3), zero where it is not.
+
+    Args:
+        support: Of the boundary.
+        node: Node of each corner of its facets (m,).
+        normals: Normal there as long as the area of the facet (m, 3).
+        places: Where the nodes are (n, 3) [mm].
+
+    Raises:
+        InputError: It is not smooth.
+    """
+    sums = np.zeros(places.shape)
+    np.add.at(sums, node, normals)
+    sizes = np.linalg.norm(sums, axis=1, keepdims=True)
+    mean = np.divide(sums, sizes, out=np.zeros(sums.shape), where=sizes > 0)
+    flat = np.einsum("mi,mi->m", normals, mean[node]) < SMOOTH * np.linalg.norm(normals, axis=1)
+    if flat.any():
+        raise InputError(
+            f"supports.{support.name}: boundary '{support.boundary}' has an edge at "
+            f"{_place(places[node[np.argmax(flat)]])}, where it has no one normal; allowed: "
+            "normal: face on a smooth boundary, so a support for each face"
+        )
+    return mean
+
+
+def _place(x: Floats) -> str:
+    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*x)
+
+
+def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
+    """Supports that hold a body together in some stage.
+
+    Args:
+        scene: The scene.
+        acts: Whether each support acts on each body (bodies, supports).
+    """
+    stages = range(len(scene.stages))
+    found = {
+        tuple(int(s) for s in np.flatnonzero(of_body) if scene.supports[s].holds(k))
+        for of_body in acts
+        for k in stages
+    }
+    return sorted(found - {()})
+
+
+def _axes(
+    supports: Sequence[Support], groups: list[tuple[int, ...]], held: Floats, x: Floats
+) -> tuple[Floats, Bools]:
+    """Axes of nodes on the same supports, and which of them each support holds.
+
+    Args:
+        supports: All supports.
+        groups: Those that hold a body together in some stage.
+        held: Projectors on what each support holds (n, supports, 3, 3).
+        x: Where the nodes are (n, 3) [mm].
+
+    Raises:
+        InputError: There are none, or displacements do not go together.
+    """
+    if not groups:
+        return np.eye(3)[None], np.zeros((1, 1, 3), dtype=bool)
+    spans = []
+    for group in groups:
+        values, vectors = np.linalg.eigh(held[:, group].sum(axis=1))
+        spans.append(projectors(vectors, values > ONE))
+    used = sorted({s for group in groups for s in group})
+    of_used = held[:, used]
+    products = np.einsum("nsij,ntjk->nstik", of_used, of_used)
+    skew = np.abs(products - products.swapaxes(3, 4)).max(axis=(2, 3, 4)) > np.sqrt(ONE)
+    # Any weights will do that keep the eigenvalues of different axes apart.
+    parts = [*spans, *np.where(skew[:, :, None, None], 0.0, of_used).swapaxes(0, 1)]
+    golden = (1 + np.sqrt(5)) / 2
+    total = sum((1 + (k * golden) % 1) * part for k, part in enumerate(parts, 1))
+    _, axes = np.linalg.eigh(total)
+    names = "supports." + ", ".join(supports[s].name for s in used)
+    for span in spans:
+        inside = np.einsum("nic,nij,njd->ncd", axes, span, axes) * (1 - np.eye(3))
+        if (wrong := np.abs(inside).max(axis=(1, 2)) > np.sqrt(ONE)).any():
+            raise InputError(
+                f"{names}: at {_place(x[np.argmax(wrong)])} they hold several bodies, or one in "
+                "several stages, along directions that are neither the same nor at right angles; "
+                "allowed: the same directions"
+            )
+    along = np.einsum("nic,nsij,njc->nsc", axes, held, axes) > ONE
+    _refuse_unlike(supports, groups, held, axes, along, x, names)
+    return axes, along
+
+
+def _refuse_unlike(
+    supports: Sequence[Support],
+    groups: list[tuple[int, ...]],
+    held: Floats,
+    axes: Floats,
+    along: Bools,
+    x: Floats,
+    names: str,
+) -> None:
+    """Refuse displacements that nodes cannot take on together."""
+    given = {s: supports[s].values(x) for group in groups for s in group}
+    size = max(float(np.abs(values).max()) for values in given.values())
+    for group in groups if size else ():
+        for history in {supports[s].history for s in group}:
+            wanted = {s: given[s] * (supports[s].history == history) for s in group}
+            # The last to hold an axis gives its displacement.
+            motion: Floats = np.zeros((len(x), 3))
+            for s in group:
+                motion = np.where(along[:, s], np.einsum("nic,ni->nc", axes, wanted[s]), motion)
+            for s in group:
+                missing = np.einsum("nic,nc->ni", axes, motion) - wanted[s]
+                wrong = np.abs(np.einsum("nij,nj->ni", held[:, s], missing)).max(axis=1)
+                if (wrong > ONE * size).any():
+                    raise InputError(
+                        f"{names}: cannot all hold at {_place(x[np.argmax(wrong)])}; allowed: the "
+                        "same displacements, and none but zero where directions are at an angle "
+                        "other than a right one"
+                    )

@@ -1,0 +1,304 @@
+"""Rollers in any direction: a turned model has the numbers of the straight one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mantle import meshes
+from mantle.arrays import Floats
+from mantle.errors import InputError
+from mantle.meshes.distribute import TaggedMesh, distribute
+from mantle.results.balance import Balance
+from mantle.schema import config
+from mantle.soundness.case_on_mesh import judge, look
+from mantle.verification.changed_meshes import ROTATION, turned
+from tests import support
+
+QUARTER = """
+geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 6 mm,
+           length: 15 mm, taper: 1.5 deg, sector: quarter}
+mesh: {size: 5 mm}
+regions:
+  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
+  cement: {youngs_modulus: 2.2 GPa, poisson_ratio: 0.3}
+  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
+interfaces:
+  stem_cement: {kind: contact, friction_coefficient: 0.2, gap: -0.01 mm, gap_history: [1, 1]}
+  cement_bone: {kind: contact, friction_coefficient: 0.3}
+supports:
+  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
+  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
+  under_bone: {kind: roller, boundary: bone_bottom, axis: z}
+  under_cement: {kind: roller, boundary: cement_bottom, axis: z}
+loads:
+  push: {kind: force, boundary: stem_top, force: [0 N, 0 N, -900 N], history: [0, 1]}
+stages:
+  - {name: press_fit}
+  - {name: push_in, increments: 2}
+solver: {tolerance: 1e-12}
+"""
+BLOCK = """
+geometry: {kind: blocks, blocks: [{name: block, size: [4 mm, 6 mm, 5 mm]}]}
+mesh: {size: 3 mm, far_size: 3 mm}
+regions: {block: {youngs_modulus: 1000 MPa, poisson_ratio: 0.3}}
+supports:
+  x: {kind: roller, boundary: x_min, axis: x}
+  y: {kind: roller, boundary: y_min, axis: y}
+  z: {kind: roller, boundary: bottom, axis: z}
+loads: {push: {kind: force, boundary: top, force: [0 N, 0 N, -120 N]}}
+"""
+
+
+def vector(values: Any, unit: str = "") -> str:
+    """A vector as a case file has it."""
+    return "[" + ", ".join(f"{v:.17g}{unit}" for v in values) + "]"
+
+
+def turn(text: str, *overrides: str, face: bool = False) -> tuple[config.Case, TaggedMesh]:
+    """A case and its mesh, both turned: rollers along axes become oblique ones."""
+    straight = support.case(text, *overrides)
+    data = turned(meshes.build(straight.geometry, straight.mesh, None))
+    changes = [*overrides]
+    for name, s in straight.supports.items():
+        if isinstance(s, config.Roller) and s.axis:
+            normal = "face" if face else vector(3 * ROTATION[:, "xyz".index(s.axis)])
+            stages = f", stages: [{', '.join(s.stages)}]" if s.stages else ""
+            support_ = f"kind: roller, boundary: {s.boundary}, normal: {normal}{stages}"
+            changes.append(f"supports.{name}={{{support_}}}")
+    for name, load in straight.loads.items():
+        if load.resultant:
+            changes.append(f"loads.{name}.force={vector(ROTATION @ load.resultant, ' N')}")
+    return support.case(text, *changes), distribute(data, support.MPI.COMM_WORLD)
+
+
+def reactions(solved: support.Solved) -> Floats:
+    """Forces through the supports at the nodes [N]."""
+    u, q = solved.solver.parts()
+    trial = solved.problem.trial(u, q) if q is not None else None
+    return np.array(
+        Balance(solved.problem, np.zeros(3))._measure(u, trial)["reaction"].reshape(-1, 3)
+    )
+
+
+def same(text: str, *overrides: str, face: bool = False, tolerance: float = 1e-9) -> None:
+    """Solve a case straight and turned: displacements and reactions are turned, numbers equal."""
+    one = support.solve(text, *overrides, balances=True)
+    this, tagged = turn(text, *overrides, face=face)
+    other = support.solve(this, tagged=tagged, balances=True)
+    for region in this.regions:
+        (x, u), (y, v) = one.displacement(region), other.displacement(region)
+        np.testing.assert_allclose(y, x @ ROTATION.T, atol=1e-12)
+        assert support.difference(v, u @ ROTATION.T) < tolerance
+    force = reactions(one) @ ROTATION.T
+    assert np.abs(reactions(other) - force).max() < tolerance * max(1.0, np.abs(force).max())
+    for name, numbers in one.interfaces.items():
+        for key, value in numbers.items():
+            if isinstance(value, float) and not key.startswith("penetration"):
+                found = other.interfaces[name][key]
+                assert found == pytest.approx(value, rel=1e-8, abs=1e-10), (name, key)
+    assert other.balances.max() < 1e-8
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("face", [False, True])
+def test_a_turned_quarter_is_the_quarter(order: int, face: bool) -> None:
+    """Press fit and friction: planes of symmetry cut both sides of both interfaces."""
+    same(QUARTER, f"mesh.order={order}", face=face)
+
+
+def test_a_turned_quarter_around_a_rigid_stem() -> None:
+    """The planes leave it one motion."""
+    under = "supports.under_cement={kind: roller, boundary: bone_bottom, axis: z}"
+    same(QUARTER, "regions.stem={rigid: true}", under)
+
+
+def test_a_turned_block() -> None:
+    """Uniaxial stress between three planes: what they bear is the load."""
+    this, tagged = turn(BLOCK)
+    solved = support.solve(this, tagged=tagged)
+    axis = ROTATION[:, 2]
+    stress = -120 / 24 * np.outer(axis, axis)
+    found = solved.stress("block")
+    np.testing.assert_allclose(found, np.broadcast_to(stress, found.shape), atol=1e-10)
+    np.testing.assert_allclose(reactions(solved).sum(axis=0), 120 * axis, atol=1e-9)
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+def test_released_and_held_again(rigid: bool) -> None:
+    """An oblique support that lets go of a block, or of a plate on it, and takes hold again."""
+    supports = (
+        "supports.side={kind: roller, boundary: x_max, axis: x, stages: [a, c]}",
+        "stages=[{name: a}, {name: b}, {name: c}]",
+        "loads.pull={kind: force, boundary: y_max, force: [30 N, 20 N, -10 N], history: [1, 2, 1]}",
+    )
+    plate = (
+        "geometry.blocks=[{name: block, size: [4 mm, 6 mm, 5 mm]}, "
+        "{name: plate, size: [4 mm, 6 mm, 3 mm]}]",
+        "regions.plate={rigid: true}",
+    )
+    same(BLOCK, *supports, *(plate if rigid else ()))
+
+
+def test_planes_at_an_angle() -> None:
+    """Two rollers at 45 degrees hold the edge that they share, and a fixed corner is held."""
+    wedge = (
+        "supports.y={kind: roller, boundary: y_min, normal: [1, 1, 0]}",
+        "supports.z={kind: fixed, boundary: bottom}",
+    )
+    solved = support.solve(BLOCK, *wedge)
+    x, u = solved.displacement("block")
+    edge = (x[:, 0] < 1e-9) & (x[:, 1] < 1e-9)
+    assert np.abs(u[edge, :2]).max() < 1e-15 and np.abs(u[edge & (x[:, 2] > 1), 2]).min() > 1e-4
+    side = x[:, 1] < 1e-9
+    assert np.abs(u[side] @ [1, 1, 0]).max() < 1e-15 and np.abs(u[side, 0]).max() > 1e-5
+
+
+RINGS = """
+geometry: {kind: cylinders, stem_radius: 4 mm, cement_thickness: 3 mm, bone_thickness: 3 mm,
+           length: 3 mm, taper: 0 deg, sector: quarter}
+mesh: {size: 3 mm, order: 2}
+regions:
+  stem: {youngs_modulus: 2000 MPa, poisson_ratio: 0.3, eigenstrains: [{strain: 0.01}]}
+  cement: {youngs_modulus: 1000 MPa, poisson_ratio: 0.2}
+  bone: {youngs_modulus: 1000 MPa, poisson_ratio: 0.2}
+supports:
+  symmetry_x: {kind: roller, boundary: symmetry_x, axis: x}
+  symmetry_y: {kind: roller, boundary: symmetry_y, axis: y}
+  bottom: {kind: roller, boundary: bottom, axis: z}
+  top: {kind: roller, boundary: top, axis: z}
+  shell: {kind: roller, boundary: bone_surface, normal: face}
+"""
+
+
+def test_a_ring_in_a_rigid_shell() -> None:
+    """A core that swells in a ring whose outside slides in a shell: Lame's solution, by hand."""
+    solved = support.solve(RINGS)
+    b, c, e = 4.0, 10.0, 0.01
+    (λ1, G1), (λ2, G2) = (
+        (E * ν / (1 + ν) / (1 - 2 * ν), E / 2 / (1 + ν)) for E, ν in ((2000.0, 0.3), (1000.0, 0.2))
+    )
+    # u = A r inside, u = B (r - c^2 / r) outside; equal displacement and radial stress at b.
+    core, ring = 2 * λ1 + 2 * G1, 2 * λ2 + 2 * G2 * (1 + c**2 / b**2)
+    A = (3 * λ1 + 2 * G1) * e / (core - ring / (1 - c**2 / b**2))
+    x, u = solved.displacement("stem")
+    assert np.sqrt(np.mean((u - A * x * [1, 1, 0]) ** 2)) < 1e-3 * A * b
+
+
+def test_a_shaft_turns_in_its_bearing() -> None:
+    """Twisted at its core, its side held radially: all goes around, which the side lets happen."""
+    turns = []
+    for side in ("", ", side: {kind: roller, boundary: bone_surface, normal: face}"):
+        twist = (
+            "geometry.sector=full",
+            "supports={bottom: {kind: fixed, boundary: bottom}, "
+            "core: {kind: displacement, boundary: stem_top, x: -0.01 * y, y: 0.01 * x, z: 0 mm}"
+            f"{side}}}",
+        )
+        x, u = support.solve(RINGS, *twist).displacement("bone")
+        outside = np.hypot(x[:, 0], x[:, 1]) > 9.99
+        turns.append((x[:, 0] * u[:, 1] - x[:, 1] * u[:, 0])[outside])
+    assert turns[1].mean() == pytest.approx(turns[0].mean(), rel=2e-3)
+    assert np.abs(np.einsum("ni,ni->n", x[:, :2], u[:, :2])[outside]).max() < 2e-3 * turns[0].max()
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ("x={kind: roller, boundary: x_min}", r"supports.x: has no direction; expected axis: x, y"),
+        (
+            "x={kind: roller, boundary: x_min, axis: x, normal: face}",
+            "supports.x.normal: stands beside axis; expected axis: x, y or z, or normal: ",
+        ),
+        ("x={kind: roller, boundary: x_min, normal: [0, 0, 0]}", "is the zero vector"),
+        ("x={kind: roller, boundary: x_min, normal: [1, 0]}", "has 2 values; expected three"),
+        ("x={kind: roller, boundary: x_min, normal: fcae}", r"no direction; expected .* or face"),
+        (
+            "z={kind: roller, boundary: bottom, normal: [1, 1, 0]}",
+            "nothing holds the model along z",
+        ),
+    ],
+)
+def test_what_is_no_roller(change: str, expected: str) -> None:
+    """Exactly one direction, told in words that say where and what is allowed."""
+    with pytest.raises(InputError, match=expected):
+        support.case(BLOCK, f"supports.{change}")
+
+
+def test_a_direction_is_normalised_and_reads_back() -> None:
+    """As a vector of unit length."""
+    supports = (
+        "x={kind: roller, boundary: x_min, normal: [0, -2, 0]}",
+        "y={kind: roller, boundary: y_min, normal: face}",
+        "z={kind: fixed, boundary: bottom}",
+    )
+    this = support.case(BLOCK, *(f"supports.{s}" for s in supports))
+    assert this.supports["x"].normal == (0.0, -1.0, 0.0)
+    again = support.case(config.dump(this))
+    assert again.supports == this.supports
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (
+            (
+                "supports.x={kind: displacement, boundary: x_min, x: 0.1 mm}",
+                "supports.y={kind: roller, boundary: y_min, normal: [1, 1, 0]}",
+            ),
+            r"supports.x, y.*: cannot all hold at \(0, 0, .*allowed: the same displacements",
+        ),
+        (
+            ("supports.y={kind: roller, boundary: walls, normal: face}",),
+            "boundary 'walls' has an edge at .* a support for each face",
+        ),
+    ],
+)
+def test_what_cannot_hold(changes: tuple[str, ...], expected: str) -> None:
+    """Displacements at an angle to what a roller holds; a normal at an edge."""
+    this = support.case(BLOCK, *changes[: -1 if "walls" in changes[-1] else None])
+    data = meshes.build(this.geometry, this.mesh, None)
+    walls = {"walls": data.boundaries["x_max"] + data.boundaries["y_min"]}
+    tagged = distribute(
+        replace(data, boundaries={**data.boundaries, **walls}), support.MPI.COMM_WORLD
+    )
+    supports = dict(this.supports)
+    if "walls" in changes[-1]:
+        supports["y"] = config.Roller(boundary="walls", normal="face")
+    with pytest.raises(InputError, match=expected):
+        support.solve(this.model_copy(update={"supports": supports}), tagged=tagged)
+
+
+def test_skew_directions_on_two_bodies_are_refused() -> None:
+    """Where the sides of an interface are held at an angle, no axes serve both."""
+    two = (
+        "geometry.blocks=[{name: block, size: [4 mm, 6 mm, 5 mm]}, "
+        "{name: plate, size: [4 mm, 6 mm, 3 mm]}]",
+        "regions.plate={youngs_modulus: 1 GPa, poisson_ratio: 0.3}",
+        "interfaces.block_plate={kind: contact, friction_coefficient: 0.3}",
+        "supports.x={kind: roller, boundary: block_x_min, axis: x}",
+        "supports.a={kind: roller, boundary: plate_x_min, normal: [1, 0.2, 0]}",
+    )
+    with pytest.raises(InputError, match="neither the same nor at right angles; allowed"):
+        support.solve(BLOCK, *two)
+
+
+@pytest.mark.parametrize(
+    ("y", "expected"), [("[1, -1, 0]", ""), ("[2, 2, 0]", r"nothing holds .* along"), ("face", "")]
+)
+def test_what_normals_leave_free(y: str, expected: str) -> None:
+    """Judged on the mesh: two planes and the floor hold a block, one direction twice does not."""
+    this = support.case(
+        BLOCK,
+        "supports.x={kind: roller, boundary: x_min, normal: [1, 1, 0]}",
+        f"supports.y={{kind: roller, boundary: y_min, normal: {y}}}",
+    )
+    found = look(this, meshes.build(this.geometry, this.mesh, None))
+    if expected:
+        with pytest.raises(InputError, match=expected):
+            judge(this, found)
+    else:
+        assert not judge(this, found)
