@@ -93,6 +93,7 @@ class Parts:
         normals: Mean unit normals at the nodes of some boundaries, zero elsewhere (n, 3).
         boundary_areas: Area of each boundary [mm2].
         x: Coordinates of all nodes (n, 3) [mm].
+        corners: Corner nodes of the cells of each region (n, 4).
         interfaces: Corner nodes of the facets of each interface (n,).
         doubled: For each pair of regions, the places of nodes of either that coincide (n, 3) [mm].
         told: What the mesher has repaired or left out.
@@ -105,6 +106,7 @@ class Parts:
     normals: Mapping[str, Floats]
     boundary_areas: Mapping[str, float]
     x: Floats
+    corners: Mapping[str, Ints]
     interfaces: Mapping[str, Ints]
     doubled: Mapping[tuple[str, str], Floats]
     told: tuple[str, ...] = ()
@@ -163,6 +165,10 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
             for name, tags in data.boundaries.items()
         },
         x=data.points,
+        corners={
+            name: data.cells[data.cell_tags == tag, :4].astype(np.int32)
+            for tag, name in names.items()
+        },
         interfaces=corners,
         doubled=_doubled(data, piece, pieces),
         told=tuple(data.notes.get("told", ())),

@@ -36,6 +36,9 @@ from mantle.scene.terms import (
 )
 from mantle.system.timing import Timing
 
+# Of the quadrature where fibres turn: UFL would take 20, with the same fluxes to 0.01 %.
+TURNING_DEGREE = 2
+
 
 class HeatForms:
     """Assembled pieces of heat conduction, by region and by body.
@@ -146,12 +149,14 @@ class HeatForms:
         k = [self._constant(value) for value in conductor.conductivity]
         g = ufl.grad(θ)
         if conductor.fibre:
-            potential = heat.fibre_conduction(g, self._constant(conductor.fibre), *k)
+            m = conductor.fibre.direction(self._mesh, self._constant)
+            potential = heat.fibre_conduction(g, m, *k)
         else:
             potential = heat.isotropic_conduction(g, *k)
-        matrix = assemble_matrix(
-            self._form(self._hessian(potential * self._dx(conductor.region), θ))
-        )
+        dx = self._dx(conductor.region)
+        if conductor.fibre and conductor.fibre.turns:
+            dx = dx(degree=TURNING_DEGREE)
+        matrix = assemble_matrix(self._form(self._hessian(potential * dx, θ)))
         matrix.assemble()
         return matrix
 

@@ -177,7 +177,8 @@ class Mechanics:
         return fem.Constant(self.mesh, np.asarray(value, dtype=default_scalar_type))
 
     def _region_constants(self, e: Elastic) -> tuple[list[fem.Constant], Any]:
-        return [self.constant(c) for c in e.coefficients], self.constant(e.fibre or (0, 0, 1))
+        coefficients = [self.constant(c) for c in e.coefficients]
+        return coefficients, e.fibre.direction(self.mesh, self.constant) if e.fibre else None
 
     # Energies
 
@@ -185,6 +186,14 @@ class Mechanics:
         """Strain energy density of a region for an elastic strain [MPa]."""
         coefficients, fibre = self._constants[e.region]
         return e.energy(ε, coefficients, fibre)
+
+    def over(self, e: Elastic, dx: ufl.Measure, tag: int | None = None) -> ufl.Measure:
+        """Measure of a region, by its own tag or another.
+
+        Where fibres turn UFL would take a degree beyond 20, with the same errors.
+        """
+        own = dx(self.tag(e.region) if tag is None else tag)
+        return own(degree=self.varying_degree) if e.fibre and e.fibre.turns else own
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:
         """Strain of a displacement minus the region's eigenstrains and its swelling."""
@@ -203,7 +212,7 @@ class Mechanics:
         total = 0
         for e in self._scene.elastic:
             if self._bodies.of_region[e.region] == body and e.region not in self.growth:
-                total += self.energy_density(e, self.elastic_strain(e, v)) * dx(self.tag(e.region))
+                total += self.energy_density(e, self.elastic_strain(e, v)) * self.over(e, dx)
         for f, k in zip(self._scene.foundations, self.springs, strict=True):
             ds = self.ds(f.boundary, body)
             if ds is not None:
@@ -216,13 +225,13 @@ class Mechanics:
         for e in self._scene.elastic:
             if self._bodies.of_region[e.region] == body and e.region in self.growth:
                 ψ = self.energy_density(e, elasticity.strain(v))
-                dx_e = dx(self.tag(e.region), degree=self.setting_degree)
+                dx_e = dx(self.tag(e.region), degree=self.varying_degree)
                 total += self.growth[e.region] * ψ * dx_e
         return total
 
     @property
-    def setting_degree(self) -> int:
-        """Degree of quadrature where stress is history: that of the stiffness, and a bit."""
+    def varying_degree(self) -> int:
+        """Degree of quadrature where stress is history or fibres turn: stiffness needs one less."""
         return 2 * self._scene.order - 1
 
     def displacements(self, moved: dict[int, fem.Function]) -> list[fem.Function]:
@@ -333,7 +342,7 @@ class Mechanics:
         v, free = ufl.TestFunction(self.space), ufl.TrialFunction(self.scalars)
         # One number for any region: all that are isotropic share a compiled form.
         dx = ufl.Measure("dx", domain=self.mesh, subdomain_data=[(1, self.region_cells(e.region))])
-        energy = self.energy_density(e, self.elastic_strain(e, self.u)) * dx(1)
+        energy = self.energy_density(e, self.elastic_strain(e, self.u)) * self.over(e, dx, 1)
         forces = -ufl.derivative(energy, self.u, v)
         return self.matrix(self.form(ufl.derivative(forces, self.swelling[e.region], free)))
 

@@ -70,11 +70,11 @@ class CuringStress:
                     f"regions.{e.region}.eigenstrains: none in a region that sets; allowed: "
                     "shrinkage and thermal expansion"
                 )
-        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, mechanics.setting_degree)
+        quadrature = basix.make_quadrature(basix.CellType.tetrahedron, mechanics.varying_degree)
         points, weights = (np.asarray(a, dtype=np.float64) for a in quadrature)
         self.points, self.weights = points, weights
         element = basix.ufl.quadrature_element(
-            "tetrahedron", value_shape=(6,), degree=mechanics.setting_degree
+            "tetrahedron", value_shape=(6,), degree=mechanics.varying_degree
         )
         self._stress = fem.Function(fem.functionspace(mechanics.mesh, element))
         self._before = {b: fem.Function(mechanics.space) for b in self.bodies}
@@ -113,7 +113,7 @@ class CuringStress:
 
     def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
         """Regions of a body that set, with their measures."""
-        degree = self._mechanics.setting_degree
+        degree = self._mechanics.varying_degree
         return [
             (e, self._measure(self._mechanics.tag(r), degree=degree))
             for r, e in self._elastic.items()

@@ -125,7 +125,7 @@ class Balance:
         σ = elasticity.stress(
             lambda ε: mechanics.energy_density(e, ε), mechanics.elastic_strain(e, U)
         )
-        return -loads.mechanical_work(σ, strain) * mechanics.cells()(mechanics.tag(e.region))
+        return -loads.mechanical_work(σ, strain) * mechanics.over(e, mechanics.cells())
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
         """Everything that enters the balances at the current time and state."""

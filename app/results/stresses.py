@@ -14,6 +14,7 @@ from mantle.arrays import Floats
 from mantle.forms import elasticity
 from mantle.mechanics.problem import Problem
 from mantle.results.percentiles import percentile
+from mantle.scene.fibres import Vector
 from mantle.scene.terms import Elastic
 from mantle.schema.quantities import computed
 from mantle.system.timing import Timing
@@ -30,7 +31,7 @@ class _Law:
     expression: fem.Expression
     displacement: fem.Function
     coefficients: list[fem.Constant]
-    fibre: fem.Constant
+    fibre: list[fem.Constant]
 
     def of(self, e: Elastic, displacement: fem.Function) -> fem.Expression:
         """The stress of a region in a displacement."""
@@ -38,7 +39,9 @@ class _Law:
         for constant, value in zip(self.coefficients, e.coefficients, strict=True):
             constant.value = value
         if e.fibre:
-            self.fibre.value = e.fibre
+            # Straight ones have no point.
+            for constant, vector in zip(self.fibre, (e.fibre.axis, e.fibre.through), strict=False):
+                constant.value = vector
         return self.expression
 
 
@@ -64,7 +67,7 @@ class Stresses:
             e for e in elastic if not e.eigenstrains and e.region not in problem.mechanics.swelling
         ]
         self._plain = {e.region: e for e in plain if e.region not in setting}
-        kinds = {bool(e.fibre): e for e in self._plain.values()}
+        kinds = {_lay(e): e for e in self._plain.values()}
         self._laws = {kind: self._law(e) for kind, e in kinds.items()}
         self._expressions = {
             e.region: self._expression(e)
@@ -78,9 +81,15 @@ class Stresses:
         """Stress of any region without free strain that has the same law as this one."""
         mesh, v = self._problem.tagged.mesh, fem.Function(self._problem.space)
         coefficients = [fem.Constant(mesh, np.array(c)) for c in e.coefficients]
-        fibre = fem.Constant(mesh, np.array(e.fibre or (0.0, 0.0, 1.0)))
+        fibre: list[fem.Constant] = []
+
+        def constant(value: Vector) -> fem.Constant:
+            fibre.append(fem.Constant(mesh, np.array(value)))
+            return fibre[-1]
+
+        direction = e.fibre.direction(mesh, constant) if e.fibre else None
         σ = elasticity.stress(
-            lambda strain: e.energy(strain, coefficients, fibre), elasticity.strain(v)
+            lambda strain: e.energy(strain, coefficients, direction), elasticity.strain(v)
         )
         with self._timing.phase("compile"):
             expression = fem.Expression(σ, self._points, comm=self._problem.comm)
@@ -103,7 +112,7 @@ class Stresses:
             return np.zeros((0, len(self._points), 3, 3))
         if region in self._plain:
             e, body = self._plain[region], self._problem.bodies.of_region[region]
-            expression = self._laws[bool(e.fibre)].of(e, self._problem.displacements()[body])
+            expression = self._laws[_lay(e)].of(e, self._problem.displacements()[body])
         else:
             expression = self._expressions[region]
         values = expression.eval(self._problem.tagged.mesh, cells)
@@ -142,6 +151,10 @@ class Stresses:
         """
         (e,) = (e for e in self._problem.scene.elastic if e.region == region)
         σ = self.evaluate(region)
+        if e.fibre and e.fibre.turns:
+            # In axes that turn with it.
+            Q = e.fibre.frames(self.places(region)[0]).reshape(σ.shape)
+            σ = np.einsum("cqki,cqkl,cqlj->cqij", Q, σ, Q)
         components = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
         # Each of the last three stands for two entries of the tensors.
         twice = np.diag([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
@@ -187,11 +200,20 @@ class Stresses:
         return self._problem.comm.bcast(result) | computed("regions", self, region)
 
 
+def _lay(e: Elastic) -> str:
+    """What regions whose stresses are of one form have in common."""
+    return e.fibre.lay if e.fibre else ""
+
+
 def _stiffness(e: Elastic) -> Floats:
-    """Stress components (6, 6) of unit strains, in the order of `COMPONENTS` [MPa]."""
+    """Stress components (6, 6) of unit strains, in the order of `COMPONENTS` [MPa].
+
+    Of a fibre that turns in axes that turn with it, of which it is the third.
+    """
+    fibre = e.fibre.axis if e.fibre and not e.fibre.turns else (0.0, 0.0, 1.0)
 
     def law(ε: Any) -> Any:
-        return e.energy(ε, e.coefficients, as_vector(e.fibre or (0.0, 0.0, 1.0)))
+        return e.energy(ε, e.coefficients, as_vector(fibre))
 
     columns = []
     for unit in np.eye(6):

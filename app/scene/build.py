@@ -12,7 +12,7 @@ from functools import singledispatch
 import numpy as np
 
 from mantle.forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
-from mantle.scene.build_heat import field, heat
+from mantle.scene.build_heat import fibre_of, field, heat
 from mantle.scene.laws import BondTerm, Coulomb, CoulombByPenalty, InterfaceLaw
 from mantle.scene.loads import BodyForceTerm, Field, ForceTerm, LoadTerm, PressureTerm
 from mantle.scene.terms import (
@@ -82,7 +82,7 @@ def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ..
                 Elastic(
                     name,
                     isotropic_coefficients(region.youngs_modulus, region.poisson_ratio),
-                    (),
+                    None,
                     region.youngs_modulus,
                     _eigenstrains(region.eigenstrains, stages),
                 ),
@@ -98,7 +98,7 @@ def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ..
                         region.transverse_poisson_ratio,
                         region.axial_shear_modulus,
                     ),
-                    region.fibre,
+                    fibre_of(region.fibre),
                     max(region.axial_youngs_modulus, region.transverse_youngs_modulus),
                     _eigenstrains(region.eigenstrains, stages),
                 ),

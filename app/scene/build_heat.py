@@ -10,6 +10,7 @@ import numpy as np
 
 from mantle.arrays import Floats
 from mantle.errors import InputError
+from mantle.scene.fibres import Fibre
 from mantle.scene.loads import Field
 from mantle.scene.terms import (
     AutocatalyticCure,
@@ -29,6 +30,7 @@ from mantle.scene.terms import (
     TimeStepping,
 )
 from mantle.schema import config
+from mantle.schema.fibres import FibreDirection
 from mantle.schema.shapes import Sides
 
 
@@ -75,12 +77,19 @@ def _conductor(name: str, thermal: config.Thermal, region: config.Region) -> Con
     axial, transverse = thermal.axial_conductivity, thermal.transverse_conductivity
     if axial is None or transverse is None:
         conductivity: tuple[float, ...] = (thermal.conductivity or 0.0,)
-        fibre: tuple[float, ...] = ()
+        fibre = None
     else:
         conductivity = axial, transverse
-        fibre = getattr(region, "fibre", None) or thermal.fibre or (0.0, 0.0, 1.0)
+        fibre = fibre_of(getattr(region, "fibre", None) or thermal.fibre or (0.0, 0.0, 1.0))
     capacity = thermal.density * thermal.specific_heat
     return ConductorTerm(name, conductivity, fibre, capacity, thermal.initial_temperature)
+
+
+def fibre_of(direction: FibreDirection) -> Fibre:
+    """The fibres that a file asks for."""
+    if isinstance(direction, tuple):
+        return Fibre(direction)
+    return Fibre(direction.axis, direction.through, direction.kind)
 
 
 def effusivity(conductor: ConductorTerm) -> float:

@@ -17,6 +17,7 @@ from ufl.core.expr import Expr
 
 from mantle.arrays import Floats
 from mantle.forms import elasticity, loads
+from mantle.scene.fibres import Fibre
 from mantle.scene.laws import BondTerm, InterfaceLaw
 from mantle.scene.loads import Field, LoadTerm
 
@@ -55,14 +56,14 @@ class Elastic:
     Attributes:
         region: Its name.
         coefficients: Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five.
-        fibre: Fibre direction; empty if isotropic.
+        fibre: Fibre directions; None if isotropic.
         modulus: Largest Young's modulus [MPa]: what "softer" and "stiffer" compare.
         eigenstrains: Stress-free strains.
     """
 
     region: str
     coefficients: tuple[float, ...]
-    fibre: tuple[float, ...]
+    fibre: Fibre | None
     modulus: float
     eigenstrains: tuple[EigenstrainTerm, ...]
 
@@ -162,14 +163,14 @@ class ConductorTerm:
     Attributes:
         region: Its name.
         conductivity: Along and across the fibre [N/(s K)], or one value if isotropic.
-        fibre: Fibre direction; empty if isotropic.
+        fibre: Fibre directions; None if isotropic.
         capacity: Density times specific heat [N/(mm2 K)].
         initial: Initial temperature [K].
     """
 
     region: str
     conductivity: tuple[float, ...]
-    fibre: tuple[float, ...]
+    fibre: Fibre | None
     capacity: float
     initial: float
 

@@ -11,9 +11,10 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, model_validator
 
+from mantle.schema.fibres import FibreDirection
 from mantle.schema.fields import ITEMS, Kinds, Section, Word, fail, show
 from mantle.schema.thermal_options import Thermal
-from mantle.schema.units import Axis, Modulus, Number
+from mantle.schema.units import Modulus, Number
 
 Tissue = Annotated[Literal["bone", "cement", "implant", "other"], Word()]
 History = Annotated[tuple[Number, ...], ITEMS] | None
@@ -86,8 +87,8 @@ class TransverselyIsotropic(Section):
     """Poisson's ratio nu_t in the transverse plane."""
     axial_shear_modulus: Modulus
     """Shear modulus mu_l between the fibre and the transverse plane."""
-    fibre: Axis = (0.0, 0.0, 1.0)
-    """Fibre direction; any length but zero, normalised."""
+    fibre: FibreDirection = (0.0, 0.0, 1.0)
+    """Fibre direction, of any length but zero, normalised; or those that an axis gives."""
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
     thermal: Thermal | None = None

@@ -17,12 +17,12 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from mantle.schema.expressions import Varying
+from mantle.schema.fibres import FibreDirection
 from mantle.schema.fields import ITEMS, TAG, Kinds, Name, Scalar, Section, Word, fail, show
 from mantle.schema.units import (
     NUMBER,
     AbsoluteTemperature,
     ActivationEnergy,
-    Axis,
     ConductancePerArea,
     ConductancePerPressure,
     Conductivity,
@@ -168,7 +168,7 @@ class Thermal(Section):
     """Conductivity along the fibre."""
     transverse_conductivity: Conductivity | None = None
     """Conductivity across the fibre."""
-    fibre: Axis | None = None
+    fibre: FibreDirection | None = None
     """Fibre direction where the region has none of its own; z by default."""
     density: Density
     """Mass per volume."""

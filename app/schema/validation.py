@@ -57,7 +57,8 @@ def _model_at(model: type[BaseModel], location: tuple[str | int, ...]) -> type[B
     current: Any = model
     for item in location[:-1]:
         if isinstance(item, str) and item.startswith(TAG):
-            current = next(m for m in _kinds(current) if TAG + m.__name__ == item)
+            # A tag may also tell apart what is no model: a list and a mapping.
+            current = next((m for m in _kinds(current) if TAG + m.__name__ == item), current)
         elif get_origin(current) in (dict, tuple):
             current = get_args(current)[1 if get_origin(current) is dict else 0]
         elif (owner := next(_models(current), None)) is not None:

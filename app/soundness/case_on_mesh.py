@@ -17,6 +17,7 @@ from mantle.meshes.parts import Parts, parts
 from mantle.scene.build_heat import field
 from mantle.schema import config
 from mantle.schema.materials import Conductor, Rigid
+from mantle.soundness.fibre_axes import on_axis
 from mantle.soundness.free_motions import (
     directions,
     gaps_of,
@@ -72,6 +73,8 @@ def judge(case: config.Case, found: Parts) -> list[str]:
         InputError: It cannot be solved: with all the reasons.
     """
     notes = [*found.told, *_cracks(case, found), *_size(case, found)]
+    if errors := on_axis(case, found):
+        raise InputError(errors)
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
     groups = groups_of(case, found)

@@ -215,6 +215,55 @@ class OvalFit:
         return np.linalg.solve(np.array(rows), [0, 0, 0, 0, 0, self.δ2])
 
 
+# Fibres about an axis
+
+
+@dataclass(frozen=True)
+class FibreRing:
+    """A ring a < r < b with fibres around its axis, or away from it, under a pressure inside.
+
+    Plane strain: ε_r = β_rr σ_r + β_rθ σ_θ and so on with β_ij = a_ij - a_iz a_jz / a_zz.
+    Equilibrium σ_θ = (r σ_r)' and compatibility ε_r = (r ε_θ)' leave σ_r = A r^(k-1) + B r^(-k-1)
+    with k² = β_rr / β_θθ (Lekhnitskii, Anisotropic Plates, section 24).
+
+    Attributes:
+        a: Inner radius [mm].
+        b: Outer radius [mm].
+        pressure: On the inside [MPa].
+        material: Of the ring.
+        radial: Whether the fibres point away from the axis.
+    """
+
+    a: float
+    b: float
+    pressure: float
+    material: Fibrous
+    radial: bool
+
+    def stress(self, r: Floats) -> tuple[Floats, Floats]:
+        """Radial and hoop stress (n,) at radii (n,) [MPa]."""
+        rr, _, tt = self._compliance()
+        k, ρ, c = math.sqrt(rr / tt), r / self.b, self.a / self.b
+        A = self.pressure * c ** (k + 1) / (1 - c ** (2 * k))
+        up, down = A * ρ ** (k - 1), A * ρ ** (-k - 1)
+        return up - down, k * (up + down)
+
+    def displacement(self, x: Floats) -> Floats:
+        """Displacement (n, 3) [mm] at points (n, 3), the axis along z."""
+        r = np.hypot(x[:, 0], x[:, 1])
+        σ_r, σ_t = self.stress(r)
+        _, rt, tt = self._compliance()
+        return np.asarray((rt * σ_r + tt * σ_t)[:, None] * x * [1, 1, 0])
+
+    def _compliance(self) -> tuple[float, float, float]:
+        """β_rr, β_rθ, β_θθ [1/MPa]."""
+        S = self.material.compliance()
+        # Of the axes of the material the third is the fibre.
+        r, t, z = (2, 0, 1) if self.radial else (0, 2, 1)
+        rr, rt, tt = (S[i, j] - S[i, z] * S[j, z] / S[z, z] for i, j in ((r, r), (r, t), (t, t)))
+        return rr, rt, tt
+
+
 # Contact of curved bodies
 
 

@@ -17,6 +17,7 @@ from mantle.verification.check import Sample
 # Materials of the cases (MPa, -).
 CEMENT, TITANIUM = (2200.0, 0.3), (110e3, 0.3)
 BONE = exact.Fibrous(E_l=17000, E_t=11500, nu_l=0.31, nu_t=0.51, mu_l=3280)
+WOOD = exact.Fibrous(E_l=12e3, E_t=2e3, nu_l=0.4, nu_t=0.3, mu_l=1e3)
 
 
 def relative(value: float, reference: float) -> Sample:
@@ -38,6 +39,11 @@ def patch_stress(run: Run, fibre: Sequence[float]) -> Sample:
     cell, i, j = np.unravel_index(int(np.argmax(off)), off.shape)
     error = float(off.max() / np.abs(σ).max())
     return Sample(error, float(run.stress()[cell, i, j]), float(σ[i, j]))
+
+
+def ring_of_fibres(run: Run, ring: exact.FibreRing) -> Sample:
+    """Displacement of fibre_ring.yaml."""
+    return in_l2(run, lambda x, region: ring.displacement(x))
 
 
 def strains(run: Run, along_axes: Floats) -> Sample:

@@ -27,7 +27,17 @@ QUICK = {
 
 def problems() -> list[Check]:
     """All problems."""
-    kinds = (_homogeneous, _sines, _press_fits, _oval_fits, _hertz, _friction, _wall, _cook)
+    kinds = (
+        _homogeneous,
+        _sines,
+        _fibre_rings,
+        _press_fits,
+        _oval_fits,
+        _hertz,
+        _friction,
+        _wall,
+        _cook,
+    )
     what = "friction beyond which a particle has several equilibria, relative"
     klarbring = Check("klarbring", what, (), measures.klarbring, 1e-9)
     every = [*(check for kind in kinds for check in kind()), klarbring, *heat_problems()]
@@ -71,6 +81,20 @@ def _sines() -> Iterator[Check]:
             finest(measures.sine),
             tolerance,
             order + 1.0,
+        )
+
+
+def _fibre_rings() -> Iterator[Check]:
+    for lay in ("circumferential", "radial"):
+        ring = exact.FibreRing(5, 10, 10.0, measures.WOOD, lay == "radial")
+        overrides = (f"regions.ring.fibre.kind={lay}", "mesh.size={} mm")
+        yield Check(
+            f"fibre_ring_{lay}",
+            f"displacement of a pressed ring of {lay} fibres, relative in L2",
+            ladder("verification/fibre_ring.yaml", overrides, (1, 0.5, 0.35), 0.25),
+            finest(partial(measures.ring_of_fibres, ring=ring)),
+            0.01,
+            2.0,
         )
 
 

@@ -313,6 +313,31 @@ TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [("3.3 GPa", "3.3 GPa\n    fibre: [0, 1]")],
         ["22:5: regions.bone.fibre: has 2 values; expected three, e.g. [0, 0, 1]"],
     ),
+    "fibre about a wrong axis": (
+        [("3.3 GPa", "3.3 GPa\n    fibre: {kind: radial, axis: [0, 0, 0], through: [1, 2, 3]}")],
+        [
+            "22:27: regions.bone.fibre.axis: is the zero vector; expected a direction",
+            "22:54: regions.bone.fibre.through[0]: 1 needs a unit, e.g. '1 mm'",
+            "22:57: regions.bone.fibre.through[1]: 2 needs a unit",
+            "22:60: regions.bone.fibre.through[2]: 3 needs a unit",
+        ],
+    ),
+    "fibre of an unknown kind": (
+        [("3.3 GPa", "3.3 GPa\n    fibre: {kind: hoop, axis: [0, 0, 1]}")],
+        ["22:13: regions.bone.fibre.kind: 'hoop' is not one of circumferential, radial"],
+    ),
+    "fibre of no kind": (
+        [("3.3 GPa", "3.3 GPa\n    fibre: {axis: [0, 0, 1]}")],
+        ["22:5: regions.bone.fibre.kind: is missing; expected one of circumferential, radial"],
+    ),
+    "fibre about an axis with an unknown key": (
+        [("3.3 GPa", "3.3 GPa\n    fibre: {kind: circumferential, origin: [0 mm, 0 mm, 0 mm]}")],
+        ["22:36: regions.bone.fibre.origin: unknown key; allowed: kind, axis, through"],
+    ),
+    "fibre in a word": (
+        [("3.3 GPa", "3.3 GPa\n    fibre: radial")],
+        ["22:5: regions.bone.fibre: 'radial' is not a list of three values; expected e.g."],
+    ),
     "unknown kind of interface": (
         [("kind: bonded", "kind: glued")],
         ["27:17: interfaces.cement_bone.kind: 'glued' is not one of bonded, contact, penalty"],

@@ -23,6 +23,7 @@ from mantle.meshes import blocks
 from mantle.meshes.distribute import TaggedMesh, distribute
 from mantle.numerics.integrator import METHODS, Method, State, step
 from mantle.numerics.newton import Solver
+from mantle.scene.fibres import Fibre
 from mantle.scene.terms import (
     AutocatalyticCure,
     ConductorTerm,
@@ -76,7 +77,7 @@ def scene(
 
 
 def conductor(region: str, k: float, initial: float = 37.0, capacity: float = 2.0) -> ConductorTerm:
-    return ConductorTerm(region, (k,), (), capacity, ZERO + initial)
+    return ConductorTerm(region, (k,), None, capacity, ZERO + initial)
 
 
 CEMENT = conductor("cement", 0.2, 100.0, 1.752)
@@ -255,7 +256,7 @@ def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) 
     sides = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
     heat: list[HeatCondition] = [FixedTemperatureTerm(s, s, (), given, ()) for s in sides]
     k_l, k_t = 0.6, 0.35
-    bone = ConductorTerm("bone", (k_l, k_t), fibre, 2.5, 310.0)
+    bone = ConductorTerm("bone", (k_l, k_t), Fibre(fibre), 2.5, 310.0)
     s = Solved(scene([bone], heat), stack(0.8, ("bone", 3.0))).steady()
     x, T = s.celsius("bone")
     assert T + ZERO == pytest.approx(310.0 + x @ g, abs=1e-9)

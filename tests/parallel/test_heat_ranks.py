@@ -21,6 +21,7 @@ from mantle.heat.flows import flows, stored
 from mantle.heat.system import HeatSystem
 from mantle.numerics.newton import Solver
 from mantle.scene import terms as t
+from mantle.scene.fibres import Fibre
 from mantle.system.timing import Timing
 from tests import support
 
@@ -28,11 +29,12 @@ case = support.case((support.CONFIGS / "cylinders.yaml").read_text(),
                     "mesh.size=4 mm", "mesh.far_size=6 mm")
 tagged = support.mesh(case)
 Z = 273.15
+around = Fibre((0., 0., 1.), lay="circumferential")
 terms = t.Scene(
     1, (), (), (), (), (), (), (),
-    conductors=(t.ConductorTerm("stem", (14.8,), (), 3.735, Z + 37),
-                t.ConductorTerm("cement", (.2,), (), 1.752, Z + 100),
-                t.ConductorTerm("bone", (.6, .4), (0., 0., 1.), 2.52, Z + 37)),
+    conductors=(t.ConductorTerm("stem", (14.8,), None, 3.735, Z + 37),
+                t.ConductorTerm("cement", (.2,), None, 1.752, Z + 100),
+                t.ConductorTerm("bone", (.6, .4), around, 2.52, Z + 37)),
     heat=(t.FixedTemperatureTerm("outer", "bone_surface", (), lambda x: Z + 37 + 0 * x[:, 0], ()),
           t.FixedTemperatureTerm("low", "cement_bottom", (), lambda x: Z + 60 + x[:, 0], ()),
           t.FixedTemperatureTerm("under", "bone_bottom", (), lambda x: Z + 40 + 0 * x[:, 0], ()),

@@ -46,7 +46,7 @@ class Motion:
 def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     """Bone at 40 + 4 z + y degC; cement colder by 10 + x where the interface resists heat."""
     contact = ThermalContact("bone_cement", ("cement",), ("bone",), H, 0.0, np.inf)
-    conductors = tuple(ConductorTerm(r, (1.0,), (), 2.0, ZERO + 37) for r in ("bone", "cement"))
+    conductors = tuple(ConductorTerm(r, (1.0,), None, 2.0, ZERO + 37) for r in ("bone", "cement"))
     scene = Scene(
         1, (), (), (), (), (), (), (),
         conductors=conductors,

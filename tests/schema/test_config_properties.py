@@ -281,7 +281,10 @@ def thermal(draw: st.DrawFn, expands: bool) -> dict[str, Any]:
         for direction in ("axial", "transverse"):
             result[f"{direction}_conductivity"] = draw(quantity("W/(m K)", positive))
         if draw(st.booleans()):
-            result["fibre"] = [1, draw(moderate), draw(moderate)]
+            along = [1, draw(moderate), draw(moderate)]
+            kind = draw(st.sampled_from(["", "circumferential", "radial"]))
+            through = [draw(quantity("cm", moderate)) for _ in "xyz"]
+            result["fibre"] = {"kind": kind, "axis": along, "through": through} if kind else along
     if draw(st.booleans()):
         result["cure"] = draw(cures())
     if expands and draw(st.booleans()):

@@ -116,6 +116,30 @@ def test_compliance_of_a_fibrous_material() -> None:
     np.testing.assert_allclose(bone.stress(ε, (1, 1, 1)), 10 * M, atol=1e-11)
 
 
+@pytest.mark.parametrize("radial", [False, True])
+def test_ring_of_fibres(radial: bool) -> None:
+    """In equilibrium, by the compliance turned to the fibre, and pressed inside alone."""
+    material = exact.Fibrous(12e3, 2e3, 0.4, 0.3, 1e3)
+    ring = exact.FibreRing(5, 10, 10.0, material, radial)
+
+    def σ(x: np.ndarray) -> np.ndarray:
+        ε = gradient(ring.displacement, x)
+        ε = (ε + ε.transpose(0, 2, 1)) / 2
+        r = x * [1, 1, 0]
+        fibres = r if radial else np.cross([0, 0, 1], r)
+        return np.array([material.stress(e, m) for e, m in zip(ε, fibres, strict=True)])
+
+    x = points(20, (3.6, 3.6, 0), (7, 7, 1))
+    assert np.abs(divergence(σ, x)).max() < 1e-5
+    r = np.hypot(x[:, 0], x[:, 1])
+    n = x * [1, 1, 0] / r[:, None]
+    radial_stress, hoop = ring.stress(r)
+    assert np.einsum("ni,nij,nj->n", n, σ(x), n) == pytest.approx(radial_stress, abs=1e-6)
+    t = np.cross([0, 0, 1], n)
+    assert np.einsum("ni,nij,nj->n", t, σ(x), t) == pytest.approx(hoop, abs=1e-6)
+    assert ring.stress(np.array([5.0, 10.0]))[0] == pytest.approx([-10, 0])
+
+
 def test_isotropic_material_has_no_fibre() -> None:
     E, ν = CEMENT
     same = exact.Fibrous(E, E, ν, ν, E / (2 * (1 + ν)))

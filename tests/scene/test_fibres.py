@@ -1,0 +1,221 @@
+"""Fibres that follow an axis: rings of them against closed forms, and what they must not be."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Literal
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+from mantle.arrays import Floats
+from mantle.errors import InputError
+from mantle.meshes.distribute import TaggedMesh
+from mantle.results.stresses import Stresses
+from mantle.scene.fibres import Fibre
+from mantle.schema import config
+from mantle.simulation.model import Model
+from mantle.soundness import case_on_mesh
+from mantle.system.timing import Timing
+from mantle.verification import closed_forms as exact
+from tests import support
+from tests.heated import Heated
+from tests.mechanics.test_setting import cure, setting
+from tests.soundness.test_soundness import build
+
+RING = support.CONFIGS / "verification" / "fibre_ring.yaml"
+WOOD = exact.Fibrous(E_l=12e3, E_t=2e3, nu_l=0.4, nu_t=0.3, mu_l=1e3)
+LAYS = pytest.mark.parametrize("lay", ["circumferential", "radial"])
+FREE = "{strain: [2e-3, 1e-3, 3e-3, 0, 0, 1e-3]}"
+
+
+def ring(lay: str, *overrides: str) -> config.Case:
+    return config.load(RING, (f"regions.ring.fibre.kind={lay}", *overrides))
+
+
+def error(solved: support.Solved, lay: str) -> float:
+    """Displacement against the closed form, relative."""
+    x, u = solved.displacement("ring")
+    return support.difference(u, exact.FibreRing(5, 10, 10, WOOD, lay == "radial").displacement(x))
+
+
+@LAYS
+def test_pressed_ring(lay: str) -> None:
+    """Of second order on linear cells, and nearly right on few quadratic ones."""
+    coarse, fine = (error(support.solve(ring(lay, f"mesh.size={h} mm")), lay) for h in (1, 0.5))
+    assert fine < 0.02
+    assert coarse / fine > 3
+    assert error(support.solve(ring(lay, "mesh.size=1 mm", "mesh.order=2")), lay) < 4e-3
+
+
+def turned(tagged: TaggedMesh, shift: Floats) -> TaggedMesh:
+    """The mesh moved, its x axis to y, y to z, z to x; in place."""
+    x = tagged.mesh.geometry.x
+    x[:] = np.roll(x, 1, axis=1) + shift
+    return tagged
+
+
+@LAYS
+def test_an_axis_anywhere_gives_the_same_ring(lay: str) -> None:
+    shift = np.array([3.0, -7.0, 11.0])
+    here = support.solve(ring(lay, "mesh.size=1 mm"))
+    case = ring(
+        lay,
+        "mesh.size=1 mm",
+        "regions.ring.fibre.axis=[-2, 0, 0]",
+        "regions.ring.fibre.through=[50 mm, -7 mm, 11 mm]",
+        *(
+            f"supports.{s}.axis={a}"
+            for s, a in zip(("symmetry_x", "symmetry_y"), "yz", strict=True)
+        ),
+        "supports.ends.axis=x",
+    )
+    there = support.solve(case, tagged=turned(support.mesh(case), shift))
+    u, moved = (s.displacement("ring")[1] for s in (here, there))
+    assert support.difference(np.roll(u, 1, axis=1), moved) < 1e-9
+    σ, moved = here.stress("ring"), there.stress("ring")
+    assert support.difference(np.roll(σ, (1, 1), axis=(1, 2)), moved) < 1e-9
+
+
+@pytest.mark.parametrize(("lay", "order"), [("circumferential", 1), ("radial", 2)])
+def test_balances_close_with_a_free_strain(lay: str, order: int) -> None:
+    """All forms of a region integrate in the same points."""
+    case = ring(lay, "mesh.size=2 mm", f"mesh.order={order}", f"regions.ring.eigenstrains=[{FREE}]")
+    assert support.solve(case, balances=True).balances.max() < 1e-9
+
+
+@LAYS
+def test_energy_of_the_strain_is_half_the_work_of_the_pressure(lay: str) -> None:
+    solved = support.solve(ring(lay, "mesh.size=1 mm"))
+    stresses = Stresses(solved.problem, Timing())
+    _, volumes = stresses.places("ring")
+    energy = float((stresses.energy_density("ring") * volumes).sum())
+    work = solved.problem.f.dot(solved.solver.parts()[0])
+    assert energy == pytest.approx(0.5 * work, rel=1e-9)
+
+
+def test_a_ring_that_has_set_is_elastic() -> None:
+    """Fully cured from the start, in two steps, under pressure and an even free strain."""
+    text = RING.read_text().replace("ring.geo", str(RING.with_name("ring.geo")))
+    change = "mesh.size=2 mm"
+    rate = Heated.make(text, setting(cure("ring", initial=1.0)), change)
+    for time in (0.5, 1.0):
+        rate.problem.set_time(time)
+        rate.set(1.0, 1e-3 * time, "ring")
+        rate.step()
+    strain = "regions.ring.eigenstrains=[{strain: 1e-3}]"
+    total = support.solve(text, change, strain)
+    found, expected = rate.problem.u.x.array, total.problem.u.x.array
+    assert support.difference(found, expected) < 1e-10
+    assert support.difference(rate.stress("ring"), total.stress("ring")) < 1e-9
+    assert rate.balance.energy < 1e-9
+
+
+@LAYS
+def test_frames_turn_with_the_fibre(lay: Literal["circumferential", "radial"]) -> None:
+    fibre = Fibre((0.0, 0.6, 0.8), (1.0, 2.0, 3.0), lay)
+    x = np.random.default_rng(1).normal(size=(5, 3))
+    frames = fibre.frames(x)
+    assert np.einsum("nki,nkj->nij", frames, frames) == pytest.approx(
+        np.broadcast_to(np.eye(3), (5, 3, 3))
+    )
+    assert np.linalg.det(frames) == pytest.approx(np.ones(5))
+    m, away = frames[:, :, 2], x - fibre.through
+    assert m @ fibre.axis == pytest.approx(0)
+    along = np.einsum("ni,ni->n", m, away)
+    away = np.linalg.norm(np.cross(fibre.axis, away), axis=1)
+    assert along == pytest.approx(away if lay == "radial" else 0 * away, abs=1e-12)
+
+
+# Heat
+
+HOT = """
+geometry: {kind: file, path: RING}
+mesh: {size: 0.5 mm, order: 1}
+regions:
+  ring:
+    kind: conductor
+    tissue: other
+    thermal: {axial_conductivity: 0.9 W/(m K), transverse_conductivity: 0.3 W/(m K),
+              fibre: {kind: radial}, density: 1000 kg/m^3, specific_heat: 1000 J/(kg K),
+              initial_temperature: 40 degC}
+heat:
+  warm: {kind: temperature, boundary: inside, temperature: 50 degC}
+  cold: {kind: temperature, boundary: outside, temperature: 40 degC}
+stages: [{name: conduct, steady: true}]
+""".replace("RING", str(RING.with_name("ring.geo")))
+
+
+@pytest.mark.parametrize(("lay", "conductivity"), [("radial", 0.9), ("circumferential", 0.3)])
+@pytest.mark.parametrize("overrides", [(), ("mesh.order=2", "mesh.curved=true")])
+def test_heat_through_a_ring(lay: str, conductivity: float, overrides: tuple[str, ...]) -> None:
+    """2 π k L ΔT / log(b / a), of which the quarter; k that of the fibre only if it is radial."""
+    case = support.case(HOT, f"regions.ring.thermal.fibre.kind={lay}", *overrides)
+    model = Model(case, MPI.COMM_WORLD, {}, Timing(), lambda: "")
+    model.go(lambda *step: None, lambda *step: None, print)
+    flow = model.numbers(None)["thermal"]["flows"]["into"]["warm"]
+    exactly = math.pi / 2 * conductivity * 0.5 * 10 / math.log(2)
+    assert flow == pytest.approx(exactly, rel=3e-3)
+
+
+# Where the axis runs
+
+
+@pytest.mark.parametrize(
+    ("through", "axis", "refused"),
+    [
+        ("[0 mm, 0 mm, 0 mm]", "[0, 0, 1]", False),
+        ("[4.9 mm, 0 mm, 0 mm]", "[0, 0, 1]", False),
+        ("[0 mm, 0 mm, -1 mm]", "[1, 1, 0]", False),
+        ("[5 mm, 0 mm, 9 mm]", "[0, 0, 1]", True),  # an edge of the mesh
+        ("[5 mm, 5 mm, 0 mm]", "[0, 0, -3]", True),
+        ("[0 mm, 0 mm, 1 mm]", "[1, 1, 0]", True),
+        ("[0 mm, 8 mm, 0 mm]", "[1, 0, 0]", True),  # in a face of the mesh
+    ],
+)
+@pytest.mark.parametrize("of_heat", [False, True])
+def test_the_axis_runs_outside_the_region(
+    through: str, axis: str, refused: bool, of_heat: bool
+) -> None:
+    key = "regions.ring.thermal.fibre" if of_heat else "regions.ring.fibre"
+    changes = (f"{key}.through={through}", f"{key}.axis={axis}", "mesh.size=2 mm")
+    case = support.case(HOT, *changes) if of_heat else ring("radial", *changes)
+    found = case_on_mesh.look(case, build(case))
+    if not refused:
+        case_on_mesh.judge(case, found)
+        return
+    with pytest.raises(InputError, match=rf"^{key}: its axis meets the region, e.g. at \(.*axis o"):
+        case_on_mesh.judge(case, found)
+
+
+@pytest.mark.parametrize("command", [["check", "--mesh"], ["run", "--force", "-o"]])
+def test_check_and_run_refuse_an_axis_in_the_region(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from mantle.cli import main
+
+    name, *options = command
+    folder = [str(tmp_path / "out")] if name == "run" else []
+    path = tmp_path / "ring.yaml"
+    text = RING.read_text().replace("path: ring.geo", f"path: {RING.with_name('ring.geo')}")
+    path.write_text(text.replace("through: [0 mm", "through: [7 mm"))
+    sizes = ["--set", "mesh.size=2 mm"]
+    assert main([name, str(path), *options, *folder, *sizes]) == 2
+    line = 1 + text[: text.index("fibre: {")].count("\n")
+    assert f"{path}:{line}:5: regions.ring.fibre: its axis meets" in capsys.readouterr().err
+
+
+@pytest.mark.parallel
+def test_two_ranks_give_the_numbers_of_one(tmp_path: Path) -> None:
+    numbers = []
+    for ranks in (1, 2):
+        out = tmp_path / str(ranks)
+        changes = ["--set", "mesh.size=1 mm"]
+        support.on_ranks(ranks, "-m", "mantle", "run", RING, "-o", out, *changes)
+        found = json.loads((out / "summary.json").read_text())["regions"]["ring"]
+        numbers.append(np.hstack([v for v in found.values() if not isinstance(v, str | list)]))
+    assert numbers[1] == pytest.approx(numbers[0], rel=1e-8, abs=1e-8)
