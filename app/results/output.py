@@ -211,15 +211,25 @@ class Writer:
 
 
 def provenance(
-    ranks: int, case_path: Path, overrides: list[str], mesh_hash: str, started: datetime
+    ranks: int, case_files: Sequence[Path], overrides: list[str], mesh_hash: str, started: datetime
 ) -> dict[str, Any]:
-    """Where a result comes from."""
+    """Where a result comes from.
+
+    Args:
+        ranks: Number of MPI ranks.
+        case_files: The case, then the files that it builds upon.
+        overrides: As after ``--set``.
+        mesh_hash: Digest of the mesh.
+        started: When the run began.
+    """
+    digests = {str(p): hashlib.sha256(p.read_bytes()).hexdigest() for p in case_files}
     return {
         "mantle": __version__,
         "identity": identity.parts(),
         "command": sys.argv,
-        "case": str(case_path),
-        "case_sha256": hashlib.sha256(case_path.read_bytes()).hexdigest(),
+        "case": str(case_files[0]),
+        "case_sha256": digests.pop(str(case_files[0])),
+        "based_on_sha256": digests,
         "overrides": overrides,
         "mesh_sha256": mesh_hash,
         "ranks": ranks,

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -32,6 +32,8 @@ from mantle.schema.yaml_text import (
 )
 
 Path = tuple[str | int, ...]
+# Which of its files, line and column, counted from 0, 1 and 1; or the key of an option.
+Place = tuple[int, int, int] | str
 DEEPEST = 50
 # What a mapping or list may be marked as: nothing but itself.
 PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
@@ -39,7 +41,7 @@ PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
 STEP = re.compile(r"[\w-]+")
 # Sorting key of what has no place in the file.
-LAST = (1 << 30, 0)
+LAST = (1 << 30, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -62,14 +64,31 @@ class CaseFile:
     Attributes:
         name: The file as the user named it.
         data: Mappings, lists and scalars.
-        places: Where each path stands: (line, column), counted from 1, or the override's key.
+        places: Where each path stands.
         complaints: Defects found while reading, each with its sorting key, as lines.
+        others: The files that it builds upon (`schema.layers`), in the order of their numbers.
+        given: The values of overrides as they were given, by their keys.
     """
 
     name: str
     data: dict[str, Any] = field(default_factory=dict)
-    places: dict[Path, tuple[int, int] | str] = field(default_factory=dict)
-    complaints: list[tuple[tuple[int, int], str]] = field(default_factory=list)
+    places: dict[Path, Place] = field(default_factory=dict)
+    complaints: list[tuple[tuple[int, int, int], str]] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)
+    given: dict[str, Any] = field(default_factory=dict)
+
+    def put(self, holder: Any, path: Path, value: Any) -> None:
+        """Put a value into the data.
+
+        Args:
+            holder: The mapping or list that it goes into.
+            path: Where it stands then.
+            value: Mappings, lists and scalars; their places are noted already.
+
+        Raises:
+            BadYaml: It cannot stand there.
+        """
+        holder[path[-1]] = value
 
     def raise_all(self, problems: Sequence[Fault]) -> None:
         """Raise one error for all problems, in the order of the file.
@@ -104,18 +123,19 @@ class CaseFile:
             return message
         return self._locate(Fault(path, found[2]))[1]
 
-    def _locate(self, problem: Fault) -> tuple[tuple[int, int], str]:
+    def _locate(self, problem: Fault) -> tuple[tuple[int, int, int], str]:
         """Sorting key and line of a problem: the place of its key, or of the nearest above."""
         for n in range(len(problem.path), -1, -1):
             if (place := self.places.get(problem.path[:n])) is not None:
                 break
         else:
-            place = (1, 1)
+            place = (0, 1, 1)
         key = path_text(problem.path)
         if isinstance(place, str):
             inner = "" if key == place else f"{key}: "
             return LAST, f"--set {place}: {inner}{problem.text}"
-        start = f"{self.name}:{place[0]}:{place[1]}: "
+        file, line, column = place
+        start = f"{[self.name, *self.others][file]}:{line}:{column}: "
         return place, start + (f"{key}: {problem.text}" if key else problem.text)
 
 
@@ -184,18 +204,25 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
     except BadYaml as error:
         line, column = error.place
         raise InputError([printable(f"{path}:{line}:{column}: {error.text}")]) from error
-    _apply(case, overrides)
+    apply(case, overrides)
     return case
 
 
 def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
     """A copy with more overrides applied; the file itself is not read again."""
-    copy = CaseFile(case.name, deepcopy(case.data), dict(case.places))
-    _apply(copy, overrides)
+    copy = replace(
+        case,
+        data=deepcopy(case.data),
+        places=dict(case.places),
+        complaints=[],
+        given=dict(case.given),
+    )
+    apply(copy, overrides)
     return copy
 
 
-def _apply(case: CaseFile, overrides: Sequence[str]) -> None:
+def apply(case: CaseFile, overrides: Sequence[str]) -> None:
+    """Put overrides into a case; what is wrong with one is a complaint."""
     for override in overrides:
         try:
             _override(case, override)
@@ -211,9 +238,9 @@ class _Builder:
         self.case, self.override, self.count = case, override, 0
         self.scalars = YAML(typ="safe", pure=True)
 
-    def place(self, node: Node) -> tuple[int, int] | str:
+    def place(self, node: Node) -> Place:
         """Where a node stands."""
-        return self.override or mark(node)
+        return self.override or (0, *mark(node))
 
     def value(self, node: Node, path: Path) -> Any:
         """The data of a node.
@@ -260,7 +287,7 @@ class _Builder:
                 text = f"{path_text((*path, key))}: this key stands here twice; keep one"
                 if isinstance(place, str):
                     raise BadYaml(text)
-                line = f"{self.case.name}:{place[0]}:{place[1]}: {text}"
+                line = f"{self.case.name}:{place[1]}:{place[2]}: {text}"
                 self.case.complaints.append((place, line))
                 continue
             self.case.places.setdefault((*path, key), place)
@@ -338,9 +365,14 @@ def _override(case: CaseFile, override: str) -> None:
         # "[0, 0, -1] N" is not YAML without quotes, which the shell has already taken away.
         if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
             raise
-        target[step] = text
+        value: Any = text
     else:
-        target[step] = None if node is None else _Builder(case, key).value(node, path)
+        value = None if node is None else _Builder(case, key).value(node, path)
+        if node is None:  # KEY= without a value is not the null that takes something away
+            case.given[key] = target[step] = None
+            return
+    case.given[key] = value
+    case.put(target, path, value)
 
 
 def written(data: dict[str, Any]) -> str:

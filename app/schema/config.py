@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from mantle.errors import InputError
-from mantle.schema import case_file, checks, study_options
+from mantle.schema import case_file, checks, layers, study_options
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.case_parts import CaseParts
 from mantle.schema.conditions import (
@@ -55,7 +55,7 @@ from mantle.schema.geometries import (
     MeshOptions,
 )
 from mantle.schema.interfaces import Bonded, Contact, Interface, InterfaceSection, Penalty
-from mantle.schema.json_schema import json_schema
+from mantle.schema.json_schema import json_schema, over_a_base
 from mantle.schema.materials import (
     Conductor,
     Eigenstrain,
@@ -161,7 +161,8 @@ class Case(Section):
     supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
     loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
-    """Loads on the bodies."""
+    """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
+    library, in place of those of the base; further keys change them."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
     """Sources, fluxes and given temperatures."""
     stages: Annotated[tuple[Stage, ...], ITEMS] = (Stage(name="load"),)
@@ -177,6 +178,13 @@ class Case(Section):
     the lists under ``grid`` every combination is one. With it, only these are run."""
     study: Study | None = None
     """Study that `mantle study` makes; a run does not look at it."""
+    base: Text | None = None
+    """Case that this one is laid over: a file, relative to this one, or the name of a shipped case,
+    such as `stance`. Mappings merge key by key, of another kind they replace; lists and values
+    replace; `null` removes an entry."""
+    library: Text | None = None
+    """File of more materials and loads by name, relative to this one; `mantle library` prints those
+    that are known without it."""
 
     @property
     def conducts(self) -> bool:
@@ -202,7 +210,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Case:
         InputError: Anything wrong with the file; every defect at once, one line each.
     """
     path = Path(path)
-    return resolve(case_file.read(path, overrides), path.parent)
+    return resolve(layers.read(path, overrides), path.parent)
 
 
 def resolve(file: CaseFile, folder: Path) -> Case:
@@ -215,9 +223,6 @@ def resolve(file: CaseFile, folder: Path) -> Case:
     Raises:
         InputError: As `load`.
     """
-    if is_study(file.data):
-        text = f"this is a study of another case, not a case; use mantle study {file.name}"
-        file.raise_all([Fault(("base",), text)])
     case = _resolved(file, folder)
     _varied(file, folder, case)
     return case
@@ -247,7 +252,7 @@ def variations(path: Path, overrides: Sequence[str] = ()) -> list[Varied]:
         InputError: As `load`.
     """
     path = Path(path)
-    file = case_file.read(path, overrides)
+    file = layers.read(path, overrides)
     return _varied(file, path.parent, _resolved(file, path.parent))
 
 
@@ -318,11 +323,6 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
     )
 
 
-def is_study(data: dict[str, Any]) -> bool:
-    """Whether a file holds a study of another case (`schema.study_file`) instead of a case."""
-    return "base" in data and "geometry" not in data
-
-
 def geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
     """The geometry in the content of a case file, whatever is wrong with the rest."""
     found: Geometry | None = _parts(data, {"folder": folder}).geometry
@@ -341,7 +341,7 @@ def dump(case: Case) -> str:
 
 def schema() -> dict[str, Any]:
     """JSON schema of a case file, for editors."""
-    return json_schema(Case)
+    return over_a_base(json_schema(Case), "Case")
 
 
 # Making an adapter takes far longer than using it.

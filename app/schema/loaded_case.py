@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mantle.schema import case_file, config
+from mantle.schema import config, layers
 from mantle.schema.case_file import CaseFile
 from mantle.schema.config import Case, Varied
 
@@ -48,5 +48,5 @@ def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
     Raises:
         InputError: Anything wrong with the file; every defect at once, one line each.
     """
-    file = case_file.read(path, overrides)
+    file = layers.read(path, overrides)
     return LoadedCase(config.resolve(file, path.parent), path, tuple(overrides), file)

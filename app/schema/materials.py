@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, model_validator
 
 from mantle.schema.fibres import FibreDirection
-from mantle.schema.fields import ITEMS, Kinds, Section, Word, fail, show
+from mantle.schema.fields import ITEMS, Kinds, Section, Text, Word, fail, show
 from mantle.schema.thermal_options import Thermal
 from mantle.schema.units import Modulus, Number
 
@@ -56,6 +56,8 @@ class Isotropic(Section):
     """Strains without stress; they add up."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
+    material: Text | None = None
+    """Material of the library (`mantle library`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -93,6 +95,8 @@ class TransverselyIsotropic(Section):
     """Strains without stress; they add up."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
+    material: Text | None = None
+    """Material of the library (`mantle library`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -147,6 +151,8 @@ class Rigid(Section):
     """Says that the region moves as one body; must be true."""
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
+    material: Text | None = None
+    """Material of the library (`mantle library`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -163,6 +169,8 @@ class Conductor(Section):
     kind: Literal["conductor"] = "conductor"
     thermal: Thermal
     """Conduction of heat."""
+    material: Text | None = None
+    """Material of the library (`mantle library`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from mantle.errors import InputError
-from mantle.schema import case_file, checks, config, study_options, validation
+from mantle.schema import case_file, checks, config, layers, study_options, validation
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.study_options import Study, StudyFile
 
@@ -49,10 +49,10 @@ def read(path: Path, overrides: Sequence[str]) -> Source:
     Raises:
         InputError: Anything wrong with it or its case, at once.
     """
-    if config.is_study(case_file.read(path).data):
+    if layers.is_study(case_file.read(path).data):
         return _of_another(path, overrides)
     ranks, others = study_options.split_ranks(overrides)
-    file = case_file.read(path, [*others, *ALONE])
+    file = layers.read(path, [*others, *ALONE])
     study = config.resolve(file, path.parent).study
     if study is None:
         raise InputError(f"{path}: has no study section: what varies, what is measured")
@@ -83,10 +83,10 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
         study = None
     base, changes = file.data["base"], file.data.get("set", {})
     ranks, common = study_options.split_ranks([*_options(changes, others), *others])
-    case = path.parent / str(base)
+    case = layers.found(path.parent, str(base))
     if isinstance(base, str):
         try:
-            content = case_file.read(case, [*common, *ALONE])
+            content = layers.read(case, [*common, *ALONE])
             problems += checks.quantities(config.geometry(content.data, case.parent), study)
             config.resolve(content, case.parent)
         except InputError as error:

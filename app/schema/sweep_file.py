@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from mantle.errors import InputError
-from mantle.schema import case_file, config, study_options, validation
+from mantle.schema import case_file, config, layers, study_options, validation
 from mantle.schema.case_file import CaseFile, Fault
 from mantle.schema.sweep_options import Sweep, SweepPoint, expand
 
@@ -61,7 +61,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
     ranks, others = study_options.split_ranks(overrides)
     given = {o.partition("=")[0].strip(): _value(o) for o in overrides}
     for point in points:
-        base = path.parent / point.base
+        base = layers.found(path.parent, point.base)
         own = {k: v for k, v in point.changes.items() if k != "ranks" and k not in given}
         changes = (*study_options.options(own), "variations={}", *others)
         try:

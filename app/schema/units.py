@@ -262,7 +262,8 @@ Stress = Annotated[float, Dimension("MPa", "a pressure", "2 MPa")]
 Modulus = Annotated[float, Dimension("MPa", "a stress", "110 GPa")]
 Stiffness = Annotated[float, Dimension(*_stiffness, at_least=0.0)]
 PositiveStiffness = Annotated[float, Dimension(*_stiffness, above=0.0)]
-Newton = Annotated[float, Dimension("N", "a force", "1800 N")]
+FORCE = Dimension("N", "a force", "1800 N")
+Newton = Annotated[float, FORCE]
 _time = ("s", "a time", "600 s")
 NonNegativeTime = Annotated[float, Dimension(*_time, at_least=0.0)]
 PositiveTime = Annotated[float, Dimension(*_time, above=0.0)]

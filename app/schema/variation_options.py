@@ -201,12 +201,6 @@ def titled(title: str, file: CaseFile) -> str:
         return title
     told = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
     short = short_keys(list(told))
-    values = (f"{short[key]} {plain(_value(file.data, path))}" for key, path in told.items())
+    given = {name: file.given[key] for key, name in short.items()}
+    values = (f"without {k}" if v is None else f"{k} {plain(v)}" for k, v in given.items())
     return f"{title}{CHANGED}{', '.join(values)}" if told else title
-
-
-def _value(data: Any, path: Sequence[str]) -> Any:
-    """What stands at a path."""
-    for word in path:
-        data = data[int(word) if isinstance(data, list) else word]
-    return data

@@ -288,7 +288,8 @@ def test_mesh_says_where_it_cannot_write(
 def test_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["schema"]) == 0
     schema = json.loads(capsys.readouterr().out)
-    assert schema["required"] == ["geometry", "mesh", "regions"]
+    assert schema["else"]["$ref"] == "#/$defs/Case"
+    assert schema["$defs"]["Case"]["required"] == ["geometry", "mesh", "regions"]
     femur = schema["$defs"]["Femur"]["properties"]["cement_thickness"]
     assert femur["default"] == "4.0 mm"
 

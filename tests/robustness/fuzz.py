@@ -26,7 +26,7 @@ from typing import Any
 from ruamel.yaml import YAML
 
 from mantle.errors import InputError
-from mantle.schema import case_file, config, gmsh_file, study_file, sweep_file
+from mantle.schema import case_file, config, gmsh_file, layers, study_file, sweep_file
 from mantle.schema.unit_conversion import registry
 from mantle.soundness import cost, preview, unusual_input
 
@@ -248,10 +248,10 @@ def read(path: Path, overrides: list[str]) -> None:
     data = case_file.read(path).data
     if path.parent.name == "sweeps" or "parts" in data or "grid" in data:
         sweep_file.read(path, overrides)
-    elif config.is_study(data) or path.parent.name == "studies":
+    elif layers.is_study(data) or path.parent.name == "studies":
         study_file.read(path, overrides)
     else:
-        file = case_file.read(path, overrides)
+        file = layers.read(path, overrides)
         case = config.resolve(file, path.parent)
         text = preview.describe(case, file.data) + cost.estimated_size(case)
         text += "".join(unusual_input.warnings(case)) + config.dump(case) + str(cost.seconds(case))

@@ -1,0 +1,413 @@
+"""Cases over others: bases, what null takes away, materials and loads by name, magnitudes."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mantle.errors import InputError
+from mantle.schema import case_file, config, layers, library, loaded_case, study_file, sweep_file
+from tests.support import CONFIGS
+
+BLOCKS = """\
+geometry:
+  kind: blocks
+  blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
+mesh: {order: 1, size: 4 mm}
+regions:
+  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 1.0}
+supports:
+  base: {kind: fixed, boundary: bottom}
+loads:
+  push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}
+  press: {kind: pressure, boundary: top, pressure: 2 MPa}
+"""
+HEATED = """\
+geometry: {kind: blocks, blocks: [{name: body, size: [4 mm, 4 mm, 4 mm]}]}
+mesh: {order: 1, size: 4 mm}
+regions:
+  body: {material: PMMA, thermal: {initial_temperature: 60 degC}}
+supports:
+  base: {kind: fixed, boundary: bottom}
+stages: [{name: cooling, duration: 1 s}]
+"""
+
+
+def write(folder: Path, **texts: str) -> Path:
+    """Files by name; the path of the last."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        path = folder / f"{name}.yaml"
+        path.write_text(text, encoding="utf-8")
+    return path
+
+
+def load(folder: Path, text: str, *overrides: str, below: str = BLOCKS) -> Any:
+    return config.load(write(folder, blocks=below, case=text), overrides)
+
+
+def messages(path: Path, *overrides: str) -> tuple[str, ...]:
+    with pytest.raises(InputError) as caught:
+        config.load(path, overrides)
+    return tuple(m.replace(f"{path.parent}/", "") for m in caught.value.messages)
+
+
+# -------------------------------------------------------------------------------------- bases
+
+
+def test_a_case_over_a_base_changes_what_it_names(tmp_path: Path) -> None:
+    text = """\
+base: blocks.yaml
+mesh: {size: 2 mm}
+regions:
+  upper: {poisson_ratio: 0.2}
+loads:
+  push: {force: [0 N, 0 N, -1 N]}
+"""
+    below = load(tmp_path, BLOCKS)
+    case = load(tmp_path, text)
+    upper = below.regions["upper"].model_copy(update={"poisson_ratio": 0.2})
+    push = below.loads["push"].model_copy(update={"force": (0.0, 0.0, -1.0)})
+    assert case == below.model_copy(
+        update={
+            "mesh": below.mesh.model_copy(update={"size": 2.0}),
+            "regions": below.regions | {"upper": upper},
+            "loads": below.loads | {"push": push},
+        }
+    )
+
+
+def test_a_base_alone_is_the_base(tmp_path: Path) -> None:
+    assert load(tmp_path, "base: blocks.yaml\n") == load(tmp_path, BLOCKS)
+
+
+def test_shipped_cases_are_bases_by_their_names(tmp_path: Path) -> None:
+    case = load(tmp_path, "base: stance\nregions: {stem: {material: CoCrMo}}\ntitle: x\n")
+    other = config.load(CONFIGS / "stance_cocr.yaml")
+    changes = {"title": "x", "study": case.study}
+    assert case == other.model_copy(update=changes)
+
+
+def test_a_chain_of_bases_reads_paths_where_they_stand(tmp_path: Path) -> None:
+    mesh = (CONFIGS / "verification" / "patch.geo").read_text(encoding="utf-8")
+    deep = tmp_path / "deep"
+    patch = (CONFIGS / "verification" / "patch.yaml").read_text(encoding="utf-8")
+    write(deep, patch=patch)
+    (deep / "patch.geo").write_text(mesh, encoding="utf-8")
+    write(tmp_path / "middle", middle="base: ../deep/patch.yaml\ntitle: middle\nmesh: {order: 1}\n")
+    path = write(tmp_path, top="base: middle/middle.yaml\ntitle: top\n")
+    with pytest.MonkeyPatch.context() as context:
+        context.setenv("MANTLE_ALLOW_SCRIPTS", "1")
+        case: Any = config.load(path)
+    assert (case.title, case.mesh.order) == ("top", 1)
+    assert case.geometry.path == (deep / "patch.geo").resolve()
+
+
+def test_another_kind_replaces_the_whole(tmp_path: Path) -> None:
+    text = "base: blocks.yaml\nloads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
+    assert load(tmp_path, text).loads["push"].pressure == 1.0
+    rigid = "base: blocks.yaml\nregions: {lower: {kind: conductor, thermal: {}}}\n"
+    found = messages(write(tmp_path, case=rigid))
+    assert found and not any("youngs_modulus" in m for m in found)
+
+
+def test_null_takes_away(tmp_path: Path) -> None:
+    case = load(tmp_path, "base: blocks.yaml\nloads: {push: null}\ninterfaces: null\n")
+    assert list(case.loads) == ["press"]
+    assert case.interfaces["lower_upper"].kind == "bonded"
+    assert list(load(tmp_path, BLOCKS, "loads.push=null").loads) == ["press"]
+
+
+def test_null_without_anything_to_take_away_is_an_error(tmp_path: Path) -> None:
+    path = write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nloads:\n  pusch: null\n")
+    assert messages(path) == (
+        "case.yaml:3:3: loads.pusch: there is nothing to remove; did you mean 'push'?",
+    )
+
+
+def test_errors_name_the_file_in_which_the_key_stands(tmp_path: Path) -> None:
+    below = BLOCKS.replace("press: {", "press: {wrong: 1, ")
+    text = "base: blocks.yaml\nmesh:\n  size: 2\nregions: {other: {rigid: true}}\n"
+    found = messages(write(tmp_path, blocks=below, case=text))
+    assert [m.partition(": ")[0] for m in found] == [
+        "case.yaml:3:3",
+        "case.yaml:4:11",
+        "blocks.yaml:14:11",
+    ]
+    # A key that is missing is missed where its section stands, or at the top.
+    (missing,) = messages(write(tmp_path, case="base: blocks.yaml\nloads: {a: {kind: pressure, "
+                                "pressure: 1 MPa}}\n"), "loads.press=null")  # fmt: skip
+    assert missing.startswith("case.yaml:2:9: loads.a: 'boundary' is missing")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("base: none.yaml", "case.yaml:1:1: base: no such file: none.yaml; cases by name: blocks"),
+        ("base: stnce", "case.yaml:1:1: base: no such file: stnce; did you mean 'stance'?"),
+        ("title: x\nbase: case.yaml", "case.yaml:2:1: base: the bases make a circle: case.yaml ->"),
+        ("base: round.yaml", "round.yaml:1:1: base: the bases make a circle: case.yaml -> round"),
+        ("base: [a]", "case.yaml:1:1: base: a list is not text; expected a case file"),
+        ("base: .", "case.yaml:1:1: base: no such file: "),
+        ('base: "a\\0b"', "case.yaml:1:1: base: 'a\\x00b' cannot be read"),
+        ("base: broken.yaml", "broken.yaml:1:5: not valid YAML"),
+        ("base: twice.yaml", "twice.yaml:2:1: mesh: this key stands here twice; keep one"),
+        ("base: large.yaml", "large.yaml: is larger than 4 MB; no case is"),
+        ("base: link0.yaml", "link9.yaml:1:1: base: more than 10 bases"),
+        ("base: blocks.yaml\ngrid: {mesh.size: [1 mm]}", "case.yaml:1:1: base: this is a sweep"),
+        ("base: blocks.yaml\nstudy: {}", "case.yaml:1:1: base: this is a study of another case"),
+        ("base: study.yaml", "study.yaml:2:1: set: unknown key"),
+    ],
+)  # fmt: skip
+def test_bad_bases_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        blocks=BLOCKS,
+        round="base: case.yaml\n",
+        broken="a: b: c\n",
+        twice="mesh: {}\nmesh: {}\n" + BLOCKS,
+        large="a: " + "x" * (5 << 20),
+        study="base: blocks.yaml\nset: {}\n",
+        **{f"link{i}": f"base: link{i + 1}.yaml\n" for i in range(12)},
+    )
+    begin = time.process_time()
+    found = messages(write(tmp_path, case=text))
+    assert any(m.startswith(message) for m in found), found
+    assert time.process_time() - begin < 10.0
+
+
+def test_a_study_and_a_case_are_told_apart_by_all_keys_of_a_case() -> None:
+    assert config.Case.model_fields.keys() - {"base", "study"} == layers.SECTIONS
+
+
+def test_options_cannot_change_what_a_case_builds_upon(tmp_path: Path) -> None:
+    path = write(tmp_path, blocks=BLOCKS)
+    for key in ("base", "library"):
+        (message,) = messages(path, f"{key}=stance")
+        assert message == f"--set {key}: stands in the file alone; --set cannot change it"
+
+
+def test_sweeps_studies_and_variations_take_cases_with_a_base(tmp_path: Path) -> None:
+    varied = "variations: {grid: {loads.push.force: [5 N, 10 N]}}\n"
+    write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nmesh: {size: 2 mm}\n" + varied)
+    sweep = write(tmp_path, sweep="base: case.yaml\ngrid: {loads.push.force: [1 N, 10 N]}\n")
+    _, planned = sweep_file.read(sweep)
+    assert [p.case.loads["push"].force for p in planned] == [(0.6, 0, -0.8), (6, 0, -8)]  # type: ignore[union-attr]
+    assert {p.case.mesh.size for p in planned} == {2.0}
+    found = config.variations(tmp_path / "case.yaml")
+    assert [v.case.loads["push"].force for v in found] == [(3, 0, -4), (6, 0, -8)]  # type: ignore[union-attr]
+    study = write(
+        tmp_path,
+        study="base: case.yaml\nstudy:\n  quantities: [lower_upper.slip_p99]\n"
+        "  lines: {h: {mesh.size: [2 mm, 1 mm]}}\n  reference: {run: {mesh.size: 0.5 mm}}\n",
+    )
+    assert study_file.read(study, []).case == tmp_path / "case.yaml"
+    by_name = write(tmp_path, named="base: blocks\ngrid: {mesh.size: [2 mm, 5 mm]}\n")
+    assert [p.case.title[:14] for p in sweep_file.read(by_name)[1]] == ["Patch test of "] * 2
+
+
+def test_a_resolved_case_stands_alone(tmp_path: Path) -> None:
+    path = write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nregions: {upper: "
+                 "{material: 316L}}\nloads: {push: {force: 10 N}}\n")  # fmt: skip
+    case = loaded_case.load(path)
+    text = config.dump(case.config)
+    assert not any(word in text for word in ("base: b", "material", "library"))
+    assert load(tmp_path / "other", text) == case.config
+    assert case.file.others == [str(tmp_path / "blocks.yaml"), str(library.SHIPPED)]
+
+
+# ---------------------------------------------------------------------------------- magnitudes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "force"),
+    [
+        ("[3 N, 0 N, -4 N]", "10 N", (6.0, 0.0, -8.0)),
+        ('"[3, 0, -4] N"', "0.01 kN", (6.0, 0.0, -8.0)),
+        ("[3 N, 0 N, -4 N]", "0 N", (0.0, 0.0, 0.0)),
+        ("[3 N, 0 N, -4 N]", "[1, 2, 3] N", (1.0, 2.0, 3.0)),
+    ],
+)
+def test_a_magnitude_keeps_the_direction(
+    old: str, new: str, force: tuple[float, ...], tmp_path: Path
+) -> None:
+    below = BLOCKS.replace("[3 N, 0 N, -4 N]", old)
+    assert load(tmp_path, below, f"loads.push.force={new}").loads["push"].force == force
+    text = f'base: blocks.yaml\nloads: {{push: {{force: "{new}"}}}}\n'
+    assert load(tmp_path, text, below=below).loads["push"].force == force
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("3 N, 0 N, -4 N", "2000", "2000 needs a unit, e.g. '2000 N'"),
+        ("3 N, 0 N, -4 N", "-1 N", "'-1 N': a magnitude is not negative; expected a vector"),
+        ("0 N, 0 N, 0 N", "1 N", "'1 N': a force of zero has no direction; expected a vector"),
+        ("3 N, 0 N, -4 N", "1 mm", "'1 mm' is"),
+    ],
+)
+def test_bad_magnitudes_are_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+    below = BLOCKS.replace("3 N, 0 N, -4 N", old)
+    path = write(
+        tmp_path, blocks=below, case=f"base: blocks.yaml\nloads: {{push: {{force: {new}}}}}\n"
+    )
+    assert messages(path)[0].startswith(f"case.yaml:2:16: loads.push.force: {message}")
+    found = messages(tmp_path / "blocks.yaml", f"loads.push.force={new}")
+    assert found[0].startswith(f"--set loads.push.force: {message}")
+
+
+def test_a_title_tells_the_magnitude_as_it_was_given(tmp_path: Path) -> None:
+    case = load(tmp_path, "title: A\n" + BLOCKS, "loads.push.force=10 N", "loads.press=null")
+    assert case.title == "A; changed: force 10 N, without press"
+
+
+# --------------------------------------------------------------------------------------- names
+
+
+def test_every_entry_of_the_library_has_a_source_and_is_valid(tmp_path: Path) -> None:
+    shipped = library.read().data
+    assert {"Ti-6Al-4V", "CoCrMo", "316L", "PMMA", "cortical_bone", "cancellous_bone"} <= set(
+        shipped["materials"]
+    )
+    for name, entry in shipped["materials"].items():
+        assert len(entry["source"]) > 20 and entry["about"]
+        cold, hot = HEATED.replace("PMMA", name), HEATED.replace("60 degC", "37 degC")
+        body = load(tmp_path, hot.replace("PMMA", name)).regions["body"]
+        assert body.thermal.conductivity and body.thermal.thermal_expansion, cold
+    stance = config.load(CONFIGS / "stance.yaml")
+    for name, entry in shipped["loads"].items():
+        assert len(entry["source"]) > 20 and entry["about"]
+        case: Any = load(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
+        assert case.loads.keys() == entry.keys() - {"about", "source"}
+        if name == "single_limb_stance":
+            assert case.loads == stance.loads
+
+
+def test_sizes_of_the_loads_are_those_of_their_sources(tmp_path: Path) -> None:
+    for name, percent in (("level_walking", 247), ("standing_up", 215), ("stairs_up", 251)):
+        case: Any = load(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
+        assert math.hypot(*case.loads["hip"].force) / 6.0 == pytest.approx(percent, abs=1.5)
+
+
+def test_keys_beside_a_name_change_it(tmp_path: Path) -> None:
+    text = """\
+base: stance
+regions:
+  stem: {material: 316L, poisson_ratio: 0.31}
+loads:
+  library: single_limb_stance
+  hip: {force: 2000 N}
+  psoas: null
+  extra: {kind: pressure, boundary: head, pressure: 1 MPa}
+"""
+    path = write(tmp_path, case=text.replace("boundary: head", "boundary: resection"))
+    case: Any = config.load(path)
+    stem = case.regions["stem"]
+    assert (stem.youngs_modulus, stem.poisson_ratio, stem.thermal) == (193e3, 0.31, None)
+    assert math.hypot(*case.loads["hip"].force) == pytest.approx(2000.0, rel=1e-12)
+    assert "psoas" not in case.loads and case.loads["extra"].pressure == 1.0
+
+
+def test_a_material_replaces_the_constants_below_it_and_nothing_else(tmp_path: Path) -> None:
+    heated = load(
+        tmp_path, "base: blocks.yaml\nregions: {body: {material: CoCrMo}}\n", below=HEATED
+    )
+    body = heated.regions["body"]
+    assert (body.youngs_modulus, body.thermal.conductivity) == (200e3, 14.8)
+    assert body.thermal.initial_temperature == 333.15
+    bone = load(tmp_path, HEATED, "regions.body.material=cortical_bone").regions["body"]
+    assert (bone.kind, bone.thermal.initial_temperature) == ("transversely_isotropic", 333.15)
+    cure = load(tmp_path, "base: cure\nregions: {cement: {material: PMMA}}\n")
+    assert cure == config.load(CONFIGS / "cure.yaml")
+    hot = config.load(CONFIGS / "thermal_100C.yaml")
+    names = "stem: {material: CoCrMo}, cement: {material: PMMA}"
+    bones = "cortical_bone: {material: cortical_bone}, cancellous_bone: {material: cancellous_bone}"
+    assert load(tmp_path, f"base: thermal_100C\nregions: {{{names}, {bones}}}\n") == hot
+
+
+def test_a_rigid_region_takes_what_conducts(tmp_path: Path) -> None:
+    text = "base: thermal_100C\nregions: {stem: {material: CoCrMo, rigid: true}}\n"
+    thermal = load(tmp_path, text).regions["stem"].thermal
+    assert (thermal.conductivity, thermal.thermal_expansion) == (14.8, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("regions: {upper: {material: Ti}}",
+         "case.yaml:2:19: regions.upper.material: 'Ti' is not in the library; materials: Ti-6"),
+        ("loads:\n  library: stance",
+         "case.yaml:3:3: loads.library: 'stance' is not in the library; loads: single_limb_stance"),
+        ("loads:\n  library: level_walking", "LIBRARY:164:7: loads.hip.at: 'head_centre'"),
+        ("regions: {upper: {material: PMMA, kind: transversely_isotropic}}",
+         "case.yaml:2:35: regions.upper.kind: PMMA is of kind isotropic; leave kind out"),
+        ("regions: {upper: {material: [PMMA]}}", "case.yaml:2:19: regions.upper.material: a list"),
+        ("regions: {upper: {material: PMMA, yongs_modulus: 1 GPa}}",
+         "case.yaml:2:35: regions.upper.yongs_modulus: unknown key"),
+    ],
+)  # fmt: skip
+def test_bad_names_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\n{text}\n")
+    found = [m.replace(str(library.SHIPPED), "LIBRARY") for m in messages(path)]
+    assert found[0].startswith(message.replace(":164:", f":{line('level_walking')}:"))
+
+
+def line(name: str) -> int:
+    """Where the point of the first load of an entry stands."""
+    texts = library.SHIPPED.read_text(encoding="utf-8").splitlines()
+    start = texts.index(f"  {name}:")
+    return next(i for i in range(start, len(texts)) if " at:" in texts[i]) + 1
+
+
+def test_names_of_a_library_of_ones_own(tmp_path: Path) -> None:
+    own = """\
+materials:
+  PMMA: {source: measured here, youngs_modulus: 2.5 GPa, poisson_ratio: 0.33}
+loads:
+  hammer:
+    source: measured here
+    blow: {kind: force, boundary: top, force: "[0, 0, -1] N"}
+"""
+    write(tmp_path / "lib", own=own)
+    text = "base: blocks.yaml\nlibrary: lib/own.yaml\nregions: {upper: {material: %s}}\n"
+    assert load(tmp_path, text % "PMMA").regions["upper"].youngs_modulus == 2500.0
+    assert load(tmp_path, text % "CoCrMo").regions["upper"].youngs_modulus == 200e3
+    assert list(load(tmp_path, text % "PMMA", "loads.library=hammer").loads) == ["blow"]
+    # A base finds the names of its own library, wherever it stands.
+    write(tmp_path / "lib", base=f"library: own.yaml\n{HEATED}".replace(", thermal: {initial_"
+          "temperature: 60 degC}", "").replace(", duration: 1 s", ""))  # fmt: skip
+    assert load(tmp_path, "base: lib/base.yaml\n").regions["body"].poisson_ratio == 0.33
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("none.yaml", "case.yaml:1:1: library: no such file: none.yaml"),
+        ("[1]", "case.yaml:1:1: library: a list is not text; expected a file"),
+        ("bad.yaml", "bad.yaml:2:3: materials.X: expected a mapping with 'source'"),
+    ],
+)
+def test_bad_libraries_are_refused(name: str, message: str, tmp_path: Path) -> None:
+    write(tmp_path, bad="materials:\n  X: {youngs_modulus: 1 GPa}\nother: 1\n")
+    path = write(tmp_path, case=f"library: {name}\n{BLOCKS}")
+    assert messages(path)[0].startswith(message)
+
+
+def test_reading_many_layers_of_many_values_takes_no_longer_than_reading(tmp_path: Path) -> None:
+    """Each file is walked through once: nothing grows with the square of its size."""
+    names = "".join(f"  n{i}: {{material: PMMA, tissue: bone}}\n" for i in range(1500))
+    path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\nregions:\n{names}")
+    begin = time.process_time()
+    file = layers.read(path)
+    spent = time.process_time() - begin
+    begin = time.process_time()
+    case_file.read(path)
+    assert spent < 5 * (time.process_time() - begin) + 1.0
+    assert len(file.data["regions"]) == 1502
