@@ -52,6 +52,7 @@ def dispatch(arguments: list[str]) -> int:
     if options.command == "run":
         return _run(options, petsc_options, count, rest)
     commands = {
+        "init": _init,
         "check": _check,
         "mesh": _mesh,
         "study": _campaign,
@@ -60,6 +61,8 @@ def dispatch(arguments: list[str]) -> int:
         "verify": _suite,
         "stress": _suite,
         "bench": _suite,
+        "library": _library,
+        "explain": _explain,
         "schema": _schema,
         "doctor": _doctor,
         "version": _version,
@@ -112,6 +115,19 @@ def _load(options: argparse.Namespace) -> LoadedCase:
     from mantle.schema import loaded_case
 
     return loaded_case.load(options.case, options.overrides)
+
+
+def _init(options: argparse.Namespace) -> int:
+    """Write a case to start from, and tell what comes next."""
+    from mantle.schema import start
+
+    path = start.write(options.name, options.kind, options.stem, options.mesh)
+    name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
+    print(f"{path} is written; next:")
+    print(f"  mantle check {name}")
+    print(f"  mantle run {name} -o {folder}")
+    print(f"  python3 -m json.tool {folder}/summary.json")
+    return 0
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -252,12 +268,32 @@ def _report(options: argparse.Namespace) -> int:
     return 0
 
 
+def _library(options: argparse.Namespace) -> int:
+    """Print what a library holds."""
+    from mantle.schema import library
+
+    path = options.file or library.SHIPPED
+    print(library.described(options.name, path) if options.name else library.listed(path))
+    return 0
+
+
+def _explain(options: argparse.Namespace) -> int:
+    """Print what a key means."""
+    from mantle.schema import explain
+
+    print(explain.explained(options.key))
+    return 0
+
+
 def _schema(options: argparse.Namespace) -> int:
-    """Print the schema."""
+    """Print the schema, for programs or for people."""
     import json
 
-    from mantle.schema import config
+    from mantle.schema import config, reference
 
+    if options.markdown:
+        print(reference.case_page())
+        return 0
     print(json.dumps(config.schema(), indent=2, ensure_ascii=False))
     return 0
 

@@ -92,6 +92,23 @@ def parser() -> argparse.ArgumentParser:
             "e.g. --slurm='--partition=long --time=2:00:00'",
         )
 
+    init = add("init", "write a short case to start from; it runs as it is")
+    init.add_argument("name", type=Path, metavar="NAME", help="the case, NAME.yaml")
+    init.add_argument(
+        "--kind",
+        choices=("femur", "cylinders", "blocks", "file"),
+        default="femur",
+        help="its geometry (default femur, standing on one leg); file: a mesh of gmsh",
+    )
+    init.add_argument(
+        "--stem",
+        choices=("titanium", "cocr", "steel"),
+        default="",
+        help="what the stem is made of (default titanium)",
+    )
+    init.add_argument(
+        "--mesh", type=Path, metavar="FILE", help="the mesh of --kind file (default NAME.msh)"
+    )
     run = add(
         "run",
         "solve a case",
@@ -184,7 +201,17 @@ def parser() -> argparse.ArgumentParser:
             default="default",
             help="how much: what takes seconds, the usual, or also what takes long",
         )
-    add("schema", "print the JSON schema of case files, for editors")
+    library = add("library", "list the materials and loads that have names, or print one")
+    library.add_argument(
+        "name", nargs="?", default="", metavar="NAME", help="print it with its source"
+    )
+    library.add_argument("--file", type=Path, metavar="FILE", help="a library of your own")
+    explain = add("explain", "tell what a key of a case means: value, unit, default, an example")
+    explain.add_argument("key", metavar="KEY", help="e.g. interfaces.friction_coefficient")
+    schema = add("schema", "print the JSON schema of case files, for editors")
+    schema.add_argument(
+        "--markdown", action="store_true", help="print the reference of the keys instead, to read"
+    )
     add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
     add("version", "print the version")
     return top

@@ -183,8 +183,8 @@ class Case(Section):
     such as `stance`. Mappings merge key by key, of another kind they replace; lists and values
     replace; `null` removes an entry."""
     library: Text | None = None
-    """File of more materials and loads by name, relative to this one; `mantle library` prints those
-    that are known without it."""
+    """File of more materials and loads by name, relative to this one, such as `mine.yaml`;
+    `mantle library` prints those that are known without it."""
 
     @property
     def conducts(self) -> bool:

@@ -92,7 +92,7 @@ def places(path: str, model: type[BaseModel], seen: set[type[BaseModel]]) -> Ite
     seen.add(model)
     yield path, model
     for key, field in model.model_fields.items():
-        for place, other in _models(annotation_of(field), f"{path}.{key}" if path else key):
+        for place, other in models(annotation_of(field), f"{path}.{key}" if path else key):
             if other not in seen:
                 yield from places(place, other, seen)
 
@@ -140,7 +140,7 @@ def annotation_of(field: FieldInfo) -> Any:
     return annotation
 
 
-def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
+def models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
     """The models in an annotation, and where each stands."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield from ((path, model) for model in variants(annotation))
@@ -151,7 +151,7 @@ def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]
     elif get_origin(annotation) is tuple:
         place = f"{path}[]"
     for argument in get_args(annotation):
-        yield from _models(argument, place)
+        yield from models(argument, place)
 
 
 def variants(model: type[BaseModel]) -> list[type[BaseModel]]:

@@ -1,0 +1,197 @@
+"""Starting without copying: ``mantle init``, ``library``, ``explain``, ``schema --markdown``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import mantle
+from mantle.cli import main
+from mantle.errors import InputError
+from mantle.schema import config, explain, reference, start
+from tests.support import CONFIGS
+
+MSH = """\
+$MeshFormat
+4.1 0 8
+$EndMeshFormat
+$PhysicalNames
+4
+2 1 "foot"
+2 2 "top end"
+3 3 "shaft"
+3 4 "marrow"
+$EndPhysicalNames
+"""
+
+
+def numbers(summary: dict[str, object]) -> dict[str, object]:
+    """What does not depend on the clock."""
+    return {k: v for k, v in summary.items() if k not in ("timing", "solver", "cpu", "memory")}
+
+
+@pytest.mark.parametrize("kind", ["femur", "cylinders", "blocks"])
+def test_what_init_writes_is_short_and_right(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["init", "first", "--kind", kind]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert out.splitlines() == [
+        "first.yaml is written; next:",
+        "  mantle check first.yaml",
+        "  mantle run first.yaml -o out/first",
+        "  python3 -m json.tool out/first/summary.json",
+    ]
+    lines = (tmp_path / "first.yaml").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 40 and sum("#" in line for line in lines) >= 5
+    assert lines[0] == f"# yaml-language-server: $schema={CONFIGS / 'schema.json'}"
+    assert main(["check", "first.yaml"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["init", "first.yaml"]) == 2
+    assert capsys.readouterr().err == "first.yaml: is there already; nothing is written\n"
+    assert (tmp_path / "first.yaml").read_text(encoding="utf-8").splitlines() == lines
+
+
+def test_the_femur_of_init_stands_on_one_leg(tmp_path: Path) -> None:
+    case = config.load(start.write(tmp_path / "femur", "femur", "cocr"))
+    stance = config.load(CONFIGS / "stance_cocr.yaml")
+    for part in ("loads", "regions", "interfaces", "supports", "stages"):
+        assert getattr(case, part) == getattr(stance, part)
+
+
+def test_a_stem_is_of_what_is_asked_for(tmp_path: Path) -> None:
+    moduli = []
+    for stem in start.STEMS:
+        case = config.load(start.write(tmp_path / stem, "cylinders", stem))
+        moduli.append(case.regions["stem"].youngs_modulus)  # type: ignore[union-attr]
+    assert moduli == [110e3, 200e3, 193e3]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--kind", "blocks", "--stem", "cocr"], "--stem cocr: of kind blocks there is no stem"),
+        (["--mesh", "a.msh"], "--mesh a.msh: only --kind file has a mesh of its own"),
+        (["--kind", "file", "--mesh", "bad.msh"], "--mesh bad.msh: not a gmsh .msh file"),
+        (["--kind", "knee"], "mantle init: argument --kind: invalid choice: 'knee'"),
+    ],
+)
+def test_init_refuses(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.msh").touch()
+    assert main(["init", "new", *arguments]) == 2
+    assert capsys.readouterr().err.startswith(message)
+    assert not Path("new.yaml").exists()
+    assert main(["init", "none/new"]) == 2
+    assert capsys.readouterr().err.startswith("none/new.yaml: cannot be written: ")
+
+
+def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
+    (tmp_path / "bone.msh").write_text(MSH, encoding="utf-8")
+    path = start.write(tmp_path / "own", "file", mesh=tmp_path / "bone.msh")
+    text = path.read_text(encoding="utf-8")
+    for line in (
+        "  path: bone.msh # relative to this file",
+        "  # its boundaries: foot, top end",
+        "  shaft: {material: cortical_bone, tissue: bone}",
+        "  marrow: {material: cortical_bone, tissue: bone}",
+        "  hold: {kind: fixed, boundary: foot}",
+    ):
+        assert line in text.splitlines()
+    with pytest.raises(InputError, match="'top end' is not a name"):
+        config.load(path)  # names of gmsh that are none here are told, not hidden
+    path.write_text(text.replace("boundary: top end", "boundary: foot"), encoding="utf-8")
+    assert list(config.load(path).regions) == ["shaft", "marrow"]
+
+
+def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
+    path = start.write(tmp_path / "own", "file")
+    text = path.read_text(encoding="utf-8")
+    assert "NAME_OF_A_REGION" in text and "It is not there yet" in text
+    with pytest.raises(InputError) as caught:
+        config.load(path)
+    (message,) = caught.value.messages
+    assert message == f"{path}:9:3: geometry.path: no such file: {path.parent}/own.msh"
+
+
+def test_a_case_with_a_base_is_run_and_run_again_from_what_it_leaves(tmp_path: Path) -> None:
+    start.write(tmp_path / "blocks", "blocks")
+    start.write(tmp_path / "cylinders", "cylinders")
+    over = tmp_path / "over.yaml"
+    over.write_text("base: blocks.yaml\nregions: {metal: {material: CoCrMo}}\n", encoding="utf-8")
+    first = mantle.run(mantle.load(over), tmp_path / "first")
+    again = mantle.run(mantle.load(tmp_path / "first" / "case.yaml"), tmp_path / "again")
+    assert numbers(first.summary) == numbers(again.summary)
+    record = json.loads((tmp_path / "first" / "provenance.json").read_text(encoding="utf-8"))
+    names = [Path(name).name for name in record["based_on_sha256"]]
+    assert names == ["blocks.yaml", "library.yaml"]
+    # What a case is, not how it is written, tells what is finished.
+    assert mantle.run(mantle.load(over), tmp_path / "first", keep=True).summary == first.summary
+    pushed = mantle.run(mantle.load(tmp_path / "cylinders.yaml"), tmp_path / "pushed")
+    assert pushed.summary["interfaces"]["stem_cement"]["slip_p99"] == pytest.approx(
+        0.0994, abs=1e-3
+    )
+
+
+def test_the_library_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["library"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "  PMMA             bone cement" in lines
+    assert any(line.startswith("  single_limb_stance  standing on one leg") for line in lines)
+    assert main(["library", "cancellous_bone"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("cancellous_bone:\n  about: ") and "Morgan 2003" in out
+    assert out.splitlines()[-1] == "    thermal_expansion: 27.5e-6 1/K"
+    assert main(["library", "PMA"]) == 2
+    assert "did you mean 'PMMA'?" in capsys.readouterr().err
+    own = tmp_path / "own.yaml"
+    own.write_text("materials:\n  X: {source: here, youngs_modulus: 1 GPa}\n", encoding="utf-8")
+    assert main(["library", "X", "--file", str(own)]) == 0
+    assert capsys.readouterr().out == "X: {source: here, youngs_modulus: 1 GPa}\n"
+
+
+def test_a_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "geometry.cement_thickness"]) == 0
+    femur = capsys.readouterr().out.split("\n\n")[1].splitlines()
+    assert femur == [
+        "geometry.cement_thickness  (kind femur)",
+        "  Thickness of the mantle where the canal has room for it, 1 to 8 mm.",
+        "  value    length, at least 1 and at most 8, e.g. 4 mm",
+        "  unit     mm",
+        "  default  4.0 mm",
+        "  example  geometry: {cement_thickness: 4 mm}  # cure.yaml",
+    ]
+    for key in ("interfaces.friction_coefficient", "interfaces.stem_cement.friction_coefficient"):
+        assert main(["explain", key]) == 0
+        assert "interfaces.<name>.friction_coefficient  (kind contact)" in capsys.readouterr().out
+    assert main(["explain", "stages.0.increments"]) == 0
+    assert capsys.readouterr().out.startswith("stages[].increments\n")
+    assert main(["explain", "interfaces.frictoin"]) == 2
+    assert capsys.readouterr().err.startswith(
+        "interfaces.frictoin: no key of a case; nearest: interfaces.friction"
+    )
+
+
+def test_every_key_is_explained_by_its_own_words() -> None:
+    for path, model in reference.places("", config.Case, set()):
+        for key in model.model_fields:
+            text = explain.explained(f"{path}.{key}" if path else key)
+            assert "`" not in text and "  value " in text and "](#" not in text
+            assert max(map(len, text.splitlines())) <= 100
+
+
+def test_the_reference_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema", "--markdown"]) == 0
+    out = capsys.readouterr().out
+    committed = (CONFIGS.parent / "docs" / "reference" / "case.md").read_text(encoding="utf-8")
+    assert committed.endswith(out.rstrip("\n") + "\n")
