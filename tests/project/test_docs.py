@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 import mantle
 from mantle.command_line.parser import parser
-from mantle.schema import config
+from mantle.schema import config, start
 from mantle.schema.quantities import TABLE
 from mantle.schema.study_options import StudyFile
 from mantle.schema.sweep_options import Sweep
@@ -141,18 +141,19 @@ def test_yaml_blocks_are_cases_or_parts_of_them(page: Path, text: str, tmp_path:
     if CASE_KEYS <= data.keys():
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
         assert config.load(tmp_path / "case.yaml").geometry
+    elif "base" in data and data.keys() & CASE_KEYS:
+        (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
+        start.write(tmp_path / "hip", "femur")
+        assert config.load(tmp_path / "case.yaml").loads
     elif "base" in data:
         assert (StudyFile if "study" in data else Sweep).model_validate(data)
     else:
         assert data.keys() <= config.Case.model_fields.keys()
 
 
-def test_the_case_of_the_readme_is_that_of_the_tutorial() -> None:
-    first, second = (
-        next(text for page, text in blocks("yaml") if page == where)
-        for where in (ROOT / "README.md", DOCS / "tutorial.md")
-    )
-    assert first == second
+def test_the_case_of_the_tutorial_is_what_init_writes() -> None:
+    shown = next(text for page, text in blocks("yaml") if page == DOCS / "tutorial.md")
+    assert shown == (ROOT / "configs" / "start" / "femur.yaml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["case.md", "campaigns.md", "commands.md"])
