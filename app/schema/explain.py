@@ -100,30 +100,31 @@ def _head(e: Explained) -> str:
 def _body(e: Explained) -> Iterator[str]:
     """The other lines."""
     field = e.model.model_fields[e.key]
-    value, unit = reference.value_of(reference.annotation_of(field), defaultdict(str))
+    annotation = reference.annotation_of(field)
+    value, unit = reference.value_of(annotation, defaultdict(str))
     default = reference.default_of(e.key, field)
     meaning = _texts(e.model).get(e.key, "")
     if e.key == "kind":
         value, meaning = reference.kind_of(e.model), "Says that it is of this kind."
-    yield from textwrap.wrap(_plain(reference.prose(meaning)), WIDTH, **_indent("  "))
+    yield from _wrapped(reference.prose(meaning), "  ", "  ")
     rows = {"value": value, "unit": unit, "default": default or "none: it is required"}
-    if keys := [
-        k for _, m in reference.models(reference.annotation_of(field), "") for k in _keys(m)
-    ]:
-        rows["keys"] = "; ".join(keys)
+    rows["keys"] = "; ".join(k for _, m in reference.models(annotation, "") for k in _keys(m))
     rows["example"] = _example(e, f"such as {value} such as {default} {meaning}")
     for name, text in rows.items():
         if text:
-            start = {"initial_indent": f"  {name:<9}", "subsequent_indent": " " * 11}
-            yield from textwrap.wrap(_plain(text), WIDTH, break_on_hyphens=False, **start)
+            yield from _wrapped(text, f"  {name:<9}", " " * 11)
 
 
 # The texts below the keys of a section.
 _texts = cache(docstrings)
 
 
-def _indent(text: str) -> Any:
-    return {"initial_indent": text, "subsequent_indent": text}
+def _wrapped(text: str, start: str, further: str) -> list[str]:
+    """Text without marks in lines that begin in a way."""
+    plain = _plain(text)
+    return textwrap.wrap(
+        plain, WIDTH, initial_indent=start, subsequent_indent=further, break_on_hyphens=False
+    )
 
 
 def _keys(model: type[BaseModel]) -> Iterator[str]:
