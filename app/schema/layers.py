@@ -10,18 +10,20 @@ from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot
+from os.path import expanduser
 from pathlib import Path as FilePath
 from typing import Any
 
 from pydantic_core import PydanticCustomError
 
 from mantle import configs
+from mantle.errors import InputError
 from mantle.schema import case_file, library
 from mantle.schema.case_file import CaseFile, Fault, Path, Place
 from mantle.schema.fields import did_you_mean, show
 from mantle.schema.units import FORCE
 from mantle.schema.vectors import VECTOR, Triple
-from mantle.schema.yaml_text import BadYaml
+from mantle.schema.yaml_text import MOST_NODES, TOO_MANY, BadYaml
 
 MOST_BASES = 10
 # What a region keeps when it gets another material.
@@ -52,7 +54,7 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
     for number, (file, place) in reversed(list(enumerate(chain))):
         file.data.pop("base", None)
         if (name := file.data.pop("library", None)) is not None:
-            case.add(_library(file, place.parent, name))
+            case.add(_library(file, place.parent, name), len(case.libraries))
         if number:
             _anchor(file.data, place.parent)
         above: dict[Path, Place] = {k: (number, *p[1:]) for k, p in file.places.items()}  # type: ignore[misc]
@@ -82,7 +84,7 @@ def found(folder: FilePath, base: str) -> FilePath:
     """
     shipped = configs.FOLDER / f"{base}.yaml"
     word = base.replace("_", "").isalnum()  # no path
-    return shipped if word and shipped.is_file() else folder / FilePath(base).expanduser()
+    return shipped if word and shipped.is_file() else folder / expanduser(base)
 
 
 def _chain(path: FilePath) -> list[tuple[CaseFile, FilePath]]:
@@ -127,7 +129,7 @@ def _anchor(data: Any, folder: FilePath) -> None:
     def absolute(value: Any) -> Any:
         if isinstance(value, list):
             return [absolute(v) for v in value]
-        return str((folder / value).absolute()) if isinstance(value, str) else value
+        return str((folder / expanduser(value)).absolute()) if isinstance(value, str) else value
 
     if isinstance(data, dict):
         for key, value in data.items():
@@ -146,7 +148,7 @@ def _library(file: CaseFile, folder: FilePath, name: Any) -> CaseFile:
     """
     if not isinstance(name, str):
         file.raise_all([Fault(("library",), f"{show(name)} is not text; expected a file")])
-    path = folder / FilePath(name).expanduser()
+    path = folder / expanduser(name)
     if not path.is_file():
         file.raise_all([Fault(("library",), f"no such file: {path}")])
     return library.read(path)
@@ -157,15 +159,22 @@ class LayeredCase(CaseFile):
     """A case over its bases, to which options add more.
 
     Attributes:
-        libraries: What holds materials and loads by name, each with its number among the files.
+        libraries: What holds materials and loads by name, the newest last.
+        places_of: Where the values of each entry of a library stand, by library, kind and name.
+        taken: How many values have come from libraries.
     """
 
-    libraries: list[tuple[int, CaseFile]] = field(default_factory=list)
+    libraries: list[CaseFile] = field(default_factory=list)
+    places_of: dict[Path, list[tuple[Path, Place]]] = field(default_factory=dict)
+    taken: int = 0
 
-    def add(self, file: CaseFile) -> None:
-        """Add a library, whose entries come before those of others."""
+    def add(self, file: CaseFile, at: int) -> None:
+        """Add a library at a place among the others."""
         self.others.append(file.name)
-        self.libraries.append((len(self.others), file))
+        self.libraries.insert(at, file)
+        for path, place in file.places.items():
+            found = self.places_of.setdefault((file.name, *path[:2]), [])
+            found.append((path[2:], (len(self.others), *place[1:])))  # type: ignore[arg-type]
 
     def entry(self, kind: str, name: str, path: Path) -> tuple[dict[str, Any], dict[Path, Place]]:
         """An entry of the newest library that has it, and where its values stand.
@@ -177,26 +186,25 @@ class LayeredCase(CaseFile):
 
         Raises:
             BadYaml: There is none.
+            InputError: So many were taken that this is no case.
         """
-        if not any(file.name == str(library.SHIPPED) for _, file in self.libraries):
-            self.others.append(str(library.SHIPPED))
-            self.libraries.insert(0, (len(self.others), library.read()))
-        for number, file in reversed(self.libraries):
+        if all(file.name != str(library.SHIPPED) for file in self.libraries):
+            self.add(library.read(), 0)
+        for file in reversed(self.libraries):
             if name in (entries := file.data.get(kind, {})):
+                places = self.places_of[file.name, kind, name]
+                self.taken += len(places)
+                if self.taken > MOST_NODES:
+                    raise InputError(f"{self.name}: {TOO_MANY}")
                 values = {
                     k: v
                     for k, v in entries[name].items()
                     if k not in (library.ABOUT, library.SOURCE)
                 }
-                places: dict[Path, Place] = {
-                    (*path, *p[2:]): (number, *place[1:])  # type: ignore[misc]
-                    for p, place in file.places.items()
-                    if p[:2] == (kind, name)
-                }
-                return values, places
-        known = [n for _, file in self.libraries for n in file.data.get(kind, {})]
+                return values, {(*path, *inner): place for inner, place in places}
+        known = [n for file in self.libraries for n in file.data.get(kind, {})]
         hint = did_you_mean(name, known)
-        raise BadYaml(f"'{name}' is not in the library; {kind}: {', '.join(known)}{hint}")
+        raise BadYaml(f"{show(name)} is not in the library; {kind}: {', '.join(known)}{hint}")
 
     def put(self, holder: Any, path: Path, value: Any) -> None:
         """Lay a value over what is there.

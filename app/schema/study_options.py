@@ -155,7 +155,8 @@ class StudyFile(Section):
     """A study that stands apart from its case."""
 
     base: Text
-    """The case, relative to this file; a study of its own is not used."""
+    """The case, relative to this file, or a shipped one by its name; a study of its own is not
+    used."""
     set: Changes = Field(default_factory=dict)
     """Overrides of the case for every point, as after ``--set``."""
     study: Study

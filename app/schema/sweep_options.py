@@ -131,7 +131,8 @@ class SweepPart(Section):
     """A base case and axes; every combination of one value of each is a case."""
 
     base: Text | None = None
-    """The case, relative to this file; its variations and study are not used."""
+    """The case, relative to this file, or a shipped one by its name; its variations and study are
+    not used."""
     set: Changes = Field(default_factory=dict)
     """Overrides for every case, as after ``--set`` (and ``ranks``)."""
     grid: Annotated[dict[str, Any], BeforeValidator(_grid)] | None = None

@@ -394,6 +394,11 @@ loads:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
+        (
+            "~no-such-user/none.yaml",
+            "case.yaml:1:1: library: no such file: ~no-such-user/none.yaml",
+        ),
+        ("loud.yaml", "case.yaml: too many or too deeply nested values"),
         ("none.yaml", "case.yaml:1:1: library: no such file: none.yaml"),
         ("[1]", "case.yaml:1:1: library: a list is not text; expected a file"),
         ("bad.yaml", "bad.yaml:2:3: materials.X: expected a mapping with 'source'"),
@@ -401,7 +406,11 @@ loads:
 )
 def test_bad_libraries_are_refused(name: str, message: str, tmp_path: Path) -> None:
     write(tmp_path, bad="materials:\n  X: {youngs_modulus: 1 GPa}\nother: 1\n")
-    path = write(tmp_path, case=f"library: {name}\n{BLOCKS}")
+    many = "[" + "0, " * 3000 + "0]"
+    write(tmp_path, loud=f"materials:\n  X: {{source: here, kind: {many}, tissue: bone}}\n")
+    loud = "".join(f"  n{i}: {{material: X}}\n" for i in range(40))
+    text = BLOCKS.replace("regions:\n", f"regions:\n{loud}")
+    path = write(tmp_path, case=f"library: {name}\n{text}")
     assert messages(path)[0].startswith(message)
 
 
