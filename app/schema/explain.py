@@ -21,6 +21,8 @@ from mantle.schema.config import Case
 from mantle.schema.json_schema import docstrings
 
 WIDTH = 96
+# Keys that the text of another tells of.
+WITHIN = {"loads.library": "loads"}
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ def explained(key: str) -> str:
     """
     every = _every()
     asked = key.strip().strip(".")
+    asked = WITHIN.get(asked, asked)
     found = [e for e in every if e.matches(asked)] or [e for e in every if e.key == asked]
     if not found:
         last = asked.rpartition(".")[2]

@@ -176,6 +176,8 @@ def test_a_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
         assert "interfaces.<name>.friction_coefficient  (kind contact)" in capsys.readouterr().out
     assert main(["explain", "stages.0.increments"]) == 0
     assert capsys.readouterr().out.startswith("stages[].increments\n")
+    assert main(["explain", "loads.library"]) == 0
+    assert "library: NAME among them" in capsys.readouterr().out
     assert main(["explain", "interfaces.frictoin"]) == 2
     assert capsys.readouterr().err.startswith(
         "interfaces.frictoin: no key of a case; nearest: interfaces.friction"
