@@ -50,6 +50,12 @@ class InterfaceFacets:
     bend: Floats
     stiffness: Floats
 
+    @property
+    def nodes(self) -> Floats:
+        """Coordinates of the nodes (f, 3 or, where facets are curved, 6, 3) [mm]."""
+        chords = (self.x[:, [1, 2, 0]] + self.x[:, [2, 0, 1]]) / 2
+        return np.concatenate([self.x, chords[:, : self.bend.shape[1]] + self.bend], axis=1)
+
 
 def gather(comm: MPI.Comm, *arrays: NDArray) -> list[NDArray]:
     """Concatenate each array over the ranks, on every rank."""

@@ -72,6 +72,7 @@ class ContactPoints:
             (n, 3, 2).
         axes: Axes of these components, as columns (n, 3, 3).
         triangles: For each interface, its facets as rows of contact points (f_i, 3).
+        facets: For each interface, the numbers of these facets (f_i,).
         unenforced: Number of (vertex, interface) pairs left out because they close a cycle.
     """
 
@@ -87,6 +88,7 @@ class ContactPoints:
     given: Ints
     axes: Floats
     triangles: tuple[Ints, ...]
+    facets: tuple[Ints, ...]
     unenforced: int
 
     @property
@@ -158,6 +160,8 @@ def contact_points(
         own_axes[p] = own[int(vertex[p])]
     drop_held(normals, areas, faces, projectors(own_axes, given[:, :, 0] >= 0))
     dof = facets.vertex_dofs.ravel()[first][kept]
+    whole = (triangles >= 0).all(axis=1)
+    of_interface = [np.flatnonzero(whole & (facets.interface == i)) for i in range(interfaces)]
     points = ContactPoints(
         interface=every[kept, 0],
         vertex=vertex,
@@ -170,10 +174,8 @@ def contact_points(
         weight=areas.sum(axis=1),
         given=given,
         axes=own_axes,
-        triangles=tuple(
-            triangles[(facets.interface == i) & (triangles >= 0).all(axis=1)]
-            for i in range(interfaces)
-        ),
+        triangles=tuple(triangles[f] for f in of_interface),
+        facets=tuple(of_interface),
         unenforced=int((~kept).sum()),
     )
     at_vertex = _along_xyz(at_vertex, points.axes, turned)

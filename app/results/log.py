@@ -124,6 +124,11 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
         raise UnusableError("\n".join(bad))
 
 
+def _between(summary: dict[str, Any]) -> float:
+    """Largest penetration between contact points [mm]."""
+    return max(q["penetration_sampled"] for q in summary["interfaces"].values())
+
+
 def verdict(summary: dict[str, Any]) -> str:
     """One sentence on how far the numbers can be trusted."""
     b, solver, t = summary["balance"], summary["solver"], summary["timing"]
@@ -135,7 +140,10 @@ def verdict(summary: dict[str, Any]) -> str:
         q = TABLE["interfaces"]["penetration_max"]
         balanced += f", the bodies penetrate by {q.factor * penetration:.2g} {q.shown}"
     elif summary["interfaces"]:
-        balanced += ", contact exact to rounding"
+        q, most = TABLE["interfaces"]["penetration_sampled"], _between(summary)
+        balanced += ", contact exact to rounding at points"
+        if most >= 1e-9:
+            balanced += f" and within {q.factor * most:.2g} {q.shown} between them"
     far = too_far(summary)
     beyond = f"; slip on {' and '.join(far)} {BEYOND}, do not use" if far else ""
     error = (

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import basix
 import numpy as np
 
 from mantle.arrays import Floats, Ints
 from mantle.forms.contact import OPEN, SLIP, STICK
 from mantle.mechanics.problem import Problem, TrialState
+from mantle.results.penetration import overlap
 from mantle.results.percentiles import SurfaceField
 from mantle.schema.quantities import computed
 
@@ -48,7 +48,7 @@ class Samples:
         shear: Friction per area (n,) [MPa].
         force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
         status: State (n,).
-        jump: Jump with the initial gap (n, 3) [mm].
+        overlap: Penetration between the points of each interface, by name [mm].
         dissipation: Dissipated by friction (n,) [N mm].
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
@@ -76,7 +76,6 @@ class Samples:
             "shear": np.linalg.norm(history.friction, axis=1),
             "force": -sign * history.force,
             "status": np.where(j.faces > 0, trial.law.status, STICK),
-            "jump": trial.jump + j.gap,
             "dissipation": history.dissipation,
             "least": history.least,
             "contact_work": history.contact_work,
@@ -89,12 +88,13 @@ class Samples:
         self.gap, self.opening, self.slip, self.path, self.motion = (
             whole[k][order] for k in ("gap", "opening", "slip", "path", "motion")
         )
-        self.pressure, self.shear, self.force, self.status, self.jump = (
-            whole[k][order] for k in ("pressure", "shear", "force", "status", "jump")
+        self.pressure, self.shear, self.force, self.status = (
+            whole[k][order] for k in ("pressure", "shear", "force", "status")
         )
         self.dissipation, self.least, self.contact_work = (
             whole[k][order] for k in ("dissipation", "least", "contact_work")
         )
+        self.overlap = overlap(j, trial.jump)
 
 
 def interface(problem: Problem, samples: Samples, i: int) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
     return {
         **found,
         "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
-        "penetration_sampled": facets.penetration(),
+        **s.overlap[i],
         "open_fraction": fraction(OPEN),
         "stick_fraction": fraction(STICK),
         "slip_fraction": fraction(SLIP),
@@ -162,7 +162,6 @@ class Facets:
             i: Number of the interface.
         """
         self._triangles: Ints = s.points.triangles[i]
-        self._jump = s.jump
         x = s.x[self._triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         area = np.linalg.norm(flat, axis=1) / 2
@@ -170,8 +169,7 @@ class Facets:
         whole = s.weight[s.interface == i].sum()
         self._area = area * (whole / area.sum()) if len(area) else area
         # At each corner the face of the point that this facet belongs to.
-        self._normals = s.points.normals[self._triangles]
-        along = np.abs(np.einsum("fi,fcki->fck", flat, self._normals))
+        along = np.abs(np.einsum("fi,fcki->fck", flat, s.points.normals[self._triangles]))
         self._face: Ints = np.argmax(along, axis=2)
 
     def field(self, values: Floats) -> SurfaceField:
@@ -180,16 +178,3 @@ class Facets:
         if values.ndim == 2:
             corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
         return SurfaceField(corners, self._area)
-
-    def penetration(self) -> float:
-        """Largest penetration between points: jump and normal interpolated on the facets [mm]."""
-        if not len(self._triangles):
-            return 0.0
-        n = np.take_along_axis(self._normals, self._face[:, :, None, None], axis=2)[:, :, 0]
-        points = np.asarray(basix.make_quadrature(basix.CellType.triangle, 4)[0])
-        N = np.column_stack([1 - points.sum(axis=1), points])
-        d = np.einsum("qc,fci->fqi", N, self._jump[self._triangles])
-        n = np.einsum("qc,fci->fqi", N, n)
-        size = np.linalg.norm(n, axis=2)
-        gap = np.einsum("fqi,fqi->fq", d, n) / np.where(size > 0, size, 1.0)
-        return float(np.maximum(-gap, 0.0).max())

@@ -171,6 +171,7 @@ for _key, _word, _unit, _shown, _digits, _order in (
 add(
     _interface("penetration_max", "mm", "um", exact=True, history=True, headline=True),
     _interface("penetration_sampled", "mm", "um", exact=True),
+    _interface("penetration_mean", "mm", "um", exact=True),
     _interface("open_fraction", "-", "%", 0, history=True, headline=True),
     _interface("stick_fraction", "-", "%", 0, history=True),
     _interface("slip_fraction", "-", "%", 0, history=True, headline=True),

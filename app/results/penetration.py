@@ -1,0 +1,80 @@
+"""How far bodies overlap between the contact points, where the law does not look.
+
+The law holds at the points, along the mean normals of the facets around them. Between them the
+surfaces move apart by the displacements of both bodies, along the normals of the facets themselves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mantle.arrays import Floats
+from mantle.mechanics.jumps import Jumps
+from mantle.meshes.contact_facets import InterfaceFacets, shape_functions, surface
+
+# Where a facet is looked at: corners, middles of edges, and between them (barycentric).
+LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4
+
+
+def overlap(j: Jumps, jump: Floats) -> list[dict[str, float]]:
+    """Penetration of each interface on its facets: largest and mean over the area; collective.
+
+    Args:
+        j: The contact points.
+        jump: Jumps of those of this rank (n, 3) [mm].
+    """
+    motion, clearance = _motion(j, jump), _clearance(j)
+    found = []
+    for rows, triangles in zip(j.points.facets, j.points.triangles, strict=True):
+        gap, area = gaps(j.facets, rows, motion[rows], clearance[triangles])
+        depth = np.maximum(-gap, 0.0)
+        found.append(
+            {
+                "penetration_sampled": float(depth.max(initial=0.0)),
+                "penetration_mean": float((depth * area).sum() / area.sum()) if len(rows) else 0.0,
+            }
+        )
+    return found
+
+
+def gaps(
+    facets: InterfaceFacets, rows: Floats, motion: Floats, clearance: Floats
+) -> tuple[Floats, Floats]:
+    """Gap along the normals of facets at `LATTICE` (f, q) [mm], and the area that it stands for.
+
+    Args:
+        facets: All facets.
+        rows: Which of them (f,).
+        motion: Displacement of their slave side against the master at their nodes (f, m, 3) [mm].
+        clearance: Initial gap at their corners (f, 3) [mm].
+    """
+    x = facets.nodes[rows]
+    normals, area = surface(x, LATTICE)
+    inwards = np.sign(np.einsum("fi,fi->f", normals[:, -1], facets.normal[rows, 0]))
+    apart = np.einsum("qn,fni->fqi", shape_functions(LATTICE, motion.shape[1]), motion)
+    along = np.einsum("fqi,fqi->fq", apart, normals) * inwards[:, None]
+    return along + clearance @ LATTICE.T, area
+
+
+def _motion(j: Jumps, jump: Floats) -> Floats:
+    """Displacement of the slave side against the master at the nodes of all facets (f, m, 3)."""
+    dofs = np.concatenate([j.facets.vertex_dofs, j.facets.edge_dofs], axis=1)
+    nodes, place = np.unique(dofs, return_inverse=True)
+    place = place.reshape(dofs.shape)
+    moved = np.zeros((1 + int(max(j.facets.master.max(), j.facets.slave.max())), len(nodes), 3))
+    for body, B in j.moves.items():
+        q, u = B.createVecs()
+        q.array[:] = jump.ravel()
+        B.mult(q, u)
+        start, end = (k // 3 for k in u.getOwnershipRange())
+        own = (nodes >= start) & (nodes < end)
+        moved[body, own] = u.array.reshape(-1, 3)[nodes[own] - start]
+    moved = j.comm.allreduce(moved)
+    return moved[j.facets.slave[:, None], place] - moved[j.facets.master[:, None], place]
+
+
+def _clearance(j: Jumps) -> Floats:
+    """Initial gap at all contact points (n,) [mm]; 0 where supports hold every component."""
+    here = np.zeros(len(j.points.weight))
+    here[j.mine] = np.einsum("pi,pi->p", j.gap, j.normals[:, 0])
+    return j.comm.allreduce(here)
