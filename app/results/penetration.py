@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mantle.arrays import Floats
+from mantle.arrays import Floats, Ints
 from mantle.mechanics.jumps import Jumps
 from mantle.meshes.contact_facets import InterfaceFacets, shape_functions, surface
 
@@ -38,7 +38,7 @@ def overlap(j: Jumps, jump: Floats) -> list[dict[str, float]]:
 
 
 def gaps(
-    facets: InterfaceFacets, rows: Floats, motion: Floats, clearance: Floats
+    facets: InterfaceFacets, rows: Ints, motion: Floats, clearance: Floats
 ) -> tuple[Floats, Floats]:
     """Gap along the normals of facets at `LATTICE` (f, q) [mm], and the area that it stands for.
 

@@ -1,0 +1,185 @@
+"""The bodies of a run in three dimensions, to be turned and asked inside a page.
+
+The outsides of all regions and their fields at the end of every stage are packed into the page as
+16-bit numbers; `viewer.js` draws them with three.js (Debian's libjs-three).
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mantle.arrays import Floats, Ints
+from mantle.results.reading import EDGES, FACES, Run
+
+THREE = Path("/usr/share/javascript/three")
+SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")
+LEVELS = 65534  # values are 0 to this, and one more stands for none
+MOST = 3_000_000  # bytes of values before they are compressed: about half of a page of 2 MB
+# Label, unit and what a value in the file is multiplied by; of vectors the length is shown.
+INTERFACE = {
+    "slip": ("slip", "µm", 1e3),
+    "gap": ("gap", "µm", 1e3),
+    "motion": ("motion", "µm", 1e3),
+    "pressure": ("pressure", "MPa", 1.0),
+    "shear": ("shear", "MPa", 1.0),
+    "status": ("open 0, stick 1, slip 2", "", 1.0),
+}
+NODAL = {
+    "displacement": ("displacement", "mm", 1.0),
+    "von_mises": ("von Mises stress", "MPa", 1.0),
+    "principal_max": ("largest principal stress", "MPa", 1.0),
+    "principal_min": ("smallest principal stress", "MPa", 1.0),
+    "temperature": ("temperature", "°C", 1.0),
+}
+
+
+def viewer(folder: Path) -> str | None:
+    """The view as a piece of HTML; nothing without fields or without three.js.
+
+    Args:
+        folder: A run directory.
+    """
+    scripts = [THREE / name for name in SCRIPTS]
+    if not (folder / "fields.vtkhdf").exists() or not all(s.exists() for s in scripts):
+        return None
+    run = Run(folder)
+    head, values = packed(run)
+    data = base64.b64encode(zlib.compress(values, 9)).decode("ascii")
+    here = Path(__file__)
+    own = [*scripts, here.with_name("viewer.js")]
+    parts = [
+        f"<style>{here.with_name('viewer.css').read_text(encoding='utf-8')}</style>",
+        '<div id="view"></div>',
+        f'<script type="application/json" id="view-head">{_safe(json.dumps(head))}</script>',
+        f'<script type="text/plain" id="view-data">{data}</script>',
+        *(f"<script>{_safe(s.read_text(encoding='utf-8'))}</script>" for s in own),
+    ]
+    return "\n".join(parts)
+
+
+def _safe(text: str) -> str:
+    """Text that cannot end the script it stands in."""
+    return text.replace("</", "<\\/").replace("<!--", "<\\!--")
+
+
+def packed(run: Run) -> tuple[dict[str, Any], bytes]:
+    """What `viewer.js` draws: what there is and where it begins, and all numbers one by one.
+
+    Numbers are little-endian: places (n, 3) and values (n,) as 16-bit parts of their range, the
+    corners of triangles as 32-bit numbers of places.
+    """
+    stages = [s["name"] for s in run.case["stages"]]
+    ends = [s for s in stages if any(stages[int(np.ceil(t - 1e-9)) - 1] == s for t in run.times)]
+    kinds = _kinds(run)
+    fine = outsides(run, curved=True)
+    nodes = _used(fine)
+    # Three for the places, three for the displacement that deforms.
+    if 2 * len(nodes) * (3 + len(ends) * (3 + len(kinds))) > MOST:
+        fine = outsides(run, curved=False)
+        nodes = _used(fine)
+    room = max(1, MOST // (2 * len(nodes) * (3 + len(kinds))))
+    ends = ends[-room:]
+    pieces: list[bytes] = []
+
+    def add(array: NDArray[Any]) -> int:
+        at = sum(map(len, pieces))
+        pieces.append(array.tobytes())
+        return at
+
+    x = run.points[nodes]
+    low, size = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
+    number = np.full(len(run.points), -1)
+    number[nodes] = np.arange(len(nodes))
+    bodies = [
+        {"name": name, "at": add(number[t].astype("<u4")), "triangles": len(t)}
+        for name, t in fine.items()
+    ]
+    head: dict[str, Any] = {
+        "points": {"at": add(_levels((x - low) / size)), "n": len(nodes)},
+        "low": low.tolist(),
+        "size": size,
+        "bodies": bodies,
+        "stages": ends,
+        "fields": [],
+        "moves": [],
+    }
+    for stage in ends:
+        u = run.displacement(stage)[nodes] if "displacement" in run.point_fields else 0 * x
+        most = float(np.abs(u).max()) or 1.0
+        at = add(_levels((u / most + 1) / 2))
+        head["moves"].append({"at": at, "most": most})
+    for name, where, label, unit, factor in kinds:
+        steps = []
+        on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else None
+        for stage in ends:
+            v = factor * run.on_points(name, stage)[nodes]
+            v = np.linalg.norm(v, axis=1) if v.ndim == 2 else v
+            known = np.isfinite(v) if on is None else np.isfinite(v) & on
+            least, most = (float(f(v[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
+            parts = _levels(np.where(known, (v - least) / ((most - least) or 1.0), 0.0))
+            parts[~known] = LEVELS + 1
+            steps.append({"at": add(parts), "min": least, "max": most})
+        title = f"{where.replace('_', '-')}: {label}" if where else label
+        head["fields"].append({"name": name, "label": title, "unit": unit, "steps": steps})
+    return head, b"".join(pieces)
+
+
+def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:
+    """Fields that are shown: name in the file, interface or nothing, label, unit and factor."""
+    found = [
+        (f"{contact}_{key}", contact, *how)
+        for contact in sorted(run.contacts, reverse=True)
+        for key, how in INTERFACE.items()
+        if f"{contact}_{key}" in run.point_fields
+    ]
+    found += [(key, "", *how) for key, how in NODAL.items() if key in run.point_fields]
+    known = {name for name, *_ in found}
+    others = [n for n in run.point_fields if "cure" in n and n not in known]
+    return found + [(n, "", n.replace("_", " "), "", 1.0) for n in others]
+
+
+def outsides(run: Run, curved: bool) -> dict[str, Ints]:
+    """Triangles around each region (t, 3), turned outwards; curved facets are four each."""
+    faces: Ints = np.array(FACES)
+    edge = {frozenset(ends): 4 + k for k, ends in enumerate(EDGES)}
+    middles = np.array([[edge[frozenset((f[k - 2], f[k - 1]))] for k in range(3)] for f in FACES])
+    six = np.hstack([faces, middles])  # node 3 + k is opposite corner k
+    found = {}
+    for name, number in run.regions.items():
+        cells = run.cells[run.region == number]
+        if not len(cells):
+            continue
+        opposite = run.points[cells[:, [3, 2, 1, 0]]].reshape(-1, 3)
+        width = 6 if curved and cells.shape[1] == 10 else 3
+        facets = cells[:, six[:, :width]].reshape(-1, width)
+        _, first, count = np.unique(
+            np.sort(facets[:, :3], axis=1), axis=0, return_index=True, return_counts=True
+        )
+        facets, inside = facets[first[count == 1]], opposite[first[count == 1]]
+        x = run.points[facets[:, :3]]
+        normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        turn = np.einsum("fi,fi->f", normal, inside - x[:, 0]) > 0
+        swapped = [0, 2, 1, 3, 5, 4][:width]
+        facets[turn] = facets[turn][:, swapped]
+        if width == 6:
+            parts = [[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]]
+            facets = facets[:, parts].reshape(-1, 3)
+        found[name] = facets
+    return found
+
+
+def _used(triangles: dict[str, Ints]) -> Ints:
+    """Nodes of all triangles, in rising order."""
+    return np.unique(np.concatenate([t.ravel() for t in triangles.values()]))
+
+
+def _levels(part: Floats) -> NDArray[np.uint16]:
+    """Parts of a range, 0 to 1, as 16-bit numbers."""
+    return np.round(np.clip(part, 0.0, 1.0) * LEVELS).astype("<u2")
