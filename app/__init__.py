@@ -13,11 +13,12 @@ the solver stack are imported by the functions that need them, not by ``import m
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mantle.errors import InputError, stack_needed
+from mantle.errors import ConvergenceError, InputError, UnusableError, stack_needed
 from mantle.version import __version__
 
 if TYPE_CHECKING:
@@ -159,17 +160,18 @@ def run(
         ranks.alone()
         with stack_needed():
             from mantle.simulation import session
-        session.run(
-            case,
-            folder,
-            petsc_options,
-            keep=keep,
-            restart=restart,
-            force=force,
-            walltime=walltime,
-            signals=signals,
-            progress=progress,
-        )
+        with _reported(folder, case.config.output.report):
+            session.run(
+                case,
+                folder,
+                petsc_options,
+                keep=keep,
+                restart=restart,
+                force=force,
+                walltime=walltime,
+                signals=signals,
+                progress=progress,
+            )
     return _results(folder)
 
 
@@ -191,6 +193,22 @@ def read(folder: str | os.PathLike[str]) -> Results:
     if not any((path / name).exists() for name in ("case.yaml", "variations.json")):
         raise InputError(f"{path}: holds no results of a run")
     return _results(path)
+
+
+@contextmanager
+def _reported(folder: Path, wanted: bool) -> Iterator[None]:
+    """Write the page of a run at its end, also of one that has failed or is not to be used."""
+    failure = None
+    try:
+        yield
+    except (ConvergenceError, UnusableError) as error:
+        failure = error
+    if wanted:
+        from mantle.report import run_report
+
+        run_report.after_run(folder, failure is not None)
+    if failure:
+        raise failure
 
 
 def _results(folder: Path) -> Results:

@@ -251,11 +251,15 @@ def _many(options: argparse.Namespace, folder: Path) -> Options:
 
 
 def _report(options: argparse.Namespace) -> int:
-    """Write the report of a sweep; say where, and how the paper's trends fare."""
+    """Write the report of a run or a sweep; say where, and how the paper's trends fare."""
     configure_log("info")
     with stack_needed():
-        from mantle.report import sweep_report
+        from mantle.report import run_report, sweep_report
 
+    if run_report.is_run(options.folder):
+        for path in run_report.write(options.folder):
+            print(path)
+        return 0
     written = sweep_report.run(options.folder)
     wide = max((len(t.name) for t in written.trends), default=0)
     for t in written.trends:

@@ -15,6 +15,7 @@ ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 KJ = 1e3  # kJ/m3 of a MPa
+ROUNDING = 1e-9  # mm, MPa
 
 Table = tuple[list[str], list[list[str]]]
 
@@ -56,7 +57,9 @@ def _pair(numbers: dict[str, Any], quantity: str, factor: float) -> str:
 
 
 def _shown(value: Any, factor: float) -> str:
-    return "-" if not isinstance(value, int | float) else f"{factor * value:.3g}"
+    if not isinstance(value, int | float):
+        return "-"
+    return f"{factor * value if abs(value) > ROUNDING else 0:.3g}"
 
 
 def intact(cases: Sequence[SweptCase]) -> SweptCase | None:

@@ -134,8 +134,9 @@ def _figure(
     file: str, name: str, columns: Sequence[tuple[str, Run, Sheet]], labels: Sequence[str]
 ) -> Figure:
     what = WORDS.get(name, name.replace("_", "-"))
-    titles = [title for title, _, _ in columns]
-    caption = "The colours of a row are common to all cases and end at the 99.5th percentile. "
+    titles = [title for title, _, _ in columns if title]
+    common = "are common to all cases and " if len(columns) > 1 else ""
+    caption = f"The colours of a row {common}end at the 99.5th percentile. "
     if all(s.round for _, _, s in columns):
         caption += (
             "Unrolled about the stem's axis, cut open posteriorly; end faces are left out, grey is "
@@ -143,5 +144,6 @@ def _figure(
         )
     if any(label.startswith("temperature") for label in labels):
         caption += " Temperature: of the second body, at the hottest step that was written."
-    text = f"{', '.join(labels)} on the {what} interface of {'; '.join(titles)}"
-    return Figure(file, f"{what} interface: {'; '.join(titles)}", caption, text)
+    place = f"{what} interface"
+    of, to = (f"{word}{'; '.join(titles)}" if titles else "" for word in (" of ", ": "))
+    return Figure(file, place + to, caption, f"{', '.join(labels)} on the {place}{of}")

@@ -9,19 +9,19 @@ import base64
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-from jinja2 import Environment, FileSystemLoader
+from typing import Any, TypeVar
 
 from mantle.report.curves import Figure
 
 # Parts of a section: their kind, as the template names it, and what is in them.
 Blocks = list[tuple[str, dict[str, Any]]]
+T = TypeVar("T")
+MOST = 400  # rows of a table, points of a curve
 
 CLASSES = {
     **dict.fromkeys(("confirmed", "converged"), "good"),
-    **dict.fromkeys(("not confirmed", "failed", "not converged"), "bad"),
-    **dict.fromkeys(("undecided", "stopped"), "open"),
+    **dict.fromkeys(("not confirmed", "failed", "not converged", "do not use"), "bad"),
+    **dict.fromkeys(("undecided", "stopped", "note"), "open"),
 }
 
 
@@ -31,8 +31,11 @@ def page(title: str, sections: Sequence[tuple[str, str, Blocks]], **head: Any) -
     Args:
         title: Its title.
         sections: Anchor, title and content of each; those without content are left out.
-        head: What stands below the title: facts, summary and a note.
+        head: What stands below the title: facts, a leading sentence, summary, a note and a view,
+            which is markup.
     """
+    from jinja2 import Environment, FileSystemLoader
+
     folder = FileSystemLoader(Path(__file__).parent)
     environment = Environment(loader=folder, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.tests["number_text"] = re.compile(r"[-−]?\d").match
@@ -56,12 +59,42 @@ def bullets(texts: Sequence[str]) -> Blocks:
     return [("bullets", {"texts": texts})] if texts else []
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str | Sequence[str]]]) -> Blocks:
-    """A table; a list in a cell becomes a list; nothing if there are no rows."""
+def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Blocks:
+    """A table of texts, lists and links; nothing if there are no rows."""
     return [("table", {"head": head, "rows": rows})] if rows else []
 
 
 def figure(f: Figure, folder: Path) -> Blocks:
     """A picture with its caption, inside the page."""
-    data = base64.b64encode((folder / f.name).read_bytes()).decode("ascii")
-    return [("figure", {"figure": f, "data": data})]
+    return picture(f, (folder / f.name).read_bytes())
+
+
+def picture(f: Figure, png: bytes) -> Blocks:
+    """The same of a picture that has been read."""
+    return [("figure", {"figure": f, "data": base64.b64encode(png).decode("ascii")})]
+
+
+def drawings(svgs: Sequence[str]) -> Blocks:
+    """Drawings beside each other, as markup."""
+    return [("drawings", {"drawings": svgs})] if svgs else []
+
+
+def verbatim(text: str) -> Blocks:
+    """A text as it is."""
+    return [("verbatim", {"text": text})] if text else []
+
+
+def folded(title: str, content: Blocks) -> Blocks:
+    """Blocks that a click opens; nothing if there are none."""
+    return [("folded", {"title": title, "blocks": content})] if content else []
+
+
+def link(text: str, to: str) -> dict[str, str]:
+    """The cell of a table that leads to another page, if there is one."""
+    return {"text": text, "to": to}
+
+
+def sparse(items: Sequence[T]) -> Sequence[T]:
+    """The first, the last and every n-th between, so that a page stays small."""
+    n = -(-len(items) // MOST)
+    return items if n < 2 else [*items[:-1:n], items[-1]]

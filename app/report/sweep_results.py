@@ -189,7 +189,7 @@ def read(folder: Path) -> SweepResults:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(
-            f"{folder}: has no sweep.json; expected a directory written by mantle sweep"
+            f"{folder}: has no sweep.json; expected a directory written by mantle run or sweep"
         ) from None
     except json.JSONDecodeError as error:
         raise InputError(f"{path}:{error.lineno}:{error.colno}: {error.msg}") from error

@@ -175,7 +175,10 @@ add(
     _interface("open_fraction", "-", "%", 0, history=True, headline=True),
     _interface("stick_fraction", "-", "%", 0, history=True),
     _interface("slip_fraction", "-", "%", 0, history=True, headline=True),
-    *(_interface(f"area_{key}_over_30um", "mm^2") for key in ("gap", "slip", "motion")),
+    *(
+        _interface(f"area_{key}_over_30um", "mm^2", label=f"area of {word} over 30 µm")
+        for key, word in (("gap", "debonding"), ("slip", "slip"), ("motion", "motion"))
+    ),
     _interface("force", "N", order=MOTION, vector=True),
     _interface("dissipation", "N mm", order=MOTION, history=True),
     _interface("dissipation_min", "N mm", history=True),

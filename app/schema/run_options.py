@@ -130,6 +130,8 @@ class OutputOptions(Section):
     """Whether the condition number of the last Jacobian is estimated, which factorizes it."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
+    report: Truth = True
+    """Whether `report.html` is written at the end: the results as a page."""
     checkpoint: CheckpointOptions = CheckpointOptions()
     """When the state is saved for `--restart`."""
     probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(

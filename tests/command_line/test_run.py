@@ -27,7 +27,7 @@ from mantle.system import identity
 from tests import support
 
 FILES = {"case.yaml", "fields.vtkhdf", "final.vtkhdf", "history.csv", "provenance.json"}
-FILES |= {"summary.json", "DONE"}
+FILES |= {"summary.json", "DONE", "report.html"}
 INTERFACE = {
     *("gap_max", "gap_p99", "gap_max_at", "slip_max", "slip_p99", "slip_max_at"),
     *("pressure_max", "pressure_p99", "shear_max", "shear_p99"),

@@ -21,6 +21,7 @@ pytestmark = pytest.mark.slow
 # Every fifth begins with an empty cache: it is killed while it meshes and compiles.
 COLD = 5
 FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}
+FILES |= {"final.vtkhdf", "report.html"}
 
 
 def start(output: Path, folder: Path, *more: str) -> subprocess.Popen[str]:

@@ -1,0 +1,336 @@
+"""``report.html`` of a run: what a surgeon wants to know first, then all numbers, curves and maps.
+
+Everything is read from the run directory, so that the page can be made again later and elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from mantle.errors import InputError, StoppedError
+from mantle.report import gruen, history_curves, maps, page, run_sentence, sweep_figures
+from mantle.report.curves import Figure
+from mantle.report.page import Blocks, bullets, heading, paragraph, table
+from mantle.report.sweep_results import CONVERGED, SweptCase
+from mantle.results import log as text
+from mantle.results.tables import TABLES
+from mantle.schema import quantities
+from mantle.schema.quantities import NECROSIS, TABLE, Quantity, printed
+from mantle.system.folders import write_bytes, write_text
+from mantle.system.layout import duration, noted, plain
+from mantle.system.ranks import rank
+
+PAGE, PICTURES = "report.html", "report"
+# The part of a run's time that its page may take, and what maps take: short runs have none.
+SHARE, MAPS = 0.05, 3.0  # s
+MOST_NUMBERS = 11  # in the table of variations
+TITLES = {
+    "interfaces": "Interfaces",
+    "regions": "Stresses",
+    "bonds": "Bonded interfaces",
+    "thermal.regions": "Temperatures",
+    "thermal.interfaces": "Heat through the interfaces",
+    "cure": "Cure of the cement",
+    "stem": "Motion of the stem against the bone",
+}
+# What the closing table of a run has no room for.
+MORE = {"interfaces": ("area_gap_over_30um", "area_slip_over_30um", "area_motion_over_30um")}
+log = logging.getLogger("mantle")
+
+
+def after_run(folder: Path, failed: bool) -> None:
+    """Write the pages at the end of a run, on rank 0; a failure is a warning and nothing more.
+
+    Args:
+        folder: The run directory.
+        failed: Whether other ranks wait to end together with this one.
+    """
+    if rank() != 0:
+        return
+    try:
+        write(folder, 0.0 if failed else SHARE)
+    except Exception as error:  # the results are there, whatever the page lacks
+        log.warning("%s was not written: %s: %s", folder / PAGE, type(error).__name__, error)
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder has results of a run or of variations."""
+    return any((folder / name).exists() for name in ("summary.json", "variations.json"))
+
+
+def write(folder: Path, share: float = math.inf) -> list[Path]:
+    """Write the page of a run, or of its variations and over them.
+
+    Args:
+        folder: The run directory.
+        share: Of the time of the run, what may be spent; infinite, pictures become files, too.
+
+    Returns:
+        The pages and pictures, the page of the folder first.
+
+    Raises:
+        InputError: The results cannot be read.
+        StoppedError: The page cannot be written.
+    """
+    try:
+        if (folder / "variations.json").exists():
+            return _variations(folder, share)
+        return _run(folder, share)
+    except OSError as error:
+        raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{folder}: results that cannot be read: {error!r}") from error
+
+
+def opened(folder: Path, **more: Any) -> SweptCase:
+    """A run directory; numbers of a run that has failed are read as well."""
+    return SweptCase(
+        folder.name, "", folder=folder, **{"overrides": {}, "status": CONVERGED} | more
+    )
+
+
+def _run(folder: Path, share: float) -> list[Path]:
+    case, summary = opened(folder), _json(folder / "summary.json")
+    record = _json(folder / "provenance.json")
+    panels, x = history_curves.panels(case.history)
+    files: list[Path] = []
+    complete = share == math.inf
+    if complete:
+        (folder / PICTURES).mkdir(exist_ok=True)
+        files = history_curves.draw(folder / PICTURES, panels, x)
+    title = summary.get("title") or folder.name
+    shown, missing = _maps(case, share * summary["timing"]["total"] >= MAPS)
+    for f, png in shown if complete else ():
+        files.append(folder / PICTURES / f.name)
+        write_bytes(files[-1], png)
+    sections = [
+        ("numbers", "Numbers", _numbers(summary)),
+        ("curves", "Over time", history_curves.blocks(panels, x)),
+        (
+            "maps",
+            "Maps of the interfaces",
+            [b for f, png in shown for b in page.picture(f, png)] + bullets(missing),
+        ),
+        ("gruen", "Gruen zones", _gruen(case)),
+        ("mantle", "Cement mantle", table(*gruen.mantles([case]))),
+        (
+            "all",
+            "All numbers",
+            page.folded("every quantity, with its error where known", _all(summary)),
+        ),
+        ("solver", "Convergence of the solver", _solver(case, summary)),
+        (
+            "case",
+            "Input",
+            page.folded("the case with all defaults", page.verbatim(_text(folder / "case.yaml"))),
+        ),
+        ("provenance", "Provenance", page.folded("program, machine, digests", _pairs(record))),
+    ]
+    html = page.page(
+        title,
+        sections,
+        facts=_facts(folder, record),
+        lead=run_sentence.sentence(summary, case),
+        summary=_verdict(summary),
+        view="",  # the interactive view: markup of its own
+    )
+    write_text(folder / PAGE, html)
+    return [folder / PAGE, *files]
+
+
+def _facts(folder: Path, record: dict[str, Any]) -> str:
+    """Which run, when and by which program."""
+    when = str(record.get("finished", "")).replace("T", " ")[:16]
+    program = f"mantle {record['mantle']}" if "mantle" in record else ""
+    return " · ".join(filter(None, (folder.resolve().name, when and f"{when} UTC", program)))
+
+
+def _verdict(summary: dict[str, Any]) -> list[str]:
+    """How far the numbers can be trusted, and what the run warned of."""
+    status = summary["status"]
+    lines = [f"{text.UNUSABLE}: {why}" for why in text.faults(summary)]
+    if status in (CONVERGED, text.UNUSABLE):
+        lines.append(text.verdict(summary))
+    else:
+        lines.insert(
+            0,
+            f"{status}: the numbers are those of the last converged state, at time "
+            f"{summary['time']:.4g}",
+        )
+    error = summary.get("error", {})
+    if failed := error.get("failed"):
+        lines.append(
+            f"note: the error is estimated without companions that failed: {', '.join(failed)}"
+        )
+    if unsettled := error.get("unsettled"):
+        lines.append(f"peaks that do not converge with the mesh: {', '.join(unsettled)}")
+    return lines + [f"note: {note}" for note in summary.get("notes", [])]
+
+
+def _label(q: Quantity) -> str:
+    unit = printed(q.shown)
+    return f"{q.label} ({unit})" if unit else q.label
+
+
+def _sections(summary: dict[str, Any]) -> Iterator[tuple[str, dict[str, dict[str, Any]]]]:
+    """Numbers by section of the table of quantities, without those of the run itself."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for section, name, numbers in quantities.numbers_of(summary):
+        found.setdefault(section, {})[name] = numbers
+    return ((section, found[section]) for section in TITLES if section in found)
+
+
+def _rows(named: dict[str, dict[str, Any]], chosen: Sequence[Quantity]) -> list[list[str]]:
+    rows = [[_label(q), *(q.text(numbers) for numbers in named.values())] for q in chosen]
+    return [row for row in rows if set(row[1:]) != {"-"}]
+
+
+def _numbers(summary: dict[str, Any]) -> Blocks:
+    """The numbers of the closing table, a column for each interface, region and so on."""
+    found: Blocks = []
+    for section, named in _sections(summary):
+        own = TABLE[section]
+        keys = [key for column in TABLES.get(section, ()) for key in column.keys.split()]
+        keys = [*keys, *MORE.get(section, ()), *(k for k, q in own.items() if q.compute)]
+        chosen = [own[k] for k in keys or own if not own[k].vector]
+        found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))
+        if section == "thermal.regions":
+            found += _titled("Dead bone", _necrosis(named))
+    if note := summary.get("thermal", {}).get("note"):
+        found += paragraph(note, "quiet")
+    how = (
+        "p99 and p95 are percentiles by area or volume: 1 or 5 % of it exceeds them. A maximum may "
+        "stand at an edge and grow with the mesh."
+    )
+    return paragraph(how, "quiet") + found if found else []
+
+
+def _titled(title: str, content: Blocks) -> Blocks:
+    return heading(title) + content if content else []
+
+
+def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
+    """Dead bone by every criterion."""
+    own = TABLE["thermal.regions"]
+    bone = {name: q for name, q in regions.items() if run_sentence.is_bone(q)}
+    head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
+    rows = [
+        [
+            words,
+            *(
+                own[f"necrosis_{rule}_{k}"].text(q)
+                for q in bone.values()
+                for k in ("volume", "depth")
+            ),
+        ]
+        for rule, words in NECROSIS.items()
+    ]
+    return table(head, rows if bone else [])
+
+
+def _all(summary: dict[str, Any]) -> Blocks:
+    found: Blocks = []
+    for section, named in _sections(summary):
+        chosen = [q for q in TABLE[section].values() if not q.vector]
+        found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))
+    return found
+
+
+def _gruen(case: SweptCase) -> Blocks:
+    note = "Of each interface: largest / mean value in the zone."
+    found = table(*gruen.table(case))
+    return paragraph(note, "quiet") + found if found else []
+
+
+def _maps(case: SweptCase, wanted: bool) -> tuple[list[tuple[Figure, bytes]], list[str]]:
+    """Pictures of the interfaces, and why some are missing."""
+    if not (case.folder / "fields.vtkhdf").exists():
+        return [], []
+    if not wanted:
+        return [], [f"mantle report {case.folder} draws them: after a short run they take too long"]
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            drawn, missing = maps.draw([[("", case)]], Path(scratch))
+        except (KeyError, OSError) as error:
+            return [], [f"fields that cannot be read: {error}"]
+        return [(f, (Path(scratch) / f.name).read_bytes()) for f in drawn], missing
+
+
+def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
+    """What each step took and how well it balances, and where the time went."""
+    own = page.sparse(history_curves.of_solver(case.history))
+    rows = [[plain(v) for v in row.values()] for row in own]
+    parts = table(list(own[0]), rows) if own else []
+    parts += _titled("Sizes", _pairs(summary.get("solver", {})))
+    parts += _titled("Seconds", _pairs(summary.get("timing", {})))
+    return page.folded("each step, sizes, times", parts)
+
+
+def _pairs(values: dict[str, Any]) -> Blocks:
+    return table(["", ""], [[str(k).replace("_", " "), plain(v)] for k, v in values.items()])
+
+
+def _variations(folder: Path, share: float) -> list[Path]:
+    """The pages of all variations, and one over them."""
+    rows = _json(folder / "variations.json")
+    cases, links = [], {}
+    for row in rows:
+        own = folder / row["name"]
+        more = {k: row[k] for k in ("overrides", "status", "seconds", "numbers")}
+        cases.append(opened(own, **more, notes=tuple(row["notes"])))
+        if (own / "summary.json").exists():
+            links[own.name] = f"{quote(own.name)}/{write(own, share)[0].name}"
+    names = sweep_figures.headlines(cases)[:MOST_NUMBERS]
+    labels = [sweep_figures.label(name) for name in names]
+    head = ["variation", "status", "changes"]
+    head += [f"{words} ({unit})" if unit else words for words, unit in labels] + ["time"]
+    lines = [
+        [
+            page.link(c.name, links.get(c.name, "")),
+            c.status,
+            [f"{key} = {plain(value)}" for key, value in c.overrides.items()],
+            *("-" if (n := c.number(name)) is None else str(n) for name in names),
+            duration(c.seconds),
+        ]
+        for c in cases
+    ]
+    pictures = folder / PICTURES
+    figures: list[Figure] = []
+    if share == math.inf:
+        pictures.mkdir(exist_ok=True)
+        figures = sweep_figures.multiples(cases, pictures)
+    drawn = [b for f in figures for b in page.figure(f, pictures)]
+    sections = [
+        ("cases", "All variations", table(head, lines)),
+        ("curves", "What varies", drawn),
+        ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
+    ]
+    done = sum(c.done for c in cases)
+    bad = [f"{c.status}: {c.name}" for c in cases if not c.done]
+    html = page.page(
+        f"Variations: {folder.resolve().name}",
+        sections,
+        lead=run_sentence.spread(cases, names),
+        summary=[f"{done} of {len(cases)} variations converged", *bad],
+    )
+    write_text(folder / PAGE, html)
+    return [
+        folder / PAGE,
+        *(folder / link for link in links.values()),
+        *(pictures / f.name for f in figures),
+    ]
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
+
+def _json(path: Path) -> Any:
+    return json.loads(_text(path) or "{}")

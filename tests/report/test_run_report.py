@@ -1,0 +1,211 @@
+"""``report.html`` of a run: its sentence, its numbers, and that it needs nothing else."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mantle
+from mantle.cli import main
+from mantle.report import history_curves, maps, run_report, run_sentence
+from mantle.schema.quantities import TABLE
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
+Change = Callable[[dict[str, Any]], None]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of cylinders, with a title that is no text for a page."""
+    out = tmp_path_factory.mktemp("run") / "out"
+    title = "<script>alert(1)</script> & stem"
+    mantle.run(mantle.load(CONFIGS / "cylinders.yaml", **COARSE, title=title), out)
+    return out
+
+
+def page(folder: Path) -> str:
+    return (folder / "report.html").read_text()
+
+
+def shown(html: str) -> str:
+    """The text of a page."""
+    return re.sub(r"<[^>]+>", " ", re.sub(r"<style>.*?</style>", "", html, flags=re.S))
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found
+
+
+def changed(done: Path, folder: Path, change: Change) -> str:
+    """The page of a run with another summary."""
+    shutil.copytree(done, folder, ignore=shutil.ignore_patterns("*.vtkhdf"))
+    numbers = summary(folder)
+    change(numbers)
+    (folder / "summary.json").write_text(json.dumps(numbers))
+    run_report.write(folder, 0.0)
+    return page(folder)
+
+
+def test_a_run_writes_a_page_that_stands_alone(done: Path) -> None:
+    html = page(done)
+    assert len(html) < 3e6
+    assert not re.search(r"https?:|<script|<link|@import|url\(", html)
+    assert all(s.startswith("data:") for s in re.findall(r'src="([^"]*)"', html))
+    ids = re.findall(r'\bid="([^"]*)"', html)
+    assert len(ids) == len(set(ids)) > 4
+    assert set(re.findall(r'href="#([^"]*)"', html)) <= set(ids)
+    assert "&lt;script&gt;alert(1)" in html
+    assert not list(done.glob("*.partial")) and not (done / "report").exists()
+
+
+def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
+    html, numbers = shown(page(done)), summary(done)
+    slip = TABLE["interfaces"]["slip_p99"].text(numbers["interfaces"]["stem_cement"])
+    assert f"the stem slides by up to {slip} µm in its cement" in html.replace("The", "the")
+    assert "how exact these numbers are was not estimated" in html
+    for place, key in (("stem_cement", "pressure_p95"), ("cement_bone", "slip_max")):
+        assert TABLE["interfaces"][key].text(numbers["interfaces"][place]) in html
+    assert TABLE["regions"]["von_mises_p99"].text(numbers["regions"]["cement"]) in html
+    assert "equilibrium exact to rounding" in html and "youngs_modulus: 110000.0 MPa" in html
+    assert "Gruen" not in html and "Temperatures" not in html and "Dead bone" not in html
+
+
+def test_curves_are_inside(done: Path) -> None:
+    html = page(done)
+    drawings = re.findall(r"<svg.*?</svg>", html, re.S)
+    assert any("slip, p99 (µm)" in d and "stem cement" in d for d in drawings)
+    assert all("xmlns" not in d and " id=" not in d for d in drawings)
+
+
+def test_the_command_draws_maps_and_files(
+    done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a copy: nothing but the folder is needed."""
+    copy = tmp_path / "elsewhere"
+    shutil.copytree(done, copy)
+    (copy / "report.html").unlink()
+    assert main(["report", str(copy)]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == str(copy / "report.html")
+    names = {p.name for p in (copy / "report").iterdir()}
+    assert {"curves.png", "curves.svg", "map1_stem_cement.png"} <= names
+    assert page(copy).count("data:image/png") == 2 and len(page(copy)) < 3e6
+
+
+def test_no_page_where_none_is_wanted(tmp_path: Path) -> None:
+    case = mantle.load(CONFIGS / "blocks.yaml", **{**COARSE, "output.report": False})
+    mantle.run(case, tmp_path / "out")
+    assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_page_that_fails_is_a_warning(done: Path, caplog: pytest.LogCaptureFixture) -> None:
+    run_report.after_run(done.parent / "nothing", failed=False)
+    assert "report.html was not written" in caplog.text
+
+
+def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
+    def estimated(numbers: dict[str, Any]) -> None:
+        numbers["error"] = {"companions": ["mesh 8 mm"], "failed": [], "unsettled": ["a.gap_max"]}
+        for q in numbers["interfaces"].values():
+            q["slip_p99_error"] = 0.02 * q["slip_p99"]
+        numbers["interfaces"]["cement_bone"]["pressure_p95_error"] = 10.0
+
+    html = shown(changed(done, tmp_path / "run", estimated))
+    assert "every main number is known to 2 % or better, except cement-bone pressure, p95 (" in html
+    assert "peaks that do not converge with the mesh: a.gap_max" in html and " ± " in html
+
+    def of_steps(numbers: dict[str, Any]) -> None:
+        estimated(numbers)
+        numbers["error"]["companions"] = ["mesh 4 mm, 0.5 times the steps"]
+
+    html = shown(changed(done, tmp_path / "steps", of_steps))
+    assert "the error of the mesh was not estimated" in html and "or better" not in html
+
+
+def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:
+    def lost(numbers: dict[str, Any]) -> None:
+        numbers["status"], numbers["balance"]["force"] = "do not use", 1.0
+
+    html = changed(done, tmp_path / "lost", lost)
+    assert '<span class="bad">do not use</span>: the balance of force is 1.0e+00' in html
+    html = changed(done, tmp_path / "stop", lambda s: s.update(status="stopped"))
+    assert '<span class="open">stopped</span>: the numbers are those of the last' in html
+    assert "equilibrium exact" not in html
+
+
+def test_a_run_without_convergence_says_so(tmp_path: Path) -> None:
+    weak = {**COARSE, "solver.max_iterations": 1, "stages[1].max_cut_backs": 0}
+    with pytest.raises(mantle.errors.ConvergenceError):
+        mantle.run(mantle.load(CONFIGS / "cylinders.yaml", **weak), tmp_path / "out")
+    written = (tmp_path / "out" / "summary.json").exists()
+    assert written == (tmp_path / "out" / "report.html").exists()
+
+
+def test_heat_is_told(tmp_path: Path) -> None:
+    numbers: dict[str, Any] = {"interfaces": {}, "thermal": {"regions": {}}, "cure": {}}
+    bone = {f"seconds_over_{t}": s for t, s in ((47, 174.0), (50, 116.0), (56, 0.0))}
+    bone |= {"temperature_max": 54.16, "temperature_max_error": 0.5}
+    bone |= {"necrosis_47C_1min_volume": 2583.0, "necrosis_cem43_16_volume": 4000.0}
+    numbers["thermal"]["regions"] = {"bone": bone}
+    numbers["cure"] = {"cement": {"degree_min": 0.99996}}
+    case = run_report.opened(tmp_path)
+    assert run_sentence.sentence(numbers, case) == (
+        "Bone gets as hot as 54.2 ± 0.5 °C, for up to 174 s above 47 °C, 116 s above 50 °C; "
+        "2,583 mm³ of bone dies by the rule of 47 °C for 1 min, 0 to 4,000 mm³ by others; "
+        "cement has set to 99.9 % or more; "
+        "how exact these numbers are was not estimated (mantle run --error)."
+    )
+
+
+def test_a_run_of_heat_has_a_page(tmp_path: Path) -> None:
+    stages = [{"name": "hot", "duration": "20 s"}]
+    rings = mantle.load(CONFIGS / "thermal_rings.yaml", **COARSE, stages=stages)
+    mantle.run(rings, tmp_path / "out")
+    html = page(tmp_path / "out")
+    assert "highest temperature (°C)" in html and "Temperatures" in html and "Dead bone" in html
+    assert "one gets as hot as" in html and "time (s)" in html
+
+
+def test_variations_have_a_page_over_all(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    varied = {
+        "bonded": {"interfaces.stem_cement": {"kind": "bonded"}},
+        "smooth": {"interfaces.stem_cement.friction_coefficient": 0.2},
+    }
+    out = tmp_path / "out"
+    mantle.run(mantle.load(CONFIGS / "cylinders.yaml", **COARSE, variations=varied), out)
+    html = page(out)
+    for name in varied:
+        assert f'<a href="{name}/report.html">{name}</a>' in html
+        assert "Input" in page(out / name)
+    n = (
+        TABLE["interfaces"]["slip_p99"].factor
+        * (summary(out / "smooth")["interfaces"]["stem_cement"]["slip_p99"])
+    )
+    assert f"{n:.4g}" in html and "2 of 2 variations converged" in html
+    monkeypatch.setattr(maps, "draw", lambda groups, folder: ([], []))  # others test it
+    assert main(["report", str(out)]) == 0
+    assert "bonded/report.html" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "ends, ticks",
+    [
+        ((0.0, 2.0), [0.0, 0.5, 1.0, 1.5, 2.0]),
+        ((0.0, 97.3), [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]),
+        ((37.0, 37.0), [30.0, 40.0]),
+        ((-3e-9, 4e-9), [-4e-9, -2e-9, 0.0, 2e-9, 4e-9]),
+    ],
+)
+def test_ticks_are_round(ends: tuple[float, float], ticks: list[float]) -> None:
+    found = history_curves.ticks(*ends)
+    assert found[: len(ticks)] == ticks and found[0] <= ends[0] and found[-1] >= ends[1]
+    assert 2 <= len(found) <= 9
