@@ -120,6 +120,7 @@ def _write(
             {
                 "title": sweep.title or path.stem,
                 "file": str(path),
+                "compare_with": sweep.compare_with or "",
                 "overrides": list(overrides),
                 "program": identity.program(),
                 "cores": options.cores,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from mantle.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
 from mantle.report.paper.cases import PERCENTILES
@@ -14,6 +15,7 @@ from mantle.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 12
 MOST_SERIES = 8
+MOST_LEVELS = 8
 
 
 def headlines(cases: Sequence[SweptCase]) -> list[str]:
@@ -38,6 +40,45 @@ def label(name: str) -> tuple[str, str]:
     if (q := quantities.get(name)) is None:
         return f"{named(place)} {key}".replace("_", " "), ""
     return f"{named(place)} {key.replace(q.key, q.label)}", quantities.printed(q.shown)
+
+
+def title(key: str) -> str:
+    """A swept key in words: ``interfaces.cement_bone.friction_coefficient``."""
+    *path, last = key.replace("_", " ").split(".")
+    if not path or path[0] in ("geometry", "stages", "solver", "output"):
+        return last
+    if path[0] == "interfaces":
+        return f"{last}, {named(key.split('.')[1])}"
+    return f"{' '.join(path[1:]) or path[0]} {last}"
+
+
+def value(level: Any) -> str:
+    """A level in words; of a section its kind."""
+    if isinstance(level, dict):
+        return str(level.get("kind") or ", ".join(map(str, level.values())))
+    return str(level)
+
+
+def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
+    """What varies, with all levels, a sentence for each part."""
+    parts: dict[str, dict[str, dict[str, None]]] = {}
+    for c in cases:
+        own = parts.setdefault(c.part, {})
+        for key, level in c.overrides.items():
+            own.setdefault(key, {})[value(level)] = None
+    found = []
+    for part, keys in parts.items():
+        varied = [f"{title(k)} ({_levels(list(v))})" for k, v in keys.items() if len(v) > 1]
+        if varied:
+            found.append(f"{f'{part}: ' * bool(part)}{'; '.join(varied)}.")
+    return found
+
+
+def _levels(values: Sequence[str]) -> str:
+    """Levels of an axis, or how many there are."""
+    if len(values) <= MOST_LEVELS:
+        return ", ".join(values)
+    return f"{len(values)} levels from {values[0]} to {values[-1]}"
 
 
 def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
@@ -67,11 +108,12 @@ def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
         if too_few(panels):
             continue
         file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
-        draw(folder / file, panels, f"{key} ({unit_of(done, key)})".replace(" ()", ""), 3)
+        words = title(key)
+        draw(folder / file, panels, f"{words} ({unit_of(done, key)})".replace(" ()", ""), 3)
         left = len(groups) - MOST_SERIES
         more = f" {left} further curves are left out." if left > 0 else ""
         caption = f"Bars: estimated errors, where they are known.{more}"
-        figures.append(Figure(file, f"Numbers over {key}", caption, in_words(panels)))
+        figures.append(Figure(file, f"Numbers over {words}", caption, in_words(panels)))
     return figures
 
 
@@ -95,6 +137,6 @@ def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float,
         x = magnitude(c.overrides.get(key))
         if x is not None:
             rest = {k: v for k, v in c.overrides.items() if k != key}
-            common = ", ".join(f"{k.split('.')[-1]} {v}" for k, v in rest.items())
+            common = ", ".join(f"{title(k)} {value(v)}" for k, v in rest.items())
             found.setdefault(": ".join(filter(None, (c.part, common))), {})[x] = c
     return [(t, dict(sorted(own.items()))) for t, own in found.items() if len(own) > 1]

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mantle.campaigns import uncertainty
 from mantle.errors import StoppedError
-from mantle.report import gruen, page, sweep_figures
+from mantle.report import gruen, page, sensitivity, sweep_figures
 from mantle.report import maps as report_maps
 from mantle.report.curves import Figure
 from mantle.report.page import Blocks, bullets, heading, paragraph, table
@@ -25,7 +25,7 @@ from mantle.schema.quantities import printed
 from mantle.system.folders import csv_text, write_text
 from mantle.system.layout import duration, noted
 
-PAGE, COMPARISON, PICTURES = "report.html", "comparison.csv", "report"
+PAGE, PAPER, COMPARISON, PICTURES = "report.html", "paper.html", "comparison.csv", "report"
 MOST_NUMBERS = 11  # in the table of cases
 HONESTY = (
     "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
@@ -66,49 +66,62 @@ def run(folder: Path) -> Written:
     pictures = folder / PICTURES
     try:
         pictures.mkdir(exist_ok=True)
-        for old in pictures.glob("*.png"):
+        for old in (p for p in pictures.iterdir() if p.suffix in (".png", ".pdf", ".svg")):
             old.unlink()
-        figures, missing = report_figures.paper(cases, pictures) if cases.curves else ([], [])
-        others = [c for c in sweep.cases if c.name not in cases.used or not cases.curves]
-        multiples = sweep_figures.multiples(others, pictures)
+        multiples = sweep_figures.multiples([c for c in sweep.cases if c.done], pictures)
         maps, unmapped = report_maps.draw(report_maps.chosen(cases, sweep), pictures)
         shields = gruen.shielding_picture(cases, gruen.intact(sweep.cases), pictures)
-        rows = compare.compare(cases, sweep) if cases.curves else []
-        trends = report_trends.judge(cases) if cases.curves else []
-
-        def drawn(own: Sequence[Figure]) -> Blocks:
-            return [block for f in own for block in page.figure(f, pictures)]
-
         sections = [
-            ("trends", "Trends", _trends(trends)),
-            ("paper", "The paper's figures", drawn(figures) + bullets(missing)),
-            ("comparison", "Number by number", _comparison(rows)),
-            ("odd", "The paper's odd numbers", bullets(_odd(cases))),
-            ("maps", "Maps of the interfaces", drawn(maps) + bullets(unmapped)),
-            ("gruen", "Gruen zones", drawn(shields) + _zones(cases, sweep)),
-            ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
-            ("other", "What else varies", drawn(multiples)),
+            ("varied", "What varies", _drawn(multiples, pictures)),
+            ("sensitive", "What matters most", table(*sensitivity.table(sweep.cases))),
             ("uncertain", "What is not known well", _uncertain(sweep)),
-            ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
             ("cases", "All cases", _parts(sweep.cases)),
+            ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
+            ("maps", "Maps of the interfaces", _drawn(maps, pictures) + bullets(unmapped)),
+            ("gruen", "Gruen zones", _drawn(shields, pictures) + _zones(cases, sweep)),
+            ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
         ]
-        text = page.page(
-            sweep.title,
-            sections,
-            facts=_facts(sweep),
-            summary=_summary(sweep, rows, trends),
-            note=HONESTY if trends else "",
-        )
-        every = [*figures, *maps, *shields, *multiples]
-        files = [folder / PAGE, *(pictures / f.name for f in every)]
-        if rows:
-            files.append(pictures / COMPARISON)
-            write_text(files[-1], csv_text(compare.csv_rows(rows)))
+        papers, trends = _paper(cases, sweep, pictures) if cases.curves else ([], [])
+        summary = _summary(sweep)
+        if papers:
+            summary.append(f"The paper's figures, numbers and trends are beside it, in {PAPER}.")
+        text = page.page(sweep.title, sections, facts=_facts(sweep), summary=summary)
         write_text(folder / PAGE, text)
+        every = (pictures / f.name for f in (*maps, *shields, *multiples))
+        files = [folder / PAGE, *papers, *every]
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     done = sum(c.done for c in sweep.cases)
     return Written(files, trends, done, len(sweep.cases))
+
+
+def _drawn(figures: Sequence[Figure], pictures: Path) -> Blocks:
+    """Pictures with their captions."""
+    return [block for f in figures for block in page.figure(f, pictures)]
+
+
+def _paper(cases: Cases, sweep: SweepResults, pictures: Path) -> tuple[list[Path], Sequence[Trend]]:
+    """Write the page that compares the sweep with the paper; its files and its verdicts."""
+    figures, missing = report_figures.paper(cases, pictures)
+    rows = compare.compare(cases, sweep)
+    trends = report_trends.judge(cases)
+    sections = [
+        ("trends", "Trends", _trends(trends)),
+        ("paper", "The paper's figures", _drawn(figures, pictures) + bullets(missing)),
+        ("comparison", "Number by number", _comparison(rows)),
+        ("odd", "The paper's odd numbers", bullets(compare.strange(cases))),
+    ]
+    names = {v: [t.name for t in trends if t.verdict == v] for v in VERDICTS}
+    each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
+    summary = [f"Trends that the paper reports: {each}.", *_ratios(rows)]
+    title = f"{sweep.title}: the paper beside it"
+    text = page.page(title, sections, facts=_facts(sweep), summary=summary, note=HONESTY)
+    files = [sweep.folder / PAPER, *(pictures / f.name for f in figures)]
+    write_text(files[0], text)
+    if rows:
+        files.append(pictures / COMPARISON)
+        write_text(files[-1], csv_text(compare.csv_rows(rows)))
+    return files, trends
 
 
 def _uncertain(sweep: SweepResults) -> Blocks:
@@ -130,23 +143,17 @@ def _facts(sweep: SweepResults) -> str:
     return " · ".join(filter(None, (sweep.file, " ".join(took), f"mantle {sweep.program}")))
 
 
-def _summary(
-    sweep: SweepResults, rows: Sequence[ComparedNumber], trends: Sequence[Trend]
-) -> list[str]:
-    """Summary at the top of the page."""
+def _summary(sweep: SweepResults) -> list[str]:
+    """Summary at the top of the page: what varied, what failed, what was warned of."""
     counts = Counter(c.status for c in sweep.cases)
     states = ", ".join(f"{counts[s]} {s}" for s in STATUSES if counts[s])
-    lines = [f"{len(sweep.cases)} cases: {states}."]
+    lines = [f"{len(sweep.cases)} cases: {states}.", *sweep_figures.axes_in_words(sweep.cases)]
     failed = [c.name for c in sweep.cases if not c.done]
     if failed:
         lines.append(f"Without results: {', '.join(failed)}. Why stands in the table of all cases.")
     if warned := sum(bool(c.notes) for c in sweep.cases):
-        lines.append(f"Notes were made of {warned} cases; they stand above the table of all cases.")
-    if trends:
-        names = {v: [t.name for t in trends if t.verdict == v] for v in VERDICTS}
-        each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
-        lines.append(f"Trends that the paper reports: {each}.")
-    return lines + _ratios(rows)
+        lines.append(f"Notes were made of {warned} cases; they stand below the table of all cases.")
+    return lines
 
 
 def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
@@ -168,8 +175,6 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
 
 def _trends(trends: Sequence[Trend]) -> Blocks:
     """The verdicts with their reasons."""
-    if not trends:
-        return []
     text = (
         "By percentiles, of motions the 99th, of tractions the 95th: undecided where the "
         "difference is smaller than the estimated errors in sum; numbers without ± have no "
@@ -217,10 +222,6 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
         "temperatures are of their rise above 37 °C."
     )
     return paragraph(text) + table(head, lines)
-
-
-def _odd(cases: Cases) -> list[str]:
-    return compare.strange(cases) if cases.curves else []
 
 
 def _zones(cases: Cases, sweep: SweepResults) -> Blocks:

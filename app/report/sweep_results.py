@@ -144,6 +144,7 @@ class SweepResults:
         seconds: How long it took.
         cases: All its cases, those that failed too.
         uncertainty: What samples of uncertain inputs say, by part (`app/campaigns/uncertainty.py`).
+        compare_with: The publication that it is compared with, or nothing.
     """
 
     folder: Path
@@ -154,6 +155,7 @@ class SweepResults:
     seconds: float
     cases: Sequence[SweptCase]
     uncertainty: dict[str, Any] = field(default_factory=dict)
+    compare_with: str = ""
 
 
 # Keys of a case and the types they may have.
@@ -208,6 +210,7 @@ def read(folder: Path) -> SweepResults:
         float(data.get("seconds") or 0.0),
         cases,
         dict(data.get("uncertainty") or {}),
+        str(data.get("compare_with") or ""),
     )
 
 

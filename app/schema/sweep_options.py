@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from mantle.schema.case_file import Path
-from mantle.schema.fields import MAPPING, Name, Section, Text, fail, show
+from mantle.schema.fields import MAPPING, Name, Section, Text, Word, fail, show
 from mantle.schema.study_options import Changes, Line, check_ranks, steps
 from mantle.schema.variation_options import Variation, axes, labels, short_keys
 
@@ -162,6 +162,8 @@ class Sweep(SweepPart):
     """A line for people."""
     parts: Annotated[dict[Name, SweepPart], MAPPING] = Field(default_factory=dict)
     """Parts with axes of their own, and with a base of their own where it differs."""
+    compare_with: Annotated[Literal["paper"], Word()] | None = None
+    """A publication whose numbers, figures and trends get a page beside the report."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Sweep:

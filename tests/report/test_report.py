@@ -15,7 +15,7 @@ import pytest
 
 from mantle.cli import main
 from mantle.errors import InputError
-from mantle.report import gruen, sweep_report
+from mantle.report import gruen, sensitivity, sweep_report
 from mantle.report import sweep_results as rs
 from mantle.report.paper import cases as report_paper
 from mantle.report.paper import compare
@@ -72,7 +72,14 @@ class Maker:
         return self.add(name, data, summary, **more)
 
     def write(self, **more: Any) -> Path:
-        content = {"title": "made up", "file": "x.yaml", "program": "0", "cores": 2, "seconds": 9}
+        content: dict[str, Any] = {
+            "compare_with": "paper",
+            "title": "made up",
+            "file": "x.yaml",
+            "program": "0",
+            "cores": 2,
+            "seconds": 9,
+        }
         content |= {"cases": self.cases} | more
         (self.folder / "sweep.json").write_text(json.dumps(content))
         return self.folder
@@ -414,9 +421,14 @@ def test_mantles_are_told_once_each_by_thickness(maker: Maker) -> None:
 def test_the_page_needs_nothing_else(maker: Maker) -> None:
     sweep(maker, as_the_paper_says, 0.05)
     written = sweep_report.run(maker.folder)
-    page = written.files[0].read_text()
-    names = [f.name for f in written.files[1:]]
-    assert names == [f"figure{n}.png" for n in range(3, 8)] + ["comparison.csv"]
+    page = written.files[1].read_text()
+    names = [f.name for f in written.files]
+    pictures = [f"figure{n}.png" for n in range(3, 8)]
+    assert names == ["report.html", "paper.html", *pictures, "comparison.csv"]
+    own = {f.name for f in (maker.folder / "report").glob("figure3.*")}
+    assert own == {"figure3.png", "figure3.svg", "figure3.pdf"}
+    first = written.files[0].read_text()
+    assert "paper.html" in first and "Rakotomanana" not in first
     sources = re.findall(r'<img[^>]* src="([^"]{0,30})', page)
     assert len(sources) == 5 and all(s.startswith("data:image/png;base64,") for s in sources)
     text = re.sub(r'data:image/png;base64,[^"]*', "", page)
@@ -452,7 +464,7 @@ def test_a_partial_sweep_is_reported_with_what_is_missing(maker: Maker) -> None:
     assert (written.done, written.cases) == (3, 4)
     assert "Without results: titanium 2 1" in page
     assert "its folder has no summary.json" in page and "50 ± 10" in page
-    assert "figure 6: no stem at two frictions" in page
+    assert "figure 6: no stem at two frictions" in written.files[1].read_text()
     assert "it wrote no fields" in page
     assert "Gruen" not in page
 
@@ -467,10 +479,43 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
     assert [f.name for f in written.files] == ["report.html", "over_geometry_taper.png"]
     page = written.files[0].read_text()
     assert not written.trends and "Rakotomanana" not in page
-    assert "Numbers over geometry.taper" in page and "cement-bone slip, p99" in page
+    assert "Numbers over taper" in page and "cement-bone slip, p99" in page
+    assert "taper (1 deg, 2 deg, 3 deg)." in page
+    assert page.index("What varies") < page.index("All cases")
     (maker.folder / "report" / "old.png").write_text("")
     sweep_report.run(maker.folder)
     assert not (maker.folder / "report" / "old.png").exists()
+
+
+def test_a_users_sweep_of_a_hip_is_not_compared_with_the_paper(maker: Maker) -> None:
+    """Though its cases are the paper's: nobody asked."""
+    for t in (2.0, 4.0):
+        numbers = contact(as_the_paper_says, "titanium", t, 1, 0.1)
+        more = {"overrides": {"geometry.cement_thickness": f"{t:g} mm"}}
+        maker.stance("titanium", t, 1.0, numbers, **more)
+    written = sweep_report.run(maker.write(compare_with=""))
+    assert [f.name for f in written.files] == ["report.html", "over_geometry_cement_thickness.png"]
+    page = written.files[0].read_text()
+    assert not written.trends and "Rakotomanana" not in page
+    assert "Numbers over cement thickness" in page and "cement thickness (2 mm, 4 mm)." in page
+
+
+def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
+    """Slip that grows with the taper alone: +1 with it, nothing with the length."""
+    data = data_of(maker.folder, "cylinders")
+    for taper in (1.0, 2.0, 3.0):
+        for length in (20.0, 30.0):
+            numbers = contact(lambda *a, x=taper: x**3, "", 0, 0, 0.1)
+            keys = {"geometry.taper": f"{taper:g} deg", "geometry.length": f"{length:g} mm"}
+            name = f"{taper:g} {length:g}"
+            maker.add(name, data, {"interfaces": numbers}, overrides=keys)
+    head, rows = sensitivity.table(rs.read(maker.write(compare_with="")).cases)
+    assert len(head) == 3 and rows
+    for part, name, words in rows:
+        assert part == "all" and name
+        assert words == ["+1.00 taper", "+0.00 length"]
+    # With one key alone a curve says it.
+    assert sensitivity.table(rs.read(maker.folder).cases[::2])[1] == []
 
 
 # The command

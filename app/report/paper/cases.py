@@ -156,6 +156,7 @@ class Cases:
 
     def __init__(self, sweep: SweepResults) -> None:
         """Recognise them."""
+        self._compared = sweep.compare_with == "paper"
         cases = reversed(sweep.cases)  # of two that are the same the first counts: it comes last
         self.every = [Known(c, p) for c in cases if (p := physics(c.data)) is not None]
         counts: dict[str, Counter[str]] = {}
@@ -220,11 +221,11 @@ class Cases:
 
     @property
     def curves(self) -> bool:
-        """Whether anything of the paper is varied over at least two values."""
+        """Whether the sweep is to be compared, and varies what the paper does."""
         families: list[dict[float, SweptCase]] = [*self.heats().values()]
         for stem in STEMS.values():
             families += [self.stances(stem), self.frictions(stem)]
-        return any(len(family) > 1 for family in families)
+        return self._compared and any(len(family) > 1 for family in families)
 
     @cached_property
     def used(self) -> set[str]:

@@ -1,0 +1,51 @@
+"""Which of several varied keys matters: rank correlation over the cases of a part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mantle.report.sweep_figures import headlines, label, title
+from mantle.report.sweep_results import SweptCase, magnitude
+
+FEWEST = 6  # cases, below which ranks say little
+MOST = 11  # numbers
+
+
+def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str]]]:
+    """Spearman's coefficients of each headline number with each key: head and rows.
+
+    Parts that vary fewer than two keys with numbers have none: a curve says more.
+    """
+    from scipy.stats import rankdata
+
+    head, rows = ["part", "number", "rank correlation with"], []
+    parts: dict[str, list[SweptCase]] = {}
+    for case in cases:
+        if case.done:
+            parts.setdefault(case.part, []).append(case)
+    for part, own in parts.items():
+        keys = [
+            k for k in own[0].overrides if _varies([magnitude(c.overrides.get(k)) for c in own])
+        ]
+        if len(keys) < 2 or len(own) < FEWEST:
+            continue
+        for name in headlines(own)[:MOST]:
+            values = [n.value if (n := c.number(name)) else None for c in own]
+            if not _varies(values):
+                continue
+            y = rankdata(values)
+            found = []
+            for key in keys:
+                x = rankdata([magnitude(c.overrides[key]) for c in own])
+                found.append((float(np.corrcoef(x, y)[0, 1]), title(key)))
+            found.sort(key=lambda pair: -abs(pair[0]))
+            words = [f"{r:+.2f} {key}" for r, key in found]
+            rows.append([part or "all", label(name)[0], words])
+    return head, rows
+
+
+def _varies(values: Sequence[float | None]) -> bool:
+    """Whether all are known and not all equal."""
+    return None not in values and len(set(values)) > 1
