@@ -15,11 +15,21 @@ from typing import Any
 from urllib.parse import quote
 
 from mantle.errors import InputError, StoppedError
-from mantle.report import gruen, history_curves, maps, page, run_sentence, sweep_figures
+from mantle.report import (
+    gruen,
+    history_curves,
+    maps,
+    page,
+    run_sentence,
+    stills,
+    sweep_figures,
+    viewer,
+)
 from mantle.report.curves import Figure
 from mantle.report.page import Blocks, bullets, heading, paragraph, table
 from mantle.report.sweep_results import CONVERGED, SweptCase
 from mantle.results import log as text
+from mantle.results.reading import Run
 from mantle.results.tables import TABLES
 from mantle.schema import quantities
 from mantle.schema.quantities import NECROSIS, TABLE, Quantity, printed
@@ -106,12 +116,19 @@ def _run(folder: Path, share: float) -> list[Path]:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = history_curves.draw(folder / PICTURES, panels, x)
     title = summary.get("title") or folder.name
+    sides: Blocks = []
+    if complete and (folder / "fields.vtkhdf").exists():
+        figure = stills.draw(Run(folder), folder / PICTURES, ("png", "pdf"))
+        if figure is not None:
+            sides = page.figure(figure, folder / PICTURES)
+            files += [folder / PICTURES / f"{stills.NAME}.{kind}" for kind in ("png", "pdf")]
     shown, missing = _maps(case, share * summary["timing"]["total"] >= MAPS)
     for f, png in shown if complete else ():
         files.append(folder / PICTURES / f.name)
         write_bytes(files[-1], png)
     sections = [
         ("numbers", "Numbers", _numbers(summary)),
+        ("sides", "From three sides", sides),
         ("curves", "Over time", history_curves.blocks(panels, x)),
         (
             "maps",
@@ -139,7 +156,7 @@ def _run(folder: Path, share: float) -> list[Path]:
         facts=_facts(folder, record),
         lead=run_sentence.sentence(summary, case),
         summary=_verdict(summary),
-        view="",  # the interactive view: markup of its own
+        view=viewer.viewer(folder) or "",
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]

@@ -50,7 +50,7 @@ def draw(run: Run, folder: Path, formats: tuple[str, ...] = ("png",)) -> Figure 
             bar = figure.colorbar(shown, ax=ax, orientation="horizontal", pad=0.02)
             bar.set_label(f"{label} on the {body.replace('_', ' ')} ({unit})")
     for suffix in formats:
-        figure.savefig(folder / f"{NAME}.{suffix}", dpi=150)
+        figure.savefig(folder / f"{NAME}.{suffix}", dpi=130)
     names = " and ".join(name.replace("_", "-") for name in sides)
     return Figure(
         f"{NAME}.{formats[0]}",
