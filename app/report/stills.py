@@ -88,6 +88,8 @@ def _three(ax: Any, x: Floats, triangles: Ints, values: Floats, colours: str) ->
         light = normal @ eye
         order = np.argsort((corners @ eye).mean(axis=1))
         order = order[light[order] > 0]
+        if not len(order):
+            continue
         flat = np.stack([corners @ right, corners[:, :, 2]], axis=2)[order]
         low, wide = flat[:, :, 0].min(), np.ptp(flat[:, :, 0])
         flat[:, :, 0] += left - low
