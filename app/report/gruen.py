@@ -15,7 +15,7 @@ ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 KJ = 1e3  # kJ/m3 of a MPa
-ROUNDING = 1e-9  # mm, MPa
+ROUNDING = 1e-8  # mm, MPa
 
 Table = tuple[list[str], list[list[str]]]
 

@@ -32,7 +32,8 @@ SHOWN = {
 SECONDS, TIME = "seconds [s]", "time [-]"
 SOLVER = (SECONDS, TIME, "step", "newton", "krylov", "residual", "augmentation", "wall")
 ROUNDING = 1e-9
-WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 340, 216, 52, 10, 24, 40
+MARKED = 30  # so many points are marked one by one
+WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 340, 216, 52, 18, 24, 40
 Rows = Sequence[Mapping[str, str]]
 
 
@@ -49,7 +50,8 @@ def panels(history: Rows) -> tuple[list[Panel], str]:
             continue
         shown = SHOWN[key][1]
         factor = FACTORS[shown] if shown in FACTORS else 1.0
-        values = {float(r[x]): Number(factor * float(r[column])) for r in history if r[column]}
+        known = ((float(r[x]), float(r[column] or "nan")) for r in history)
+        values = {t: Number(factor * v) for t, v in known if math.isfinite(v)}
         if max((abs(n.value) for n in values.values()), default=0.0) > ROUNDING:
             lines.setdefault(key, {})[place] = values
     places = list(dict.fromkeys(p for own in lines.values() for p in own))
@@ -97,10 +99,8 @@ def svg(panel: Panel, x: str) -> str:
     """A panel as SVG for HTML: no name space, no ids."""
     xs = [t for line in panel.lines for t in line.numbers]
     ys = [n.value for line in panel.lines for n in line.numbers.values()]
-    across, up = (
-        ticks(min(xs), max(xs)),
-        ticks(min(0.0, *ys) if _from_zero(ys) else min(ys), max(ys)),
-    )
+    zero = [0.0] if panel.y != "°C" and (min(ys) < 0 or max(ys) > 2 * min(ys)) else []
+    across, up = ticks(min(xs), max(xs)), ticks(min(ys + zero), max(ys + zero))
     wide, high = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
     rows = math.ceil(len(panel.lines) / 2)
 
@@ -109,34 +109,35 @@ def svg(panel: Panel, x: str) -> str:
         return LEFT + wide * a, TOP + high * (1 - b)
 
     title = f"{panel.title} ({panel.y})" if panel.y else panel.title
+    size, bold = f"0 0 {WIDTH} {HEIGHT + 15 * rows}", ' font-size="12" font-weight="600"'
     out = [
-        f'<svg viewBox="0 0 {WIDTH} {HEIGHT + 15 * rows}" role="img" aria-label="{escape(title)}">',
-        f'<text x="4" y="14" class="t">{escape(title)}</text>',
+        f'<svg viewBox="{size}" font-size="11" role="img" aria-label="{escape(title)}">',
+        _text(4, 14, title, more=bold),
+        _text(LEFT + wide / 2, TOP + high + 30, x, "middle"),
     ]
     for y in up:
         h = at(across[0], y)[1]
-        out.append(f'<path class="g" d="M{LEFT} {h:.1f}h{wide}"/>')
-        out.append(f'<text x="{LEFT - 5}" y="{h + 4:.1f}" class="e">{y:g}</text>')
+        out.append(f'<path stroke="#dde3e7" d="M{LEFT} {h:.1f}h{wide}"/>')
+        out.append(_text(LEFT - 5, h + 4, f"{y:g}", "end"))
     for t in across:
         v = at(t, up[0])[0]
-        out.append(f'<path class="g" d="M{v:.1f} {TOP}v{high}"/>')
-        out.append(f'<text x="{v:.1f}" y="{TOP + high + 14}" class="m">{t:g}</text>')
-    out.append(f'<text x="{LEFT + wide / 2}" y="{TOP + high + 30}" class="m">{escape(x)}</text>')
+        out.append(f'<path stroke="#dde3e7" d="M{v:.1f} {TOP}v{high}"/>')
+        out.append(_text(v, TOP + high + 14, f"{t:g}", "middle"))
     for k, line in enumerate(panel.lines):
         points = [at(t, n.value) for t, n in page.sparse(list(line.numbers.items()))]
-        path = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
-        out.append(f'<polyline points="{path}" stroke="{line.colour}"/>')
-        if len(points) < 30:
+        path, stroke = " ".join(f"{a:.1f},{b:.1f}" for a, b in points), f'stroke="{line.colour}"'
+        out.append(f'<polyline points="{path}" fill="none" {stroke} stroke-width="1.6"/>')
+        if len(points) < MARKED:
             dots = (f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2.6"/>' for a, b in points)
             out.append(f'<g fill="{line.colour}">{"".join(dots)}</g>')
         a, b = LEFT + (k % 2) * wide / 2, HEIGHT + 15 * (k // 2)
-        out.append(f'<path d="M{a} {b}h16" stroke="{line.colour}" stroke-width="3"/>')
-        out.append(f'<text x="{a + 21}" y="{b + 4}">{escape(line.label)}</text>')
+        out.append(f'<path d="M{a} {b}h16" {stroke} stroke-width="3"/>')
+        out.append(_text(a + 21, b + 4, line.label))
     return "".join([*out, "</svg>"])
 
 
-def _from_zero(values: Sequence[float]) -> bool:
-    return min(values) < 0 or max(values) > 2 * min(values)
+def _text(x: float, y: float, words: str, anchor: str = "start", more: str = "") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{more}>{escape(words)}</text>'
 
 
 def ticks(low: float, high: float) -> list[float]:

@@ -38,8 +38,8 @@ from mantle.system.layout import duration, noted, plain
 from mantle.system.ranks import rank
 
 PAGE, PICTURES = "report.html", "report"
-# The part of a run's time that its page may take, and what maps take: short runs have none.
-SHARE, MAPS = 0.05, 3.0  # s
+# The part of a run's time that its page may take, and what maps and the view take.
+SHARE, MAPS, VIEW = 0.05, 3.0, 0.3  # s
 MOST_NUMBERS = 11  # in the table of variations
 TITLES = {
     "interfaces": "Interfaces",
@@ -106,7 +106,8 @@ def opened(folder: Path, **more: Any) -> SweptCase:
     )
 
 
-def _run(folder: Path, share: float) -> list[Path]:
+def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
+    """The page of a run; of one among many only what its share of time allows."""
     case, summary = opened(folder), _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     panels, x = history_curves.panels(case.history)
@@ -116,6 +117,7 @@ def _run(folder: Path, share: float) -> list[Path]:
         (folder / PICTURES).mkdir(exist_ok=True)
         files = history_curves.draw(folder / PICTURES, panels, x)
     title = summary.get("title") or folder.name
+    viewed = alone or share * summary["timing"]["total"] >= VIEW
     sides: Blocks = []
     if complete and (folder / "fields.vtkhdf").exists():
         figure = stills.draw(Run(folder), folder / PICTURES, ("png", "pdf"))
@@ -156,7 +158,7 @@ def _run(folder: Path, share: float) -> list[Path]:
         facts=_facts(folder, record),
         lead=run_sentence.sentence(summary, case),
         summary=_verdict(summary),
-        view=viewer.viewer(folder) or "",
+        view=(viewer.viewer(folder) or "") if viewed else "",
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
@@ -301,10 +303,11 @@ def _variations(folder: Path, share: float) -> list[Path]:
     for row in rows:
         own = folder / row["name"]
         more = {k: row[k] for k in ("overrides", "status", "seconds", "numbers")}
-        cases.append(opened(own, **more, notes=tuple(row["notes"])))
+        cases.append(opened(own, **more, notes=tuple(row.get("notes", ()))))
         if (own / "summary.json").exists():
-            links[own.name] = f"{quote(own.name)}/{write(own, share)[0].name}"
-    names = sweep_figures.headlines(cases)[:MOST_NUMBERS]
+            links[own.name] = f"{quote(own.name)}/{_run(own, share, alone=False)[0].name}"
+    every = sweep_figures.headlines(cases)
+    names = [n for n in every if not ((q := quantities.get(n)) and q.exact)][:MOST_NUMBERS]
     labels = [sweep_figures.label(name) for name in names]
     head = ["variation", "status", "changes"]
     head += [f"{words} ({unit})" if unit else words for words, unit in labels] + ["time"]
@@ -313,7 +316,7 @@ def _variations(folder: Path, share: float) -> list[Path]:
             page.link(c.name, links.get(c.name, "")),
             c.status,
             [f"{key} = {plain(value)}" for key, value in c.overrides.items()],
-            *("-" if (n := c.number(name)) is None else str(n) for name in names),
+            *(_cell(c, name) for name in names),
             duration(c.seconds),
         ]
         for c in cases
@@ -343,6 +346,14 @@ def _variations(folder: Path, share: float) -> list[Path]:
         *(folder / link for link in links.values()),
         *(pictures / f.name for f in figures),
     ]
+
+
+def _cell(case: SweptCase, name: str) -> str:
+    """A number with its error; 0 where it is rounding."""
+    q, n = quantities.get(name), case.number(name)
+    if n is None or q is None:
+        return "-" if n is None else str(n)
+    return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
 
 
 def _text(path: Path) -> str:

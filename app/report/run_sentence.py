@@ -174,6 +174,7 @@ def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> str:
             if values[high].value <= NOTHING:
                 continue
             words, unit = label(name)
-            least, most = (f"{values[k].value:.3g} {unit} ({k})" for k in (low, high))
+            ends = ((k, values[k].value) for k in (low, high))
+            least, most = (f"{v if abs(v) > NOTHING else 0:.3g} {unit} ({k})" for k, v in ends)
             found.append(f"{words} from {least} to {most}")
     return f"Over all variations: {'; '.join(found)}." if found else ""
