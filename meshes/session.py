@@ -16,10 +16,14 @@ import numpy.typing as npt
 
 from mantle.arrays import Floats, Ints
 from mantle.errors import GeometryError, MantleError
+from mantle.system.captured import captured
 
 from .curving import untangle
 
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
+# What gmsh's recovery of surfaces prints, and what it means.
+CROSSING = "PLC Error"
+CROSS = "surfaces of the geometry cross each other"
 GROWTH = 0.4  # mm of element size per mm of distance from an interface
 
 
@@ -47,6 +51,7 @@ def session(name: str) -> Iterator[Any]:
     finally:
         del os.environ["HOME"]
         os.environ |= {"HOME": home} if home is not None else {}
+    heard: list[str] = []
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)  # more threads: another mesh every time
@@ -58,12 +63,18 @@ def session(name: str) -> Iterator[Any]:
         gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", 0)
         gmsh.logger.start()
         gmsh.model.add(name)
-        yield gmsh
+        with captured("gmsh") as written:
+            try:
+                yield gmsh
+            finally:
+                heard = written()
     except MantleError:
         raise
     except Exception as error:  # gmsh raises bare Exception with its last error line
+        first = next((n for n, line in enumerate(heard) if CROSSING in line), None)
+        why = "" if first is None else f"{CROSS}: {heard[first].split(':', 1)[1].strip()}\n"
         log = "\n".join(f"  gmsh: {line}" for line in gmsh.logger.get()[-LOG_LINES:])
-        raise GeometryError(f"{name}: the mesh generator failed: {error}\n{log}") from error
+        raise GeometryError(f"{name}: the mesh generator failed: {error}\n{why}{log}") from error
     finally:
         gmsh.logger.stop()  # it would survive finalize() with the lines of this case
         gmsh.finalize()

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import mantle
 from mantle.command_line.parser import parser
-from mantle.command_line.streams import configure_log
+from mantle.command_line.streams import configure_log, painted, pass_colours
 from mantle.errors import InputError, stack_needed
 from mantle.schema import gmsh_file
 from mantle.system import ranks
-from mantle.system.progress import doing
+from mantle.system.progress import doing, during
 from mantle.system.ranks import rank
 
 if TYPE_CHECKING:
@@ -78,9 +78,11 @@ def _run(
     from mantle.system import stopping
 
     size = ranks.world_size()
+    configure_log(options.log_level)
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
-    case = _load(options)
+    with during("reading the case" if size is None and sys.stdout.isatty() else ""):
+        case = _load(options)
     output = options.output or case.output
     restart = options.restart or ""
     walltime = stopping.seconds(options.walltime) if options.walltime else None
@@ -92,11 +94,11 @@ def _run(
     if size is None and count is not None and count > 1:
         if options.log_level in ("debug", "info"):
             print(f"starting {count} ranks", flush=True)
+        pass_colours()
         return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
-    configure_log(options.log_level)
-    doing("loading DOLFINx and PETSc")
+    doing("loading DOLFINx and PETSc", blocking=True)
     mantle.run(
         case,
         output,
@@ -136,10 +138,12 @@ def _check(options: argparse.Namespace) -> int:
     found = mantle.check(case)
     print(found.description)
     if options.mesh:
-        found = mantle.check(case, meshed=True)
+        configure_log("info", sys.stderr)
+        with during("meshing"):
+            found = mantle.check(case, meshed=True)
     print(found.size)
     for message in found.notes:
-        print(f"note: {message}", file=sys.stderr)
+        print(painted(f"note: {message}", "doubtful", sys.stderr), file=sys.stderr)
     return 0
 
 
@@ -153,13 +157,16 @@ def _mesh(options: argparse.Namespace) -> int:
 
     sizing.check(case.file, case.config)
     path = _mesh_path(options.output, options.case.stem)
-    data = mantle.mesh(case)
+    configure_log("info", sys.stderr)
+    with during("meshing"):
+        data = mantle.mesh(case)
     from mantle.meshes.picture import picture
 
     try:
         meshes.write_msh(data, path)
         print(path)
-        picture(data, path.with_suffix(".png"))
+        with during("drawing the mesh"):
+            picture(data, path.with_suffix(".png"))
         print(path.with_suffix(".png"))
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error

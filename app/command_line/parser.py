@@ -149,7 +149,7 @@ def parser() -> argparse.ArgumentParser:
         "--log-level",
         choices=("debug", "info", "warning", "error"),
         default="info",
-        help="how much to tell (default info)",
+        help="how much to tell (default info); debug: also what libraries print",
     )
     check = add("check", "check a case and estimate its size, without solving")
     add_case(check)

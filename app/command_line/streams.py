@@ -12,13 +12,37 @@ import time
 from typing import TextIO
 
 from mantle.system.progress import LEVEL
-from mantle.system.ranks import rank
+from mantle.system.ranks import rank, world_size
 
 # What goes on is printed after so many seconds of silence, later after this share of the run.
 SILENCE, SHARE = 1.0, 0.02
 # What blocks is printed earlier.
 BEFORE_BLOCKING = 0.3
 LOOK = 0.25  # s
+# Colours of a terminal: what is good, doubtful, bad; what merely goes on is dim.
+TONES = {"good": "32", "doubtful": "33", "bad": "1;31", "dim": "2"}
+# Set for ranks that print to a terminal: mpirun gives them one of its own in any case.
+COLOURS = "MANTLE_COLOURS"
+
+
+def coloured(stream: TextIO) -> bool:
+    """Whether a stream is a terminal with colours, and they are wanted (no-color.org)."""
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb":
+        return False
+    return COLOURS in os.environ if world_size() is not None else stream.isatty()
+
+
+def painted(text: object, tone: str, stream: TextIO) -> str:
+    """A text in one of the `TONES`, where a stream has colours."""
+    return f"\033[{TONES[tone]}m{text}\033[m" if tone and coloured(stream) else str(text)
+
+
+def pass_colours() -> None:
+    """Let ranks that are started now have the colours of this terminal."""
+    if coloured(sys.stdout) and coloured(sys.stderr):
+        os.environ[COLOURS] = "1"
+    else:
+        os.environ.pop(COLOURS, None)
 
 
 def silence(stream: TextIO) -> None:
@@ -28,6 +52,12 @@ def silence(stream: TextIO) -> None:
 
 class Handler(logging.StreamHandler[TextIO]):
     """Goes on without its reader: what a run is for stands in its folder."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """A record in the colour of its ``tone``: a warning is doubtful, an error bad."""
+        tone = "doubtful" if record.levelno >= logging.WARNING else ""
+        tone = "bad" if record.levelno >= logging.ERROR else tone
+        return painted(super().format(record), getattr(record, "tone", tone), self.stream)
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Forget a stream that has been closed."""
@@ -49,6 +79,7 @@ class ProgressHandler(Handler):
         super().__init__(stream)
         self._begun = self._printed = time.monotonic()
         self._current: tuple[str, float] | None = None
+        self._told = ""  # what was printed last, if it is what goes on
         self._ended = threading.Event()
         self._watch: threading.Thread | None = None
 
@@ -60,7 +91,9 @@ class ProgressHandler(Handler):
             return
         text = record.getMessage()
         self._current = (text, time.monotonic()) if text else None
-        self._tell(BEFORE_BLOCKING if getattr(record, "blocking", False) else 1.0)
+        # In a run that has been slow to here, what blocks next is told at once.
+        blocking = 0.0 if self._told not in ("", text) else BEFORE_BLOCKING
+        self._tell(blocking if getattr(record, "blocking", False) else 1.0)
         if self._watch is None:
             self._watch = threading.Thread(target=self._repeat, daemon=True)
             self._watch.start()
@@ -68,7 +101,7 @@ class ProgressHandler(Handler):
 
     def _print(self, record: logging.LogRecord) -> None:
         super().emit(record)
-        self._printed = time.monotonic()
+        self._printed, self._told = time.monotonic(), ""
 
     def _tell(self, share: float = 1.0) -> None:
         """Print what goes on if the silence has lasted, or this share of it."""
@@ -78,7 +111,9 @@ class ProgressHandler(Handler):
             return
         text, since = self._current
         took = f" ({now - since:.0f} s)" if now - since >= 1 else ""
-        self._print(logging.makeLogRecord({"msg": f"     {text}{took}"}))
+        told = {"msg": f"     {text}{took}", "levelno": LEVEL, "tone": "dim"}
+        self._print(logging.makeLogRecord(told))
+        self._told = text
 
     def _repeat(self) -> None:
         # A reader that has left is an error here, and no crash: PETSc ends the process otherwise.
@@ -97,12 +132,17 @@ class ProgressHandler(Handler):
             self._watch.join()
 
 
-def configure_log(level: str) -> None:
-    """Send progress to standard output and warnings to standard error, from rank 0 only."""
+def configure_log(level: str, stream: TextIO | None = None) -> None:
+    """Send progress to standard output and warnings to standard error, from rank 0 only.
+
+    Args:
+        level: Least level.
+        stream: Where progress goes instead.
+    """
     logger = logging.getLogger("mantle")
     logger.propagate = False
     logger.setLevel(logging.CRITICAL if rank() else LEVEL if level == "info" else level.upper())
-    progress, trouble = ProgressHandler(sys.stdout), Handler(sys.stderr)
+    progress, trouble = ProgressHandler(stream or sys.stdout), Handler(sys.stderr)
     progress.addFilter(lambda record: record.levelno < logging.WARNING)
     trouble.setLevel(logging.WARNING)
     for before in logger.handlers:

@@ -203,7 +203,7 @@ class HeatForms:
 
     def compiling(self) -> AbstractContextManager[None]:
         """Counts the time of a block as that of compilation."""
-        return self._timing.phase("compile")
+        return self._timing.phase("compile", "heat")
 
     def _form(self, form: Any) -> fem.Form:
         with self.compiling():

@@ -307,7 +307,7 @@ class Mechanics:
         energy = sum(self.tangent_energy(b, self.u, dx) for b in range(len(self._bodies.names)))
         # Expanded, for what drops out of it must not count among its coefficients.
         form = expand_derivatives(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
-        with self._timing.phase("compile"):
+        with self._timing.phase("compile", "stiffness"):
             return fem.compile_form(self.comm, form)
 
     def stiffness(self) -> fem.Form:
@@ -348,7 +348,7 @@ class Mechanics:
 
     def form(self, form: Any) -> fem.Form:
         """Compile a form, counting the time."""
-        with self._timing.phase("compile"):
+        with self._timing.phase("compile", "forces"):
             return fem.form(form)
 
     @staticmethod

@@ -83,7 +83,7 @@ class CuringStress:
         self._rise = {c.region: fem.Function(scalars) for c in scene.cures}
         # Growth and free strain of the last converged state, and those to come.
         nodes = len(fem.Function(scalars).x.array)
-        with timing.phase("compile"):
+        with timing.phase("compile", "cure"):
             self._growth = {c.region: _growth(mechanics.comm, c, nodes) for c in scene.cures}
         self._old = {
             c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
@@ -95,7 +95,7 @@ class CuringStress:
         v = ufl.TestFunction(mechanics.space)
         self._measure = mechanics.cells()
         self._forces = {b: mechanics.form(self._prestress(b, v)) for b in self.bodies}
-        with timing.phase("compile"):
+        with timing.phase("compile", "stress of cure"):
             self._increments = {
                 r: fem.Expression(
                     self._stress_of(e, elasticity.strain(self._step[self._body[r]]), -1),

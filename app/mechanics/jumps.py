@@ -142,7 +142,7 @@ class Jumps:
         self._can_open = np.array([law.can_open for law in laws])[self.interface]
         forms = tuple(law.form for law in laws)
         if forms not in self._laws:
-            with self._timing.phase("compile"):
+            with self._timing.phase("compile", "contact"):
                 self._laws[forms] = PointLaw(
                     self.comm, self.normals, self.faces, laws, self.interface
                 )

@@ -147,7 +147,8 @@ class Snes:
         if names:
             raise StoppedError(f"stopped by {names[0]}")
         self.flips.append(self._system.active.flips())
-        self._timing.tell(f"Newton iteration {iteration}, residual {self.residuals[-1]:.1e}")
+        told = f"Newton iteration {iteration}, residual {self.residuals[-1]:.1e}"
+        self._timing.tell(told, blocking=iteration == 0)
 
     def _watch(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
         self._timing.tell(f"Newton iteration {len(self.flips)}, Krylov iteration {iteration}")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,8 @@ log = logging.getLogger("mantle")
 # The status of what is solved but not to be used.
 UNUSABLE = "do not use"
 BEYOND = "exceeds the size of its facets: beyond small displacements"
+
+PERCENTILE = re.compile(r"_p\d+$")
 
 # How well what is summed has to be balanced: forces to rounding, heat to its solver's tolerance.
 BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
@@ -74,15 +78,12 @@ def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: floa
 
 
 def closing_table(summary: dict[str, Any]) -> str:
-    """Table of results at the end of a run, with balances and a plain verdict."""
+    """Table of results at the end of a run, with balances."""
     lines = list(tables.lines(summary))
     b = summary["balance"]
     lines.append(
         "balance of " + ", ".join(f"{name} {b[name]:.1e}" for name in BALANCES if name in b)
     )
-    if unsettled := summary.get("error", {}).get("unsettled"):
-        lines.append(f"peaks that do not converge with the mesh: {', '.join(unsettled)}")
-    lines.append(verdict(summary))
     return "\n".join(lines)
 
 
@@ -124,37 +125,92 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
         raise UnusableError("\n".join(bad))
 
 
-def _between(summary: dict[str, Any]) -> float:
-    """Largest penetration between contact points [mm]."""
-    return max(q["penetration_sampled"] for q in summary["interfaces"].values())
+@dataclass(frozen=True)
+class Clause:
+    """A line on one thing that numbers are trusted for, or not.
+
+    Attributes:
+        text: The line.
+        tone: ``good``, ``doubtful``, ``bad``, or nothing where it is neither.
+    """
+
+    text: str
+    tone: str = ""
 
 
-def verdict(summary: dict[str, Any]) -> str:
-    """One sentence on how far the numbers can be trusted."""
-    b, solver, t = summary["balance"], summary["solver"], summary["timing"]
-    lost = unbalanced(summary)
-    penetration = max((q["penetration_max"] for q in summary["interfaces"].values()), default=0.0)
-    held = "equilibrium exact to rounding" if "force" in b else "no heat lost"
-    balanced = f"NOT balanced ({', '.join(lost)}): do not use" if lost else held
-    if penetration >= 1e-9:
-        q = TABLE["interfaces"]["penetration_max"]
-        balanced += f", the bodies penetrate by {q.factor * penetration:.2g} {q.shown}"
-    elif summary["interfaces"]:
-        q, most = TABLE["interfaces"]["penetration_sampled"], _between(summary)
-        balanced += ", contact exact to rounding at points"
-        if most >= 1e-9:
-            balanced += f" and within {q.factor * most:.2g} {q.shown} between them"
-    far = too_far(summary)
-    beyond = f"; slip on {' and '.join(far)} {BEYOND}, do not use" if far else ""
-    error = (
-        "± is the estimated error of mesh and step"
-        if summary.get("error", {}).get("companions")
-        else "error of mesh and step not estimated (--error)"
-    )
-    m = summary.get("memory")
+def tell(summary: dict[str, Any], table: bool = True) -> None:
+    """Log the end of a run: its tables, and what of it is good.
+
+    Args:
+        summary: Of the run.
+        table: Whether all numbers are wanted.
+    """
+    if table:
+        log.info("%s", closing_table(summary))
+    for clause in verdict(summary):
+        log.info("%s", clause.text, extra={"tone": clause.tone})
+
+
+def verdict(summary: dict[str, Any]) -> list[Clause]:
+    """How far the numbers can be trusted, a line for each reason."""
+    solver, t, m = summary["solver"], summary["timing"], summary.get("memory")
     took = f", {m['peak']:.0f} MB ({m['per_unknown']:.1f} kB per unknown)" if m else ""
-    return (
+    solved = (
         f"converged: {solver['dofs']} unknowns, {solver['steps']} steps, "
         f"{solver['newton_iterations']} Newton iterations on {solver['ranks']} rank(s) in "
-        f"{t['total']:.1f} s{took}; {balanced}; {error}{beyond}"
+        f"{t['total']:.1f} s{took}"
     )
+    lost = unbalanced(summary)
+    forces = [name for name in lost if name != "heat"]
+    clauses = [Clause(solved)]
+    if "force" in summary["balance"]:
+        held = f"NOT balanced ({', '.join(forces)}), do not use" if forces else "exact to rounding"
+        clauses.append(Clause(f"equilibrium: {held}", "bad" if forces else "good"))
+    if "heat" in summary["balance"]:
+        kept = "NOT balanced, do not use" if "heat" in lost else "none is lost"
+        clauses.append(Clause(f"heat: {kept}", "bad" if "heat" in lost else "good"))
+    if summary["interfaces"]:
+        clauses.append(_contact(summary["interfaces"]))
+    if far := too_far(summary):
+        clauses.append(Clause(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
+    return [*clauses, *_mesh_and_step(summary)]
+
+
+def _contact(interfaces: Mapping[str, Any]) -> Clause:
+    """How far bodies are inside each other."""
+
+    def length(key: str) -> str:
+        q = TABLE["interfaces"][key]
+        return f"{q.factor * most[key]:.2g} {q.shown}"
+
+    keys = ("penetration_max", "penetration_sampled")
+    most = {key: max(q[key] for q in interfaces.values()) for key in keys}
+    if most["penetration_max"] >= 1e-9:
+        return Clause(f"contact: the bodies penetrate by {length('penetration_max')}", "doubtful")
+    between = most["penetration_sampled"] >= 1e-9
+    rest = f", within {length('penetration_sampled')} between them" if between else ""
+    return Clause(f"contact: exact to rounding at points{rest}", "good")
+
+
+def _mesh_and_step(summary: Mapping[str, Any]) -> list[Clause]:
+    """What the mesh and the step leave wrong, as far as it is estimated."""
+    estimated = summary.get("error", {})
+    if not estimated.get("companions"):
+        return [Clause("mesh and step: error not estimated (--error does)")]
+    shares = {
+        f"{key} of {name}": q[f"{key}_error"] / abs(q[key])
+        for section in ("interfaces", "regions")
+        for name, q in summary.get(section, {}).items()
+        for key in q
+        if PERCENTILE.search(key) and q.get(f"{key}_error") is not None and q[key]
+    }
+    share, text = sorted(shares, key=shares.__getitem__), "± is their estimated error"
+    if share:
+        half, worst = (100 * shares[key] for key in (share[len(share) // 2], share[-1]))
+        text = f"half of the percentiles within ± {half:.2g} %"
+        text += f", the least sure ({share[-1]}) within ± {worst:.2g} %"
+    clauses = [Clause(f"mesh and step: {text}")]
+    if n := len(estimated.get("unsettled", ())):
+        text = f"peaks: {n} (error.unsettled of summary.json) do not converge with the mesh"
+        clauses.append(Clause(text, "doubtful"))
+    return clauses

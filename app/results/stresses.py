@@ -91,7 +91,7 @@ class Stresses:
         σ = elasticity.stress(
             lambda strain: e.energy(strain, coefficients, direction), elasticity.strain(v)
         )
-        with self._timing.phase("compile"):
+        with self._timing.phase("compile", "stress"):
             expression = fem.Expression(σ, self._points, comm=self._problem.comm)
         return _Law(expression, v, coefficients, fibre)
 
@@ -100,7 +100,7 @@ class Stresses:
         v = problem.displacements()[problem.bodies.of_region[e.region]]
         ε = mechanics.elastic_strain(e, v)
         σ = elasticity.stress(lambda strain: mechanics.energy_density(e, strain), ε)
-        with self._timing.phase("compile"):
+        with self._timing.phase("compile", "stress"):
             return fem.Expression(σ, self._points, comm=problem.comm)
 
     def evaluate(self, region: str) -> Floats:

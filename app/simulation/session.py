@@ -38,6 +38,9 @@ from mantle.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
+# What ends a run is told at once if the run has taken so many seconds.
+LONG = 10.0
+
 
 def run(
     case: LoadedCase,
@@ -97,7 +100,7 @@ def run(
     with case.file.placing(), _claimed(comm, output):
         if not case.config.variations:
             summary = session.solve(case.config, (), output)
-            log.info("%s", text.closing_table(summary))
+            text.tell(summary)
             text.check_usable({output: summary})
         else:
             session.vary(output, keep)
@@ -179,7 +182,7 @@ class Session:
             try:
                 summary = solved[folder] = self.solve(v.case, v.overrides, folder)
                 status = summary["status"]
-                log.info("%s", text.verdict(summary))
+                text.tell(summary, table=False)
             except ConvergenceError as failure:
                 status, failed[v.name] = "not converged", str(failure)
                 log.warning("%s: %s", v.name, failure)
@@ -267,8 +270,11 @@ class Session:
             recorder.close("stopped")
             raise StoppedError(f"{failure}\n{recorder.last_state()}{where}") from failure
         blas_check.check(comm)  # once more: what has converged by wrong sums is no result
-        recorder.flush()
-        summary = recorder.summary("converged", total)
+        if clock.perf_counter() - self._begin > LONG:
+            log.info("     computing and writing results")
+        with timing.phase("output"):
+            recorder.flush()
+            summary = recorder.summary("converged", total)
         summary["notes"] = [*notes, *case_on_mesh.doubts(case, summary["regions"])]
         summary["notes"] += [note for t in model.thermal for note in t.heating.notes]
         if text.faults(summary):

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from mantle.schema.config import Case
 from mantle.schema.materials import Conductor
-from mantle.system.layout import count, plain
+from mantle.schema.variation_options import expand
+from mantle.system.layout import count, duration, plain
 
 if TYPE_CHECKING:
     from mantle.meshes import MeshData
@@ -16,12 +17,15 @@ if TYPE_CHECKING:
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
-# What a run costs on one core (measured): seconds at 1e5 unknowns by order, exponent of growth, a
-# later load step beside the first, seconds per temperature and time step, time steps of a stage,
-# errors beside the run alone, a run that shares matrices beside one that makes them, and what is
-# spent before anything is solved. The size that is assumed where it is not known.
-PRICE, GROWTH, LATER = {1: 13.0, 2: 27.0}, 1.25, 0.5
-HEAT, HEAT_STEPS, WITH_ERRORS, SHARED, START = 1.5e-5, 80, 1.4, 0.6, 6.0
+# What a run costs on one core (measured). The mechanics: seconds at 1e5 unknowns by order, exponent
+# of growth, a later load step beside the first.
+PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, 0.35
+# Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
+TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.02, 3e-5, 35, 95
+# Errors beside the run alone, of the mechanics and with heat; a run that shares matrices beside one
+# that makes them; the start; meshing, per cell; compiling forms, which later runs find.
+WITH_ERRORS, WITH_HEAT_ERRORS, SHARED, START, MESHING, COMPILING = 1.25, 2.5, 0.6, 2.0, 7e-5, 10
+# The size that is assumed where it is not known.
 UNKNOWN_SIZE = 3e4
 # Area of an interface per node on it, in units of the squared edge length.
 AREA_PER_NODE = 0.87
@@ -42,20 +46,43 @@ def unknowns(case: Case) -> float:
 
 
 def seconds(case: Case, alone: bool = True) -> float:
-    """Time of a run on one core [s], within a factor of two or three.
+    """Time of a run on one core [s], within a factor of two for the shipped cases.
 
     Args:
         case: The case.
         alone: Whether it is the first of those that share mesh, forms and matrices.
     """
     cells, nodes, corners, each = _estimated(case)
-    mechanical, thermal = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
+    sizes = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
+    return _duration(case, cells, sizes, alone)
+
+
+def _duration(case: Case, cells: float, sizes: tuple[float, float], alone: bool = True) -> float:
+    """Time of a run on one core [s], of a size that is known."""
+    solution = _solution(case, *sizes)
+    return START + MESHING * cells + solution if alone else SHARED * solution
+
+
+def _solution(case: Case, mechanical: float, thermal: float) -> float:
+    """Time of solving alone [s]; unknowns of the mechanics and of heat."""
     price = PRICE[case.mesh.order] * (mechanical / 1e5) ** GROWTH
-    steps = sum(1.0 + LATER * (stage.increments - 1) for stage in case.stages)
     timed = sum(1 for stage in case.stages if stage.duration)
-    solution = price * steps + HEAT * HEAT_STEPS * timed * thermal
-    solution *= WITH_ERRORS if case.output.error else 1.0
-    return START + solution if alone else SHARED * solution
+    sets = any(r.thermal is not None and r.thermal.cure is not None for r in case.regions.values())
+    moments = HEAT_STEPS * timed + SETTING_STEPS * (sets and timed > 0)
+    steps = sum(stage.increments for stage in case.stages if not stage.duration)
+    if _proportional(case):
+        steps -= case.stages[0].increments - 1  # the first step tells the others
+    loading = price * (1.0 + LATER * max(0, steps + moments - 1)) if mechanical else 0.0
+    heating = moments * (TIME_STEP + HEAT * thermal)
+    errors = WITH_HEAT_ERRORS if timed else WITH_ERRORS
+    return (loading + heating) * (errors if case.output.error else 1.0)
+
+
+def _proportional(case: Case) -> bool:
+    """Whether in the first stage the answer grows with the loads, as it does without gaps."""
+    histories = [load.history for load in case.loads.values()]
+    gaps = [getattr(law, "gap", 0.0) for law in case.interfaces.values()]
+    return not case.stages[0].duration and not any(histories) and not any(gaps)
 
 
 def solid(case: Case) -> bool:
@@ -152,10 +179,16 @@ def _size(
     if case.conducts:
         steps = sum(interfaces[name] for name, law in laws if law.conductance is not None)
         parts += [f"{count(corners)} temperatures", f"{count(steps)} temperature jumps"]
-    unknowns = sum(_unknowns(case, nodes, corners, interfaces))
+    sizes = _unknowns(case, nodes, corners, interfaces)
+    unknowns = sum(sizes)
     # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
     memory = 0.4 + 2e-6 * unknowns + 25 * 8e-9 * unknowns ** (4 / 3)
+    first, others = _duration(case, cells, sizes), _duration(case, cells, sizes, alone=False)
+    more = len(expand(case.variations)) - 1
+    every = f", {duration(first + more * others)} for all variations" if more > 0 else ""
     return (
         f"{title}\n  {', '.join(parts)}\n"
-        f"  {count(unknowns)} unknowns, about {memory:.1f} GB with a direct solver"
+        f"  {count(unknowns)} unknowns, about {memory:.1f} GB with a direct solver\n"
+        f"  about {duration(first)} on one core{every}; {COMPILING} s more where forms are "
+        "compiled first"
     )

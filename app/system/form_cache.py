@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from mantle.errors import EnvironmentProblem
+from mantle.system.captured import captured
 from mantle.system.doctor import form_cache
 
 log = logging.getLogger("mantle")
@@ -143,7 +144,12 @@ def _let_go(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any
         scratch.mkdir(exist_ok=True)
         os.environ["TMPDIR"] = str(scratch)
     try:
-        return compile(*arguments, **options)
+        with captured("compiler") as written:
+            try:
+                return compile(*arguments, **options)
+            except Exception as error:
+                error.add_note("\n".join(written()))
+                raise
     finally:
         os.environ.pop("TMPDIR", None)
         os.environ |= {} if before is None else {"TMPDIR": before}
@@ -176,11 +182,12 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
         return None
     folder = form_cache()
     reason = next((line for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    said = "".join(f"  {n}\n" for n in getattr(error, "__notes__", ()) if n)
     free = ""
     with suppress(OSError):
         free = f", with {shutil.disk_usage(folder).free / 1e6:.0f} MB free"
     return EnvironmentProblem(
-        f"a form cannot be compiled: {reason}\n"
+        f"a form cannot be compiled: {reason}\n{said}"
         f"mantle doctor tells whether there is a C compiler; compiled forms are kept in {folder}"
         f"{free} (XDG_CACHE_HOME names another place; what is there can be deleted)"
     )

@@ -5,6 +5,8 @@ another one follows before. So a long phase is never silent, and a short one add
 """
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 LEVEL = 15
 
@@ -19,3 +21,13 @@ def doing(text: str, blocking: bool = False) -> None:
         blocking: Whether PETSc or MPI does it for long, and nothing can be told meanwhile.
     """
     log.log(LEVEL, "%s", text, extra={"blocking": blocking})
+
+
+@contextmanager
+def during(text: str) -> Iterator[None]:
+    """Tell what goes on while the block lasts."""
+    doing(text)
+    try:
+        yield
+    finally:
+        doing("")

@@ -21,7 +21,7 @@ DOING = {
     "output": "computing and writing results",
     "error": "estimating errors",
 }
-BLOCKING = ("factorize",)
+BLOCKING = ("assemble", "factorize", "error")
 
 
 @dataclass
@@ -41,10 +41,16 @@ class Timing:
     _names: list[str] = field(default_factory=list)
 
     @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Count the time of the block for a phase, and tell that it goes on."""
-        self._names.append(name)
-        self.tell(DOING[name], blocking=name in BLOCKING)
+    def phase(self, name: str, of: str = "") -> Iterator[None]:
+        """Count the time of the block for a phase, and tell that it goes on.
+
+        Args:
+            name: The phase, one of `DOING`.
+            of: What in particular, in words.
+        """
+        words = f"{DOING[name]}: {of}" if of else DOING[name]
+        self._names.append(words)
+        self.tell(words, blocking=name in BLOCKING)
         wall, cpu = time.perf_counter(), time.process_time()
         self._open.append((0.0, 0.0))
         try:
@@ -54,7 +60,7 @@ class Timing:
             inner = self._open.pop()
             self._names.pop()
             if self._names:
-                self.tell(DOING[self._names[-1]])
+                self.tell(self._names[-1])
             else:
                 doing("")
             self.seconds[name] = self.seconds.get(name, 0.0) + wall - inner[0]

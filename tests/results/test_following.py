@@ -85,4 +85,4 @@ def test_heat_that_is_lost_to_rounding_alone_is_balanced(solve: Callable[..., An
     """A cure that begins at 0 begins with a step of 1e-7 s, which warms by 1e-8 K."""
     found = solve(*SET, "interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
     assert found["balance"]["heat"] < 1e-7
-    assert "NOT balanced" not in log.verdict(found)
+    assert all(clause.tone != "bad" for clause in log.verdict(found))

@@ -75,3 +75,19 @@ def test_a_record_of_the_log_ends_what_went_on(printed: io.StringIO) -> None:
     logging.getLogger("mantle").info("a mesh")
     time.sleep(0.3)
     assert printed.getvalue() == "a mesh\n"
+
+
+def test_in_a_slow_run_what_blocks_is_told_at_once_and_once(printed: io.StringIO) -> None:
+    doing("compiling")
+    time.sleep(0.15)
+    for _ in range(3):
+        doing("setting the equations up", blocking=True)
+        doing("compiling")
+    assert printed.getvalue().split("\n")[-2] == "     setting the equations up"
+    assert printed.getvalue().count("setting") == 1
+
+
+def test_a_phase_says_what_it_is_at_work_on(printed: io.StringIO) -> None:
+    with Timing().phase("compile", "stiffness"):
+        time.sleep(0.2)
+    assert "later runs find: stiffness" in printed.getvalue()

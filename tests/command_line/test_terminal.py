@@ -1,0 +1,79 @@
+"""Colours on terminals that have them; never in a file, and not where they are not wanted."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from mantle.command_line import streams
+from mantle.command_line.streams import COLOURS, Handler, coloured, painted
+from tests import support
+
+WRONG = [sys.executable, "-m", "mantle", "check", "no_such_case.yaml"]
+
+
+@contextmanager
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[io.TextIOWrapper]:
+    """A terminal with colours, whatever these tests run in."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setattr(streams, "world_size", lambda: None)
+    master, slave = pty.openpty()
+    with os.fdopen(master, "rb"), os.fdopen(slave, "w") as stream:
+        yield stream
+
+
+def shown(stream: io.TextIOWrapper) -> str:
+    """A warning, and a line of its own tone, as a handler of the stream forms them."""
+    handler = Handler(stream)
+    warning = logging.makeLogRecord({"msg": "look", "levelno": logging.WARNING})
+    good = logging.makeLogRecord({"msg": "exact", "levelno": logging.INFO, "tone": "good"})
+    return f"{handler.format(warning)} {handler.format(good)}"
+
+
+def test_a_terminal_has_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+    with terminal(monkeypatch) as stream:
+        assert shown(stream) == "\033[33mlook\033[m \033[32mexact\033[m"
+        assert painted("wrong", "bad", stream) == "\033[1;31mwrong\033[m"
+
+
+@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
+def test_colours_are_not_forced(name: str, value: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with terminal(monkeypatch) as stream:
+        monkeypatch.setenv(name, value)
+        assert shown(stream) == "look exact"
+
+
+def test_a_file_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    with terminal(monkeypatch):
+        assert not coloured(io.StringIO())
+
+
+def test_ranks_have_those_of_who_started_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under mpirun a rank sees a terminal also where all goes into a file."""
+    with terminal(monkeypatch) as stream:
+        monkeypatch.setattr(streams, "world_size", lambda: 2)
+        monkeypatch.delenv(COLOURS, raising=False)
+        assert not coloured(stream)
+        monkeypatch.setenv(COLOURS, "1")
+        assert coloured(stream)
+
+
+def test_an_error_is_plain_in_a_file_and_red_on_a_terminal() -> None:
+    alone = {k: v for k, v in os.environ.items() if not k.startswith(("OMPI_", "PMI", "SLURM"))}
+    environ = {**alone, "TERM": "xterm", "NO_COLOR": ""}
+    plain = subprocess.run(WRONG, cwd=support.ROOT, env=environ, capture_output=True, check=False)
+    assert plain.returncode == 2 and plain.stderr and b"\033" not in plain.stderr
+    master, slave = pty.openpty()
+    with os.fdopen(slave, "wb") as stream:
+        subprocess.run(WRONG, cwd=support.ROOT, env=environ, stderr=stream, check=False)
+        assert os.read(master, 1000).startswith(b"\033[1;31m")
+    os.close(master)

@@ -1,0 +1,66 @@
+"""The closing lines say in words what is good and what is not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mantle.results import log
+
+
+def summary(**changes: Any) -> dict[str, Any]:
+    interface = {
+        "penetration_max": 0.0,
+        "penetration_sampled": 4.1e-3,
+        "slip_max": 0.07,
+        "facet_size": 4.0,
+        "slip_p99": 0.05,
+        "slip_p99_error": 0.001,
+        "pressure_p95": 2.0,
+        "pressure_p95_error": 0.1,
+        "pressure_max": 9.0,
+        "pressure_max_error": 9.0,
+    }
+    return {
+        "interfaces": {"stem_cement": interface},
+        "regions": {},
+        "balance": {"force": 1e-12, "moment": 1e-12, "energy": 1e-12},
+        "solver": {"dofs": 974, "steps": 36, "newton_iterations": 546, "ranks": 2},
+        "timing": {"total": 12.0},
+    } | changes
+
+
+def told(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
+    """By what it is about: the words and the tone of each line but the first."""
+    first, *rest = log.verdict(found)
+    assert first.text.startswith("converged: 974 unknowns") and not first.tone
+    parts = [(*clause.text.split(": ", 1), clause.tone) for clause in rest]
+    return {about: (words, tone) for about, words, tone in parts}
+
+
+def test_what_is_good() -> None:
+    assert told(summary()) == {
+        "equilibrium": ("exact to rounding", "good"),
+        "contact": ("exact to rounding at points, within 4.1 um between them", "good"),
+        "mesh and step": ("error not estimated (--error does)", ""),
+    }
+
+
+def test_what_is_bad_stands_out() -> None:
+    found = summary(balance={"force": 1e-3, "moment": 0.0, "energy": 0.0, "heat": 1e-3})
+    found["interfaces"]["stem_cement"] |= {"penetration_max": 2e-3, "slip_max": 5.0}
+    lines = told(found)
+    assert lines["equilibrium"] == ("NOT balanced (force), do not use", "bad")
+    assert lines["heat"] == ("NOT balanced, do not use", "bad")
+    assert lines["contact"] == ("the bodies penetrate by 2 um", "doubtful")
+    assert lines["slip"][0].endswith("do not use") and lines["slip"][1] == "bad"
+
+
+def test_the_error_is_told_without_peaks() -> None:
+    error = {"companions": ["mesh 8 mm"], "unsettled": ["stem_cement.pressure_max"]}
+    lines = told(summary(error=error))
+    words = (
+        "half of the percentiles within ± 5 %, the least sure (pressure_p95 of stem_cement) within "
+        "± 5 %"
+    )
+    assert lines["mesh and step"] == (words, "")
+    assert lines["peaks"][0].startswith("1 ") and lines["peaks"][1] == "doubtful"

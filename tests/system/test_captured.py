@@ -1,0 +1,64 @@
+"""What a library writes reaches the log, not the user; what mantle logs reaches the user."""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import sys
+
+import pytest
+
+from mantle.errors import GeometryError
+from mantle.meshes import session
+from mantle.system.captured import captured
+
+log = logging.getLogger("mantle")
+
+
+def test_a_library_is_caught_and_mantle_is_not(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    handler = logging.StreamHandler(sys.stdout)
+    caplog.set_level(logging.DEBUG, "mantle")
+    handler.setLevel(logging.INFO)
+    log.addHandler(handler)
+    try:
+        with captured("noisy") as written:
+            ctypes.CDLL(None).puts(b"from C")
+            os.write(2, b"from below\n")
+            log.info("from mantle")
+            assert written() == ["from C", "from below"]
+        log.info("afterwards")
+    finally:
+        log.removeHandler(handler)
+    os.write(1, b"at last\n")
+    assert capfd.readouterr() == ("from mantle\nafterwards\nat last\n", "")
+    debug = [r.getMessage() for r in caplog.records if r.levelno == logging.DEBUG]
+    assert debug == ["noisy: from C", "noisy: from below"]
+
+
+def test_an_error_leaves_the_streams_as_they_were(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="wrong"), captured("noisy"):
+        os.write(1, b"lost\n")
+        raise ValueError("wrong")
+    os.write(1, b"kept\n")
+    assert capfd.readouterr().out == "kept\n"
+
+
+def test_surfaces_that_cross_are_told_in_words(capfd: pytest.CaptureFixture[str]) -> None:
+    """gmsh prints a "PLC Error" of its own, past its log."""
+    with pytest.raises(GeometryError, match=session.CROSS), session.session("crossing") as gmsh:
+        loops = []
+        for x, y, z, *size in ((0, 0, 0, 4, 4, 4), (1, 1, 1, 5.3, 2, 2)):
+            box = gmsh.model.occ.addBox(x, y, z, *size)
+            loops.append(gmsh.model.occ.getSurfaceLoops(box)[0][0])
+        gmsh.model.occ.synchronize()
+        faces = [
+            [tag for _, tag in gmsh.model.getBoundary([(3, box)], oriented=False)]
+            for _, box in gmsh.model.getEntities(3)
+        ]
+        gmsh.model.removeEntities(gmsh.model.getEntities(3))
+        gmsh.model.addDiscreteEntity(3, 10, [*faces[0], *faces[1]])
+        session.generate(gmsh)
+    assert capfd.readouterr() == ("", "")
