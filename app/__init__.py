@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mantle.errors import ConvergenceError, InputError, UnusableError, stack_needed
+from mantle.system.progress import during
 from mantle.version import __version__
 
 if TYPE_CHECKING:
@@ -206,7 +207,8 @@ def _reported(folder: Path, wanted: bool) -> Iterator[None]:
     if wanted:
         from mantle.report import run_report
 
-        run_report.after_run(folder, failure is not None)
+        with during("writing the report"):
+            run_report.after_run(folder, failure is not None)
     if failure:
         raise failure
 

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mantle.arrays import Floats, Ints
+from mantle.captured import captured
 from mantle.errors import GeometryError, MantleError
-from mantle.system.captured import captured
 
 from .curving import untangle
 

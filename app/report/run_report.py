@@ -176,7 +176,7 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
     status = summary["status"]
     lines = [f"{text.UNUSABLE}: {why}" for why in text.faults(summary)]
     if status in (CONVERGED, text.UNUSABLE):
-        lines.append(text.verdict(summary))
+        lines += [clause.text for clause in text.verdict(summary)]
     else:
         lines.insert(
             0,

@@ -147,7 +147,7 @@ def tell(summary: dict[str, Any], table: bool = True) -> None:
     """
     if table:
         log.info("%s", closing_table(summary))
-    for clause in verdict(summary):
+    for clause in (*verdict(summary), *_peaks(summary)):
         log.info("%s", clause.text, extra={"tone": clause.tone})
 
 
@@ -173,7 +173,7 @@ def verdict(summary: dict[str, Any]) -> list[Clause]:
         clauses.append(_contact(summary["interfaces"]))
     if far := too_far(summary):
         clauses.append(Clause(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
-    return [*clauses, *_mesh_and_step(summary)]
+    return [*clauses, _mesh_and_step(summary)]
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Clause:
@@ -192,11 +192,11 @@ def _contact(interfaces: Mapping[str, Any]) -> Clause:
     return Clause(f"contact: exact to rounding at points{rest}", "good")
 
 
-def _mesh_and_step(summary: Mapping[str, Any]) -> list[Clause]:
+def _mesh_and_step(summary: Mapping[str, Any]) -> Clause:
     """What the mesh and the step leave wrong, as far as it is estimated."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
-        return [Clause("mesh and step: error not estimated (--error does)")]
+        return Clause("mesh and step: error not estimated (--error does)")
     shares = {
         f"{key} of {name}": q[f"{key}_error"] / abs(q[key])
         for section in ("interfaces", "regions")
@@ -209,8 +209,11 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> list[Clause]:
         half, worst = (100 * shares[key] for key in (share[len(share) // 2], share[-1]))
         text = f"half of the percentiles within ± {half:.2g} %"
         text += f", the least sure ({share[-1]}) within ± {worst:.2g} %"
-    clauses = [Clause(f"mesh and step: {text}")]
-    if n := len(estimated.get("unsettled", ())):
-        text = f"peaks: {n} (error.unsettled of summary.json) do not converge with the mesh"
-        clauses.append(Clause(text, "doubtful"))
-    return clauses
+    return Clause(f"mesh and step: {text}")
+
+
+def _peaks(summary: Mapping[str, Any]) -> list[Clause]:
+    """How many peaks do not converge; the summary and the report name them."""
+    n = len(summary.get("error", {}).get("unsettled", ()))
+    text = f"peaks: {n} (error.unsettled of summary.json) do not converge with the mesh"
+    return [Clause(text, "doubtful")] if n else []

@@ -22,8 +22,8 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
+from mantle.captured import captured
 from mantle.errors import EnvironmentProblem
-from mantle.system.captured import captured
 from mantle.system.doctor import form_cache
 
 log = logging.getLogger("mantle")

@@ -19,8 +19,9 @@ FOLDERS["configs"] = "mantle.configs"
 LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
-# do not know each other. Beside them stand `mantle.errors` and `mantle.version`, which everybody
-# may import, and `mantle` itself with the public functions and `mantle.cli`, which see everything.
+# do not know each other. Beside them stand `mantle.errors`, `mantle.captured` and `mantle.version`,
+# which everybody may import, and `mantle` itself with the public functions and `mantle.cli`, which
+# see everything.
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
@@ -174,9 +175,9 @@ def test_forms_import_only_ufl(path: Path) -> None:
 
 @all_of("meshes")
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
-    """Its errors and types of arrays apart, which belong to no layer above."""
+    """What belongs to no layer above apart: errors, types of arrays, what libraries print."""
     own = {m for m in imported(path) if top(m) == "mantle" and package_of(m) != "meshes"}
-    assert own <= {"mantle.errors", "mantle.arrays"}
+    assert own <= {"mantle.errors", "mantle.arrays", "mantle.captured"}
 
 
 @all_of("meshes")

@@ -31,7 +31,7 @@ def summary(**changes: Any) -> dict[str, Any]:
 
 def told(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """By what it is about: the words and the tone of each line but the first."""
-    first, *rest = log.verdict(found)
+    first, *rest = (*log.verdict(found), *log._peaks(found))
     assert first.text.startswith("converged: 974 unknowns") and not first.tone
     parts = [(*clause.text.split(": ", 1), clause.tone) for clause in rest]
     return {about: (words, tone) for about, words, tone in parts}

@@ -9,9 +9,9 @@ import sys
 
 import pytest
 
+from mantle.captured import captured
 from mantle.errors import GeometryError
 from mantle.meshes import session
-from mantle.system.captured import captured
 
 log = logging.getLogger("mantle")
 
