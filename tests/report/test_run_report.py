@@ -76,7 +76,7 @@ def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
     for place, key in (("stem_cement", "pressure_p95"), ("cement_bone", "slip_max")):
         assert TABLE["interfaces"][key].text(numbers["interfaces"][place]) in html
     assert TABLE["regions"]["von_mises_p99"].text(numbers["regions"]["cement"]) in html
-    assert "equilibrium exact to rounding" in html and "youngs_modulus: 110000.0 MPa" in html
+    assert "equilibrium: exact to rounding" in html and "youngs_modulus: 110000.0 MPa" in html
     assert "Gruen" not in html and "Temperatures" not in html and "Dead bone" not in html
 
 
@@ -139,7 +139,7 @@ def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:
     assert '<span class="bad">do not use</span>: the balance of force is 1.0e+00' in html
     html = changed(done, tmp_path / "stop", lambda s: s.update(status="stopped"))
     assert '<span class="open">stopped</span>: the numbers are those of the last' in html
-    assert "equilibrium exact" not in html
+    assert "equilibrium: exact" not in html
 
 
 def test_a_run_without_convergence_says_so(tmp_path: Path) -> None:
