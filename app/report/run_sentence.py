@@ -71,7 +71,8 @@ def _contacts(summary: Numbers) -> Iterator[str]:
             continue
         first, second = PAIRS.get(name, (f"one side of {name.replace('_', ' ')}", "the other"))
         slides = 1e3 * q["slip_p99"] > NOTHING
-        slip = f"slides by up to {_with_error('interfaces', 'slip_p99', q)}" if slides else ""
+        most = _with_error("interfaces", "slip_p99", q)
+        slip = f"slides by up to {most} over 99 % of its surface" if slides else ""
         where = "in" if second == "its cement" else "on"
         if q.get("open_fraction", 0.0) > APART:
             far = _with_error("interfaces", "gap_p99", q)

@@ -13,14 +13,15 @@ FEWEST = 6  # cases, below which ranks say little
 MOST = 11  # numbers
 
 
-def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str]]]:
+def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequence[str]]]]:
     """Spearman's coefficients of each headline number with each key: head and rows.
 
     Parts that vary fewer than two keys with numbers have none: a curve says more.
     """
     from scipy.stats import rankdata
 
-    head, rows = ["part", "number", "rank correlation with"], []
+    head = ["part", "number", "rank correlation with"]
+    rows: list[list[str | Sequence[str]]] = []
     parts: dict[str, list[SweptCase]] = {}
     for case in cases:
         if case.done:
@@ -32,7 +33,8 @@ def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str]]]:
         if len(keys) < 2 or len(own) < FEWEST:
             continue
         for name in headlines(own)[:MOST]:
-            values = [n.value if (n := c.number(name)) else None for c in own]
+            numbers = [c.number(name) for c in own]
+            values = [None if n is None else n.value for n in numbers]
             if not _varies(values):
                 continue
             y = rankdata(values)

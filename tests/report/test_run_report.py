@@ -71,7 +71,8 @@ def test_a_run_writes_a_page_that_stands_alone(done: Path) -> None:
 def test_its_numbers_are_those_of_the_summary(done: Path) -> None:
     html, numbers = shown(page(done)), summary(done)
     slip = TABLE["interfaces"]["slip_p99"].text(numbers["interfaces"]["stem_cement"])
-    assert f"the stem slides by up to {slip} µm in its cement" in html.replace("The", "the")
+    said = f"the stem slides by up to {slip} µm over 99 % of its surface in its cement"
+    assert said in html.replace("The", "the")
     assert "how exact these numbers are was not estimated" in html
     for place, key in (("stem_cement", "pressure_p95"), ("cement_bone", "slip_max")):
         assert TABLE["interfaces"][key].text(numbers["interfaces"][place]) in html
