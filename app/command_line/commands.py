@@ -128,7 +128,7 @@ def _init(options: argparse.Namespace) -> int:
     print(f"{path} is written; next:")
     print(f"  mantle check {name}")
     print(f"  mantle run {name} -o {folder}")
-    print(f"  python3 -m json.tool {folder}/summary.json")
+    print(f"  open {folder}/report.html in a browser")
     return 0
 
 

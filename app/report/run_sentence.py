@@ -30,7 +30,9 @@ def sentence(summary: Numbers, case: SweptCase) -> str:
         case: The run, for its loads.
     """
     clauses = [*_contacts(summary), *_stem(summary), *_heat(summary), *_cure(summary)]
-    load = _load(case) if summary["interfaces"] or summary.get("stem") else ""
+    # Loads are known at the end: a run that stopped before has another.
+    ended = summary["status"] not in ("stopped", "not converged")
+    load = _load(case) if ended and (summary["interfaces"] or summary.get("stem")) else ""
     clauses = clauses or list(_stresses(summary))
     if load and clauses:
         clauses[0] = f"{load} {clauses[0]}"

@@ -164,7 +164,7 @@
       own.needsUpdate = true;
     }
     highest.textContent = shown(step.max);
-    lowest.textContent = shown(step.min);
+    lowest.textContent = shown(Math.abs(step.min) < 1e-9 * Math.abs(step.max) ? 0 : step.min);
     unit.textContent = head.fields[field].label + (head.fields[field].unit ? " (" + head.fields[field].unit + ")" : "");
     deform();
     draw();

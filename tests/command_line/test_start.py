@@ -44,7 +44,7 @@ def test_what_init_writes_is_short_and_right(
         "first.yaml is written; next:",
         "  mantle check first.yaml",
         "  mantle run first.yaml -o out/first",
-        "  python3 -m json.tool out/first/summary.json",
+        "  open out/first/report.html in a browser",
     ]
     lines = (tmp_path / "first.yaml").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 40 and sum("#" in line for line in lines) >= 5

@@ -143,6 +143,15 @@ def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:
     assert "equilibrium: exact" not in html
 
 
+def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
+    case = run_report.opened(done)
+    case.__dict__["data"] = {"loads": {"hip": {"force": ["0 N", "0 N", "-900 N"]}}}
+    numbers = summary(done)
+    assert run_sentence.sentence(numbers, case).startswith("Under 900 N the stem")
+    stopped = run_sentence.sentence(numbers | {"status": "stopped"}, case)
+    assert stopped.startswith("The stem slides")
+
+
 def test_a_run_without_convergence_says_so(tmp_path: Path) -> None:
     weak = {**COARSE, "solver.max_iterations": 1, "stages[1].max_cut_backs": 0}
     with pytest.raises(mantle.errors.ConvergenceError):
@@ -152,7 +161,8 @@ def test_a_run_without_convergence_says_so(tmp_path: Path) -> None:
 
 
 def test_heat_is_told(tmp_path: Path) -> None:
-    numbers: dict[str, Any] = {"interfaces": {}, "thermal": {"regions": {}}, "cure": {}}
+    numbers: dict[str, Any] = {"status": "converged", "interfaces": {}}
+    numbers |= {"thermal": {"regions": {}}, "cure": {}}
     bone = {f"seconds_over_{t}": s for t, s in ((47, 174.0), (50, 116.0), (56, 0.0))}
     bone |= {"temperature_max": 54.16, "temperature_max_error": 0.5}
     bone |= {"necrosis_47C_1min_volume": 2583.0, "necrosis_cem43_16_volume": 4000.0}
