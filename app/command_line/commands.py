@@ -58,6 +58,7 @@ def dispatch(arguments: list[str]) -> int:
         "study": _campaign,
         "sweep": _campaign,
         "report": _report,
+        "compare": _compare,
         "verify": _suite,
         "stress": _suite,
         "bench": _suite,
@@ -276,6 +277,14 @@ def _report(options: argparse.Namespace) -> int:
     print(f"{written.done} of {written.cases} cases have results")
     page, *others = written.files
     print(f"{page}, and {len(others)} files in {page.parent / sweep_report.PICTURES}")
+    return 0
+
+
+def _compare(options: argparse.Namespace) -> int:
+    """Write the page that puts runs side by side; say where."""
+    with stack_needed():
+        from mantle.report import compare
+    print(compare.write(options.folders, options.output))
     return 0
 
 

@@ -175,6 +175,16 @@ def parser() -> argparse.ArgumentParser:
     add_file(sweep, "sweep", "what varies", "a key of every case")
     report = add("report", "the results of a run or a sweep as a page, report.html")
     report.add_argument("folder", type=Path, metavar="DIR", help="written by mantle run or sweep")
+    compare = add("compare", "runs side by side in one page, compare.html: fields and numbers")
+    compare.add_argument("folders", type=Path, nargs="+", metavar="DIR", help="of mantle run")
+    compare.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        default=Path("out/compare.html"),
+        metavar="FILE",
+        help="default: out/compare.html; an older one is replaced",
+    )
     verify = add("verify", "solve the verification problems and compare with what is known")
     stress = add("stress", "stiff and extreme cases: right, refused with a reason, or wrong")
     bench = add("bench", "measure what contact costs, from 20 000 unknowns up (20 minutes)")

@@ -1,34 +1,36 @@
-// The bodies of a run: drawn with three.js from the numbers that `viewer.py` packed into the page.
+// The bodies of one run or of several, drawn with three.js from the numbers of `viewer.py`.
 (async function () {
   "use strict";
   const NONE = 65535, LEVELS = 65534;
-  // Viridis, which colour-blind people read.
-  const MAP = ["440154", "482475", "414487", "355f8d", "2a788e", "21918c", "22a884", "44bf70",
-    "7ad151", "bddf26", "fde725"].map(h => new THREE.Color("#" + h));
-  const TINTS = ["#9aa4ad", "#c9b7d8", "#e6d9bd", "#d8c3a5", "#b8cfc4", "#cfc4b8"];
-  const box = document.getElementById("view");
-  const head = JSON.parse(document.getElementById("view-head").textContent);
+  const colours = list => list.map(h => new THREE.Color("#" + h));
+  // Viridis, and blue to red for what has a sign: colour-blind people read both.
+  const VIRIDIS = colours(["440154", "482475", "414487", "355f8d", "2a788e", "21918c", "22a884", "44bf70",
+    "7ad151", "bddf26", "fde725"]);
+  const SIGNED = colours(["2166ac", "4393c3", "92c5de", "d1e5f0", "f7f7f7", "fddbc7", "f4a582", "d6604d", "b2182b"]);
+  const TINTS = colours(["9aa4ad", "c9b7d8", "e6d9bd", "d8c3a5", "b8cfc4", "cfc4b8"]);
+  const root = document.getElementById("view");
   const make = (tag, into, props) => into.appendChild(Object.assign(document.createElement(tag), props));
-  let renderer;
+  const words = (data, at, count) => new Uint16Array(data.slice(at, at + 2 * count));
+  const shown = v => Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(2) : String(+v.toPrecision(4));
+  const said = name => name.replace(/_/g, " ");
+  const plane = new THREE.Plane(), ray = new THREE.Raycaster(), middle = new THREE.Vector3();
+  const controls = root.insertBefore(document.createElement("div"), root.firstChild);
+  let views;
   try {
-    const packed = Uint8Array.from(atob(document.getElementById("view-data").textContent), c => c.charCodeAt(0));
-    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-    var data = await new Response(stream).arrayBuffer();
-    renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    views = await Promise.all([...root.querySelectorAll(".one")].map(build));
   } catch (error) {
-    make("p", box, { className: "quiet", textContent: "This browser does not draw in three dimensions: " + error.message });
+    make("p", root, { className: "quiet", textContent: "This browser does not draw in three dimensions: " + error.message });
     return;
   }
-  const n = head.points.n;
-  const words = (at, count) => new Uint16Array(data.slice(at, at + 2 * count));
-  const rest = Float32Array.from(words(head.points.at, 3 * n), v => v / LEVELS * head.size);
-  const position = new THREE.BufferAttribute(new Float32Array(rest), 3);
-  const colour = new THREE.BufferAttribute(new Float32Array(3 * n), 3);
-  const state = { field: 0, stage: head.stages.length - 1, scale: 0, axis: -1, cut: 1 };
-  let values, moves;
+  const first = views[0].head, size = first.size, last = first.stages[first.stages.length - 1];
+  const labels = new Map(views.flatMap(v => v.head.fields.map(f => [f.name, f.label]))), fields = [...labels.keys()];
+  const state = { field: fields[0], stage: last, scale: 0, axis: -1, cut: 0.5, hidden: new Set() };
+  const bounds = views.reduce((b, v) => b.union(v.bounds), new THREE.Box3());
+  const radius = bounds.getSize(new THREE.Vector3()).length() / 2;
+  let seen = radius; // radius of what is visible
 
-  // Controls
-  const bar = make("div", box, { className: "bar" });
+  // Controls: one set for all views.
+  const bar = make("div", controls, { className: "bar" });
   const select = (title, names, change) => {
     const label = make("label", bar, { textContent: title + " " });
     const own = make("select", label, {});
@@ -36,193 +38,240 @@
     own.onchange = () => change(+own.value);
     return own;
   };
-  const fieldSelect = select("field", head.fields.map(f => f.label), k => show(k, state.stage));
-  const stageSelect = select("at the end of", head.stages, k => show(state.field, k));
-  stageSelect.value = state.stage;
-  stageSelect.parentNode.hidden = head.stages.length < 2;
+  const fieldSelect = select("field", [...labels.values()], k => show(fields[k], state.stage));
+  const stageSelect = select("at the end of", first.stages, k => show(state.field, first.stages[k]));
+  stageSelect.parentNode.hidden = first.stages.length < 2;
   const slider = (title, start, change) => {
     const label = make("label", bar, { textContent: title + " " });
     const own = make("input", label, { type: "range", min: 0, max: 100, value: start });
     const text = make("span", label, {});
-    own.oninput = () => { text.textContent = " " + change(own.value / 100); draw(); };
-    return own;
+    own.oninput = () => { text.textContent = " " + change(own.value / 100); views.forEach(v => v.draw()); };
   };
   slider("deformation", 0, part => {
     // At the end of the slider the largest displacement is a fifth of the model.
-    state.scale = part ? Math.round(part * 0.2 * head.size / (moves.most || 1)) : 0;
-    deform();
+    state.scale = part ? Math.round(part * 0.2 * size / (views[0].moves.most || 1)) : 0;
+    views.forEach(v => v.deform());
     return "× " + state.scale;
   });
-  select("cut", ["nowhere", "across x", "across y", "across z"], k => {
-    state.axis = k - 1;
-    clip();
-  });
+  select("cut", ["nowhere", "across x", "across y", "across z"], k => { state.axis = k - 1; clip(); });
   slider("", 50, part => { state.cut = part; clip(); return ""; });
-  const bodyBar = make("div", box, { className: "bar" });
-  const stage = make("div", box, { className: "stage" });
-  const legend = make("div", stage, { className: "legend" });
-  const ramp = make("div", legend, { className: "ramp" });
-  const highest = make("span", ramp, {}), lowest = make("span", ramp, {});
-  ramp.style.background = "linear-gradient(to top," + MAP.map(c => "#" + c.getHexString()).join(",") + ")";
-  const unit = make("div", legend, {});
-  const told = make("output", stage, { className: "told" });
-
-  // Scene: the z axis of the model points up.
-  const scene = new THREE.Scene();
-  scene.background = new THREE.Color("#ffffff");
-  const middle = new THREE.Vector3();
-  const bounds = new THREE.Box3().setFromBufferAttribute(position);
-  const radius = bounds.getSize(new THREE.Vector3()).length() / 2;
-  let seen = radius; // radius of what is visible
-  const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, 0.01 * radius, 20 * radius);
-  camera.up.set(0, 0, 1);
-  scene.add(new THREE.AmbientLight(0xffffff, 0.72), camera);
-  const light = new THREE.DirectionalLight(0xffffff, 0.38);
-  camera.add(light);
-  const controls = new THREE.OrbitControls(camera, renderer.domElement);
-  controls.addEventListener("change", draw);
-  stage.insertBefore(renderer.domElement, legend);
-  const plane = new THREE.Plane();
-  const meshes = head.bodies.map((body, k) => {
-    const geometry = new THREE.BufferGeometry();
-    const index = new Uint32Array(data.slice(body.at, body.at + 12 * body.triangles));
-    geometry.setIndex(new THREE.BufferAttribute(index, 1));
-    geometry.setAttribute("position", position);
-    geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * n), 3));
-    geometry.computeVertexNormals();
-    const material = new THREE.MeshLambertMaterial({ vertexColors: THREE.VertexColors, side: THREE.DoubleSide });
-    const mesh = new THREE.Mesh(geometry, material);
-    mesh.name = body.name;
-    mesh.tint = new THREE.Color(TINTS[k % TINTS.length]);
-    scene.add(mesh);
+  const bodyBar = make("div", controls, { className: "bar" });
+  const names = [...new Set(views.flatMap(v => v.meshes.map(m => m.name)))];
+  // A stem is looked at without what is around it.
+  if (names.includes("stem")) names.filter(n => n !== "stem").forEach(n => state.hidden.add(n));
+  const checks = names.map(name => {
     const label = make("label", bodyBar, {});
-    const check = make("input", label, { type: "checkbox", checked: true });
-    label.append(" " + body.name.replace(/_/g, " "));
-    check.onchange = () => { mesh.visible = check.checked; mark(); draw(); };
-    mesh.check = check;
-    return mesh;
+    const own = make("input", label, { type: "checkbox", checked: !state.hidden.has(name) });
+    label.append(" " + said(name));
+    own.onchange = () => { state.hidden[own.checked ? "delete" : "add"](name); clip(); };
+    return own;
   });
-  const dot = new THREE.Mesh(new THREE.SphereGeometry(radius / 90, 16, 12),
-    new THREE.MeshBasicMaterial({ color: "#d1495b" }));
-  scene.add(dot);
   for (const [name, x, y] of [["anterior", 0, 1], ["medial", 1, 0], ["posterior", 0, -1], ["lateral", -1, 0]])
     make("button", bodyBar, { type: "button", textContent: name }).onclick = () => look(x, y, 0);
-  make("button", bodyBar, { type: "button", textContent: "largest value" }).onclick = () => largest();
+  make("button", bodyBar, { type: "button", textContent: "largest value" }).onclick = () => views.forEach(v => v.largest());
 
-  const shown = v => Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(2) : String(+v.toPrecision(4));
-  const worth = (step, k) => values[k] === NONE ? NaN : step.min + values[k] / LEVELS * (step.max - step.min);
-
-  // Look at what is visible from a direction.
-  function look(x, y, z) {
-    const box = new THREE.Box3(), corner = new THREE.Vector3();
-    for (const mesh of meshes.filter(m => m.visible))
-      for (const k of mesh.geometry.index.array) box.expandByPoint(corner.fromBufferAttribute(position, k));
-    if (box.isEmpty()) box.copy(bounds);
-    box.getCenter(middle);
-    seen = box.getSize(corner).length() / 2;
-    camera.position.set(middle.x + 4 * radius * x, middle.y + 4 * radius * y, middle.z + 4 * radius * z);
-    controls.target.copy(middle);
-    camera.zoom = 1;
-    resize();
-    controls.update();
-  }
-  function deform() {
-    for (let k = 0; k < 3 * n; k++)
-      position.array[k] = rest[k] + state.scale * (2 * moves.u[k] / LEVELS - 1) * moves.most;
-    position.needsUpdate = true;
-    for (const m of meshes) m.geometry.computeVertexNormals();
-    for (const m of meshes) m.geometry.boundingSphere = null;
-    mark();
+  // A field at the end of a stage. What is compared has one range of colours.
+  function show(field, stage) {
+    Object.assign(state, { field, stage });
+    fieldSelect.value = fields.indexOf(field);
+    stageSelect.value = first.stages.indexOf(stage);
+    views.forEach(v => v.choose());
+    const ranges = views.filter(v => v.step && !v.head.signed).map(v => v.step);
+    for (const v of views) {
+      const most = v.step && Math.max(Math.abs(v.step.min), Math.abs(v.step.max));
+      v.paint(...(v.head.signed ? [-most, most] :
+        [Math.min(...ranges.map(s => s.min)), Math.max(...ranges.map(s => s.max))]));
+      v.deform();
+    }
+    clip();
   }
   function clip() {
-    const normal = [0, 0, 0];
-    if (state.axis >= 0) {
-      normal[state.axis] = -1;
-      const low = bounds.min.toArray()[state.axis], high = bounds.max.toArray()[state.axis];
-      plane.set(new THREE.Vector3(...normal), low + state.cut * (high - low));
+    const axis = Math.max(0, state.axis), low = bounds.min.toArray()[axis], high = bounds.max.toArray()[axis];
+    plane.set(new THREE.Vector3(...[0, 1, 2].map(k => k === axis ? -1 : 0)), low + state.cut * (high - low));
+    for (const v of views) { v.clip(); v.draw(); }
+  }
+  // Look at what is visible from a direction.
+  function look(x, y, z) {
+    const all = views.reduce((b, v) => b.union(v.extent()), new THREE.Box3());
+    if (all.isEmpty()) all.copy(bounds);
+    all.getCenter(middle);
+    seen = all.getSize(new THREE.Vector3()).length() / 2;
+    for (const v of views) {
+      v.camera.position.set(middle.x + 4 * radius * x, middle.y + 4 * radius * y, middle.z + 4 * radius * z);
+      v.controls.target.copy(middle);
+      v.camera.zoom = 1;
+      v.resize();
+      v.controls.update();
     }
-    renderer.clippingPlanes = state.axis >= 0 ? [plane] : [];
-    draw();
   }
-  // Colours: what has no value keeps the tint of its body.
-  function show(field, at) {
-    Object.assign(state, { field, stage: at });
-    fieldSelect.value = field;
-    stageSelect.value = at;
-    const step = head.fields[field].steps[at];
-    values = words(step.at, n);
-    moves = { u: words(head.moves[at].at, 3 * n), most: head.moves[at].most };
-    const c = new THREE.Color();
-    for (const mesh of meshes) {
-      const own = mesh.geometry.getAttribute("color");
-      for (let k = 0; k < n; k++) {
-        const part = values[k] / LEVELS * (MAP.length - 1), low = Math.min(Math.floor(part), MAP.length - 2);
-        if (values[k] === NONE || step.max === step.min) c.copy(mesh.tint);
-        else c.copy(MAP[low]).lerp(MAP[low + 1], part - low);
-        own.setXYZ(k, c.r, c.g, c.b);
-      }
-      own.needsUpdate = true;
+  // One camera for all.
+  for (const v of views) v.controls.addEventListener("change", () => {
+    for (const o of views.filter(o => o !== v)) {
+      o.camera.position.copy(v.camera.position);
+      o.camera.quaternion.copy(v.camera.quaternion);
+      o.camera.zoom = v.camera.zoom;
+      o.controls.target.copy(v.controls.target);
+      o.camera.updateProjectionMatrix();
+      o.draw();
     }
-    highest.textContent = shown(step.max);
-    lowest.textContent = shown(Math.abs(step.min) < 1e-9 * Math.abs(step.max) ? 0 : step.min);
-    unit.textContent = head.fields[field].label + (head.fields[field].unit ? " (" + head.fields[field].unit + ")" : "");
-    deform();
-    draw();
-  }
-  // The largest value on what is visible.
-  function mark() {
-    let best = -1, most = -1;
-    for (const mesh of meshes.filter(m => m.visible))
-      for (const k of mesh.geometry.index.array)
-        if (values[k] !== NONE && values[k] > most) { most = values[k]; best = k; }
-    dot.visible = best >= 0;
-    if (best >= 0) dot.position.fromBufferAttribute(position, best);
-    return best;
-  }
-  function largest() {
-    const k = mark(), step = head.fields[state.field].steps[state.stage];
-    if (k < 0) return;
-    const at = [0, 1, 2].map(i => shown(rest[3 * k + i] + head.low[i]));
-    told.textContent = "largest: " + shown(worth(step, k)) + " " + head.fields[state.field].unit + " at (" + at.join(", ") + ") mm";
-  }
-  // The value under the pointer (x, y from -1 to 1), linear on its triangle.
-  const ray = new THREE.Raycaster();
-  function pick(x, y) {
-    ray.setFromCamera({ x, y }, camera);
-    const hits = ray.intersectObjects(meshes.filter(m => m.visible));
-    const hit = hits.find(h => state.axis < 0 || plane.distanceToPoint(h.point) >= 0);
-    if (!hit) return null;
-    const corners = [hit.face.a, hit.face.b, hit.face.c];
-    const [a, b, c] = corners.map(k => new THREE.Vector3().fromBufferAttribute(position, k));
-    const part = new THREE.Vector3();
-    THREE.Triangle.getBarycoord(hit.point, a, b, c, part);
-    const parts = part.toArray(), step = head.fields[state.field].steps[state.stage];
-    const sum = f => corners.reduce((s, k, i) => s + parts[i] * f(k), 0);
-    const place = [0, 1, 2].map(i => sum(k => rest[3 * k + i]) + head.low[i]);
-    return { body: hit.object.name, place, value: sum(k => worth(step, k)) };
-  }
-  renderer.domElement.addEventListener("pointermove", event => {
-    const r = renderer.domElement.getBoundingClientRect();
-    const hit = pick(2 * (event.clientX - r.left) / r.width - 1, 1 - 2 * (event.clientY - r.top) / r.height);
-    told.textContent = hit ? hit.body.replace(/_/g, " ") + (isNaN(hit.value) ? "" : ": " + shown(hit.value) + " " + head.fields[state.field].unit) +
-      " at (" + hit.place.map(v => v.toFixed(1)).join(", ") + ") mm" : "";
+    v.draw();
   });
-  function resize() {
-    const width = stage.clientWidth || 800, height = Math.min(620, Math.max(320, 0.62 * width));
-    renderer.setPixelRatio(Math.min(2, window.devicePixelRatio || 1));
-    renderer.setSize(width, height);
-    const half = 1.05 * seen, wide = half * width / height;
-    Object.assign(camera, { left: -wide, right: wide, top: half, bottom: -half });
-    camera.updateProjectionMatrix();
-    draw();
-  }
-  function draw() { renderer.render(scene, camera); }
-  window.addEventListener("resize", resize);
-  // A stem is looked at without what is around it.
-  if (meshes.some(m => m.name === "stem"))
-    for (const mesh of meshes) mesh.visible = mesh.check.checked = mesh.name === "stem";
-  show(0, state.stage);
+  window.addEventListener("resize", () => views.forEach(v => v.resize()));
+  window.mantleView = { views, state, show, look, clip, checks };
+  show(state.field, state.stage);
   look(0.6, 0.8, 0.25);
-  window.mantleView = { head, state, show, pick, look, meshes, largest };
-  box.dataset.ready = "yes";
+  root.dataset.ready = "yes";
+
+  // One run: the z axis of its model points up.
+  async function build(box) {
+    const head = JSON.parse(box.querySelector(".head").textContent), n = head.points.n;
+    const packed = Uint8Array.from(atob(box.querySelector(".data").textContent), c => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+    const data = await new Response(stream).arrayBuffer();
+    const renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    renderer.localClippingEnabled = true;
+    const rest = Float32Array.from(words(data, head.points.at, 3 * n), (v, k) => v / LEVELS * head.size + head.low[k % 3]);
+    const position = new THREE.BufferAttribute(new Float32Array(rest), 3);
+    const v = { head, bounds: new THREE.Box3().setFromBufferAttribute(position) };
+    const far = 40 * v.bounds.getSize(new THREE.Vector3()).length();
+    const map = head.signed ? SIGNED : VIRIDIS;
+    const stage = make("div", box, { className: "stage" });
+    stage.append(renderer.domElement);
+    const legend = make("div", stage, { className: "legend" }), ramp = make("div", legend, { className: "ramp" });
+    const highest = make("span", ramp, {}), lowest = make("span", ramp, {}), unit = make("div", legend, {});
+    ramp.style.background = "linear-gradient(to top," + map.map(c => "#" + c.getHexString()).join(",") + ")";
+    const told = make("output", stage, { className: "told" });
+    const scene = new THREE.Scene();
+    scene.background = new THREE.Color("#ffffff");
+    const camera = v.camera = new THREE.OrthographicCamera(-1, 1, 1, -1, far / 1e4, far);
+    camera.up.set(0, 0, 1);
+    const light = new THREE.DirectionalLight(0xffffff, 0.38);
+    camera.add(light);
+    scene.add(new THREE.AmbientLight(0xffffff, 0.72), camera);
+    v.controls = new THREE.OrbitControls(camera, renderer.domElement);
+    v.draw = () => renderer.render(scene, camera);
+    let values;
+    v.meshes = head.bodies.map((body, k) => {
+      const geometry = new THREE.BufferGeometry();
+      geometry.setIndex(new THREE.BufferAttribute(new Uint32Array(data.slice(body.at, body.at + 12 * body.triangles)), 1));
+      geometry.setAttribute("position", position);
+      geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * n), 3));
+      const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ vertexColors: THREE.VertexColors, side: THREE.DoubleSide }));
+      mesh.renderOrder = head.bodies.length;
+      Object.assign(mesh, { name: body.name, tint: TINTS[k % TINTS.length] });
+      // What is cut is filled: the plane is drawn where more back faces than front faces lie behind it.
+      const count = (side, step) => new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ side, colorWrite: false,
+        depthWrite: false, depthTest: false, stencilWrite: true, stencilFunc: THREE.AlwaysStencilFunc,
+        stencilFail: step, stencilZFail: step, stencilZPass: step, clippingPlanes: [plane] }));
+      const cap = new THREE.Mesh(new THREE.PlaneBufferGeometry(far, far), new THREE.MeshBasicMaterial({
+        color: mesh.tint, side: THREE.DoubleSide, stencilWrite: true, stencilRef: 0, stencilFunc: THREE.NotEqualStencilFunc,
+        stencilFail: THREE.ReplaceStencilOp, stencilZFail: THREE.ReplaceStencilOp, stencilZPass: THREE.ReplaceStencilOp }));
+      cap.onAfterRender = () => renderer.clearStencil();
+      mesh.section = [count(THREE.BackSide, THREE.IncrementWrapStencilOp), count(THREE.FrontSide, THREE.DecrementWrapStencilOp), cap];
+      mesh.section.forEach((part, i) => { part.renderOrder = k + i / 4; });
+      scene.add(mesh, ...mesh.section);
+      return mesh;
+    });
+    const visible = () => v.meshes.filter(m => m.visible);
+    const dot = new THREE.Mesh(new THREE.SphereGeometry(far / 7200, 16, 12), new THREE.MeshBasicMaterial({ color: "#d1495b" }));
+    dot.renderOrder = head.bodies.length;
+    scene.add(dot);
+    const worth = k => values[k] === NONE ? NaN : v.step.min + values[k] / LEVELS * (v.step.max - v.step.min);
+    v.extent = () => {
+      const around = new THREE.Box3(), corner = new THREE.Vector3();
+      for (const mesh of visible()) for (const k of mesh.geometry.index.array) around.expandByPoint(corner.fromBufferAttribute(position, k));
+      return around;
+    };
+    v.choose = () => {
+      const at = state.stage === last ? head.stages.length - 1 : head.stages.indexOf(state.stage);
+      v.field = head.fields.find(f => f.name === state.field);
+      v.step = at < 0 || !v.field ? null : v.field.steps[at];
+      values = v.step ? words(data, v.step.at, n) : new Uint16Array(n).fill(NONE);
+      v.moves = at < 0 ? { u: new Uint16Array(3 * n), most: 0 } : { u: words(data, head.moves[at].at, 3 * n), most: head.moves[at].most };
+    };
+    // What has no value keeps the tint of its body.
+    v.paint = (least, most) => {
+      const c = new THREE.Color();
+      for (const mesh of v.meshes) {
+        const own = mesh.geometry.getAttribute("color");
+        for (let k = 0; k < n; k++) {
+          if (values[k] === NONE || !(most > least)) c.copy(mesh.tint);
+          else {
+            const part = (worth(k) - least) / (most - least) * (map.length - 1);
+            const low = Math.max(0, Math.min(Math.floor(part), map.length - 2));
+            c.copy(map[low]).lerp(map[low + 1], part - low);
+          }
+          own.setXYZ(k, c.r, c.g, c.b);
+        }
+        own.needsUpdate = true;
+      }
+      legend.hidden = !v.step;
+      highest.textContent = shown(most);
+      lowest.textContent = shown(Math.abs(least) < 1e-9 * Math.abs(most) ? 0 : least);
+      unit.textContent = v.step ? v.field.label + (v.field.unit ? " (" + v.field.unit + ")" : "") : "";
+      told.textContent = v.step ? "" : "not in this run";
+    };
+    v.deform = () => {
+      for (let k = 0; k < 3 * n; k++) position.array[k] = rest[k] + state.scale * (2 * v.moves.u[k] / LEVELS - 1) * v.moves.most;
+      position.needsUpdate = true;
+      for (const m of v.meshes) { m.geometry.computeVertexNormals(); m.geometry.boundingSphere = null; }
+      mark();
+    };
+    v.clip = () => {
+      for (const mesh of v.meshes) {
+        mesh.visible = !state.hidden.has(mesh.name);
+        mesh.material.clippingPlanes = state.axis < 0 ? [] : [plane];
+        for (const part of mesh.section) part.visible = mesh.visible && state.axis >= 0;
+        plane.coplanarPoint(mesh.section[2].position);
+        mesh.section[2].lookAt(mesh.section[2].position.clone().sub(plane.normal));
+      }
+      mark();
+    };
+    // The largest value on what is visible; of what has a sign the largest of both.
+    function mark() {
+      let best = -1, most = -Infinity;
+      for (const mesh of visible()) for (const k of mesh.geometry.index.array) {
+        const value = values[k] === NONE ? NaN : head.signed ? Math.abs(worth(k)) : values[k];
+        if (value > most) { most = value; best = k; }
+      }
+      dot.visible = best >= 0;
+      if (best >= 0) dot.position.fromBufferAttribute(position, best);
+      return best;
+    }
+    v.largest = () => {
+      const k = mark();
+      if (k < 0) return;
+      const at = [0, 1, 2].map(i => shown(rest[3 * k + i]));
+      told.textContent = "largest: " + shown(worth(k)) + " " + v.field.unit + " at (" + at.join(", ") + ") mm";
+    };
+    // The value under the pointer (x, y from -1 to 1), linear on its triangle; a filled section has none.
+    v.pick = (x, y) => {
+      ray.setFromCamera({ x, y }, camera);
+      const hit = ray.intersectObjects(visible()).find(h => state.axis < 0 || plane.distanceToPoint(h.point) >= 0);
+      if (!hit) return null;
+      const body = hit.object.name;
+      if (state.axis >= 0 && hit.face.normal.dot(ray.ray.direction) > 0)
+        return { body, place: ray.ray.intersectPlane(plane, new THREE.Vector3()).toArray(), value: NaN };
+      const corners = [hit.face.a, hit.face.b, hit.face.c], part = new THREE.Vector3();
+      THREE.Triangle.getBarycoord(hit.point, ...corners.map(k => new THREE.Vector3().fromBufferAttribute(position, k)), part);
+      const parts = part.toArray(), sum = f => corners.reduce((s, k, i) => s + parts[i] * f(k), 0);
+      return { body, place: [0, 1, 2].map(i => sum(k => rest[3 * k + i])), value: sum(worth) };
+    };
+    renderer.domElement.addEventListener("pointermove", event => {
+      const r = renderer.domElement.getBoundingClientRect();
+      const hit = v.pick(2 * (event.clientX - r.left) / r.width - 1, 1 - 2 * (event.clientY - r.top) / r.height);
+      told.textContent = hit ? said(hit.body) + (isNaN(hit.value) ? "" : ": " + shown(hit.value) + " " + v.field.unit) +
+        " at (" + hit.place.map(p => p.toFixed(1)).join(", ") + ") mm" : "";
+    });
+    v.resize = () => {
+      const width = stage.clientWidth || 800, height = Math.min(620, Math.max(320, 0.62 * width));
+      renderer.setPixelRatio(Math.min(2, window.devicePixelRatio || 1));
+      renderer.setSize(width, height);
+      const half = 1.05 * seen, wide = half * width / height;
+      Object.assign(camera, { left: -wide, right: wide, top: half, bottom: -half });
+      camera.updateProjectionMatrix();
+      v.draw();
+    };
+    return v;
+  }
 })();

@@ -7,8 +7,10 @@ The outsides of all regions and their fields at the end of every stage are packe
 from __future__ import annotations
 
 import base64
+import html
 import json
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,28 +42,64 @@ NODAL = {
 }
 
 
-def viewer(folder: Path) -> str | None:
+def viewer(*folders: Path) -> str | None:
     """The view as a piece of HTML; nothing without fields or without three.js.
 
+    Of several runs it shows one beside the other, under one camera, and behind them how the others
+    differ from the first where they have the same mesh.
+
     Args:
-        folder: A run directory.
+        folders: Run directories; those without fields are left out.
     """
     scripts = [THREE / name for name in SCRIPTS]
-    if not (folder / "fields.vtkhdf").exists() or not all(s.exists() for s in scripts):
+    runs = [Run(folder) for folder in folders if (folder / "fields.vtkhdf").exists()]
+    if not runs or not all(s.exists() for s in scripts):
         return None
-    run = Run(folder)
-    head, values = packed(run)
-    data = base64.b64encode(zlib.compress(values, 9)).decode("ascii")
+    names = distinct([run.folder for run in runs])
+    pairs: list[tuple[str, Run, Run | None]] = [
+        (name if len(folders) > 1 else "", run, None) for name, run in zip(names, runs, strict=True)
+    ]
+    pairs += [
+        (f"{name} less {names[0]}", run, runs[0])
+        for name, run in zip(names[1:], runs[1:], strict=True)
+        if same_mesh(run, runs[0])
+    ]
     here = Path(__file__)
-    own = [*scripts, here.with_name("viewer.js")]
     parts = [
         f"<style>{here.with_name('viewer.css').read_text(encoding='utf-8')}</style>",
-        '<div id="view"></div>',
-        f'<script type="application/json" id="view-head">{_safe(json.dumps(head))}</script>',
-        f'<script type="text/plain" id="view-data">{data}</script>',
-        *(f"<script>{_safe(s.read_text(encoding='utf-8'))}</script>" for s in own),
+        '<div id="view"><div class="views">',
     ]
+    for name, run, minus in pairs:
+        head, values = packed(run, minus, MOST // len(pairs))
+        data = base64.b64encode(zlib.compress(values, 9)).decode("ascii")
+        parts += [
+            f'<div class="one"><h3>{html.escape(name)}</h3>' if name else '<div class="one">',
+            f'<script type="application/json" class="head">{_safe(json.dumps(head))}</script>',
+            f'<script type="text/plain" class="data">{data}</script></div>',
+        ]
+    parts.append("</div></div>")
+    own = [*scripts, here.with_name("viewer.js")]
+    parts += [f"<script>{_safe(s.read_text(encoding='utf-8'))}</script>" for s in own]
     return "\n".join(parts)
+
+
+def distinct(folders: Sequence[Path]) -> list[str]:
+    """Names of run directories, with as much of their paths as tells them apart."""
+    paths = [folder.resolve().parts for folder in folders]
+    for k in range(1, max(map(len, paths)) + 1):
+        names = ["/".join(p[-k:]) for p in paths]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{name} ({number})" for number, name in enumerate(names, 1)]
+
+
+def same_mesh(a: Run, b: Run) -> bool:
+    """Whether two runs have the same nodes and cells in the same order."""
+    return (
+        a.points.shape == b.points.shape
+        and np.array_equal(a.cells, b.cells)
+        and np.allclose(a.points, b.points, rtol=0.0, atol=1e-9 * np.ptp(a.points))
+    )
 
 
 def _safe(text: str) -> str:
@@ -69,22 +107,36 @@ def _safe(text: str) -> str:
     return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
-def packed(run: Run) -> tuple[dict[str, Any], bytes]:
+def packed(
+    run: Run, minus: Run | None = None, most_bytes: int = MOST
+) -> tuple[dict[str, Any], bytes]:
     """What `viewer.js` draws: what there is and where it begins, and all numbers one by one.
+
+    Args:
+        run: What is drawn.
+        minus: A run on the same mesh whose fields are taken off, at the end of the stage of the
+            same name, or of the last.
+        most_bytes: Of the numbers; corners alone and the last stages alone are drawn if need be.
+
+    Returns:
+        What there is, and the numbers.
 
     Numbers are little-endian: places (n, 3) and values (n,) as 16-bit parts of their range, the
     corners of triangles as 32-bit numbers of places.
     """
-    stages = [s["name"] for s in run.case["stages"]]
-    ends = [s for s in stages if any(stages[int(np.ceil(t - 1e-9)) - 1] == s for t in run.times)]
+    ends = run.written_stages
     kinds = _kinds(run)
+    last = ends[-1]
+    if minus is not None:
+        ends = [s for s in ends if s == last or s in minus.written_stages]
+        kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
     fine = outsides(run, curved=True)
     nodes = _used(fine)
     # Three for the places, three for the displacement that deforms.
-    if 2 * len(nodes) * (3 + len(ends) * (3 + len(kinds))) > MOST:
+    if 2 * len(nodes) * (3 + len(ends) * (3 + len(kinds))) > most_bytes:
         fine = outsides(run, curved=False)
         nodes = _used(fine)
-    room = max(1, MOST // (2 * len(nodes) * (3 + len(kinds))))
+    room = max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds))))
     ends = ends[-room:]
     pieces: list[bytes] = []
 
@@ -107,6 +159,7 @@ def packed(run: Run) -> tuple[dict[str, Any], bytes]:
         "size": size,
         "bodies": bodies,
         "stages": ends,
+        "signed": minus is not None,
         "fields": [],
         "moves": [],
     }
@@ -119,8 +172,9 @@ def packed(run: Run) -> tuple[dict[str, Any], bytes]:
         steps = []
         on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else None
         for stage in ends:
-            v = factor * run.on_points(name, stage)[nodes]
-            v = np.linalg.norm(v, axis=1) if v.ndim == 2 else v
+            v = factor * _sizes(run, name, stage)[nodes]
+            if minus is not None:
+                v -= factor * _sizes(minus, name, -1 if stage == last else stage)[nodes]
             known = np.isfinite(v) if on is None else np.isfinite(v) & on
             least, most = (float(f(v[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
             parts = _levels(np.where(known, (v - least) / ((most - least) or 1.0), 0.0))
@@ -129,6 +183,12 @@ def packed(run: Run) -> tuple[dict[str, Any], bytes]:
         title = f"{where.replace('_', '-')}: {label}" if where else label
         head["fields"].append({"name": name, "label": title, "unit": unit, "steps": steps})
     return head, b"".join(pieces)
+
+
+def _sizes(run: Run, name: str, step: int | str) -> Floats:
+    """A field on the nodes (n,), of vectors the length."""
+    v = run.on_points(name, step)
+    return np.asarray(np.linalg.norm(v, axis=1)) if v.ndim == 2 else v
 
 
 def _kinds(run: Run) -> list[tuple[str, str, str, str, float]]:

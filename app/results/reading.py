@@ -125,6 +125,13 @@ class Run(Results):
         self.hot = "temperature" in self.point_fields
 
     @cached_property
+    def written_stages(self) -> list[str]:
+        """Names of the stages with a written step, in order."""
+        names = [stage["name"] for stage in self.case["stages"]]
+        written = {ceil(time - 1e-9) - 1 for time in self.times}
+        return [name for k, name in enumerate(names) if k in written]
+
+    @cached_property
     def regions(self) -> dict[str, int]:
         """Number of each region by its name, as `region` has it."""
         geometry = config.geometry(self.case, self.folder)

@@ -89,7 +89,7 @@ def test_help_lists_every_command_with_a_line() -> None:
         assert word in result.stdout
     (commands,) = (a for a in parser()._actions if isinstance(a, argparse._SubParsersAction))
     lines = [f"  {a.dest:<10} {a.help}" for a in commands._choices_actions]
-    assert len(lines) == 15 and set(lines) <= set(result.stdout.splitlines())
+    assert len(lines) == 16 and set(lines) <= set(result.stdout.splitlines())
 
 
 def test_the_version_needs_no_solver_stack() -> None:

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,17 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         "force: [300 N, 0 N, -900 N]", "force: [300 N, 0 N, -900 N], history: [0.5, 1]"
     )
     done = extended(folder, "", text, "run", "case.yaml", "-o", "out")
+    assert done.returncode == 0, done.stderr
+    return Run(folder / "out")
+
+
+@pytest.fixture(scope="module")
+def stiffer(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The same stem with more friction, on the same mesh."""
+    folder = tmp_path_factory.mktemp("stiffer")
+    text = (run.folder.parent / "case.yaml").read_text(encoding="utf-8")
+    more = ["--set", "interfaces.stem_cement.friction_coefficient=0.9"]
+    done = extended(folder, "", text, "run", "case.yaml", "-o", "out", *more)
     assert done.returncode == 0, done.stderr
     return Run(folder / "out")
 
@@ -78,17 +90,13 @@ def test_outsides_are_closed_and_turned_outwards(run: Run) -> None:
     assert all(len(fine[name]) == 4 * len(coarse[name]) for name in coarse)
 
 
-def test_a_page_that_would_be_too_large_has_fewer_points(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_would_be_too_large_has_fewer_points(run: Run) -> None:
     """Corners alone, then the last stages alone."""
     whole, data = viewer.packed(run)
-    monkeypatch.setattr(viewer, "MOST", len(data) // 2)
-    head, less = viewer.packed(run)
+    head, less = viewer.packed(run, most_bytes=len(data) // 2)
     assert head["points"]["n"] < whole["points"]["n"]
     assert len(less) < len(data) / 2
-    monkeypatch.setattr(viewer, "MOST", len(data) // 20)
-    assert viewer.packed(run)[0]["stages"] == ["whole"]
+    assert viewer.packed(run, most_bytes=len(data) // 20)[0]["stages"] == ["whole"]
 
 
 @pytest.mark.skipif(not NEEDED, reason="libjs-three is missing")
@@ -105,6 +113,30 @@ def test_nothing_in_it_points_elsewhere_or_ends_its_script(run: Run) -> None:
     assert len(own.splitlines()) < 300
 
 
+def test_differences_are_those_of_the_files(run: Run, stiffer: Run) -> None:
+    """Where meshes are the same; their values are the second's less the first's."""
+    assert viewer.same_mesh(run, stiffer)
+    head, data = viewer.packed(stiffer, run)
+    assert head["signed"]
+    nodes = np.unique(np.concatenate([t.ravel() for t in viewer.outsides(run, True).values()]))
+    field = next(f for f in head["fields"] if f["name"].endswith("_slip"))
+    step = field["steps"][0]
+    parts = unpacked(data, step["at"], head["points"]["n"])
+    values = step["min"] + parts / viewer.LEVELS * (step["max"] - step["min"])
+    a, b = (np.linalg.norm(r.on_points(field["name"], "half"), axis=1) for r in (run, stiffer))
+    known = parts <= viewer.LEVELS
+    assert np.abs(1e3 * (b - a))[nodes][known].max() > 0
+    room = 0.51 * (step["max"] - step["min"]) / viewer.LEVELS
+    assert np.abs(values - 1e3 * (b - a)[nodes])[known].max() <= room + 1e-12
+
+
+def test_names_of_runs_differ() -> None:
+    """By as much of their paths as it takes."""
+    assert viewer.distinct([Path("/a/b"), Path("/a/c")]) == ["b", "c"]
+    assert viewer.distinct([Path("/a/x/out"), Path("/a/y/out")]) == ["x/out", "y/out"]
+    assert viewer.distinct([Path("/a/b"), Path("/a/b")]) == ["//a/b (1)", "//a/b (2)"]
+
+
 def test_no_fields_no_view(tmp_path: Path) -> None:
     """A run that wrote no fields has none."""
     assert viewer.viewer(tmp_path) is None
@@ -114,35 +146,52 @@ TRY = """
 <pre id="found"></pre><script>
 (async () => {
   while (!document.getElementById("view").dataset.ready) await new Promise(r => setTimeout(r, 20));
-  const view = window.mantleView, found = [];
+  const w = window.mantleView, found = [], cuts = [], cameras = [];
   for (const [x, y] of [[0.6, 0.8], [1, 0], [0, -1]]) {
-    view.look(x, y, 0.2);
-    view.head.fields.forEach((field, k) => view.head.stages.forEach((stage, s) => {
-      view.show(k, s);
-      for (const at of [[0, 0], [0.03, 0.2], [-0.02, -0.3]]) {
+    w.look(x, y, 0.2);
+    cameras.push(w.views.map(v => v.camera.position.toArray().concat(v.camera.zoom)));
+    const stages = w.views[0].head.stages;
+    for (const field of w.views[0].head.fields) for (const stage of stages) {
+      w.show(field.name, stage);
+      for (const at of [[0, 0], [0, 0.2], [0, -0.3]]) w.views.forEach((view, run) => {
         const hit = view.pick(...at);
-        if (hit) found.push({ field: field.name, stage, ...hit });
-      }
-    }));
+        if (hit) found.push({ field: field.name, stage, run, ...hit });
+      });
+    }
   }
-  const gl = document.querySelector("#view canvas");
-  const copy = document.createElement("canvas");
-  Object.assign(copy, { width: gl.width, height: gl.height });
-  const c2 = copy.getContext("2d");
-  c2.drawImage(gl, 0, 0);
-  const seen = new Set(c2.getImageData(0, 0, gl.width, gl.height).data);
-  document.getElementById("found").textContent = JSON.stringify({ found, colours: seen.size });
+  const seen = gl => {
+    const copy = document.createElement("canvas");
+    Object.assign(copy, { width: gl.width, height: gl.height });
+    const c2 = copy.getContext("2d");
+    c2.drawImage(gl, 0, 0);
+    return c2.getImageData(0, 0, gl.width, gl.height).data;
+  };
+  const canvases = [...document.querySelectorAll("#view canvas")];
+  const colours = canvases.map(gl => new Set(seen(gl)).size);
+  // Cut across x and looked at from there: the middle of the picture is the filled section.
+  w.look(1, 0, 0);
+  w.state.axis = 0;
+  w.clip();
+  const gl = canvases[0], data = seen(gl);
+  const row = Math.round(gl.height * 0.62);
+  let tint = 0;
+  const bytes = c => [c.r, c.g, c.b].map(v => Math.round(255 * v)).join();
+  const own = w.views[0].meshes.map(m => bytes(m.tint));
+  for (let k = 0; k < gl.width; k++)
+    tint += own.includes([0, 1, 2].map(i => data[4 * (row * gl.width + k) + i]).join());
+  for (let y = -0.9; y < 0.9; y += 0.1) {
+    const hit = w.views[0].pick(0, y);
+    if (hit) cuts.push({ ...hit, plane: w.views[0].meshes[0].section[2].position.x });
+  }
+  const out = { found, colours, cameras, cuts, tint };
+  document.getElementById("found").textContent = JSON.stringify(out);
 })();
 </script>
 """
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
-def test_a_browser_draws_it_and_picks_the_values_of_the_field(run: Run, tmp_path: Path) -> None:
-    """In headless Chromium without a network: no error, and values linear on the facets."""
-    page = tmp_path / "page.html"
-    text = viewer.viewer(run.folder)
+def tried(page: Path, text: str) -> dict[str, Any]:
+    """What a browser without a network found in a view."""
     page.write_text(f"<!DOCTYPE html><meta charset='utf-8'><body>{text}{TRY}</body>")
     options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     options += ["--enable-logging=stderr", "--virtual-time-budget=20000", "--window-size=900,700"]
@@ -151,8 +200,15 @@ def test_a_browser_draws_it_and_picks_the_values_of_the_field(run: Run, tmp_path
     assert "CONSOLE" not in done.stderr, done.stderr
     told = re.search(r'<pre id="found">(.*?)</pre>', done.stdout, re.S)
     assert told and told[1], done.stderr
-    found = json.loads(told[1])
-    assert found["colours"] > 20  # something is drawn, and shaded
+    return dict(json.loads(told[1]))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
+def test_a_browser_draws_it_and_picks_the_values_of_the_field(run: Run, tmp_path: Path) -> None:
+    """In headless Chromium without a network: no error, and values linear on the facets."""
+    found = tried(tmp_path / "page.html", viewer.viewer(run.folder) or "")
+    assert found["colours"][0] > 20  # something is drawn, and shaded
     picks = [p for p in found["found"] if p["value"] is not None]
     assert {p["stage"] for p in picks} == {"half", "whole"}
     assert len({p["field"] for p in picks}) >= 8
@@ -163,6 +219,37 @@ def test_a_browser_draws_it_and_picks_the_values_of_the_field(run: Run, tmp_path
         factor = 1e3 if p["field"].split("_")[-1] in ("slip", "gap", "motion") else 1.0
         nearest = value_near(run.points, triangles[p["body"]], factor * own, np.array(p["place"]))
         assert p["value"] == pytest.approx(nearest, abs=2e-3 * np.ptp(factor * own) + 1e-9)
+    # The section is filled: in the plane, without a value.
+    filled = [p for p in found["cuts"] if p["value"] is None]
+    assert found["tint"] > 10
+    assert filled and all(p["place"][0] == pytest.approx(p["plane"], abs=1e-3) for p in filled)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (BROWSER and NEEDED), reason="no browser or no libjs-three")
+def test_a_browser_draws_runs_side_by_side_under_one_camera(
+    run: Run, stiffer: Run, tmp_path: Path
+) -> None:
+    """Two runs and their difference: the third value is the second less the first."""
+    found = tried(tmp_path / "page.html", viewer.viewer(run.folder, stiffer.folder) or "")
+    assert len(found["colours"]) == 3 and min(found["colours"]) > 20
+    for cameras in found["cameras"]:
+        assert cameras[1] == pytest.approx(cameras[0]) and cameras[2] == pytest.approx(cameras[0])
+    looks: dict[Any, dict[int, Any]] = {}
+    order: dict[tuple[str, str, int], int] = {}
+    for p in found["found"]:
+        key = p["field"], p["stage"], p["run"]
+        order[key] = order.get(key, -1) + 1
+        looks.setdefault((*key[:2], order[key]), {})[p["run"]] = p
+    compared = 0
+    for (field, stage, _), by_run in looks.items():
+        values = [by_run[k]["value"] for k in sorted(by_run)]
+        if len(values) == 3 and None not in values:
+            size = max(np.abs(r.on_points(field, stage)).max() for r in (run, stiffer))
+            factor = 1e3 if field.split("_")[-1] in ("slip", "gap", "motion") else 1.0
+            assert values[2] == pytest.approx(values[1] - values[0], abs=2e-3 * factor * size)
+            compared += 1
+    assert compared > 20
 
 
 def value_near(x: Floats, triangles: Floats, values: Floats, place: Floats) -> float:

@@ -1,0 +1,195 @@
+"""A page that puts runs side by side: input, numbers with their errors, and one camera for all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from mantle.errors import InputError, StoppedError
+from mantle.report import page, run_report, sweep_figures, viewer
+from mantle.report.page import Blocks, bullets, paragraph, table
+from mantle.report.sweep_results import Number, SweptCase
+from mantle.results.log import UNUSABLE, faults
+from mantle.schema import quantities
+from mantle.system.folders import write_text
+from mantle.system.layout import plain
+
+MOST = 8  # runs beside each other; a browser draws some sixteen views
+NAMED = 4  # differences in the leading sentence
+NOT_COMPARED = ("title", "output")
+
+
+def write(folders: Sequence[Path], path: Path) -> Path:
+    """Write the page.
+
+    Args:
+        folders: Directories of two runs or more; the others are compared with the first.
+        path: The page.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: A folder has no results or results that cannot be read, or the number of
+            folders is wrong: everything that is wrong, at once.
+        StoppedError: The page cannot be written.
+    """
+    problems = [
+        f"{folder}: has no summary.json; expected a directory written by mantle run"
+        for folder in folders
+        if not (folder / "summary.json").exists()
+    ]
+    if not 2 <= len(folders) <= MOST:
+        problems.append(f"2 to {MOST} runs can stand beside each other, not {len(folders)}")
+    if problems:
+        raise InputError(problems)
+    try:
+        html = _page(folders)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        names = ", ".join(map(str, folders))
+        raise InputError(f"{names}: results that cannot be read: {error!r}") from error
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, html)
+    except OSError as error:
+        raise StoppedError(f"cannot write {path}: {error.strerror}") from error
+    return path
+
+
+def _page(folders: Sequence[Path]) -> str:
+    names = viewer.distinct(folders)
+    cases = [run_report.opened(folder) for folder in folders]
+    view = viewer.viewer(*folders) or ""
+    differences = view.count('class="one"') - sum(
+        (folder / "fields.vtkhdf").exists() for folder in folders
+    )
+    note = ""
+    if view and differences < len(folders) - 1:
+        note = "Differences of fields are drawn where meshes are the same; here they are not all."
+    sections = [
+        ("numbers", "Numbers", _numbers(names, cases)),
+        ("input", "Input that differs", _input(names, cases)),
+    ]
+    return page.page(
+        "Comparison of runs",
+        sections,
+        facts=" · ".join(names),
+        lead=_lead(names, cases),
+        summary=[_status(name, case.summary) for name, case in zip(names, cases, strict=True)],
+        view=view,
+        note=note,
+    )
+
+
+def _status(name: str, summary: dict[str, Any]) -> str:
+    """A run's status and what it warns of."""
+    wrong = faults(summary)
+    status = UNUSABLE if wrong else summary["status"]
+    return "; ".join([f"{status}: {name}", *wrong, *summary.get("notes", [])])
+
+
+def _lead(names: Sequence[str], cases: Sequence[SweptCase]) -> str:
+    """Which main numbers differ by more than their errors, and most."""
+    first, count, known = names[0], 0, 0
+    beyond: list[tuple[float, str]] = []
+    for key in _keys(cases):
+        a, *others = (case.number(key) for case in cases)
+        for name, b in zip(names[1:], others, strict=True):
+            if a is None or b is None or _exact(key):
+                continue
+            count += 1
+            known += a.error is not None and b.error is not None
+            if differs(a, b, key):
+                words, unit = sweep_figures.label(key)
+                part = abs(b.value - a.value) / max(abs(a.value), abs(b.value))
+                beyond.append((part, f"{words} ({a} {unit}, {name}: {b} {unit})"))
+    if not count:
+        return "These runs have no numbers in common."
+    errors = "" if known == count else f"; the errors of {count - known} are not known"
+    if not beyond:
+        return f"No main number differs from that of {first} by more than the errors{errors}."
+    most = [text for _, text in sorted(beyond, reverse=True)[:NAMED]]
+    return (
+        f"{len(beyond)} of {count} main numbers differ from those of {first} by more than their "
+        f"errors, most of all {'; '.join(most)}{errors}."
+    )
+
+
+def differs(a: Number, b: Number, key: str) -> bool:
+    """Whether two numbers differ by more than the errors of both, and by more than rounding."""
+    q = quantities.get(key)
+    rounding = 10.0**-q.digits if q else 0.0
+    return abs(b.value - a.value) > max((a.error or 0.0) + (b.error or 0.0), rounding)
+
+
+def _exact(key: str) -> bool:
+    q = quantities.get(key)
+    return bool(q and q.exact)
+
+
+def _keys(cases: Sequence[SweptCase]) -> list[str]:
+    """Main numbers that the first run has and another one, too."""
+    names = sweep_figures.headlines(cases)
+    return [n for n in names if sum(c.number(n) is not None for c in cases) > 1]
+
+
+def _numbers(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
+    """Main numbers with their errors, and how those of the others differ from the first."""
+    head = ["", *names, *(f"{name} less {names[0]}" for name in names[1:])]
+    rows = []
+    for key in _keys(cases):
+        words, unit = sweep_figures.label(key)
+        a, *others = (case.number(key) for case in cases)
+        rows.append(
+            [
+                f"{words} ({unit})" if unit else words,
+                *("-" if n is None else str(n) for n in (a, *others)),
+                *(_difference(a, b, key) for b in others),
+            ]
+        )
+    how = (
+        "A difference is given with the sum of both errors. Errors of runs on the same mesh are "
+        "alike, so that their difference is known better than that."
+    )
+    return paragraph(how, "quiet") + table(head, rows) if rows else []
+
+
+def _difference(a: Number | None, b: Number | None, key: str) -> str:
+    """How much b is more than a, with the sum of the errors and as a part of a."""
+    if a is None or b is None:
+        return "-"
+    change = b.value - a.value
+    if not differs(a, b, key) and a.error is None and b.error is None:
+        return "0"
+    error = None if a.error is None or b.error is None else a.error + b.error
+    part = f" ({100 * change / abs(a.value):+.1f} %)" if a.value else ""
+    if not differs(a, b, key):
+        part += ", within the errors"
+    return f"{Number(change, error)}{part}"
+
+
+def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
+    """Keys of the cases that are not the same in all."""
+    flat = [dict(_flat(case.data)) for case in cases]
+    keys = dict.fromkeys(key for own in flat for key in own)
+    rows = [
+        [key, *(own.get(key, "-") for own in flat)]
+        for key in keys
+        if len({own.get(key) for own in flat}) > 1
+    ]
+    if not rows:
+        return bullets(["nothing: these are runs of the same case"])
+    return table(["key", *names], rows)
+
+
+def _flat(values: dict[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
+    """Every value of a case with its key, as ``interfaces.stem_cement.clearance``."""
+    for key, value in values.items():
+        if not path and key in NOT_COMPARED:
+            continue
+        here = f"{path}{key}"
+        if isinstance(value, dict):
+            yield from _flat(value, f"{here}.")
+        else:
+            yield here, plain(value)

@@ -1,0 +1,88 @@
+"""The page that puts runs side by side."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mantle.errors import InputError
+from mantle.report import compare
+from mantle.report.sweep_results import Number
+from tests.support import STEM, extended
+
+CASE = STEM.replace("size: 5 mm", "size: 8 mm")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A stem, and the same with more friction on it."""
+    folder = tmp_path_factory.mktemp("compared")
+    for name, friction in (("low", "0.2"), ("high", "0.8")):
+        change = f"interfaces.stem_cement.friction_coefficient={friction}"
+        done = extended(folder, "", CASE, "run", "case.yaml", "-o", name, "--set", change)
+        assert done.returncode == 0, done.stderr
+    return folder / "low", folder / "high"
+
+
+def cells(html: str, anchor: str) -> list[list[str]]:
+    """Rows of the first table of a section."""
+    section = html[html.index(f'<section id="{anchor}">') :]
+    body = section[section.index("<tbody>") : section.index("</tbody>")]
+    rows = re.findall(r"<tr>(.*?)</tr>", body, re.S)
+    return [re.findall(r"<td[^>]*>(.*?)</td>", row, re.S) for row in rows]
+
+
+def test_the_page_says_what_differs(runs: tuple[Path, Path]) -> None:
+    """The changed key alone, and numbers of both with what the second has more."""
+    html = compare.write(runs, runs[0].parent / "new" / "page.html").read_text(encoding="utf-8")
+    assert cells(html, "input") == [
+        ["interfaces.stem_cement.friction_coefficient", "0.2", "0.8"],
+    ]
+    slips: list[Any] = [
+        1e3 * json.loads((r / "summary.json").read_text())["interfaces"]["stem_cement"]["slip_p99"]
+        for r in runs
+    ]
+    (row,) = (r for r in cells(html, "numbers") if r[0].startswith("stem-cement slip, p99"))
+    assert [float(row[1]), float(row[2])] == pytest.approx(slips, rel=1e-3)
+    assert float(row[3].split()[0]) == pytest.approx(slips[1] - slips[0], rel=1e-3)
+    assert html.count('class="one"') == 3  # two runs and their difference
+    assert "by more than their errors" in html
+    assert not re.search(
+        r"(src|href)=\"(?!#|data:)", re.sub(r"<script>.*?</script>", "", html, flags=re.S)
+    )
+
+
+def test_the_same_run_twice_does_not_differ(runs: tuple[Path, Path]) -> None:
+    """Neither in input nor in numbers."""
+    html = compare.write([runs[0], runs[0]], runs[0].parent / "same.html").read_text("utf-8")
+    assert "No main number differs" in html
+    assert "runs of the same case" in html
+    assert {row[3] for row in cells(html, "numbers")} == {"0"}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        (Number(10.0, 1.0), Number(11.5, 1.0), False),
+        (Number(10.0, 1.0), Number(12.5, 1.0), True),
+        (Number(10.0), Number(10.2), True),
+        (Number(10.0), Number(10.0), False),
+    ],
+)
+def test_numbers_differ_beyond_both_errors(first: Number, second: Number, expected: bool) -> None:
+    """The sum of both errors decides; without errors any difference that is shown."""
+    assert compare.differs(first, second, "stem_cement.slip_p99") == expected
+
+
+def test_folders_without_results_are_told_at_once(tmp_path: Path) -> None:
+    """Each of them; one run alone cannot be compared."""
+    with pytest.raises(InputError) as told:
+        compare.write([tmp_path / "a", tmp_path / "b"], tmp_path / "page.html")
+    assert str(told.value).count("summary.json") == 2
+    with pytest.raises(InputError, match="not 1"):
+        compare.write([tmp_path / "a"], tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
