@@ -6,19 +6,19 @@ import atexit
 import logging
 import os
 import signal
+import socket
+import subprocess
 import sys
-import threading
-import time
+from contextlib import suppress
 from typing import TextIO
 
+from mantle.command_line import ticker
 from mantle.system.progress import LEVEL
 from mantle.system.ranks import rank, world_size
 
-# What goes on is printed after so many seconds of silence, later after this share of the run.
-SILENCE, SHARE = 1.0, 0.02
-# What blocks is printed earlier.
-BEFORE_BLOCKING = 0.3
-LOOK = 0.25  # s
+# What goes on is printed after so many seconds of silence.
+SILENCE = 1.0
+SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2}
 # Colours of a terminal: what is good, doubtful, bad; what merely goes on is dim.
 TONES = {"good": "32", "doubtful": "33", "bad": "1;31", "dim": "2"}
 # Set for ranks that print to a terminal: mpirun gives them one of its own in any case.
@@ -68,68 +68,64 @@ class Handler(logging.StreamHandler[TextIO]):
 
 
 class ProgressHandler(Handler):
-    """Prints what goes on (`system.progress`) where nothing has been printed for a while.
+    """Has what goes on (`system.progress`) printed by a `ticker` where nothing is for a while.
 
-    A thread of its own repeats it with its seconds. It sleeps while PETSc computes, which does not
-    let other threads run; therefore solvers tell of each iteration.
+    A thread would sleep while PETSc computes, which does not let other threads run.
     """
 
     def __init__(self, stream: TextIO) -> None:
         """Begin to print to a stream."""
         super().__init__(stream)
-        self._begun = self._printed = time.monotonic()
-        self._current: tuple[str, float] | None = None
-        self._told = ""  # what was printed last, if it is what goes on
-        self._ended = threading.Event()
-        self._watch: threading.Thread | None = None
+        self._started = False
+        self._ticker: subprocess.Popen[bytes] | None = None
+        self._link: socket.socket | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a record, or keep what goes on until the silence has lasted."""
+        """Print a record, or pass on what goes on."""
         if record.levelno != LEVEL:
-            self._current = None
-            self._print(record)
+            super().emit(record)
+            self._send(ticker.PRINTED)
             return
-        text = record.getMessage()
-        self._current = (text, time.monotonic()) if text else None
-        # In a run that has been slow to here, what blocks next is told at once.
-        blocking = 0.0 if self._told not in ("", text) else BEFORE_BLOCKING
-        self._tell(blocking if getattr(record, "blocking", False) else 1.0)
-        if self._watch is None:
-            self._watch = threading.Thread(target=self._repeat, daemon=True)
-            self._watch.start()
+        if not self._started:
+            self._start()
+        self._send(ticker.message(record.getMessage(), getattr(record, "blocking", False)))
+
+    def _start(self) -> None:
+        """Start the ticker, if the stream is one that another process can have."""
+        self._started = True
+        template = painted("%s", "dim", self.stream)
+        with suppress(OSError, ValueError):
+            self.stream.flush()
+            self._link, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            # Signals are for the run: the ticker ends when the run does.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+            script = [sys.executable, "-IS", ticker.__file__]
+            try:
+                self._ticker = subprocess.Popen(
+                    [*script, str(other.fileno()), str(SILENCE), template],
+                    stdin=subprocess.DEVNULL,
+                    stdout=self.stream.fileno(),
+                    stderr=subprocess.DEVNULL,
+                    pass_fds=[other.fileno()],
+                )
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+                other.close()
             atexit.register(self.end)
 
-    def _print(self, record: logging.LogRecord) -> None:
-        super().emit(record)
-        self._printed, self._told = time.monotonic(), ""
-
-    def _tell(self, share: float = 1.0) -> None:
-        """Print what goes on if the silence has lasted, or this share of it."""
-        now = time.monotonic()
-        patience = share * max(SILENCE, SHARE * (now - self._begun))
-        if self._current is None or now - self._printed < patience:
-            return
-        text, since = self._current
-        took = f" ({now - since:.0f} s)" if now - since >= 1 else ""
-        told = {"msg": f"     {text}{took}", "levelno": LEVEL, "tone": "dim"}
-        self._print(logging.makeLogRecord(told))
-        self._told = text
-
-    def _repeat(self) -> None:
-        # A reader that has left is an error here, and no crash: PETSc ends the process otherwise.
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGPIPE})
-        while not self._ended.wait(LOOK):
-            self.acquire()
-            try:
-                self._tell()
-            finally:
-                self.release()
+    def _send(self, message: bytes) -> None:
+        """Send a message; one to a ticker that is gone, or stands still, is lost."""
+        if self._link is not None:
+            with suppress(OSError):
+                self._link.send(message, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
 
     def end(self) -> None:
-        """End before the interpreter does: a thread that prints then would hang it."""
-        self._ended.set()
-        if self._watch is not None:
-            self._watch.join()
+        """End the ticker."""
+        if self._link is not None:
+            self._link.close()
+        if self._ticker is not None:
+            self._ticker.wait()
+        self._ticker = self._link = None
 
 
 def configure_log(level: str, stream: TextIO | None = None) -> None:
