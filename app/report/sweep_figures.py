@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,9 @@ from mantle.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, t
 from mantle.report.paper.cases import PERCENTILES
 from mantle.report.paper.compare import named
 from mantle.report.sweep_results import SweptCase, magnitude
-from mantle.schema import quantities
+from mantle.schema import explain, quantities
+from mantle.schema.unit_conversion import conversion
+from mantle.schema.units import NUMBER
 from mantle.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 12
@@ -61,14 +65,23 @@ def value(level: Any) -> str:
 
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
     """What varies, with all levels, a sentence for each part."""
-    parts: dict[str, dict[str, dict[str, None]]] = {}
+    parts: dict[str, list[SweptCase]] = {}
     for c in cases:
-        own = parts.setdefault(c.part, {})
-        for key, level in c.overrides.items():
-            own.setdefault(key, {})[value(level)] = None
+        parts.setdefault(c.part, []).append(c)
     found = []
-    for part, keys in parts.items():
-        varied = [f"{title(k)} ({_levels(list(v))})" for k, v in keys.items() if len(v) > 1]
+    for part, own in parts.items():
+        varied = []
+        for key in dict.fromkeys(key for c in own for key in c.overrides):
+            unit, number = scale(own, key)
+            written = [c.overrides[key] for c in own if key in c.overrides]
+            known = [x for level in written if (x := number(level)) is not None]
+            numeric = len(known) == len(written)
+            levels = list(
+                dict.fromkeys([f"{x:g}" for x in known] if numeric else map(value, written))
+            )
+            if len(levels) > 1:
+                words = f"{title(key)} ({unit})" if numeric and unit else title(key)
+                varied.append(f"{words}: {_levels(levels)}")
         if varied:
             found.append(f"{f'{part}: ' * bool(part)}{'; '.join(varied)}.")
     return found
@@ -109,7 +122,7 @@ def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
             continue
         file = f"over_{''.join(c if c.isalnum() else '_' for c in key)}.png"
         words = title(key)
-        draw(folder / file, panels, f"{words} ({unit_of(done, key)})".replace(" ()", ""), 3)
+        draw(folder / file, panels, f"{words} ({scale(done, key)[0]})".replace(" ()", ""), 3)
         left = len(groups) - MOST_SERIES
         more = f" {left} further curves are left out." if left > 0 else ""
         caption = f"Bars: estimated errors, where they are known.{more}"
@@ -123,18 +136,35 @@ def _varies(line: Line) -> bool:
     return max(values, default=0.0) - min(values, default=0.0) > max(ROUNDED.values())
 
 
-def unit_of(cases: Sequence[SweptCase], key: str) -> str:
-    """The unit of a key's values, as written."""
-    texts = [str(c.overrides[key]).split(maxsplit=1) for c in cases if key in c.overrides]
-    units = {t[1] for t in texts if len(t) > 1}
-    return units.pop() if len(units) == 1 else ""
+def scale(cases: Sequence[SweptCase], key: str) -> tuple[str, Callable[[Any], float | None]]:
+    """The unit of a key's values as it is printed, and what makes a number in it of a value.
+
+    It is the unit as written; that of the schema where several are, or none.
+    """
+    texts = [str(c.overrides[key]) for c in cases if key in c.overrides]
+    written = {match[2] for t in texts if (match := NUMBER.fullmatch(t))}
+    if len(written) == 1 and (unit := written.pop()):
+        return quantities.printed(unit), magnitude
+    kept = explain.unit(key)
+
+    def converted(level: Any) -> float | None:
+        match = NUMBER.fullmatch(level) if isinstance(level, str) else None
+        if not match or not match[2]:
+            return magnitude(level)
+        with suppress(LookupError, ValueError):  # an expression, or a key that has no unit
+            slope, offset = conversion(match[2], kept)
+            return float(Fraction(match[1]) * slope + offset)
+        return None
+
+    return quantities.printed(kept), converted
 
 
 def _groups(cases: Sequence[SweptCase], key: str) -> list[tuple[str, dict[float, SweptCase]]]:
     """Cases that differ in a numeric key alone, with what they have in common in words."""
     found: dict[str, dict[float, SweptCase]] = {}
+    _, number = scale(cases, key)
     for c in cases:
-        x = magnitude(c.overrides.get(key))
+        x = number(c.overrides.get(key))
         if x is not None:
             rest = {k: v for k, v in c.overrides.items() if k != key}
             common = ", ".join(f"{title(k)} {value(v)}" for k, v in rest.items())

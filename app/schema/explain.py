@@ -85,6 +85,20 @@ def explained(key: str) -> str:
 
 
 @cache
+def unit(key: str) -> str:
+    """The unit in which the value of a key is kept; empty if it has none or there is no such key.
+
+    Args:
+        key: As after ``--set``.
+    """
+    annotations = [
+        reference.annotation_of(e.model.model_fields[e.key]) for e in _every() if e.matches(key)
+    ]
+    units = {reference.value_of(a, defaultdict(str))[1] for a in annotations} - {""}
+    return units.pop() if len(units) == 1 else ""
+
+
+@cache
 def _every() -> list[Explained]:
     """All keys, in the order of the reference."""
     return [
@@ -163,7 +177,8 @@ def _shipped() -> list[tuple[str, dict[str, Any]]]:
 def _uses(value: Any, path: case_file.Path, holder: Any, e: Explained, kind: str) -> Iterator[str]:
     """Where a case has the key, in a section of a kind if it is to be of one; each as text."""
     of_kind = not (kind and isinstance(holder, dict)) or holder.get("kind", kind) == kind
-    if path and path[-1] == e.key and of_kind and e.matches(case_file.path_text(path)):
+    own = path and path[-1] == e.key and value is not None
+    if own and of_kind and e.matches(case_file.path_text(path)):
         text = _flow(value)
         for n, step in reversed(list(enumerate(path))):
             text = f"[{text}]" if isinstance(step, int) else f"{step}: {text}"

@@ -15,7 +15,7 @@ import pytest
 
 from mantle.cli import main
 from mantle.errors import InputError
-from mantle.report import gruen, sensitivity, sweep_report
+from mantle.report import gruen, sensitivity, sweep_figures, sweep_report
 from mantle.report import sweep_results as rs
 from mantle.report.paper import cases as report_paper
 from mantle.report.paper import compare
@@ -480,11 +480,48 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
     page = written.files[0].read_text()
     assert not written.trends and "Rakotomanana" not in page
     assert "Numbers over taper" in page and "cement-bone slip, p99" in page
-    assert "taper (1 deg, 2 deg, 3 deg)." in page
+    assert "taper (°): 1, 2, 3." in page
     assert page.index("What varies") < page.index("All cases")
     (maker.folder / "report" / "old.png").write_text("")
     sweep_report.run(maker.folder)
     assert not (maker.folder / "report" / "old.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "levels", "words", "numbers"),
+    [
+        ("geometry.cement_thickness", ["4 mm", "2 mm"], "cement thickness (mm): 4, 2", [4, 2]),
+        (
+            "geometry.cement_thickness",
+            ["500 um", "0.2 cm"],
+            "cement thickness (mm): 0.5, 2",
+            [0.5, 2],
+        ),
+        ("interfaces.a_b.gap", ["5 um", "20 um"], "gap, a b (µm): 5, 20", [5, 20]),
+        (
+            "heat.air.temperature",
+            ["20 degC", "300 K"],
+            "air temperature (K): 293.15, 300",
+            [293.15, 300],
+        ),
+        (
+            "interfaces.a_b.friction_coefficient",
+            [0.2, 1],
+            "friction coefficient, a b: 0.2, 1",
+            [0.2, 1],
+        ),
+        ("interfaces.a_b.gap", ["0.02 * z", "1 mm"], "gap, a b: 0.02 * z, 1 mm", [None, 1]),
+        ("mesh.curved", [True, False], "mesh curved: True, False", [None, None]),
+    ],
+)
+def test_levels_are_numbers_in_one_unit(
+    key: str, levels: list[Any], words: str, numbers: list[float | None]
+) -> None:
+    """That of the schema where the sweep has several."""
+    cases = [rs.SweptCase(str(x), "", {key: x}, Path(), "converged") for x in levels]
+    assert sweep_figures.axes_in_words(cases) == [f"{words}."]
+    _, number = sweep_figures.scale(cases, key)
+    assert [number(x) for x in levels] == pytest.approx(numbers)
 
 
 def test_a_users_sweep_of_a_hip_is_not_compared_with_the_paper(maker: Maker) -> None:
@@ -497,7 +534,7 @@ def test_a_users_sweep_of_a_hip_is_not_compared_with_the_paper(maker: Maker) -> 
     assert [f.name for f in written.files] == ["report.html", "over_geometry_cement_thickness.png"]
     page = written.files[0].read_text()
     assert not written.trends and "Rakotomanana" not in page
-    assert "Numbers over cement thickness" in page and "cement thickness (2 mm, 4 mm)." in page
+    assert "Numbers over cement thickness" in page and "cement thickness (mm): 2, 4." in page
 
 
 def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
