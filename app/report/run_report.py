@@ -32,7 +32,7 @@ from mantle.results import log as text
 from mantle.results.reading import Run
 from mantle.results.tables import TABLES
 from mantle.schema import quantities
-from mantle.schema.quantities import NECROSIS, TABLE, Quantity, printed
+from mantle.schema.quantities import NECROSIS, TABLE, Quantity, in_print, printed
 from mantle.system.folders import write_bytes, write_text
 from mantle.system.layout import duration, noted, plain
 from mantle.system.ranks import rank
@@ -118,6 +118,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
         files = history_curves.draw(folder / PICTURES, panels, x)
     title = summary.get("title") or folder.name
     viewed = alone or share * summary["timing"]["total"] >= VIEW
+    view, lacking = _view(folder) if viewed else ("", [])
     sides: Blocks = []
     if complete and (folder / "fields.vtkhdf").exists():
         figure = stills.draw(Run(folder), folder / PICTURES, ("png", "pdf"))
@@ -157,11 +158,19 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
         sections,
         facts=_facts(folder, record),
         lead=run_sentence.sentence(summary, case),
-        summary=_verdict(summary),
-        view=(viewer.viewer(folder) or "") if viewed else "",
+        summary=[*_verdict(summary), *lacking],
+        view=view,
     )
     write_text(folder / PAGE, html)
     return [folder / PAGE, *files]
+
+
+def _view(folder: Path) -> tuple[str, list[str]]:
+    """The view in three dimensions, or why there is none: the page is worth more than its view."""
+    try:
+        return viewer.viewer(folder) or "", []
+    except Exception as error:  # whatever is wrong with the fields
+        return "", [f"note: no view in three dimensions: {type(error).__name__}: {error}"]
 
 
 def _facts(folder: Path, record: dict[str, Any]) -> str:
@@ -190,7 +199,7 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
         )
     if unsettled := error.get("unsettled"):
         lines.append(f"peaks that do not converge with the mesh: {', '.join(unsettled)}")
-    return lines + [f"note: {note}" for note in summary.get("notes", [])]
+    return [in_print(line) for line in [*lines, *(f"note: {n}" for n in summary.get("notes", []))]]
 
 
 def _label(q: Quantity) -> str:
@@ -242,7 +251,7 @@ def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
     head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
     rows = [
         [
-            words,
+            in_print(words),
             *(
                 own[f"necrosis_{rule}_{k}"].text(q)
                 for q in bone.values()

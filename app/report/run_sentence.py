@@ -8,8 +8,9 @@ from typing import Any
 
 from mantle.report.sweep_figures import label
 from mantle.report.sweep_results import SweptCase, magnitude
+from mantle.results.log import BOTH
 from mantle.schema import quantities
-from mantle.schema.quantities import TABLE, numbers_of, printed
+from mantle.schema.quantities import TABLE, in_print, numbers_of, printed
 
 # What moves on what, by interface.
 PAIRS = {"stem_cement": ("the stem", "its cement"), "cement_bone": ("the cement", "the bone")}
@@ -36,7 +37,7 @@ def sentence(summary: Numbers, case: SweptCase) -> str:
     clauses = clauses or list(_stresses(summary))
     if load and clauses:
         clauses[0] = f"{load} {clauses[0]}"
-    said = "; ".join([*clauses, _errors(summary, case)])
+    said = "; ".join([*clauses, _errors(summary)])
     return f"{said[0].upper()}{said[1:]}."
 
 
@@ -122,8 +123,9 @@ def _heat(summary: Numbers) -> Iterator[str]:
     rule = "47C_1min"
     others = [v for k, v in dead.items() if k != rule]
     yield (
-        f"{dead[rule]:,.0f} mm³ of bone dies by the rule of {quantities.NECROSIS[rule]}, "
-        f"{min(others):,.0f} to {max(others):,.0f} mm³ by others".replace("degC", "°C")
+        f"{dead[rule]:,.0f} mm³ of bone dies by the rule of "
+        f"{in_print(quantities.NECROSIS[rule])}, "
+        f"{min(others):,.0f} to {max(others):,.0f} mm³ by others"
     )
 
 
@@ -139,14 +141,16 @@ def _stresses(summary: Numbers) -> Iterator[str]:
         yield f"the stress (von Mises) in {name.replace('_', ' ')} reaches {stress}"
 
 
-def _errors(summary: Numbers, case: SweptCase) -> str:
+def _errors(summary: Numbers) -> str:
     """How exactly the main numbers are known."""
     companions = summary.get("error", {}).get("companions")
     if not companions:
         return "how exact these numbers are was not estimated (mantle run --error)"
-    size = magnitude(case.data.get("mesh", {}).get("size"))
-    if size is not None and all(c.startswith(f"mesh {size:g} mm") for c in companions):
-        return "the error of the mesh was not estimated, as no coarser one could be compared"
+    if (of := summary["error"].get("of", BOTH)) != BOTH:
+        return (
+            f"only the error of the {of} was estimated, not of the mesh: no coarser one could be "
+            "compared"
+        )
     known = {
         f"{name}.{key}": numbers[f"{key}_error"] / abs(numbers[key])
         for section, name, numbers in numbers_of(summary)

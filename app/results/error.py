@@ -108,6 +108,13 @@ def _coarsenings(case: config.Case) -> tuple[float, ...]:
     return tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
 
 
+def of_what(solved: Sequence[Companion]) -> str:
+    """What the error is of, by the companions that were solved: mesh and step, or a step alone."""
+    if any(c.coarsening > LEAST for c in solved):
+        return "mesh and step"
+    return "time step" if any(s.duration for c in solved for s in c.case.stages) else "load step"
+
+
 def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers]]) -> list[str]:
     """Put an ``X_error`` beside each headline number X.
 

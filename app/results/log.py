@@ -24,6 +24,9 @@ log = logging.getLogger("mantle")
 UNUSABLE = "do not use"
 BEYOND = "exceeds the size of its facets: beyond small displacements"
 
+# What errors are of, where coarser meshes could be compared.
+BOTH = "mesh and step"
+
 PERCENTILE = re.compile(r"_p\d+$")
 
 # How well what is summed has to be balanced: forces to rounding, heat to its solver's tolerance.
@@ -196,7 +199,7 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Clause:
     """What the mesh and the step leave wrong, as far as it is estimated."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
-        return Clause("mesh and step: error not estimated (--error does)")
+        return Clause(f"{BOTH}: error not estimated (--error does)")
     shares = {
         f"{key} of {name}": q[f"{key}_error"] / abs(q[key])
         for section in ("interfaces", "regions")
@@ -209,7 +212,8 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Clause:
         half, worst = (100 * shares[key] for key in (share[len(share) // 2], share[-1]))
         text = f"half of the percentiles within ± {half:.2g} %"
         text += f", the least sure ({share[-1]}) within ± {worst:.2g} %"
-    return Clause(f"mesh and step: {text}")
+    of = estimated.get("of", BOTH)
+    return Clause(f"{of}: {text}" + ("" if of == BOTH else "; error of the mesh not estimated"))
 
 
 def _peaks(summary: Mapping[str, Any]) -> list[Clause]:

@@ -8,6 +8,7 @@ computes it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial, reduce
@@ -56,6 +57,11 @@ def printed(unit: str) -> str:
     """A unit as it is printed: µm, °C, mm², empty for a plain number."""
     signs = PRINTED.items()
     return reduce(lambda text, sign: text.replace(*sign), signs, unit.removesuffix("-"))
+
+
+def in_print(text: str) -> str:
+    """A text of the terminal with the units behind its numbers as they are printed."""
+    return re.sub(r"(?<=\d )(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
 
 
 @dataclass(frozen=True)

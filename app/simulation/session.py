@@ -355,6 +355,7 @@ def _errors(
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
+        "of": error.of_what([c for c, _ in solved]),
         "failed": failed,
         "unsettled": error.estimate(summary, order, solved),
     }

@@ -13,7 +13,7 @@ import pytest
 
 import mantle
 from mantle.cli import main
-from mantle.report import history_curves, maps, run_report, run_sentence
+from mantle.report import history_curves, maps, run_report, run_sentence, viewer
 from mantle.schema.quantities import TABLE
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -113,6 +113,29 @@ def test_a_page_that_fails_is_a_warning(done: Path, caplog: pytest.LogCaptureFix
     assert "report.html was not written" in caplog.text
 
 
+def test_units_are_printed_as_people_write_them(done: Path, tmp_path: Path) -> None:
+    def inside(numbers: dict[str, Any]) -> None:
+        numbers["interfaces"]["stem_cement"]["penetration_max"] = 2e-3
+        numbers["notes"] = ["a of 37 degC and 5 mm^2, um"]
+
+    html = shown(changed(done, tmp_path / "run", inside))
+    assert "the bodies penetrate by 2 µm" in html and "a of 37 °C and 5 mm², um" in html
+
+
+def test_a_page_without_its_view_says_why(
+    done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(folder: Path) -> str:
+        raise IndexError("no <such> cell")
+
+    shutil.copytree(done, tmp_path / "run")
+    monkeypatch.setattr(viewer, "viewer", broken)
+    run_report.write(tmp_path / "run", 0.05)
+    html = page(tmp_path / "run")
+    assert "no view in three dimensions: IndexError: no &lt;such&gt; cell" in html
+    assert 'id="view"' not in html and "equilibrium: exact to rounding" in html
+
+
 def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
     def estimated(numbers: dict[str, Any]) -> None:
         numbers["error"] = {"companions": ["mesh 8 mm"], "failed": [], "unsettled": ["a.gap_max"]}
@@ -126,10 +149,10 @@ def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
 
     def of_steps(numbers: dict[str, Any]) -> None:
         estimated(numbers)
-        numbers["error"]["companions"] = ["mesh 4 mm, 0.5 times the steps"]
+        numbers["error"] |= {"companions": ["mesh 4 mm, 0.5 times the steps"], "of": "load step"}
 
     html = shown(changed(done, tmp_path / "steps", of_steps))
-    assert "the error of the mesh was not estimated" in html and "or better" not in html
+    assert "only the error of the load step was estimated" in html and "or better" not in html
 
 
 def test_what_is_not_to_be_used_is_red(done: Path, tmp_path: Path) -> None:

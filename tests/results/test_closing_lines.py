@@ -63,4 +63,13 @@ def test_the_error_is_told_without_peaks() -> None:
         "± 5 %"
     )
     assert lines["mesh and step"] == (words, "")
+    assert "load step" not in lines
     assert lines["peaks"][0].startswith("1 ") and lines["peaks"][1] == "doubtful"
+
+
+def test_where_only_steps_were_compared_the_error_is_theirs() -> None:
+    """The mesh of a file has no coarser one."""
+    error = {"companions": ["mesh 4 mm, 0.5 times the steps"], "of": "load step"}
+    lines = told(summary(error=error))
+    assert "mesh and step" not in lines
+    assert lines["load step"][0].endswith("within ± 5 %; error of the mesh not estimated")

@@ -73,6 +73,19 @@ def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
     assert sizes[-1] == femur.geometry.coarsest_size and len(set(sizes)) <= 2
 
 
+@pytest.mark.parametrize(
+    ("text", "coarsening", "what"),
+    [
+        ("", 2.0, "mesh and step"),
+        ("", 1.0, "load step"),
+        ("heat", 1.0, "time step"),
+    ],
+)
+def test_an_error_is_of_what_was_compared(text: str, coarsening: float, what: str) -> None:
+    alone = support.case(HEAT) if text else case()
+    assert error.of_what([error.Companion(alone, coarsening, 0.5)]) == what
+
+
 def test_one_increment_is_compared_with_two() -> None:
     *_, steps = error.companions(case())
     assert steps.case.stages[0].increments == 2
