@@ -207,7 +207,7 @@ def _reported(folder: Path, wanted: bool) -> Iterator[None]:
     if wanted:
         from mantle.report import run_report
 
-        with during("writing the report"):
+        with during("writing the report, some seconds"):
             run_report.after_run(folder, failure is not None)
     if failure:
         raise failure

@@ -99,7 +99,7 @@ def _run(
         return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
-    doing("loading DOLFINx and PETSc", blocking=True)
+    doing("loading DOLFINx and PETSc, about 2 s", blocking=True)
     mantle.run(
         case,
         output,

@@ -35,7 +35,7 @@ from mantle.schema import config
 from mantle.simulation import related
 from mantle.simulation.mechanical_model import Mechanical
 from mantle.simulation.thermal_model import ThermalModel
-from mantle.soundness import case_on_mesh
+from mantle.soundness import case_on_mesh, cost
 from mantle.stepping.contact_heat import ContactHeat
 from mantle.stepping.coupling import CoupledSystem
 from mantle.stepping.heat_steps import HeatState, HeatStep
@@ -91,6 +91,7 @@ class Model:
         self._case, self._timing = case, timing
         self.options, self.stop = options, stop
         self._kin = [] if kin is None else kin
+        timing.about |= cost.phases(case)
         with timing.phase("mesh"):
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
         with timing.phase("assemble"):

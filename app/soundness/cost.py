@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from mantle.schema.config import Case
-from mantle.schema.materials import Conductor
+from mantle.schema.materials import Conductor, TransverselyIsotropic
 from mantle.schema.variation_options import expand
 from mantle.system.layout import count, duration, plain
 
@@ -21,10 +21,14 @@ EDGES_PER_CELL = 1.22
 # of growth, a later load step beside the first.
 PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, 0.35
 # Heat: seconds of a time step, and per temperature; time steps of a stage, and of cement that sets.
-TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.02, 3e-5, 35, 95
+TIME_STEP, HEAT, HEAT_STEPS, SETTING_STEPS = 0.05, 3e-5, 35, 95
 # Errors beside the run alone, of the mechanics and with heat; a run that shares matrices beside one
-# that makes them; the start; meshing, per cell; compiling forms, which later runs find.
-WITH_ERRORS, WITH_HEAT_ERRORS, SHARED, START, MESHING, COMPILING = 1.25, 2.5, 0.6, 2.0, 7e-5, 10
+# that makes them; the start and the page; meshing, per cell.
+WITH_ERRORS, WITH_HEAT_ERRORS, SHARED, START, MESHING = 1.25, 2.5, 0.6, 2.6, 1e-4
+# Compiling forms, which later runs find: of the mechanics, with fibres in addition, of heat.
+MECHANICAL_FORMS, FIBRE_FORMS, HEAT_FORMS = 5.0, 10.0, 2.0
+# What a phase takes per unknown, the first time; `phases`.
+ASSEMBLE, FACTORIZE, OUTPUT = 3.5e-5, 5e-5, 4e-5
 # The size that is assumed where it is not known.
 UNKNOWN_SIZE = 3e4
 # Area of an interface per node on it, in units of the squared edge length.
@@ -57,10 +61,34 @@ def seconds(case: Case, alone: bool = True) -> float:
     return _duration(case, cells, sizes, alone)
 
 
+def phases(case: Case) -> dict[str, float]:
+    """Time of each phase of a run on one core, the first time [s], by its name in `Timing`."""
+    cells, nodes, corners, each = _estimated(case)
+    sizes = _unknowns(case, nodes, corners, each) if cells else (UNKNOWN_SIZE, 0.0)
+    unknowns = sum(sizes)
+    alone = case.model_copy(update={"output": case.output.model_copy(update={"error": False})})
+    return {
+        "mesh": MESHING * cells,
+        "stiffness": compiling(case) / 2,
+        "contact": MECHANICAL_FORMS / 2,
+        "assemble": ASSEMBLE * unknowns,
+        "factorize": FACTORIZE * unknowns,
+        "output": OUTPUT * unknowns,
+        "error": _solution(case, *sizes) - _solution(alone, *sizes),
+    }
+
+
 def _duration(case: Case, cells: float, sizes: tuple[float, float], alone: bool = True) -> float:
     """Time of a run on one core [s], of a size that is known."""
     solution = _solution(case, *sizes)
     return START + MESHING * cells + solution if alone else SHARED * solution
+
+
+def compiling(case: Case) -> float:
+    """Time of compiling all forms of a case [s]."""
+    fibres = any(isinstance(region, TransverselyIsotropic) for region in case.regions.values())
+    mechanical = MECHANICAL_FORMS + FIBRE_FORMS * fibres if solid(case) else 0.0
+    return mechanical + HEAT_FORMS * case.conducts
 
 
 def _solution(case: Case, mechanical: float, thermal: float) -> float:
@@ -189,6 +217,6 @@ def _size(
     return (
         f"{title}\n  {', '.join(parts)}\n"
         f"  {count(unknowns)} unknowns, about {memory:.1f} GB with a direct solver\n"
-        f"  about {duration(first)} on one core{every}; {COMPILING} s more where forms are "
-        "compiled first"
+        f"  about {duration(first)} on one core{every}; {compiling(case):.0f} s more where forms "
+        "are compiled first"
     )

@@ -26,6 +26,7 @@ from mantle.mechanics.problem import Problem
 from mantle.meshes.interfaces import ContactPoints
 from mantle.numerics.newton import Solver
 from mantle.stepping.load_steps import LoadStepper
+from mantle.system.progress import during
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -69,7 +70,8 @@ class Nested:
             self._failed = True
             log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
             return
-        take_better(self._solver, self._state(jump))
+        with during("start from a coarser mesh: balancing the bodies with its jumps"):
+            take_better(self._solver, self._state(jump))
 
     def commit(self, time: float) -> None:
         """The coarse model has to go through it too, when it is asked again."""

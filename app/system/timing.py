@@ -32,11 +32,13 @@ class Timing:
         part: What part of a run this is, in words, or nothing.
         seconds: Of the wall's clock [s].
         cpu: Of this process [s].
+        about: What is expected of a phase, or of what in particular, the first time [s].
     """
 
     part: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
     cpu: dict[str, float] = field(default_factory=dict)
+    about: dict[str, float] = field(default_factory=dict)
     _open: list[tuple[float, float]] = field(default_factory=list)
     _names: list[str] = field(default_factory=list)
 
@@ -49,6 +51,8 @@ class Timing:
             of: What in particular, in words.
         """
         words = f"{DOING[name]}: {of}" if of else DOING[name]
+        if (expected := self.about.pop(of or name, 0.0)) > 1.0:
+            words += f", about {expected:.0f} s"
         self._names.append(words)
         self.tell(words, blocking=name in BLOCKING)
         wall, cpu = time.perf_counter(), time.process_time()
@@ -75,7 +79,7 @@ class Timing:
 
     def of(self, part: str) -> Timing:
         """The same seconds, told as those of a part."""
-        return replace(self, part=part)
+        return replace(self, part=part, about={})
 
     def clear(self) -> None:
         """Begin again."""

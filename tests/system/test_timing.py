@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from mantle.system import timing
+from mantle.system import progress, timing
 from tests import support
 
 
@@ -21,6 +21,30 @@ class Clock:
 
     def process_time(self) -> float:
         return self.now
+
+
+def test_a_phase_is_told_with_what_is_expected_of_it_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(progress.LEVEL, "mantle")
+    t = timing.Timing(about={"factorize": 6.3, "mesh": 0.4, "stiffness": 7.0})
+    for phase in (("factorize",), ("mesh",), ("compile", "stiffness"), ("factorize",)):
+        with t.phase(*phase):
+            pass
+    preconditioner = "setting the preconditioner up"
+    compiling = "compiling forms, which later runs find: stiffness, about 7 s"
+    assert [m for m in caplog.messages if m] == [
+        f"{preconditioner}, about 6 s",
+        "meshing",
+        compiling,
+        preconditioner,
+    ]
+
+
+def test_a_part_has_its_own_expectations() -> None:
+    t = timing.Timing(about={"factorize": 6.3})
+    t.of("a part").about["factorize"] = 1.0
+    assert t.about == {"factorize": 6.3}
 
 
 def test_a_phase_inside_another_counts_alone(monkeypatch: pytest.MonkeyPatch) -> None:
