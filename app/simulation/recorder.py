@@ -162,8 +162,8 @@ class Recorder:
             self._mechanical = self._row_of(step, balance)
             # The steps of heat, which come more often, have the rows of stages that take time.
             if not self._takes_time:
-                self._line(step)
                 self._row(step)
+                self._line(step)
 
     def heat(self, step: LoadStep, accepted: HeatStep) -> None:
         """Record a step of the heat, which the mechanics have followed; collective."""

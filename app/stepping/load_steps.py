@@ -19,6 +19,7 @@ from mantle.numerics.state import State
 from mantle.scene.terms import SceneStage
 from mantle.soundness.diagnosis import explain, runaway
 from mantle.soundness.facet_support import held_by_facets
+from mantle.system.progress import during
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0
@@ -180,8 +181,9 @@ class LoadStepper:
             while True:
                 place(reach)
                 problem.restiffen()
-                for p in predictors:
-                    p.predict(begin + reach * (end - begin))
+                with during("looking for a start of the step"):
+                    for p in predictors:
+                        p.predict(begin + reach * (end - begin))
                 led = predictors and not same(start, solver.x)
                 outcome = solver.solve()
                 self.total.count(outcome)
