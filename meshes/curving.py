@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import count
+
 import numpy as np
 
 from mantle.arrays import Floats, Ints
@@ -9,7 +11,7 @@ from mantle.arrays import Floats, Ints
 from .data import EDGES
 from .quality import POOR, sicn
 
-STEPS = 8  # halvings; what is still bad then is made straight
+STEPS = 7  # halvings; what is still bad then is made straight
 ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off
 
 
@@ -46,13 +48,14 @@ def untangle(points: Floats, cells: Ints) -> Floats:
     least = np.minimum(POOR, 0.7 * sicn(points, cells[:, :4]))
     bend = np.ones((len(points), 1))
     near: Ints = np.arange(len(cells))  # cells whose nodes have moved
-    for step in range(STEPS):
+    # It ends: a bad cell has a bent edge, and its edges get straight.
+    for step in count():
         current = chord + bend * (points - chord)
         bad = near[sicn(current, cells[near]) < least[near]]
         if not len(bad):
             break
         moved = np.zeros(len(points), dtype=bool)
         moved[cells[bad, 4:]] = True
-        bend[moved] *= 0.5 if step < STEPS - 1 else 0.0
+        bend[moved] *= 0.5 if step < STEPS else 0.0
         near = np.flatnonzero(moved[cells[:, 4:]].any(axis=1))
     return chord + bend * (points - chord)

@@ -26,7 +26,7 @@ from mantle.errors import GeometryError
 
 from . import femur_bone, femur_stem
 from .layers import Lines, Nodes
-from .swept import SPOKES
+from .swept import least_spokes
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.45  # of the canal: where the innermost surface goes below the plug
@@ -141,7 +141,7 @@ class FemurSurfaces:
         a, b, r = self._body.section(middle)
         t = 0.5 * geometry.cement_thickness
         around = 4 * (a + b - 2 * r) + 2 * math.pi * (r + t)
-        self.spokes = max(SPOKES, 4 * round(around / (4 * size)))
+        self.spokes = max(least_spokes(size), 4 * round(around / (4 * size)))
         self._refuse()
         self._continue(geometry)
 

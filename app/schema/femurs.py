@@ -195,7 +195,8 @@ class _Femur(Shape):
         )
         around = 4.0 * (half + depth - 2.0 * corner)
         around += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
-        return max(8, 4 * round(around / (4.0 * size)))
+        least = 8 if size <= 2.0 * COARSEST else 4
+        return max(least, 4 * round(around / (4.0 * size)))
 
     @property
     def _cut(self) -> float:
@@ -234,7 +235,7 @@ class _Femur(Shape):
     @property
     def coarsest_size(self) -> float:
         """Largest edge length (mm): a few cells along the stem."""
-        return 10.0
+        return 20.0
 
 
 class Femur(_Femur):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import subprocess
@@ -152,6 +153,13 @@ def test_half_the_size_is_the_mesh_refined(size: float) -> None:
         assert many == 4 * few, name
 
 
+@pytest.mark.parametrize("size", [10.0, 8.0, 6.0, 5.0, 4.0, 3.0])
+def test_twice_the_size_has_half_the_lines(size: float) -> None:
+    """Also where the larger mesh has the fewest lines: it is a coarser one all around."""
+    fine, coarse = (built(s).notes["layers"]["spokes"] for s in (size, 2 * size))
+    assert fine == 2 * coarse
+
+
 def test_neighbours_are_inherited() -> None:
     made = swept.mesh(_plain(), 2, False)
     np.testing.assert_array_equal(made.partner, match_faces(made.cells))
@@ -223,6 +231,19 @@ def check_random_hips(seed: int, number: int, least_size: float) -> None:
 
 def test_random_hips_mesh_at_the_first_attempt() -> None:
     check_random_hips(20, 20, 5.01)
+
+
+def test_random_hips_mesh_as_coarse_companions() -> None:
+    """With four lines around no cell is inverted, curved or not."""
+    rng = np.random.default_rng(7)
+    for _ in range(12):
+        values, _, curved = random_hip(rng)
+        size = float(rng.uniform(10.01, 20.0))
+        options = MeshOptions(size=f"{size!r} mm", curved=curved)
+        with contextlib.suppress(GeometryError):  # what anatomy forbids
+            data = femur.build(hip(**values), options)
+            worst = quality.sicn(data.points, data.cells).min()
+            assert worst > 0.02, (values, size, curved)
 
 
 @pytest.mark.slow

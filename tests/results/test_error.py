@@ -68,9 +68,9 @@ def test_companions_are_coarser_and_take_half_the_steps() -> None:
 
 def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
     text = (support.CONFIGS / "stance.yaml").read_text(encoding="utf-8")
-    femur = support.case(text, "mesh.size=6 mm")
+    femur = support.case(text, "mesh.size=8 mm")
     sizes = [c.case.mesh.size for c in error.companions(femur)]
-    assert sizes[-1] == femur.geometry.coarsest_size and len(set(sizes)) <= 2
+    assert sizes == [16, 20, 20] and femur.geometry.coarsest_size == 20
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_one_increment_is_compared_with_two() -> None:
 
 def test_without_friction_the_path_does_not_matter() -> None:
     frictionless = case("interfaces.lower_upper.friction_coefficient=0")
-    assert [c.steps for c in error.companions(frictionless)] == [1, 1]
+    assert [c.steps for c in error.companions(frictionless)] == [1]
 
 
 HEAT = """
@@ -126,7 +126,7 @@ def test_companions_in_time_have_a_larger_tolerance(method: str, power: int) -> 
 
 def test_a_steady_state_has_no_time_steps() -> None:
     steady = support.case(HEAT, "stages=[{name: cool, steady: true}]")
-    assert [c.steps for c in error.companions(steady)] == [1, 1]
+    assert [c.steps for c in error.companions(steady)] == [1]
 
 
 @pytest.mark.parametrize(("increments", "step"), [(1, 0.02), (8, 0.02), (9, 0.02)])

@@ -1,4 +1,4 @@
-"""What meshes that differ by 1 % in size change, beside the errors that are stated."""
+"""The errors that a run states, beside what finer meshes and meshes of other nodes give."""
 
 from __future__ import annotations
 
@@ -35,5 +35,23 @@ def test_most_headline_numbers_move_less_than_their_stated_error(tmp_path: Path)
             values = [s["interfaces"][name][key] for s in others]
             moved = max(abs(value - numbers[key]) for value in values)
             within.append((moved <= numbers[f"{key}_error"], name, key, moved))
+    assert len(within) == 10
+    assert sum(ok for ok, *_ in within) >= 8, within
+
+
+@pytest.mark.slow
+def test_stated_errors_are_not_far_below_the_true_ones(tmp_path: Path) -> None:
+    """Of the main numbers of a mesh with eight lines around, against one with sixteen.
+
+    What the finer mesh still leaves wrong is not known here: the true errors are larger.
+    """
+    stated = stance(tmp_path, 6.0, error=True)
+    finer = stance(tmp_path, 4.0, error=False)
+    headlines = [key for key, q in TABLE["interfaces"].items() if q.headline and q.order]
+    within = []
+    for name, numbers in stated["interfaces"].items():
+        for key in headlines:
+            off = abs(finer["interfaces"][name][key] - numbers[key])
+            within.append((numbers[f"{key}_error"] >= 0.5 * off, name, key, off))
     assert len(within) == 10
     assert sum(ok for ok, *_ in within) >= 8, within
