@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mantle.report.sweep_figures import headlines, label, title
-from mantle.report.sweep_results import SweptCase, magnitude
+from mantle.report.sweep_figures import headlines, label, scale, title
+from mantle.report.sweep_results import SweptCase
 
 FEWEST = 6  # cases, below which ranks say little
 MOST = 11  # numbers
@@ -27,9 +27,12 @@ def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequen
         if case.done:
             parts.setdefault(case.part, []).append(case)
     for part, own in parts.items():
-        keys = [
-            k for k in own[0].overrides if _varies([magnitude(c.overrides.get(k)) for c in own])
-        ]
+        keys = {}
+        for key in own[0].overrides:
+            number = scale(own, key)[1]
+            levels = [number(c.overrides.get(key)) for c in own]
+            if _varies(levels):
+                keys[key] = rankdata(levels)
         if len(keys) < 2 or len(own) < FEWEST:
             continue
         for name in headlines(own)[:MOST]:
@@ -39,8 +42,7 @@ def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequen
                 continue
             y = rankdata(values)
             found = []
-            for key in keys:
-                x = rankdata([magnitude(c.overrides[key]) for c in own])
+            for key, x in keys.items():
                 found.append((float(np.corrcoef(x, y)[0, 1]), title(key)))
             found.sort(key=lambda pair: -abs(pair[0]))
             words = [f"{r:+.2f} {key}" for r, key in found]

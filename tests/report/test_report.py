@@ -538,12 +538,12 @@ def test_a_users_sweep_of_a_hip_is_not_compared_with_the_paper(maker: Maker) -> 
 
 
 def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
-    """Slip that grows with the taper alone: +1 with it, nothing with the length."""
+    """Slip that grows with the taper alone: +1 with it in any unit, nothing with the length."""
     data = data_of(maker.folder, "cylinders")
-    for taper in (1.0, 2.0, 3.0):
+    for taper, written in ((1.0, "1 deg"), (2.0, "2 deg"), (3.0, "0.05236 rad")):
         for length in (20.0, 30.0):
             numbers = contact(lambda *a, x=taper: x**3, "", 0, 0, 0.1)
-            keys = {"geometry.taper": f"{taper:g} deg", "geometry.length": f"{length:g} mm"}
+            keys = {"geometry.taper": written, "geometry.length": f"{length:g} mm"}
             name = f"{taper:g} {length:g}"
             maker.add(name, data, {"interfaces": numbers}, overrides=keys)
     head, rows = sensitivity.table(rs.read(maker.write(compare_with="")).cases)

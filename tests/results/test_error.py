@@ -147,6 +147,19 @@ def test_the_estimate_is_exact_for_its_model(increments: int, step: float) -> No
     assert "slip_max_error" not in q
 
 
+def test_an_error_that_is_small_by_chance_is_raised() -> None:
+    """To half the median of its interface, relative to the numbers; a peak has none."""
+    this = case("interfaces.lower_upper.friction_coefficient=0")
+    (companion,) = error.companions(this)
+    values = {"slip_p99": 2.0, "slip_p95": 1.0, "slip_mean": 0.5, "gap_p99": 4.0}
+    other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
+    run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
+    error.estimate(run, 2, [(companion, {"interfaces": {"lower_upper": other}})])
+    part = 0.1 / (2 ** quantities.MOTION[1] - 1)
+    assert values["slip_p99_error"] == pytest.approx(2.0 * part)
+    assert values["gap_p99_error"] == pytest.approx(4.0 * part / 2)
+
+
 def test_on_one_coarser_mesh_half_the_steps_show() -> None:
     first = error.companions(case("stages.0.increments=8"))[0]
     half = error.Companion(first.case, 5 / 3, 0.5)
