@@ -163,10 +163,13 @@ def _errors(summary: Numbers) -> str:
     if not known:
         return "the errors of these numbers could not be estimated"
     named = [f"{label(n)[0]} ({100 * e:.0f} %)" for n, e in list(bad.items())[:MOST]]
-    more = f" and {len(bad) - MOST} more" if len(bad) > MOST else ""
+    if len(bad) > MOST:
+        middle = math.ceil(100 * sorted(known.values())[len(known) // 2])
+        least = f"the least sure are {', '.join(named)}"
+        return f"half of the main numbers are known to {middle} % or better, {least}"
     if not good:
-        return f"no main number is known to {100 * GOOD:.0f} %: {', '.join(named)}{more}"
-    exceptions = f", except {', '.join(named)}{more}" if named else ""
+        return f"no main number is known to {100 * GOOD:.0f} %: {', '.join(named)}"
+    exceptions = f", except {', '.join(named)}" if named else ""
     percent = max(1, math.ceil(100 * max(good)))
     return f"every main number is known to {percent} % or better{exceptions}"
 

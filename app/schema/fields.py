@@ -52,12 +52,17 @@ def show(value: object) -> str:
 
 
 def did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
-    """The end of a message that proposes the nearest known word, or nothing."""
+    """The end of a message that proposes what begins like the word or is nearest, or nothing."""
     folded = {k.lower(): k for k in known}
-    close = difflib.get_close_matches(word, known, 1) or [
-        folded[w] for w in difflib.get_close_matches(word.lower(), list(folded), 1)
-    ]
-    return f"; did you mean '{close[0]}'?" if close else ""
+    lower = word.lower()
+    begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)]
+    close = (
+        begun[:3]
+        or difflib.get_close_matches(word, known, 1)
+        or [folded[w] for w in difflib.get_close_matches(lower, list(folded), 1)]
+    )
+    names = " or ".join(f"'{k}'" for k in close)
+    return f"; did you mean {names}?" if close else ""
 
 
 def _name(value: object) -> object:

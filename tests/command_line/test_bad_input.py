@@ -161,6 +161,15 @@ TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
             "did you mean 'friction_coefficient'?",
         ],
     ),
+    "the beginning of two keys": (
+        [("friction_coefficient: 0.4", "friction: 0.4")],
+        [
+            "23:3: interfaces.stem_cement: 'friction_coefficient' is missing",
+            "25:5: interfaces.stem_cement.friction: unknown key; allowed: kind, "
+            "conductance, friction_coefficient, gap, gap_history, friction_heating, augmentation; "
+            "did you mean 'friction_coefficient' or 'friction_heating'?",
+        ],
+    ),
     "duplicate key": (
         [
             (

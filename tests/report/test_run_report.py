@@ -147,6 +147,15 @@ def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
     assert "every main number is known to 2 % or better, except cement-bone pressure, p95 (" in html
     assert "peaks that do not converge with the mesh: a.gap_max" in html and " ± " in html
 
+    def unsure(numbers: dict[str, Any]) -> None:
+        estimated(numbers)
+        for part, q in zip((0.5, 0.3), numbers["interfaces"].values(), strict=True):
+            for key in ("slip_p99", "motion_p99", "pressure_p95"):
+                q[f"{key}_error"] = part * q[key]
+
+    html = shown(changed(done, tmp_path / "unsure", unsure))
+    assert "half of the main numbers are known to 50 % or better, the least sure are" in html
+
     def of_steps(numbers: dict[str, Any]) -> None:
         estimated(numbers)
         numbers["error"] |= {"companions": ["mesh 4 mm, 0.5 times the steps"], "of": "load step"}
