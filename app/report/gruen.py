@@ -8,7 +8,7 @@ from typing import Any
 
 from mantle.report.curves import STEM_COLOURS, Figure
 from mantle.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
-from mantle.report.sweep_results import SweptCase, magnitude
+from mantle.report.sweep_results import Number, SweptCase, magnitude
 from mantle.system import style
 
 ZONES = tuple(str(z) for z in range(1, 15))
@@ -46,14 +46,24 @@ def table(case: SweptCase) -> Table:
             numbers = zone.get("interfaces", {}).get(place, {})
             for quantity, (_, factor) in QUANTITIES.items():
                 row.append(_pair(numbers, quantity, factor))
-        row += [_shown(zone.get("strain_energy_density", {}).get(b), KJ) for b in bones]
+        density, error = (zone.get(f"strain_energy_density{end}", {}) for end in ("", "_error"))
+        row += [_with_error(density.get(b), error.get(b), KJ) for b in bones]
         rows.append(row)
     return head, rows
 
 
 def _pair(numbers: dict[str, Any], quantity: str, factor: float) -> str:
-    largest, mean = (numbers.get(f"{quantity}_{how}") for how in ("max", "mean"))
-    return f"{_shown(largest, factor)} / {_shown(mean, factor)}"
+    largest, mean, error = (
+        numbers.get(f"{quantity}_{how}") for how in ("max", "mean", "mean_error")
+    )
+    return f"{_shown(largest, factor)} / {_with_error(mean, error, factor)}"
+
+
+def _with_error(value: Any, error: Any, factor: float) -> str:
+    """A number with its error, where that is known and more than rounding."""
+    if not isinstance(value, int | float) or not isinstance(error, int | float):
+        return _shown(value, factor)
+    return str(Number(factor * value, factor * error)) if abs(value) > ROUNDING else "0"
 
 
 def _shown(value: Any, factor: float) -> str:

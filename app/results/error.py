@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from mantle.schema import config
-from mantle.schema.quantities import TABLE, Quantity, numbers_of
+from mantle.schema.quantities import MOTION, STRESS, TABLE, Quantity, numbers_of
 
 # Mesh sizes over that of the run: of the companion that shows the error of the mesh, and of those
 # that show the error of the step.
@@ -160,7 +160,24 @@ def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers
                 size = max(abs(numbers[k]), UNSETTLED * max(v for of, v in peaks if of == like))
                 if abs(numbers[k] - other[k]) > UNSETTLED * size:
                     unsettled.append(f"{name}.{k}")
+    for zone, numbers in run.get("gruen", {}).items():
+        _of_zone(numbers, order, [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved])
     return unsettled
+
+
+def _of_zone(zone: Numbers, order: int, others: Sequence[tuple[Companion, Numbers]]) -> None:
+    """Put errors beside the means and the strain energy density of a Gruen zone."""
+    for name, numbers in zone["interfaces"].items():
+        own = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
+        for key in [k for k in numbers if k.endswith("_mean")]:
+            error = _error(key, MOTION[order - 1], numbers, own)
+            if error is not None:
+                numbers[f"{key}_error"] = error
+    density = zone["strain_energy_density"]
+    own = [(c, o.get("strain_energy_density", {})) for c, o in others]
+    errors = {region: _error(region, STRESS[order - 1], density, own) for region in density}
+    if known := {region: e for region, e in errors.items() if e is not None}:
+        zone["strain_energy_density_error"] = known
 
 
 def _raise_small(numbers: Numbers, known: Sequence[Quantity]) -> None:

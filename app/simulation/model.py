@@ -359,7 +359,7 @@ class Model:
             log.debug("     %s", text)
 
         other.go(keep, lambda step, accepted: None, trouble)
-        return other.numbers(last[0])
+        return other.numbers(last[0]) | other.places(last[0])
 
 
 def _mesh_hash(data: MeshData) -> str:

@@ -160,6 +160,28 @@ def test_an_error_that_is_small_by_chance_is_raised() -> None:
     assert values["gap_p99_error"] == pytest.approx(4.0 * part / 2)
 
 
+def test_gruen_zones_have_errors() -> None:
+    """Means of interfaces and strain energy; what a coarser mesh has nothing of has none."""
+    (companion,) = error.companions(case("interfaces.lower_upper.friction_coefficient=0"))
+
+    def zone(by: float, *regions: str) -> dict[str, Any]:
+        interface = {"gap_mean": 2.0 * by, "gap_max": 3.0, "area": 5.0}
+        density = {region: 4.0 * by for region in regions}
+        return {"interfaces": {"a_b": interface}, "strain_energy_density": density, "volume": {}}
+
+    run = {"interfaces": {}, "gruen": {"1": zone(1.0, "cortex", "spongiosa"), "2": zone(1.0)}}
+    other = {"interfaces": {}, "gruen": {"1": zone(1.1, "cortex")}}
+    error.estimate(run, 2, [(companion, other)])
+    first, second = run["gruen"]["1"], run["gruen"]["2"]
+    assert first["interfaces"]["a_b"] == pytest.approx(
+        {"gap_mean": 2, "gap_max": 3, "area": 5}
+        | {"gap_mean_error": 0.2 / (2 ** quantities.MOTION[1] - 1)}
+    )
+    errors = first["strain_energy_density_error"]
+    assert errors == pytest.approx({"cortex": 0.4 / (2 ** quantities.STRESS[1] - 1)})
+    assert second == zone(1.0)
+
+
 def test_on_one_coarser_mesh_half_the_steps_show() -> None:
     first = error.companions(case("stages.0.increments=8"))[0]
     half = error.Companion(first.case, 5 / 3, 0.5)
