@@ -6,11 +6,10 @@ Rank 0 writes; an error there is raised on every rank.
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import platform
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import cache, partial
@@ -211,29 +210,30 @@ class Writer:
 
 
 def provenance(
-    ranks: int, case_files: Sequence[Path], overrides: list[str], mesh_hash: str, started: datetime
+    ranks: int, digests: Mapping[str, str], overrides: list[str], mesh_hash: str, started: datetime
 ) -> dict[str, Any]:
     """Where a result comes from.
 
     Args:
         ranks: Number of MPI ranks.
-        case_files: The case, then the files that it builds upon.
+        digests: Of the case, then of the files that it builds upon, as they were read: by name.
         overrides: As after ``--set``.
         mesh_hash: Digest of the mesh.
         started: When the run began.
     """
-    digests = {str(p): hashlib.sha256(p.read_bytes()).hexdigest() for p in case_files}
+    (case, digest), *others = digests.items()
     return {
         "mantle": __version__,
         "identity": identity.parts(),
         "command": sys.argv,
-        "case": str(case_files[0]),
-        "case_sha256": digests.pop(str(case_files[0])),
-        "based_on_sha256": digests,
+        "case": case,
+        "case_sha256": digest,
+        "based_on_sha256": dict(others),
         "overrides": overrides,
         "mesh_sha256": mesh_hash,
         "ranks": ranks,
         "host": platform.node(),
+        "processor": _processor(),
         "python": platform.python_version(),
         "packages": _packages(),
         "started": started.isoformat(timespec="seconds"),
@@ -242,10 +242,29 @@ def provenance(
 
 
 @cache
+def _processor() -> str:
+    """The model of the processor, as Linux names it, else its architecture."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        lines = []
+    models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(models, platform.machine())
+
+
+@cache
 def _packages() -> dict[str, str]:
     """Versions of what the solver stands on."""
     packages = {}
-    for name in ("fenics-dolfinx", "petsc4py", "fenics-ufl", "fenics-basix", "mpi4py", "numpy"):
+    for name in (
+        "fenics-dolfinx",
+        "petsc4py",
+        "fenics-ufl",
+        "fenics-basix",
+        "mpi4py",
+        "numpy",
+        "h5py",
+    ):
         try:
             packages[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

@@ -68,6 +68,7 @@ class CaseFile:
         complaints: Defects found while reading, each with its sorting key, as lines.
         others: The files that it builds upon (`schema.layers`), in the order of their numbers.
         given: The values of overrides as they were given, by their keys.
+        digests: SHA-256 of the bytes that were parsed, by the names of the files.
     """
 
     name: str
@@ -76,6 +77,7 @@ class CaseFile:
     complaints: list[tuple[tuple[int, int, int], str]] = field(default_factory=list)
     others: list[str] = field(default_factory=list)
     given: dict[str, Any] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
 
     def put(self, holder: Any, path: Path, value: Any) -> None:
         """Put a value into the data.
@@ -193,7 +195,7 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
         InputError: The file cannot be read or is not YAML.
     """
     case = CaseFile(str(path))
-    text = read_text(path)
+    text, case.digests[str(path)] = read_text(path)
     try:
         node = compose(text)
         if node is None:

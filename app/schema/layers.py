@@ -50,6 +50,8 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
     """
     chain = _chain(path)
     case = LayeredCase(chain[0][0].name, others=[file.name for file, _ in chain[1:]])
+    for file, _ in chain:
+        case.digests |= file.digests
     faults: list[Fault] = []
     for number, (file, place) in reversed(list(enumerate(chain))):
         file.data.pop("base", None)
@@ -171,6 +173,7 @@ class LayeredCase(CaseFile):
     def add(self, file: CaseFile, at: int) -> None:
         """Add a library at a place among the others."""
         self.others.append(file.name)
+        self.digests |= file.digests
         self.libraries.insert(at, file)
         for path, place in file.places.items():
             found = self.places_of.setdefault((file.name, *path[:2]), [])

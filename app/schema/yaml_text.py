@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 import warnings
@@ -37,8 +38,8 @@ class BadYaml(Exception):
         super().__init__(text)
 
 
-def read_text(path: FilePath) -> str:
-    """The text of a file.
+def read_text(path: FilePath) -> tuple[str, str]:
+    """The text of a file, and the SHA-256 digest of its bytes.
 
     Raises:
         InputError: Missing, a folder, unreadable, too large or not UTF-8.
@@ -57,7 +58,7 @@ def read_text(path: FilePath) -> str:
     if len(raw) > LARGEST:
         raise InputError(f"{path}: is larger than {LARGEST >> 20} MB; no case is")
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig"), hashlib.sha256(raw).hexdigest()
     except UnicodeDecodeError as error:
         before = raw[: error.start]
         line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")

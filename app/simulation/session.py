@@ -242,7 +242,7 @@ class Session:
             case.output.fields,
             lambda: provenance(
                 comm.size,
-                [self._case.path, *map(Path, self._case.file.others)],
+                self._case.file.digests,
                 [*self._case.overrides, *changes],
                 model.mesh_hash,
                 started,

@@ -144,7 +144,7 @@ def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPat
         ("1 mm", {"displacement": 90_000, "jump": 10_000}, True),
         ("1 mm", {"displacement": 70_000, "jump": 30_000}, False),  # nearly all of it interface
         ("1 mm", {"displacement": 9_000, "jump": 1_000}, False),  # small
-        ("5 mm", {"displacement": 90_000, "jump": 10_000}, False),  # no mesh so coarse
+        ("9 mm", {"displacement": 90_000, "jump": 10_000}, False),  # no mesh so coarse
     ],
 )
 def test_where_a_coarser_mesh_pays(size: str, unknowns: dict[str, int], nests: bool) -> None:
