@@ -26,7 +26,7 @@ class HeatSystem(System):
 
     prefix = "mantle_heat_"
     # Nearly linear: two iterations do if the first is solved well.
-    newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-5}  # noqa: RUF012
+    newton: Options = {"ksp_rtol": 1e-5}  # noqa: RUF012
 
     def __init__(self, conduction: Conduction) -> None:
         """Wrap the operators."""

@@ -21,8 +21,8 @@ from mantle.scene.bodies import cell_tags
 RESISTED = 0.5
 # Large boxes about the interfaces over the cube root of the number of contact points.
 BOXES = 1.5
-# Small ones: their edge over that of the mesh.
-SMALL = 5.0
+# Small ones: their edge over that of the mesh, by the order of the displacement.
+SMALL = {1: 5.0, 2: 2.5}
 # Steps in which they get smaller.
 SMALLER = 0.95
 # A point lets other directions go if a projector differs by this; a part of the points that do may
@@ -140,7 +140,7 @@ class SlidingMotions:
         nodes = space.dofmap.index_map.size_local
         x, y = space.tabulate_dof_coordinates()[:nodes], j.points.x[j.mine]
         large = Boxes(j.points.x)
-        small = Boxes(j.points.x, SMALL * float(np.mean(j.edge_lengths)))
+        small = Boxes(j.points.x, SMALL[problem.scene.order] * float(np.mean(j.edge_lengths)))
         grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
         frame = _frame(j.points.x)
         rigid = {r.region for r in problem.scene.rigid}

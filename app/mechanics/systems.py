@@ -32,7 +32,7 @@ class BondedSystem(System):
 
     prefix = "mantle_"
     # The equations are linear: one linear solve, to the solver's own limit.
-    newton: Options = {"snes_ksp_ew": False, "ksp_rtol": 1e-14}  # noqa: RUF012
+    newton: Options = {"ksp_rtol": 1e-14}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
         """Take the stiffness as it is."""
@@ -144,7 +144,6 @@ class ContactSystem(System):
         self._couple()
         trial = self.trial = self._problem.trial(*x)
         self._set_rows(*self._jumps.row_factors(trial.law))
-        self.active.add(trial.law.status)
 
     def _couple(self) -> None:
         """Take in the coupling, if it has changed."""
@@ -172,6 +171,10 @@ class ContactSystem(System):
     def rows(self) -> PETSc.Mat:
         """Factor of equilibrium in the rows of the jumps, 1 - P' as last set."""
         return self._rows
+
+    def look(self) -> None:
+        """Add the contact points' states to the active set, of the residual asked for last."""
+        self.active.add(self.trial.law.status)
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""

@@ -33,7 +33,7 @@ class Restless:
 
 
 class ActiveSet:
-    """States of the contact points of this rank at the last Jacobians."""
+    """States of the contact points of this rank at the last iterates."""
 
     def __init__(self, comm: MPI.Comm) -> None:
         """Begin without states."""
@@ -45,11 +45,15 @@ class ActiveSet:
         self._known = []
 
     def add(self, status: Ints) -> None:
-        """Append the states (n,) at a Jacobian."""
+        """Append the states (n,) at an iterate."""
         self._known = [*self._known[-KEPT:], status.copy()]
 
+    def points(self) -> int:
+        """How many points there are on all ranks; collective."""
+        return int(self._comm.allreduce(len(self._known[-1]) if self._known else 0, MPI.SUM))
+
     def flips(self) -> int:
-        """Points whose state changed between the last two Jacobians; collective."""
+        """Points whose state changed between the last two iterates; collective."""
         changed = int((self._known[-1] != self._known[-2]).sum()) if len(self._known) > 1 else 0
         return int(self._comm.allreduce(changed, MPI.SUM))
 

@@ -29,15 +29,14 @@ NEWTON: Options = {
     # A short step is no reason to stop: what has converged is decided here alone.
     "snes_stol": 0.0,
     "snes_max_linear_solve_fail": 3,
-    "snes_ksp_ew": True,
-    "snes_ksp_ew_version": 2,
-    "snes_ksp_ew_rtol0": 1e-2,
-    "snes_ksp_ew_rtolmax": 1e-2,
 }
-# While contact points change their states, no direction is worth more.
-KINKS: Options = {"snes_ksp_ew_rtol0": 0.1, "snes_ksp_ew_rtolmax": 0.1}
-# Absolute tolerance of the linear solver over that of Newton.
-ENOUGH = 0.3
+# Tolerance of the linear solver while contact points change their states, when less than a part of
+# them, few, do, and the power with which it falls with the residual (Eisenstat and Walker 1996).
+ROUGH, FEW, FINE, POWER = 0.1, 0.01, 0.01, (1 + math.sqrt(5)) / 2
+# When no states change and the residual is below this, the next one is some times its square.
+NEAR, SQUARE = 0.01, 100.0
+# Tolerances of the linear solver over those of Newton: the absolute one, and one that suffices.
+ENOUGH, SUFFICES = 0.3, 0.2
 # Newton is not converging if the residual has not fallen to this part of itself in so many
 # iterations; with full steps it may rise before it falls.
 HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
@@ -57,7 +56,7 @@ class Snes:
         usual: The line search of the options.
         met: Whether the last run converged.
         residuals: Residual norms of the last runs, relative to the scale.
-        flips: Contact points whose state changed, at each iteration.
+        flips: Contact points whose state changed, at each iterate.
         scales: Of the residuals of the last converged state, by part.
     """
 
@@ -91,7 +90,7 @@ class Snes:
         self.linear = Linear(system, linear, timing)
         self.has_kinks = "jump" in blocks
         defaults = dict(NEWTON) | {"snes_max_it": max_iterations}
-        defaults |= dict(KINKS if self.has_kinks else {}) | dict(system.newton)
+        defaults |= dict(system.newton)
         self.options = defaults | self.linear.options | dict(options)
         self.x = self.vector()
         self.residuals: list[float] = []
@@ -107,6 +106,7 @@ class Snes:
         self.snes.getKSP().setMonitor(self._watch)
         self._search = self.usual = str(self.options["snes_linesearch_type"])
         self._enough = 0.0 if "ksp_atol" in options else ENOUGH
+        self._follows = self.has_kinks and "ksp_rtol" not in options
         self._configure()
 
     def vector(self) -> PETSc.Vec:
@@ -146,12 +146,11 @@ class Snes:
         names = [name for name in self._system.comm.allgather(self._stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
-        self.flips.append(self._system.active.flips())
         told = f"Newton iteration {iteration}, residual {self.residuals[-1]:.1e}"
         self._timing.tell(told, blocking=iteration == 0)
 
     def _watch(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
-        self._timing.tell(f"Newton iteration {len(self.flips)}, Krylov iteration {iteration}")
+        self._timing.tell(f"Newton iteration {len(self.flips) - 1}, Krylov iteration {iteration}")
 
     def _converged(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
@@ -159,17 +158,41 @@ class Snes:
         """Each part below its tolerance, or below what rounding leaves of it."""
         parts = self.measure(snes.getSolution(), snes.getFunction()[0])
         self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
+        self._system.look()
+        self.flips.append(self._system.active.flips())
         self.met = all(map(self.meets, parts))
         if self.met:
             return REASONS.CONVERGED_FNORM_ABS
         if self._enough:
             snes.getKSP().setTolerances(atol=self._enough * min(map(self._limit, parts)))
+        if self._follows:
+            snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
         last, window = self.residuals, STUCK.get(self._search, STUCK_WHOLE)
         stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
         # Whole steps from the same states lead to the same states again.
         period = self._system.active.period() if self._search == "basic" and not stuck else 0
         stuck |= period > 0 and abs(last[-1] / last[-1 - period] - 1) < CYCLING
         return REASONS.DIVERGED_LINE_SEARCH if stuck else REASONS.ITERATING
+
+    def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:
+        """Relative tolerance of the next linear solve: less where its step leads to other states.
+
+        Args:
+            iteration: Newton iterations so far.
+            parts: The residual.
+        """
+        last = self.residuals
+        if not iteration or not self._few():
+            return ROUGH
+        eta = min(FINE, (last[-1] / last[-2]) ** POWER)
+        if self.flips[-1] or last[-1] > NEAR:
+            return eta
+        suffices = SUFFICES / max(p.norm / self._limit(p) for p in parts)
+        return min(eta, max(suffices, SQUARE * last[-1]))
+
+    def _few(self) -> bool:
+        """Whether only few contact points have just changed their states; collective."""
+        return self.flips[-1] < FEW * self._system.active.points()
 
     def meets(self, part: Measure) -> bool:
         """Whether a residual is within the tolerance."""

@@ -46,7 +46,7 @@ class System(Protocol):
 
     comm: MPI.Comm
     prefix: str
-    # States of its contact points at the last Jacobians.
+    # States of its contact points at the last iterates.
     active: ActiveSet
     # PETSc options of its Newton iteration that differ from the solver's.
     newton: Options = {}  # noqa: RUF012
@@ -80,6 +80,10 @@ class System(Protocol):
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state, unless they are constant."""
+        return None
+
+    def look(self) -> None:
+        """Add the contact points' states to the active set, of the residual asked for last."""
         return None
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:

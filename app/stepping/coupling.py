@@ -124,6 +124,10 @@ class CoupledSystem(System):
         """Sliding motions of the mechanics, at fixed temperatures."""
         return self._motion.coarse_space()
 
+    def look(self) -> None:
+        """Add the contact points' states to the active set, of the residual asked for last."""
+        self._motion.look()
+
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""
         (heat,) = self._heat.measure(x[: self._n], f[: self._n])

@@ -11,6 +11,7 @@ from mantle.errors import ConvergenceError
 from mantle.mechanics.prediction import take_better
 from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.condition import condition_number
+from mantle.numerics.system import Measure
 from tests import support
 
 # A block pressed on a wall and aside: points stick and slip.
@@ -43,6 +44,32 @@ def test_a_step_of_length_zero_solves_nothing(more: tuple[str, ...], tagged: Tag
     """Whatever PETSc is told to think of it."""
     with pytest.raises(ConvergenceError):
         support.solve(BLOCK, "solver.petsc.ksp_atol=1e9", *more, tagged=tagged)
+
+
+def test_linear_tolerances_follow_the_states(tagged: TaggedMesh) -> None:
+    """Rough while many points change, finer when few do, and what the next residual asks for."""
+    problem, solver = support.assemble(support.case(BLOCK, "solver.tolerance=1e-10"), tagged)
+    newton, n = solver._newton, len(problem.jumps[0].points.weight)
+    solver.active.add(np.zeros(n, dtype=np.int64))
+
+    def tolerance(last: float, now: float, changed: int) -> float:
+        newton.residuals, newton.flips = [last, now], [n, changed]
+        return newton._linear_tolerance(1, [Measure(now, 1.0, 0.0)])
+
+    assert n > 20
+    assert newton._linear_tolerance(0, []) == tolerance(1.0, 1e-3, n) == 0.1
+    power = (1 + 5**0.5) / 2
+    assert tolerance(1.0, 0.9, 0) == 0.01
+    # The next residual is a hundred times the square of 1e-6 at best, and may be 1e-10.
+    assert tolerance(1e-4, 1e-5, 0) == pytest.approx(1e-3)
+    assert tolerance(1e-4, 1e-7, 0) == pytest.approx((1e-3) ** power)
+    assert tolerance(1e-6, 1e-7, 0) == pytest.approx(0.2e-3)
+
+
+def test_a_linear_tolerance_that_is_asked_for_is_kept(tagged: TaggedMesh) -> None:
+    _, solver = support.assemble(support.case(BLOCK, "solver.petsc.ksp_rtol=0.003"), tagged)
+    assert solver.solve().converged
+    assert solver.snes.getKSP().getTolerances()[0] == 0.003
 
 
 def test_a_step_that_leads_nowhere_ends_the_line_search(tagged: TaggedMesh) -> None:
