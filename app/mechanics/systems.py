@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from petsc4py import PETSc
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle.arrays import Floats
 from mantle.mechanics.coarse_space import SlidingMotions
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.problem import Problem, TrialState
@@ -104,6 +107,7 @@ class ContactSystem(System):
         self._A_qq = self._rows.matMult(j.D)
         self._added = block_diagonal(j.comm, len(j.mine))
         self._coarse_version = -1
+        self._forces: Floats | None = None
         self.active = ActiveSet(self.comm)
 
     @property
@@ -136,14 +140,33 @@ class ContactSystem(System):
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
         self._problem.residual_u(x[0], x[1], f[0])
-        trial = self.trial = self._problem.trial(*x)
+        trial = self.trial = self._trial(x)
         f[1].array[:] = self._jumps.residual(trial.equilibrium, trial.jump, trial.law).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
         self._couple()
-        trial = self.trial = self._problem.trial(*x)
-        self._set_rows(*self._jumps.row_factors(trial.law))
+        self.trial = self._trial(x)
+        self._set_rows(*self._jumps.row_factors(self.trial.law))
+
+    def linearize_at(self, forces: Floats | None) -> None:
+        """Take the laws as linear about these interface forces, or as they are."""
+        self._forces = forces
+
+    def _trial(self, x: list[PETSc.Vec]) -> TrialState:
+        """The jump block at a state: the laws at the forces of equilibrium, or linear about others.
+
+        With F_0 given, the law F = P(F + r d) in displacement, jumps and forces is linearized at
+        (d, F_0): P(F_0 + r d) + P' (F - F_0) stands for the force, F that of equilibrium.
+        """
+        trial = self._problem.trial(*x)
+        if self._forces is None:
+            return trial
+        j, known = self._jumps, self._forces
+        law = j.law(-j.weight[:, None] * known, trial.jump)
+        change = j.share[:, None] * (j.forces(trial.equilibrium) - j.let(known))
+        force = law.force + np.einsum("pij,pj->pi", law.jacobian, change)
+        return replace(trial, law=replace(law, force=force))
 
     def _couple(self) -> None:
         """Take in the coupling, if it has changed."""

@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
+from mantle.arrays import Floats
 from mantle.numerics.active_set import ActiveSet
 from mantle.numerics.preconditioners import Options
 from mantle.numerics.snes import REASONS, Snes
@@ -94,6 +95,7 @@ class Solver:
         self.failed_state = self.vector()
         self._other = "basic" if self._newton.usual == "bt" else "bt"
         self._augmentation = 1.0
+        self._forces: Floats | None = None
 
     def begin(self) -> None:
         """Reset to the unloaded state; the matrices stay."""
@@ -154,13 +156,34 @@ class Solver:
         self._system.residual(self.blocks(x), self.blocks(f))
         return f
 
+    def lead(self, forces: Floats) -> None:
+        """Begin the next solve with a step in displacement, jumps and interface forces.
+
+        Args:
+            forces: Where it begins, beside ``x``: forces at own contact points (n, 3) [MPa].
+        """
+        self._forces = forces
+
+    def _led(self) -> tuple[int, int]:
+        """That step, if it was asked for; Newton and Krylov iterations."""
+        forces, self._forces = self._forces, None
+        if forces is None:
+            return 0, 0
+        self._system.linearize_at(forces)
+        try:
+            return self._newton.step()
+        finally:
+            self._system.linearize_at(None)
+
     def solve(self) -> NewtonResult:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._system.impose(self.blocks())
         self._newton.residuals, self._newton.flips = [], []
         self._system.scale_augmentation(self._augmentation)
+        newton, krylov = self._led()
         start = self.x.copy() if self._newton.has_kinks else self.x
-        newton, krylov = self._newton.run()
+        more = self._newton.run()
+        newton, krylov = newton + more[0], krylov + more[1]
         tried: list[tuple[str, float]] = []
         for words in self._remedies(start):
             log.info("     %s: %s", self._trouble(), words)

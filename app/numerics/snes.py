@@ -211,6 +211,20 @@ class Snes:
             for p, s in zip(parts, known, strict=True)
         ]
 
+    def step(self) -> tuple[int, int]:
+        """One whole step from the current state, solved roughly; Newton and Krylov iterations."""
+        f, dx, ksp = self.vector(), self.vector(), self.snes.getKSP()
+        with self._timing.phase("solve"):
+            self._system.residual(self.blocks(), self.blocks(f))
+            self.linear.update(self.blocks())
+            if self._follows:
+                ksp.setTolerances(rtol=ROUGH)
+            ksp.setOperators(self.linear.matrix)
+            ksp.solve(f, dx)
+        if math.isfinite(dx.norm()):
+            self.x.axpy(-1.0, dx)
+        return 1, int(ksp.getIterationNumber())
+
     def run(self) -> tuple[int, int]:
         """Iterate from the current state; Newton and Krylov iterations."""
         self._system.active.forget()

@@ -14,6 +14,7 @@ from typing import Protocol
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from mantle.arrays import Floats
 from mantle.numerics.active_set import ActiveSet
 from mantle.numerics.deflation import CoarseSpace
 from mantle.numerics.preconditioners import Inverse, Options
@@ -80,6 +81,10 @@ class System(Protocol):
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """Set the blocks of the Jacobian to a state, unless they are constant."""
+        return None
+
+    def linearize_at(self, forces: Floats | None) -> None:
+        """Take contact laws as linear about forces at own points (n, 3) [MPa], or as they are."""
         return None
 
     def look(self) -> None:

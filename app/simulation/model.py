@@ -277,15 +277,15 @@ class Model:
             p.resume(found)
 
     def _nested(self, m: Mechanical) -> tuple[Nested, ...]:
-        """A start from a coarser mesh, if that pays."""
+        """A start from a cheaper model, if that pays."""
         if not m.problem.jumps or self.scene.conductors:
             return ()
-        case = related.coarser(self._case, m.solver.block_sizes)
-        return () if case is None else (Nested(m.problem, m.solver, lambda: self._coarse(case)),)
+        case = related.cheaper(self._case, sum(m.solver.block_sizes.values()))
+        return () if case is None else (Nested(m.problem, m.solver, lambda: self._cheaper(case)),)
 
-    def _coarse(self, case: config.Case) -> LoadStepper:
-        """The mechanics of a coarser model on their way; collective."""
-        comm, timing = self.tagged.mesh.comm, self._timing.of("start from a coarser mesh")
+    def _cheaper(self, case: config.Case) -> LoadStepper:
+        """The mechanics of a cheaper model on their way; collective."""
+        comm, timing = self.tagged.mesh.comm, self._timing.of("start from a cheaper model")
         other = Model(case, comm, self.options, timing, self.stop, self._kin)
         (m,) = other.mechanics
         predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))

@@ -1,9 +1,11 @@
-r"""Nested start: a fine mesh starts from the jumps of a coarse one.
+r"""Nested start: a solve starts from the jumps and the interface forces of a cheaper model.
 
-The case is solved on a mesh three times as coarse too, load step by load step before the run, and
-that one from a still coarser mesh where it is large itself. The jumps are interpolated on the
-interface and the displacement follows from them, K u = f - C q, to a rough tolerance: Newton only
-has to find the states of single points, not the load path through the model.
+The case is solved on a mesh twice as coarse too, load step by load step beside the run, and that
+one from a still cheaper one where it is large itself; a mesh that cannot be made coarser is solved
+at first order. Jumps and forces are interpolated on the interface. The displacement follows from
+the jumps, K u = f - C q, to a rough tolerance, and a step of Newton's method in displacement, jumps
+and forces from all three: contact points have the states of the cheaper model then, and Newton only
+has to find those of single points.
 """
 
 from __future__ import annotations
@@ -14,14 +16,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from petsc4py import PETSc
-
 import numpy as np
 
 from mantle.arrays import Floats, Ints
 from mantle.errors import MantleError, StoppedError
 from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.prediction import imbalance, take_better
+from mantle.mechanics.prediction import imbalance
 from mantle.mechanics.problem import Problem
 from mantle.meshes.interfaces import ContactPoints
 from mantle.numerics.newton import Solver
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("mantle")
 
 # Residual of the displacement that follows from interpolated jumps.
-ROUGH = 1e-2
+ROUGH = 0.1
 # A start is good enough if its residual is below this part of that of the unloaded state.
 GOOD = 0.1
 # Triangles among which the nearest to a point is looked for, by their centres.
@@ -42,15 +42,15 @@ NEAREST = 8
 
 
 class Nested:
-    """The jumps of a coarser mesh as starts of this one."""
+    """The jumps and forces of a cheaper model as starts of this one."""
 
     def __init__(self, problem: Problem, solver: Solver, make: Callable[[], LoadStepper]) -> None:
-        """Begin with nothing: the coarse model is made when it is asked for the first time.
+        """Begin with nothing: the cheaper model is made when it is asked for the first time.
 
         Args:
             problem: What is solved.
             solver: Its solver.
-            make: Makes the coarse model, at rest; collective.
+            make: Makes the cheaper model, at rest; collective.
         """
         self._problem, self._solver, self._make = problem, solver, make
         self._coarse: LoadStepper | None = None
@@ -59,22 +59,22 @@ class Nested:
         self._known: list[tuple[float, Floats]] = []
 
     def predict(self, time: float) -> None:
-        """Start from the coarse jumps, unless there is a good start already."""
+        """Start from the cheaper model's state, unless there is a good start already."""
         if self._failed or self._good():
             return
         try:
-            jump = self._jump(time)
+            found = self._found(time)
         except StoppedError:
             raise
         except MantleError as error:
             self._failed = True
             log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
             return
-        with during("start from a coarser mesh: balancing the bodies with its jumps"):
-            take_better(self._solver, self._state(jump))
+        with during("start from a cheaper model: balancing the bodies with its jumps"):
+            self._start(*np.hsplit(found, 2))
 
     def commit(self, time: float) -> None:
-        """The coarse model has to go through it too, when it is asked again."""
+        """The cheaper model has to go through it too, when it is asked again."""
         self._past.append(time)
 
     def _good(self) -> bool:
@@ -83,22 +83,23 @@ class Nested:
         here = imbalance(solver, solver.x.copy())
         return here <= GOOD * imbalance(solver, nothing)
 
-    def _jump(self, time: float) -> Floats:
-        """Jumps of own points at a time, interpolated from the coarse ones (n, 3) [mm]."""
+    def _found(self, time: float) -> Floats:
+        """Jumps and forces of own points at a time, interpolated (n, 6) [mm, MPa]."""
         (j,) = self._problem.jumps
         if self._coarse is None:
             self._coarse = self._make()
             (source,) = self._coarse.problem.jumps
             self._weights = interpolation(source.points, j.points, j.mine)
-            self._known = [(0.0, np.zeros((len(j.mine), 3)))]
+            self._known = [(0.0, np.zeros((len(j.mine), 6)))]
         for then in [*self._past, time]:
-            if then > self._known[-1][0]:
-                self._advance(self._coarse, then)
+            while then > (last := self._known[-1][0]):
+                # A run that was taken up again has not told of the stages before.
+                self._advance(self._coarse, min(then, math.floor(last) + 1.0))
         self._past = []
         return between(self._known, time)
 
     def _advance(self, coarse: LoadStepper, time: float) -> None:
-        """Take the coarse model to a time; it must not be stopped on the way by a failed step."""
+        """Take the cheaper model to a time within its stage."""
         begin = self._known[-1][0]
         k = math.ceil(time) - 1
         problem = coarse.problem
@@ -113,11 +114,10 @@ class Nested:
         (source,) = problem.jumps
         self._known = [*self._known[-1:], (time, self._weights @ replicated(source))]
 
-    def _state(self, jump: Floats) -> PETSc.Vec:
-        """A state with given jumps: the displacement in rough equilibrium with them."""
+    def _start(self, jump: Floats, force: Floats) -> None:
+        """Start from jumps and forces, and the displacement in rough equilibrium with the jumps."""
         problem, solver = self._problem, self._solver
-        x = solver.x.copy()
-        named = solver.named(x)
+        named = solver.named()
         u, q = named["displacement"], named["jump"]
         (j,) = problem.jumps
         q.array[:] = (j.let(jump) + j.given).ravel()
@@ -127,7 +127,7 @@ class Nested:
         du.zeroEntries()
         problem.inverse.solve(r, du, ROUGH)
         u.axpy(-1.0, du)
-        return x
+        solver.lead(force)
 
 
 def between(known: list[tuple[float, Floats]], time: float) -> Floats:
@@ -141,9 +141,10 @@ def between(known: list[tuple[float, Floats]], time: float) -> Floats:
 
 
 def replicated(jumps: Jumps) -> Floats:
-    """Committed jumps of all points, on every rank (n, 3) [mm]; collective."""
-    every = np.zeros((len(jumps.points.weight), 3))
-    for rows, values in jumps.comm.allgather((jumps.mine, jumps.history.jump)):
+    """Committed jumps and forces of all points, on every rank (n, 6) [mm, MPa]; collective."""
+    every = np.zeros((len(jumps.points.weight), 6))
+    own = np.hstack([jumps.history.jump, jumps.history.force])
+    for rows, values in jumps.comm.allgather((jumps.mine, own)):
         every[rows] = values
     return every
 

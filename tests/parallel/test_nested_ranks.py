@@ -1,4 +1,4 @@
-"""A start from a coarser mesh that is spread over ranks in another way than the fine one."""
+"""A start from a cheaper model that is spread over ranks in another way than the fine one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where load steps start: on the line through those before, or from a coarser mesh."""
+"""Where load steps start: on the line through those before, or from a cheaper model."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ TURNS = (
     "loads.push.history=[0, 1]",
     "stages=[{name: fit}, {name: push, increments: 2}]",
 )
-ALWAYS = {"LARGE": 1000, "SHARE": 1.0, "COARSER": 2.0, "LEAST": 1.5}
+# A support that gives jumps: it holds stem and cement where they meet, and moves.
+SIDES = "supports.sink={kind: displacement, boundary: bottom, z: -0.002 mm, history: [0.5, 1]}"
+AT_FIRST = ("mesh.order=2", "mesh.size=4 mm", "mesh.far_size=4 mm")
+ALWAYS = {"LARGE": 1000}
 BLOCKS = """
 geometry: {kind: blocks, blocks: [{name: base, size: [9 mm, 7 mm, 4 mm]},
                                   {name: lid, size: [9 mm, 7 mm, 4 mm]}], tilt: 10 deg}
@@ -72,7 +75,7 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
 
 
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Start from a coarser mesh although this one is small."""
+    """Start from a cheaper model although this one is small."""
     for name, value in ALWAYS.items():
         monkeypatch.setattr(related, name, value)
 
@@ -81,6 +84,12 @@ def jumps(model: Model) -> Any:
     """Jumps of the last step (n, 3) [mm]."""
     (j,) = model.mechanics[0].problem.jumps
     return j.history.jump
+
+
+def states(model: Model) -> Any:
+    """Jumps and forces of the last step, each over its largest (2, n, 3)."""
+    (j,) = model.mechanics[0].problem.jumps
+    return np.array([v / np.abs(v).max() for v in (j.history.jump, j.history.force)])
 
 
 # Between load steps
@@ -112,23 +121,56 @@ def test_a_line_that_leads_away_is_not_followed() -> None:
     assert 0 < support.difference(jumps(model), expected) < 0.2
 
 
-# From a coarser mesh
+# From a cheaper model
 
 
-@pytest.mark.parametrize("overrides", [(), TURNS])
+@pytest.mark.parametrize("overrides", [(), TURNS, (*TURNS, SIDES), (*AT_FIRST, *TURNS)])
 def test_a_nested_start_changes_the_way_and_not_the_answer(
     overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same jumps, from a start that is much nearer in the first steps and when they slip."""
+    """The same jumps and forces, and the first of them from a start that is much nearer.
+
+    Also where supports give jumps, and at second order, which starts from the first on a mesh that
+    is not to be coarser.
+    """
+    if AT_FIRST[0] in overrides:
+        monkeypatch.setattr(related, "COARSER", 1e3)
     cold, first = go(*overrides)
     always(monkeypatch)
     warm, then = go(*overrides)
-    assert support.difference(jumps(warm), jumps(cold)) < 1e-6
-    for k in (0, -2):
-        assert then[k].outcome.residuals[0] < max(0.3 * first[k].outcome.residuals[0], 1e-10)
+    assert support.difference(states(warm), states(cold)) < 1e-6
+    assert len(then) == len(first)
+    assert then[0].outcome.residuals[0] < 0.3 * first[0].outcome.residuals[0]
+
+
+def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
+    """From the answer itself it leads to it, whatever the displacement that it begins with.
+
+    The states of the points are those of its jumps and forces, so that the system is linear.
+    """
+    model, _ = go("stages.0.increments=1")
+    (m,) = model.mechanics
+    (j,) = m.problem.jumps
+    answer, force = m.solver.x.copy(), j.history.force.copy()
+    j.begin(m.problem.scene.contacts, model._case.solver.augmentation_factor)
+    m.problem.set_time(1.0)
+    u, _ = m.solver.parts()
+    u.zeroEntries()
+    m.problem.impose(u)
+    m.solver.snes.getKSP().setTolerances(rtol=1e-12)
+    m.solver._newton._follows = False
+    m.solver.lead(force)
+    assert m.solver._led()[0] == 1
+    assert support.difference(m.solver.x.array, answer.array) < 1e-6
+    # Without the forces one step is far from enough.
+    u.zeroEntries()
+    m.problem.impose(u)
+    m.solver._newton.step()
+    assert support.difference(m.solver.x.array, answer.array) > 1e-2
 
 
 def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither small nor bonded ones."""
     bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
     made = [Model(support.case(STEM, o), MPI.COMM_WORLD, {}, Timing(), str) for o in (bonded,)]
     small = Model(support.case(STEM), MPI.COMM_WORLD, {}, Timing(), str)
@@ -139,22 +181,25 @@ def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("size", "unknowns", "nests"),
+    ("size", "order", "unknowns", "found"),
     [
-        ("1 mm", {"displacement": 90_000, "jump": 10_000}, True),
-        ("1 mm", {"displacement": 70_000, "jump": 30_000}, False),  # nearly all of it interface
-        ("1 mm", {"displacement": 9_000, "jump": 1_000}, False),  # small
-        ("9 mm", {"displacement": 90_000, "jump": 10_000}, False),  # no mesh so coarse
+        (4.0, 2, 100_000, (8.0, 2)),
+        (4.0, 1, 100_000, (8.0, 1)),
+        (4.0, 2, 10_000, None),  # small
+        (11.0, 2, 100_000, (11.0, 1)),  # no mesh so coarse
+        (11.0, 1, 100_000, None),
     ],
 )
-def test_where_a_coarser_mesh_pays(size: str, unknowns: dict[str, int], nests: bool) -> None:
+def test_what_is_cheaper(
+    size: float, order: int, unknowns: int, found: tuple[float, int] | None
+) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
-    case = support.case(text, f"mesh.size={size}")
-    coarse = related.coarser(case, unknowns)
-    assert (coarse is not None) == nests
-    if coarse is not None:
-        assert coarse.mesh.size == pytest.approx(3.0)
-        assert coarse.geometry == case.geometry
+    case = support.case(text, f"mesh.size={size} mm", f"mesh.order={order}")
+    other = related.cheaper(case, unknowns)
+    assert (other and (other.mesh.size, other.mesh.order)) == found
+    if other is not None:
+        assert other.mesh.far / other.mesh.size == pytest.approx(case.mesh.far / case.mesh.size)
+        assert other.geometry == case.geometry and other.solver.tolerance == related.TOLERANCE
 
 
 @pytest.mark.parametrize("error", [GeometryError("no such mesh"), StoppedError("stopped")])
@@ -167,7 +212,7 @@ def test_a_coarse_model_that_fails_is_done_without(
         raise error
 
     always(monkeypatch)
-    monkeypatch.setattr(Model, "_coarse", fail)
+    monkeypatch.setattr(Model, "_cheaper", fail)
     if isinstance(error, StoppedError):
         with pytest.raises(StoppedError):
             go()
