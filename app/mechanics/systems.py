@@ -27,7 +27,7 @@ def mechanical(problem: Problem) -> BondedSystem | ContactSystem:
 
 def _stiffness(linear: str, problem: Problem) -> Options:
     """Direct or multigrid."""
-    return stiffness_options(linear, problem.K, problem.scene.order)
+    return stiffness_options(linear, problem.K, problem.scene.order, problem.inverse.lower)
 
 
 class BondedSystem(System):

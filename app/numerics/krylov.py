@@ -39,6 +39,7 @@ METHODS = {
     "cg": "CG",
     "fgmres": "FGMRES",
     "gamg": "algebraic multigrid",
+    "mg": "multigrid by degree",
     "cholesky": "Cholesky",
     "telescope": "direct on one rank",
     "lu": "LU",

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 from petsc4py import PETSc
 
-Options = Mapping[str, str | int | float | bool]
+Options = dict[str, str | int | float | bool]
 
 # Unknowns above which a block of nodal unknowns is solved by algebraic multigrid. With MUMPS, which
 # several ranks need, a contact solve takes 3.3 CPU s against 3.8 at 19 000 unknowns, 7.1 against
@@ -28,6 +29,16 @@ MULTIGRID: Options = {
     "mg_levels_ksp_max_it": 1,
     "mg_levels_pc_type": "sor",
 }
+# Second order: its own smoother, and first order on the same mesh below, factored or by two cycles
+# of the above.
+BY_DEGREE: Options = {
+    "pc_type": "mg",
+    "mg_levels_ksp_type": "richardson",
+    "mg_levels_ksp_max_it": 1,
+    "mg_levels_pc_type": "sor",
+}
+FACTORED_BELOW: Options = {"ksp_type": "preonly"}
+MULTIGRID_BELOW: Options = {"ksp_type": "richardson", "ksp_max_it": 2}
 # A block of interface unknowns: one symmetric sweep over the points does what factors do, in a
 # fifth of the time; where conductance lets temperatures jump, factors are needed.
 SWEEP: Options = {"pc_type": "sor"}
@@ -41,11 +52,42 @@ def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
     return linear == "direct" or (linear == "auto" and size <= limit)
 
 
-def stiffness_options(linear: str, K: PETSc.Mat, order: int) -> Options:
-    """Options for a stiffness of displacements of an order; ``linear`` as above."""
+class Lower(Protocol):
+    """Displacements of lower order.
+
+    Attributes:
+        size: Unknowns.
+    """
+
+    size: int
+
+    def prolongation(self) -> PETSc.Mat:
+        """Their interpolation; collective."""
+
+    def rigid(self, matrix: PETSc.Mat) -> PETSc.NullSpace:
+        """Their rigid modes, for a stiffness."""
+
+
+def stiffness_options(linear: str, K: PETSc.Mat, order: int, lower: Lower | None) -> Options:
+    """Options for a stiffness of displacements.
+
+    Args:
+        linear: direct, multigrid or auto (by size).
+        K: The stiffness.
+        order: Of the displacements.
+        lower: Those of lower order, if they can be used.
+    """
     serial = K.comm.size == 1
     limit = SERIAL_LIMITS[order] if serial else DIRECT_LIMIT
-    return factors(K) if is_direct(linear, K.getSize()[0], limit) else MULTIGRID
+    if is_direct(linear, K.getSize()[0], limit):
+        return factors(K)
+    if lower is None:
+        return MULTIGRID
+    if is_direct("auto", lower.size):
+        below = FACTORED_BELOW | on_one_rank(FACTORED_SERIALLY, K.comm.size)
+    else:
+        below = MULTIGRID_BELOW | MULTIGRID
+    return BY_DEGREE | {f"mg_coarse_{key}": value for key, value in below.items()}
 
 
 def factors(matrix: PETSc.Mat) -> Options:
@@ -78,6 +120,7 @@ class Inverse:
 
     Attributes:
         pc: It, as a preconditioner: made once, and again only where `refresh` says so.
+        lower: Displacements of lower order, if they can be used.
     """
 
     def __init__(
@@ -85,6 +128,7 @@ class Inverse:
         matrix: PETSc.Mat,
         version: Callable[[], int],
         options: Options,
+        lower: Lower | None = None,
     ) -> None:
         """Take the matrix as it is.
 
@@ -92,8 +136,9 @@ class Inverse:
             matrix: The matrix, which may change in place.
             version: Counts how often it has changed.
             options: PETSc options of the preconditioner, until others are asked for.
+            lower: Displacements of lower order, if options may ask for multigrid by degree.
         """
-        self._matrix, self._version = matrix, version
+        self._matrix, self._version, self.lower = matrix, version, lower
         self._options = dict(options)
         self._made: int | None = None
         self.pc = PETSc.PC().create(matrix.comm)
@@ -128,8 +173,10 @@ class Inverse:
         pc = self.pc
         pc.setReusePreconditioner(False)
         pc.setOperators(self._matrix)
+        pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
+        if self._options["pc_type"] == BY_DEGREE["pc_type"]:
+            self._lay()
         if self._made is None:
-            pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
             configure(pc, self._options)
         else:
             pc.setUp()
@@ -138,9 +185,24 @@ class Inverse:
         pc.setReusePreconditioner(True)
         self._made = self._version()
 
+    def _lay(self) -> None:
+        """Put the stiffness of lower order below; collective."""
+        assert self.lower is not None
+        P = self.lower.prolongation()
+        below = self._matrix.PtAP(P)
+        below.setBlockSize(3)
+        below.setOption(PETSc.Mat.Option.SPD, True)
+        below.setNearNullSpace(self.lower.rigid(below))
+        if self._made is None:
+            self.pc.setType(BY_DEGREE["pc_type"])
+            self.pc.setMGLevels(2)
+        self.pc.setMGInterpolation(1, P)
+        self.pc.getMGCoarseSolve().setOperators(below)
+
     def fall_back(self) -> bool:
         """Factor the matrix instead of approximating its inverse, if it is not too large."""
-        if self._options.get("pc_type") != MULTIGRID["pc_type"] or self.size > FACTORABLE:
+        multigrid = (MULTIGRID["pc_type"], BY_DEGREE["pc_type"])
+        if self._options.get("pc_type") not in multigrid or self.size > FACTORABLE:
             return False
         self.use(factors(self._matrix))
         self.make()
