@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 from petsc4py import PETSc
 
@@ -11,14 +12,19 @@ from dolfinx import fem
 from dolfinx.fem.petsc import interpolation_matrix
 
 from mantle.arrays import Bools
-from mantle.mechanics.reduction import near_null_space
+from mantle.mechanics.reduction import AllFree, near_null_space
+from mantle.numerics.preconditioners import Inverse, stiffness_options
 from mantle.numerics.rigid_motions import rigid_modes
+
+if TYPE_CHECKING:
+    from mantle.mechanics.problem import Problem
 
 
 class FirstOrder:
     """Displacements of first order, and how they are interpolated.
 
     Attributes:
+        space: The displacements of first order.
         size: Unknowns.
     """
 
@@ -30,13 +36,13 @@ class FirstOrder:
             held: Returns what supports hold of own unknowns (n,).
         """
         self._fine, self._held = space, held
-        self._space = fem.functionspace(space.mesh, ("Lagrange", 1, (3,)))
-        self.size = 3 * int(self._space.dofmap.index_map.size_global)
+        self.space = fem.functionspace(space.mesh, ("Lagrange", 1, (3,)))
+        self.size = 3 * int(self.space.dofmap.index_map.size_global)
 
     @cached_property
     def _interpolation(self) -> PETSc.Mat:
         """Values of second order from those of first."""
-        matrix = interpolation_matrix(self._space, self._fine)
+        matrix = interpolation_matrix(self.space, self._fine)
         matrix.assemble()
         return matrix
 
@@ -45,7 +51,7 @@ class FirstOrder:
 
         The stiffness does not mix them either: so held vertices keep a diagonal of their own.
         """
-        fine, coarse = fem.Function(self._fine), fem.Function(self._space)
+        fine, coarse = fem.Function(self._fine), fem.Function(self.space)
         held, below = (f.x.petsc_vec for f in (fine, coarse))
         held.array[:] = self._held()
         fine.x.scatter_forward()
@@ -61,6 +67,15 @@ class FirstOrder:
 
     def rigid(self, matrix: PETSc.Mat) -> PETSc.NullSpace:
         """The rigid modes, for algebraic multigrid of a stiffness of first order."""
-        x = self._space.tabulate_dof_coordinates()
-        own = x[: self._space.dofmap.index_map.size_local]
+        x = self.space.tabulate_dof_coordinates()
+        own = x[: self.space.dofmap.index_map.size_local]
         return near_null_space(matrix.comm, matrix, rigid_modes(own).reshape(-1, 6).T)
+
+
+def inverse_of(problem: Problem) -> Inverse:
+    """What solves with the stiffness: factors, or multigrid, by degree if unknowns are nodal."""
+    K, order = problem.K, problem.scene.order
+    nodal = order > 1 and isinstance(problem.reduction, AllFree)
+    lower = FirstOrder(problem.space, lambda: problem.held) if nodal else None
+    options = stiffness_options("auto", K, order, lower)
+    return Inverse(K, lambda: problem.version, options, lower)

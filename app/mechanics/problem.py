@@ -20,14 +20,14 @@ from mantle.arrays import Floats, Ints
 from mantle.mechanics.assembly import Mechanics
 from mantle.mechanics.curing_stress import CuringStress
 from mantle.mechanics.expansion import Expansions, ThermalStiffness
-from mantle.mechanics.first_order import FirstOrder
+from mantle.mechanics.first_order import inverse_of
 from mantle.mechanics.forces import Forces
 from mantle.mechanics.jumps import Jumps
 from mantle.mechanics.points import PointForces
-from mantle.mechanics.reduction import AllFree, near_null_space, reduction_of
+from mantle.mechanics.reduction import near_null_space, reduction_of
 from mantle.mechanics.supports import HeldRows
 from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.preconditioners import Inverse, stiffness_options
+from mantle.numerics.preconditioners import Inverse
 from mantle.numerics.state import State, keyed, node_keys
 from mantle.scene.bodies import bodies_of
 from mantle.scene.frames import frames_of
@@ -103,10 +103,7 @@ class Problem:
         self.K.setBlockSize(3)
         self.K.setOption(PETSc.Mat.Option.SPD, True)
         self.K.setNearNullSpace(near_null_space(self.comm, self.K, self.reduction.modes))
-        nodal = scene.order > 1 and isinstance(self.reduction, AllFree)
-        lower = FirstOrder(self.space, lambda: self.held) if nodal else None
-        options = stiffness_options("auto", self.K, scene.order, lower)
-        own = Inverse(self.K, lambda: self.version, options, lower)
+        own = inverse_of(self)
         self.inverse: Inverse = like.inverse if like is not None else own
         parts = scene, tagged, self.bodies, self.mechanics, self.reduction, self.frames
         self.jumps: tuple[Jumps, ...] = (

@@ -6,8 +6,9 @@ from typing import Any
 
 from mantle.schema import config
 
-# Unknowns from which a start from a cheaper model pays. Between 18 000 and 40 000 it takes as long as
-# none where that converges (within 10 %), and half as long where it does not: 7 iterations, not 25.
+# Unknowns from which a start from a cheaper model pays. Between 18 000 and 40 000 it takes as long
+# as none where that converges (within 10 %), and half as long where it does not: 7 iterations, not
+# 25.
 LARGE = 20_000
 # Mesh size of a coarser model over that of the run: meshes of the femur nest.
 COARSER = 2.0

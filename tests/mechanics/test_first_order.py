@@ -1,0 +1,95 @@
+"""Multigrid by degree: first order on the same mesh below a stiffness of second order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mantle.mechanics.first_order import FirstOrder
+from mantle.mechanics.problem import Problem
+from mantle.numerics.preconditioners import Inverse, stiffness_options
+from tests import support
+
+BLOCK = """
+geometry: {kind: blocks, blocks: [{name: block, size: [10 mm, 10 mm, 10 mm]}]}
+mesh: {size: 3 mm, order: 2}
+regions: {block: {youngs_modulus: 200 MPa, poisson_ratio: 0.3}}
+supports: {floor: {kind: roller, boundary: bottom, axis: z}, side: {kind: fixed, boundary: x_min}}
+loads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}
+stages: [{name: push}]
+"""
+
+
+def problem(size: float = 3.0) -> Problem:
+    """The block, and what solves it."""
+    return support.assemble(support.case(BLOCK, f"mesh.size={size} mm"))[0]
+
+
+def test_first_order_gives_all_linear_displacements() -> None:
+    fine = problem()
+    lower = FirstOrder(fine.space, lambda: np.zeros_like(fine.held))
+    P, below = lower.prolongation(), lower.space.tabulate_dof_coordinates()
+    coarse, found = P.createVecs()
+    x = fine.space.tabulate_dof_coordinates()
+    slope = np.random.default_rng(1).normal(size=(3, 3))
+    below = FirstOrder(fine.space, lambda: fine.held).space.tabulate_dof_coordinates()
+    coarse.array[:] = (below @ slope).ravel()
+    P.mult(coarse, found)
+    np.testing.assert_allclose(found.array, (x @ slope).ravel(), atol=1e-12)
+
+
+def test_held_and_free_unknowns_do_not_mix() -> None:
+    fine = problem()
+    lower = FirstOrder(fine.space, lambda: fine.held)
+    P = lower.prolongation()
+    assert P.getSize() == (len(fine.held), lower.size)
+    coarse, found = P.createVecs()
+    # What moves free vertices leaves all that is held, and the other way round.
+    at = lower.space.tabulate_dof_coordinates()
+    side, _, floor = (at < at.min(axis=0) + 1e-9).T
+    held = np.column_stack([side, side, side | floor]).ravel()
+    for below, other in ((held, ~fine.held), (~held, fine.held)):
+        coarse.array[:] = below
+        P.mult(coarse, found)
+        assert found.array.any() and np.abs(found.array[other]).max() < 1e-12
+
+
+@pytest.mark.parametrize("factored_below", [True, False])
+def test_iterations_do_not_grow_with_the_mesh(factored_below: bool) -> None:
+    """Conjugate gradients to 1e-10; a factorization solves the same equations."""
+    counts = []
+    for size in (4.0, 2.0):
+        fine = problem(size)
+        lower = FirstOrder(fine.space, lambda held=fine.held: held)
+        if not factored_below:
+            lower.size = 1_000_000
+        options = stiffness_options("multigrid", fine.K, 2, lower)
+        assert options["pc_type"] == "mg"
+        assert options["mg_coarse_pc_type"] == ("cholesky" if factored_below else "gamg")
+        b, x = fine.K.createVecs()
+        b.array[:] = np.where(fine.held, 0.0, np.random.default_rng(2).normal(size=len(fine.held)))
+        counts.append(Inverse(fine.K, lambda: 0, options, lower).solve(b, x, 1e-10))
+        direct = Inverse(fine.K, lambda: 0, stiffness_options("direct", fine.K, 2, None))
+        y = x.duplicate()
+        direct.solve(b, y, 1e-12)
+        assert np.abs(x.array - y.array).max() < 1e-7 * np.abs(y.array).max()
+    assert counts[1] < 1.3 * counts[0] < 40, counts
+
+
+def test_it_follows_a_changed_stiffness() -> None:
+    fine, version = problem(), [0]
+    lower = FirstOrder(fine.space, lambda: fine.held)
+    inverse = Inverse(
+        fine.K, lambda: version[0], stiffness_options("multigrid", fine.K, 2, lower), lower
+    )
+    b, x = fine.K.createVecs()
+    b.set(1.0)
+    first = inverse.solve(b, x, 1e-8)
+    old = x.copy()
+    fine.K.scale(1e3)
+    version[0] = 1
+    x.set(0.0)
+    assert abs(inverse.solve(b, x, 1e-8) - first) <= 1
+    np.testing.assert_allclose(1e3 * x.array, old.array, atol=1e-6 * np.abs(old.array).max())
+    # Where it fails the stiffness is factorized.
+    assert inverse.fall_back() and inverse.pc.getType() == "cholesky"
