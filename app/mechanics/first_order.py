@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from petsc4py import PETSc
 
@@ -12,12 +12,10 @@ from dolfinx import fem
 from dolfinx.fem.petsc import interpolation_matrix
 
 from mantle.arrays import Bools
-from mantle.mechanics.reduction import AllFree, near_null_space
+from mantle.mechanics.reduction import AllFree, Reduction, near_null_space
 from mantle.numerics.preconditioners import Inverse, stiffness_options
 from mantle.numerics.rigid_motions import rigid_modes
-
-if TYPE_CHECKING:
-    from mantle.mechanics.problem import Problem
+from mantle.scene.terms import Scene
 
 
 class FirstOrder:
@@ -72,8 +70,28 @@ class FirstOrder:
         return near_null_space(matrix.comm, matrix, rigid_modes(own).reshape(-1, 6).T)
 
 
-def inverse_of(problem: Problem) -> Inverse:
-    """What solves with the stiffness: factors, or multigrid, by degree if unknowns are nodal."""
+class Stiff(Protocol):
+    """Whatever has a stiffness.
+
+    Attributes:
+        K: The stiffness.
+        version: Counts how often it has changed.
+        scene: What is solved.
+        space: Of the displacement.
+        reduction: From nodal displacements to unknowns.
+        held: Own unknowns that supports hold (n,).
+    """
+
+    K: PETSc.Mat
+    version: int
+    scene: Scene
+    space: fem.FunctionSpace
+    reduction: Reduction
+    held: Bools
+
+
+def inverse_of(problem: Stiff) -> Inverse:
+    """Factors of the stiffness or multigrid: by degree at second order, if unknowns are nodal."""
     K, order = problem.K, problem.scene.order
     nodal = order > 1 and isinstance(problem.reduction, AllFree)
     lower = FirstOrder(problem.space, lambda: problem.held) if nodal else None
