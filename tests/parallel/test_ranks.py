@@ -137,3 +137,19 @@ def test_an_error_on_one_rank_is_told_once_and_ends_all(tmp_path: Path) -> None:
         run = ("-m", "mantle", "run", case, "-o", tmp_path / "out", "--force")
         done = support.on_ranks(3, *run, "--set", f"{key}={value}", code=2)
         assert done.stderr.count(f"{key}: expression '{value}' is not finite at (") == 1
+
+
+@pytest.mark.parallel
+@pytest.mark.parametrize("order", [1, 2])
+def test_multigrid_is_as_good_on_ranks(order: int, tmp_path: Path) -> None:
+    """Each rank smooths its own part; with longer steps than on one rank that would diverge."""
+    case, counts = tmp_path / "case.yaml", {}
+    case.write_text(CASE)
+    changes = (f"mesh.order={order}", f"mesh.size={2 * order} mm", "solver.linear=multigrid")
+    overrides = [word for change in changes for word in ("--set", change)]
+    for ranks in (1, 2):
+        output = tmp_path / str(ranks)
+        support.on_ranks(ranks, "-m", "mantle", "run", case, "-o", output, *overrides)
+        solver = json.loads((output / "summary.json").read_text())["solver"]
+        counts[ranks] = solver["linear_iterations"]
+    assert counts[2] < 1.4 * counts[1]
