@@ -141,7 +141,7 @@ def runs_of(
         cores: Those of this machine; None on a cluster.
     """
     done = {mark.parent.name[-DIGITS:]: mark.parent for mark in finished(folder)}
-    saved = (folder / "runs").glob(f"{SHARED}*/*/checkpoint-*.h5")
+    saved = (folder / "runs").glob(f"{SHARED}*/*/checkpoint-*.state")
     begun = {path.parent.name[-DIGITS:]: path.parent.parent.name for path in saved}
     digests = []
     for job, case in zip(jobs, cases, strict=True):

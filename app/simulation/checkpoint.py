@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from mpi4py import MPI  # before h5py, which may be built for MPI
 
 import numpy as np
 
-from mantle.errors import InputError, everywhere
+from mantle.errors import InputError, agree, everywhere
 from mantle.numerics.state import Rows, State
 from mantle.results.output import on_root
 from mantle.schema import config
@@ -36,7 +37,12 @@ TOLD = 12
 
 
 def find(
-    comm: MPI.Comm, wanted: str, folder: Path, case: config.Case, force: bool
+    comm: MPI.Comm,
+    wanted: str,
+    folder: Path,
+    case: config.Case,
+    force: bool,
+    passed: Collection[Path] = (),
 ) -> Checkpoint | None:
     """The checkpoint to go on from, if there is one; collective.
 
@@ -46,32 +52,40 @@ def find(
         folder: The run directory.
         case: The configuration.
         force: Whether that of the checkpoint may be another one.
+        passed: What ``auto`` passes over.
 
     Raises:
         InputError: It is of another configuration, or the file cannot be read.
     """
-    path = on_root(comm, lambda: _choose(wanted, folder, case, force))
+    path = on_root(comm, lambda: _choose(wanted, folder, case, force, passed))
     return None if path is None else everywhere(comm, lambda: _readable(path))
 
 
-def _choose(wanted: str, folder: Path, case: config.Case, force: bool) -> Path | None:
+def _choose(
+    wanted: str, folder: Path, case: config.Case, force: bool, passed: Collection[Path]
+) -> Path | None:
     """Which file."""
     if wanted != "auto":
         found = _readable(Path(wanted))
         _refuse_another(found, case, force)
         return found.path
     paths = saved(folder)
-    for path in paths:
+    for path in (p for p in paths if p not in passed):
         try:
             found = read(path)
         except (OSError, DamagedError) as error:
-            log.warning("%s cannot be used: %s; trying the one before", path, error)
+            pass_over(path, error)
             continue
         _refuse_another(found, case, force)
         return path
     none = "no usable checkpoint" if paths else "no checkpoint"
     log.info("restart: %s in %s; starting from the beginning", none, folder)
     return None
+
+
+def pass_over(path: Path, error: Exception) -> None:
+    """Tell that ``auto`` does not take a checkpoint, and why."""
+    log.warning("%s cannot be used: %s; trying the one before", path, error)
 
 
 def _readable(path: Path) -> Checkpoint:
@@ -173,17 +187,26 @@ class Keeper:
 
         Raises:
             InputError: It is of another mesh, or of other unknowns.
+            DamagedError: It is of this case, but not what a run of it saves.
         """
         if self._found is None:
             return 0
         header, state = self._found.header, self._found.state
         self._refuse_misfits(self._found)
-        k = int(header["stage"])
-        self._model.resume(state["model"], k)
-        self._recorder.resume(state["recorder"])
-        self._saved = int(header["step"])
+        k = header["stage"]
+        try:
+            _check_numbers(state)
+            self._model.resume(state["model"], k)
+            self._recorder.resume(state["recorder"])
+            restored = _restored(self._found, self._comm.size)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            log.debug("%s", self._found.path, exc_info=True)
+            damaged = DamagedError(f"its state does not fit ({type(error).__name__}: {error})")
+            agree(self._comm, damaged)
+            raise damaged from error
+        self._saved = header["step"]
         self._state = {"stage": k, "time": header["time"], "state": self._now()}
-        log.info("%s", _restored(self._found, self._comm.size))
+        log.info("%s", restored)
         self._found = None
         return k
 
@@ -213,6 +236,8 @@ class Keeper:
             if there is None or here != there
         ]
         bad = sorted(set().union(*self._comm.allgather(bad)))
+        if bad and found.header["case"] == described(self._case):
+            raise DamagedError(f"its state does not fit in {', '.join(bad[:TOLD])}")
         if bad:
             raise InputError(
                 f"{where}: checkpoint of another model, with other unknowns or records in "
@@ -242,7 +267,7 @@ class Keeper:
         if kept is None:
             return None
         recorded = kept["state"]["recorder"]
-        path = self._folder / f"checkpoint-{recorded['step']}.h5"
+        path = self._folder / f"checkpoint-{recorded['step']}.state"
         if recorded["step"] == self._saved and on_root(self._comm, path.exists):
             return path
         header = {
@@ -278,9 +303,12 @@ def _keep(folder: Path, newest: Path) -> None:
 
 
 def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None, int]]:
-    """For all rows of a model at rest: name, number in a checkpoint if it has those, own number."""
+    """For all of a state at rest: name, number of rows in a checkpoint if it fits, own number."""
     if isinstance(here, Rows):
-        fits = isinstance(there, Rows) and there.has(here.keys)
+        # A rank that has none may not know of how many components.
+        fits = isinstance(there, Rows) and (
+            not len(here.keys) or (_kind(here) == _kind(there) and there.has(here.keys))
+        )
         yield name, len(there.keys) if fits else None, len(here.keys)
     elif isinstance(here, dict):
         if not isinstance(there, dict) or here.keys() - there.keys():
@@ -296,6 +324,42 @@ def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None
             return
         for a, b in zip(here, there, strict=False):
             yield from _misfits(a, b, name)
+    elif isinstance(here, int | float) and not isinstance(there, int | float):
+        yield name, None, 0
+
+
+def _kind(rows: Rows) -> tuple[Any, ...]:
+    """What rows are of: type and shape."""
+    return rows.values.dtype, rows.values.shape[1:]
+
+
+def _items(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
+def _check_numbers(state: State) -> None:
+    """Refuse steps and rows of the table that no run has.
+
+    Raises:
+        ValueError: There are some.
+    """
+    model, recorded = state["model"], state["recorder"]
+    ways = [m["way"]["step"] for m in model["motion"] if m["way"]]
+    ways += [h["controller"]["next"] for h in model["march"] if h["controller"]]
+    if not all(math.isfinite(step) and step > 0 for step in ways):
+        raise ValueError("a step that goes nowhere")
+    counts = [*recorded["total"].values(), *recorded["timing"].values()]
+    counts += [recorded[name] for name in ("step", "frames", "written", "time", "seconds")]
+    counts += [value for balance in recorded["balances"] for value in balance.values()]
+    if not all(isinstance(count, int | float) for count in counts):
+        raise ValueError("a count that is no number")
+    values = [value for _, value in _leaves(model)]
+    if any(isinstance(v, str) for value in values for v in (value, *_items(value))):
+        raise ValueError("a text among numbers")
+    cells = [*recorded["mechanical"].values()]
+    cells += [cell for row in recorded["writer"]["rows"] for cell in row.values()]
+    if not all(cell is None or isinstance(cell, int | float) for cell in cells):
+        raise ValueError("a row of history.csv that is not of numbers")
 
 
 def _restored(found: Checkpoint, ranks: int) -> str:

@@ -1,36 +1,53 @@
 """Checkpoints as files: the state of a run that is whole or not there, and back.
 
-A checkpoint is one HDF5 file behind a first block of 512 bytes, which holds the digest of the rest.
+A checkpoint is a first block of 512 bytes, which holds the digest of the rest, then a text (JSON)
+and arrays, one after the other. The text tells type and shape of each array, whose sizes have to
+add up to that of the file. There is no link to other files, filter or compression in it.
 Rows are those of all ranks in the order of their keys, so that any number of ranks reads them.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import json
+import math
+import os
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI  # before h5py, which may be built for MPI
+from mpi4py import MPI
 
-import h5py
 import numpy as np
 
-from mantle.numerics.state import Rows, State
+from mantle.errors import InputError
+from mantle.numerics.state import Array, Rows, State
+from mantle.soundness import sizing
 from mantle.system.folders import write_bytes
 
 # Of the layout of the file.
-FORMAT = 3
-# The first block, of a size that HDF5 looks behind.
-BLOCK = 512
+FORMAT = 4
+# Bytes of the first block, and of what the length of the text and each array are padded to.
+BLOCK, WORD = 512, 8
+# What begins the files of the formats before.
+HDF5 = b"\x89HDF"
 # What stands for rows in the text of a state.
 MARK = "@rows"
+# Types of arrays, and levels of a text: a state has some ten.
+TYPES = ("<f8", "<i8", "<i4", "|i1", "|b1")
+DEEPEST = 40
+# What a header holds, of which type.
+HEADER: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(("mantle", "mesh", "stage_name", "written"), str),
+    **dict.fromkeys(("ranks", "stage", "step"), int),
+    **dict.fromkeys(("time", "seconds"), (int, float)),
+    "case": dict,
+}
 
 
-class DamagedError(Exception):
+class DamagedError(InputError):
     """A file is no checkpoint, or not a whole one."""
 
 
@@ -67,12 +84,11 @@ def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: State) -
     failure = None
     if comm.rank == 0:
         try:
-            text = json.dumps([dict(header), tree], default=_plain)
+            text = json.dumps([dict(header), tree], default=_number)
             image = _image(text, [_sorted(p) for p in pieces if p is not None])
             digest = hashlib.sha256(image).hexdigest()
             write_bytes(path, digest.encode().ljust(BLOCK) + image)
         except OSError as error:
-            path.with_name(path.name + ".partial").unlink(missing_ok=True)
             failure = error
     failure = comm.bcast(failure)
     if failure is not None:
@@ -91,19 +107,8 @@ def _without_rows(state: Any, parts: list[Rows]) -> Any:
     return state
 
 
-def _with_rows(tree: Any, parts: list[Rows]) -> Any:
-    """The rows in their places again."""
-    if isinstance(tree, dict):
-        if tree.keys() == {MARK}:
-            return parts[tree[MARK]]
-        return {key: _with_rows(value, parts) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [_with_rows(value, parts) for value in tree]
-    return tree
-
-
-def _plain(value: Any) -> Any:
-    """Numbers of numpy."""
+def _number(value: Any) -> Any:
+    """A number of numpy as one of Python."""
     return value.item()
 
 
@@ -117,17 +122,30 @@ def _sorted(pieces: list[tuple[Any, Any]]) -> Rows:
 
 
 def _image(text: str, parts: list[Rows]) -> bytes:
-    """The HDF5 file."""
-    with h5py.File("checkpoint", "w", driver="core", backing_store=False) as file:
-        file["state"] = np.frombuffer(text.encode(), dtype=np.uint8)
-        for k, r in enumerate(parts):
-            name = "keys/" + hashlib.sha256(r.keys.tobytes()).hexdigest()[:16]
-            if name not in file:
-                file[name] = r.keys
-            file[f"rows/{k}"] = r.values
-            file[f"rows/{k}"].attrs["keys"] = name
-        file.flush()
-        return bytes(file.id.get_file_image())
+    """The file behind its first block; keys that several rows have are written once."""
+    arrays: list[Array] = []
+    places: dict[bytes, int] = {}
+
+    def place(array: Array) -> int:
+        arrays.append(np.ascontiguousarray(array))
+        return len(arrays) - 1
+
+    rows = []
+    for part in parts:
+        digest = hashlib.sha256(part.keys.tobytes()).digest()
+        if digest not in places:
+            places[digest] = place(part.keys)
+        rows.append((places[digest], place(part.values)))
+    announced = [(a.dtype.str, a.shape) for a in arrays]
+    head = f'{{"content": {text}, "arrays": {json.dumps(announced)}, "rows": {json.dumps(rows)}}}'
+    pieces = [head.encode(), *(a.tobytes() for a in arrays)]
+    padded = [piece.ljust(_padded(len(piece)), b" ") for piece in pieces]
+    return b"".join([len(padded[0]).to_bytes(WORD, "little"), *padded])
+
+
+def _padded(size: int) -> int:
+    """A size, or the next that words fill."""
+    return -(-size // WORD) * WORD
 
 
 def read(path: Path) -> Checkpoint:
@@ -137,17 +155,78 @@ def read(path: Path) -> Checkpoint:
         OSError: It cannot be read.
         DamagedError: It is not whole, or nothing of this kind.
     """
-    content = path.read_bytes()
+    # Not to wait for what writes into a pipe.
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        status = os.fstat(file.fileno())
+        _need(stat.S_ISREG(status.st_mode), "it is not a file")
+        large = f"its {status.st_size / 1e9:.3g} GB are more than this machine's memory"
+        _need(status.st_size < sizing.available({}), large)
+        content = memoryview(file.read())
     image = content[BLOCK:]
-    if content[:BLOCK].strip() != hashlib.sha256(image).hexdigest().encode():
-        raise DamagedError("the file is damaged")
-    with h5py.File(io.BytesIO(image), "r") as file:
-        header, tree = json.loads(bytes(file["state"][:]))
-        if header["format"] != FORMAT:
-            raise DamagedError(f"written by mantle {header['mantle']} in another format")
-        keys = {f"keys/{name}": file["keys"][name][:] for name in file.get("keys", ())}
-        count = len(file.get("rows", ()))
-        parts = [
-            Rows(keys[file[f"rows/{k}"].attrs["keys"]], file[f"rows/{k}"][:]) for k in range(count)
-        ]
-    return Checkpoint(path, header, _with_rows(tree, parts))
+    digest = hashlib.sha256(image).hexdigest().encode()
+    _need(bytes(content[:BLOCK]).strip() == digest, "the file is damaged")
+    _need(bytes(image[: len(HDF5)]) != HDF5, "written by another mantle in another format")
+    try:
+        return _parsed(path, image)
+    except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError) as error:
+        raise DamagedError(f"it is no checkpoint ({type(error).__name__}: {error})") from error
+
+
+def _need(fact: bool, fault: str) -> None:
+    """Refuse a file without a fact.
+
+    Raises:
+        DamagedError: It is not so.
+    """
+    if not fact:
+        raise DamagedError(fault)
+
+
+def _parsed(path: Path, image: memoryview) -> Checkpoint:
+    """What a file tells, of which nothing is believed: neither names, nor types, nor sizes."""
+    begin = WORD + int.from_bytes(image[:WORD], "little")
+    told = json.loads(bytes(image[WORD:begin]))
+    header, tree = told["content"]
+    _plain(header, "the header", [])
+    if header["format"] != FORMAT:
+        raise DamagedError(f"written by mantle {header['mantle']} in another format")
+    for name, kind in HEADER.items():
+        value = header.get(name)
+        fits = isinstance(value, kind) and not isinstance(value, bool)
+        _need(fits, f"{name} is missing in its header, or something else")
+    _need(min(header["ranks"], header["stage"], header["step"]) >= 0, "its step is negative")
+    _need(math.isfinite(header["time"] + header["seconds"]), "its time is not finite")
+    sizes = []
+    for kind, shape in told["arrays"]:
+        _need(kind in TYPES, f"it has an array of type {str(kind)[:20]}")
+        _need(all(type(n) is int and n >= 0 for n in shape), "it has an array without a shape")
+        sizes.append(math.prod(shape) * np.dtype(kind).itemsize)
+    whole = begin + sum(map(_padded, sizes))
+    _need(whole == len(image), f"its arrays are of {whole} bytes, and the file has {len(image)}")
+    arrays = []
+    for (kind, shape), size in zip(told["arrays"], sizes, strict=True):
+        array = np.frombuffer(image[begin : begin + size], dtype=kind)
+        arrays.append(array.reshape(shape))
+        begin += _padded(size)
+    parts = []
+    for k, v in told["rows"]:
+        keys, values = arrays[k], arrays[v]
+        _need(keys.dtype == np.int64 and keys.ndim == 1, "it has rows without keys")
+        _need(bool((np.diff(keys) >= 0).all()), "it has keys that do not rise")
+        _need(values.ndim > 0 and len(values) == len(keys), "it has rows without keys")
+        parts.append(Rows(keys, values))
+    state = _plain(tree, "the state", parts)
+    _need(isinstance(state, dict) and {*state} == {"model", "recorder"}, "it has no state")
+    return Checkpoint(path, header, state)
+
+
+def _plain(tree: Any, what: str, parts: list[Rows], level: int = 0) -> Any:
+    """A text as it was parsed, with the rows in their places again."""
+    _need(level < DEEPEST, f"{what} is nested too deeply")
+    if isinstance(tree, dict):
+        if tree.keys() == {MARK}:
+            return parts[tree[MARK]]
+        return {key: _plain(value, what, parts, level + 1) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_plain(value, what, parts, level + 1) for value in tree]
+    return tree

@@ -18,6 +18,7 @@ from mantle.errors import (
     ConvergenceError,
     EnvironmentProblem,
     GeometryError,
+    InputError,
     StoppedError,
     agree,
 )
@@ -94,6 +95,7 @@ def run(
         begin,
         started,
         partial(checkpoint.find, comm, restart, force=force) if restart else None,
+        restart == "auto",
         progress,
     )
     session.note(unusual_input.warnings(case.config))
@@ -119,6 +121,7 @@ class Session:
         begin: float,
         started: datetime,
         restart: Callable[..., checkpoint_file.Checkpoint | None] | None,
+        back: bool,
         progress: OnAccepted,
     ) -> None:
         """Begin.
@@ -131,11 +134,12 @@ class Session:
             begin: When the run began, by `time.perf_counter`.
             started: The same, by the clock.
             restart: Finds the checkpoint of a run directory (``folder``) and case, if wanted.
+            back: Whether the one before is taken where one is damaged.
             progress: Called on every rank after each accepted step.
         """
         self._comm, self._case, self._options, self._stop = comm, case, options, stop
         self._begin, self._started, self._restart = begin, started, restart
-        self._progress = progress
+        self._back, self._progress = back, progress
         self._timing = Timing()
         self._models: list[Model] = []
         self._noted: set[str] = set()
@@ -221,8 +225,29 @@ class Session:
         Raises:
             MantleError: With the last converged state on disk where there is one.
         """
+        passed: list[Path] = []
+        while self._restart:
+            found = self._restart(folder=output, case=case, passed=passed)
+            try:
+                return self._solve(case, changes, output, found)
+            except checkpoint_file.DamagedError as damaged:
+                assert found is not None
+                if not self._back:
+                    raise InputError(f"--restart {found.path}: cannot be used: {damaged}") from None
+                checkpoint.pass_over(found.path, damaged)
+                passed.append(found.path)
+                self._models.clear()  # with the one that has taken up some of it
+        return self._solve(case, changes, output, None)
+
+    def _solve(
+        self,
+        case: config.Case,
+        changes: Sequence[str],
+        output: Path,
+        found: checkpoint_file.Checkpoint | None,
+    ) -> dict[str, Any]:
+        """Solve a case from a checkpoint, if there is one; collective."""
         comm, timing = self._comm, self._timing
-        found = self._restart(folder=output, case=case) if self._restart else None
         model = Model(case, comm, self._options, timing, self._stop, self._models)
         notes = [*unusual_input.warnings(case), *model.judge()]
         self.note(notes)

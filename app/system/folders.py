@@ -97,7 +97,7 @@ def claim(folder: Path) -> int:
 
 def saved(folder: Path) -> list[Path]:
     """The checkpoints in a run directory, the newest first."""
-    found = {p: p.stem.removeprefix("checkpoint-") for p in folder.glob("checkpoint-*.h5")}
+    found = {p: p.stem.removeprefix("checkpoint-") for p in folder.glob("checkpoint-*.state")}
     numbers = {p: int(n) for p, n in found.items() if n.isdigit()}
     return sorted(numbers, key=lambda p: numbers[p], reverse=True)
 

@@ -555,7 +555,7 @@ def test_a_group_keeps_all_cores_busy(
     assert list(counts.values()) == sizes
     last = results[-1].folder
     last.mkdir(parents=True)
-    (last / "checkpoint-3.h5").write_text("")
+    (last / "checkpoint-3.state").write_text("")
     again = batch.look(jobs, bench.out, 3 * ranks)
     assert again[-1].folder == last
     assert sorted(Counter(r.process for r in again[:-1]).values()) == [5, 7, 7]

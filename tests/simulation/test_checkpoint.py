@@ -29,27 +29,34 @@ from tests import restarted, support
 
 COMM = MPI.COMM_SELF
 FIELDS = "output.fields=false"
+HEADER = {
+    **dict.fromkeys(("mantle", "mesh", "stage_name", "written"), "x"),
+    **dict.fromkeys(("ranks", "stage", "step", "time", "seconds"), 0),
+    "format": checkpoint_file.FORMAT,
+    "case": {},
+}
 
 
 def written(path: Path) -> Path:
-    state = {"a": 1.5, "b": [Rows(np.array([7, 3, 5]), np.arange(6.0).reshape(3, 2))], "c": None}
-    checkpoint_file.write(COMM, path, {"format": checkpoint_file.FORMAT, "mantle": "x"}, state)
+    rows = Rows(np.array([7, 3, 5]), np.arange(6.0).reshape(3, 2))
+    state = {"model": {"a": 1.5, "b": [rows], "c": None}, "recorder": {}}
+    checkpoint_file.write(COMM, path, HEADER, state)
     return path
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    found = checkpoint_file.read(written(tmp_path / "checkpoint-1.h5"))
-    assert found.state["a"] == 1.5 and found.state["c"] is None
-    (rows,) = found.state["b"]
+    model = checkpoint_file.read(written(tmp_path / "checkpoint-1.state")).state["model"]
+    assert model["a"] == 1.5 and model["c"] is None
+    (rows,) = model["b"]
     assert rows.keys.tolist() == [3, 5, 7]
     assert rows.of(np.array([7, 5])).tolist() == [[0.0, 1.0], [4.0, 5.0]]
     assert rows.has(np.array([3, 7])) and not rows.has(np.array([4]))
-    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint-1.h5"]
+    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint-1.state"]
 
 
 @pytest.mark.parametrize("place", [0, 600, -1])
 def test_a_changed_byte_is_found(tmp_path: Path, place: int) -> None:
-    path = written(tmp_path / "checkpoint-1.h5")
+    path = written(tmp_path / "checkpoint-1.state")
     content = bytearray(path.read_bytes())
     content[place] ^= 1
     path.write_bytes(content)
@@ -60,7 +67,7 @@ def test_a_changed_byte_is_found(tmp_path: Path, place: int) -> None:
 def test_a_failed_write_leaves_what_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = written(tmp_path / "checkpoint-1.h5")
+    path = written(tmp_path / "checkpoint-1.state")
     before = path.read_bytes()
 
     def full(number: int) -> None:
@@ -68,7 +75,7 @@ def test_a_failed_write_leaves_what_was_there(
 
     monkeypatch.setattr("mantle.system.folders.os.fsync", full)
     with pytest.raises(OSError, match="No space"):
-        checkpoint_file.write(COMM, path, {"format": 1}, {"a": 2})
+        checkpoint_file.write(COMM, path, HEADER, {"a": 2})
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
@@ -97,7 +104,7 @@ def choose(out: Path, folder: Path, wanted: str = "auto", force: bool = False) -
 
 def test_two_are_kept(run_of_blocks: Path) -> None:
     names = [p.name for p in saved(run_of_blocks / "out")]
-    assert names == ["checkpoint-6.h5", "checkpoint-5.h5"]
+    assert names == ["checkpoint-6.state", "checkpoint-5.state"]
 
 
 @pytest.mark.parametrize("damage", ["cut", "garbage", "empty"])
@@ -298,7 +305,7 @@ def test_fifty_kills(tmp_path: Path) -> None:
     for k in range(50):
         out = tmp_path / f"out-{k}"
         process = started(*command, "-o", str(out))
-        wanted = f"checkpoint-{random.integers(1, 6)}.h5"
+        wanted = f"checkpoint-{random.integers(1, 6)}.state"
         while process.poll() is None and wanted not in [p.name for p in saved(out)]:
             clock.sleep(0.001)
         clock.sleep(random.uniform(0.0, 0.05))  # in the middle of whatever comes next
