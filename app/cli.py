@@ -25,6 +25,7 @@ from mantle.command_line.parser import parser
 from mantle.command_line.streams import painted, silence
 from mantle.errors import AloneError, EnvironmentProblem, MantleError, together
 from mantle.system import ranks
+from mantle.system.folders import settle_cache
 from mantle.system.ranks import rank
 
 INTERNAL_ERROR = 70
@@ -53,6 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ranks.keep_quiet()
     ranks.end_with_parent()
     try:
+        if (message := settle_cache()) and rank() == 0:
+            print(f"mantle: {message}", file=sys.stderr)
         for name in filter(None, os.environ.get("MANTLE_EXTENSIONS", "").split(",")):
             import_module(name)  # laws, loads and quantities of other packages
         return dispatch(list(sys.argv[1:] if arguments is None else arguments))

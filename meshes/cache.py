@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import io
 import json
 import logging
-import os
 import re
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from mantle import files
 
 from .data import MeshData
 
@@ -71,15 +74,19 @@ def _gmsh_version() -> str:
     return str(gmsh.__version__)
 
 
+# What is kept of a mesh, beside its names.
+ARRAYS = ("points", "cells", "cell_tags", "facets", "facet_tags")
+
+
 def load(path: Path) -> MeshData | None:
-    """Read a cached mesh; None when there is none or it cannot be read (it is then rebuilt)."""
+    """Read a cached mesh; None when there is none or it is not what was kept (it is remade)."""
     try:
-        # Opened here: np.load leaves a damaged file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            names = json.loads(str(stored["names"]))
-            arrays = {
-                k: stored[k] for k in ("points", "cells", "cell_tags", "facets", "facet_tags")
-            }
+        with np.load(io.BytesIO(files.read_own(path)), allow_pickle=False) as stored:
+            text = str(stored["names"])
+            arrays = {k: stored[k] for k in ARRAYS}
+            if str(stored["sha256"]) != _digest(path, text, arrays):
+                return None
+        names = json.loads(text)
         return MeshData(
             **arrays,
             regions=names["regions"],
@@ -91,14 +98,23 @@ def load(path: Path) -> MeshData | None:
         return None
 
 
+def _digest(path: Path, names: str, arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Digest of a mesh and of the name under which it is kept."""
+    digest = hashlib.sha256(f"{path.name}\0{names}".encode())
+    for name in ARRAYS:
+        digest.update(f"\0{arrays[name].dtype.str} {arrays[name].shape}\0".encode())
+        digest.update(np.ascontiguousarray(arrays[name]))
+    return digest.hexdigest()
+
+
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
     """Keep others from making the same mesh meanwhile: many runs at once often need one mesh."""
     with ExitStack() as stack:
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = stack.enter_context(path.with_suffix(".lock").open("w"))
+            file = stack.enter_context(open(files.lock_file(path.with_suffix(".lock")), "w"))
             fcntl.flock(file, fcntl.LOCK_EX)
+            files.clear(path.parent, path.name)
         except OSError:
             pass  # where nothing can be written or locked, all make the same mesh
         yield
@@ -115,24 +131,13 @@ def store(data: MeshData, path: Path) -> None:
         "interfaces": dict(data.interfaces),
         "notes": dict(data.notes),
     }
-    # Not by `tempfile`, whose files nobody else may read: a cache may be shared.
-    temporary = path.with_name(f"{path.stem}-{os.uname().nodename}-{os.getpid()}.part")
+    text = json.dumps(names)
+    arrays = {name: np.asarray(getattr(data, name)) for name in ARRAYS}
+    seal = np.array(_digest(path, text, arrays))
+    content = io.BytesIO()
+    parts: dict[str, Any] = {**arrays, "names": np.array(text), "sha256": seal}
+    np.savez(content, **parts)
     try:
-        with temporary.open("wb") as file:
-            np.savez(
-                file,
-                points=data.points,
-                cells=data.cells,
-                cell_tags=data.cell_tags,
-                facets=data.facets,
-                facet_tags=data.facet_tags,
-                names=np.array(json.dumps(names)),
-            )
-        os.replace(temporary, path)
+        files.write_bytes(path, content.getvalue(), 0o600)
     except OSError as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
         log.warning("the mesh cannot be kept in %s: %s", path.parent, error.strerror or error)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise

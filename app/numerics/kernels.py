@@ -8,7 +8,7 @@ all in a few files is known by those files instead; a note beside the meshes say
 from __future__ import annotations
 
 import hashlib
-import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -24,7 +24,11 @@ import ffcx
 import ufl
 from dolfinx import jit
 
-from mantle.system import folders
+from mantle import files
+from mantle.system import folders, form_cache
+
+# Names that ffcx gives.
+MODULE, SYMBOL = re.compile(r"libffcx_expressions_[0-9a-f]+"), re.compile(r"expression_[0-9a-f]+")
 
 
 @dataclass(frozen=True)
@@ -72,19 +76,28 @@ def find(comm: MPI.Comm, note: Path | None) -> tuple[Kernel, Any, ModuleType] | 
     found = None
     try:
         if note is not None:
-            found = _load(json.loads(note.read_text()))
+            found = _load(folders.unsealed(note, _content(note)))
     except (OSError, ValueError, TypeError, KeyError, AttributeError, ImportError):
         found = None
     return found if comm.allreduce(found is not None, MPI.LAND) else None
 
 
+def _content(note: Path) -> bytes:
+    """The text of a note, of this user's cache or an image's."""
+    if (seeded := None if note.exists() else folders.seeded("mantle/laws", note.name)) is not None:
+        return seeded
+    return files.read_own(note)
+
+
 def _load(noted: dict[str, Any]) -> tuple[Kernel, Any, ModuleType] | None:
     shapes = tuple(tuple(int(k) for k in shape) for shape in noted["shapes"])
     kernel = Kernel(noted["module"], noted["symbol"], tuple(noted["inputs"]), shapes)
+    if not (MODULE.fullmatch(kernel.module) and SYMBOL.fullmatch(kernel.symbol)):
+        return None
     folder = Path(jit.get_options()["cache_dir"])
     path = folder / (kernel.module + EXTENSION_SUFFIXES[0])
     # The mark that its compiler has finished, without which ffcx does not trust it either.
-    if not (folder / f"{kernel.module}.c.cached").exists():
+    if not form_cache.usable(folder, kernel.module):
         return None
     spec = spec_from_file_location(kernel.module, path)
     if spec is None or spec.loader is None:
@@ -99,6 +112,7 @@ def keep(comm: MPI.Comm, note: Path | None, kernel: Kernel) -> None:
     if note is None or comm.rank != 0:
         return
     try:
-        folders.write_json(note, asdict(kernel))
+        files.clear(note.parent, note.name)
+        folders.write_sealed(note, asdict(kernel))
     except OSError:
         pass

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
+from mantle import files
 from mantle.errors import StoppedError, everywhere
 from mantle.heat.conduction import Conduction
 from mantle.meshes.distribute import TaggedMesh
@@ -109,6 +110,7 @@ class Writer:
         self._rows: list[dict[str, Any]] = []
 
         def start() -> None:
+            files.clear(folder)
             for name in RESULTS[: len(ENDS) if again else None]:
                 (folder / name).unlink(missing_ok=True)
             for old in () if again else saved(folder):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import re
 from contextlib import suppress
 from fractions import Fraction
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
+from mantle import files
 from mantle.errors import MantleError
 from mantle.system import folders
 
@@ -82,24 +83,27 @@ def _known(entry: object) -> tuple[Fraction, Fraction] | None:
 
 @lru_cache(maxsize=1)
 def _kept() -> dict[str, list[str]]:
-    """Conversions that pint has made before, in the cache."""
-    folder = folders.cache("units")
-    try:
-        found = json.loads((folder / KEPT).read_text()) if folder else {}
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
+    """Conversions that pint has made before, in the cache or in that of an image."""
+    found: dict[str, list[str]] = {}
+    with suppress(OSError, ValueError):
+        if seeded := folders.seeded("mantle/units", KEPT):
+            found |= folders.unsealed(Path(KEPT), seeded)
+    with suppress(OSError, ValueError, TypeError):
+        if folder := folders.cache("units"):
+            found |= folders.unsealed(folder / KEPT, files.read_own(folder / KEPT))
+    return found
 
 
 def _keep(key: str, conversion: tuple[Fraction, Fraction]) -> None:
     """Add a conversion to those that are in the cache by now, if there is one."""
     with suppress(OSError, MantleError):
         if folder := folders.cache("units"):
-            with (folder / "lock").open("w") as lock:
+            with open(files.lock_file(folder / "lock"), "w") as lock:
                 fcntl.flock(lock, fcntl.LOCK_EX)
+                files.clear(folder)
                 _kept.cache_clear()
                 _kept()[key] = [str(number) for number in conversion]
-                folders.write_json(folder / KEPT, _kept())
+                folders.write_sealed(folder / KEPT, _kept())
 
 
 def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:

@@ -190,9 +190,9 @@ def _parsed(path: Path, image: memoryview) -> Checkpoint:
     _plain(header, "the header", [])
     if header["format"] != FORMAT:
         raise DamagedError(f"written by mantle {header['mantle']} in another format")
-    for name, kind in HEADER.items():
+    for name, wanted in HEADER.items():
         value = header.get(name)
-        fits = isinstance(value, kind) and not isinstance(value, bool)
+        fits = isinstance(value, wanted) and not isinstance(value, bool)
         _need(fits, f"{name} is missing in its header, or something else")
     _need(min(header["ranks"], header["stage"], header["step"]) >= 0, "its step is negative")
     _need(math.isfinite(header["time"] + header["seconds"]), "its time is not finite")
@@ -205,7 +205,7 @@ def _parsed(path: Path, image: memoryview) -> Checkpoint:
     _need(whole == len(image), f"its arrays are of {whole} bytes, and the file has {len(image)}")
     arrays = []
     for (kind, shape), size in zip(told["arrays"], sizes, strict=True):
-        array = np.frombuffer(image[begin : begin + size], dtype=kind)
+        array: Array = np.frombuffer(image[begin : begin + size], dtype=np.dtype(kind))
         arrays.append(array.reshape(shape))
         begin += _padded(size)
     parts = []

@@ -4,36 +4,82 @@ from __future__ import annotations
 
 import csv
 import fcntl
+import hashlib
 import io
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mantle.errors import InputError
+from mantle import files
+from mantle.errors import EnvironmentProblem, InputError
+from mantle.files import write_bytes as write_bytes
 
 # What stands in the folder of a variation that did not converge: why.
 FAILED = "FAILED"
+# Where an image has what its users' caches begin with.
+SEED = Path("/var/cache/mantle")
+
+
+def cache_home() -> Path:
+    """The folder below which caches are."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
+
+
+def settle_cache() -> str:
+    """Have this process and those it starts keep caches where nobody else can write.
+
+    Returns:
+        A message, if somebody else can, or nobody, where ``XDG_CACHE_HOME`` has them; then they
+        are in a folder of this user's below ``/tmp``. They are there, too, without a home.
+
+    Raises:
+        EnvironmentProblem: There is no such folder.
+    """
+    try:
+        places = [cache_home() / name for name in ("fenics", "mantle")]
+    except RuntimeError:  # no home
+        places = []
+    found = [why for why in map(files.fault_of_folder, places) if why]
+    cannot = files.make_own(places[0]) if places and not found else ""
+    if places and not found and not cannot:
+        return ""
+    why = next(iter(found), cannot if "XDG_CACHE_HOME" in os.environ else "")
+    own = Path(f"/tmp/mantle-{os.geteuid()}")
+    if fault := files.make_own(own):
+        raise EnvironmentProblem(f"no folder for caches: {fault}; set XDG_CACHE_HOME to one")
+    os.environ["XDG_CACHE_HOME"] = str(own)
+    os.environ.setdefault("MPLCONFIGDIR", str(own / "matplotlib"))
+    return f"caches are in {own} now: {why}" if why else ""
 
 
 def cache(name: str) -> Path | None:
-    """The folder for cached data of a kind, made if necessary.
+    """The folder for cached data of a kind, made if necessary; of this user alone.
 
     Args:
         name: The kind, for example ``meshes``.
 
     Returns:
-        ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``), or None if it cannot be written.
+        ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``), or None if it cannot be written
+        or others can write it.
     """
-    base = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    folder = Path(base) / "mantle" / name
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
+        folder = cache_home() / "mantle" / name
+    except RuntimeError:  # no home
         return None
-    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+    return None if files.make_own(folder) else folder
+
+
+def seeded(kind: str, name: str) -> bytes | None:
+    """A file that an image brings along for the caches of its users; None if there is none."""
+    path = SEED / kind / name
+    if not path.exists() or files.fault_of_folder(path.parent):
+        return None
+    try:
+        return files.read_own(path)
+    except OSError:
+        return None
 
 
 def prepare_run(folder: Path, force: bool) -> None:
@@ -113,21 +159,6 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file under another name, flush it to disk and rename it; all of it or nothing."""
-    temporary = path.with_name(path.name + ".partial")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
-
-
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as CSV below the names of all that any of them has."""
     text = io.StringIO()
@@ -141,3 +172,30 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 def write_json(path: Path, content: Any) -> None:
     """Write a value as JSON, in the same way."""
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+
+
+def write_sealed(path: Path, content: Any) -> None:
+    """Write a value as JSON into a cache, with a digest of it and of the name of the file."""
+    text = json.dumps(content)
+    sealed = {"content": text, "sha256": _seal(path, text)}
+    write_bytes(path, json.dumps(sealed).encode(), 0o600)
+
+
+def unsealed(path: Path, content: bytes) -> Any:
+    """The value in a file of a cache.
+
+    Raises:
+        ValueError: It is not what was written under this name.
+    """
+    try:
+        sealed = json.loads(content)
+        text = sealed["content"]
+        if sealed["sha256"] == _seal(path, text):
+            return json.loads(text)
+    except (AttributeError, KeyError, RecursionError, TypeError) as error:
+        raise ValueError(f"{path} is damaged") from error
+    raise ValueError(f"{path} is damaged")
+
+
+def _seal(path: Path, text: str) -> str:
+    return hashlib.sha256(f"{path.name}\0{text}".encode()).hexdigest()

@@ -12,6 +12,7 @@ import logging
 import os
 import re
 import shutil
+import stat
 import struct
 import time
 import traceback
@@ -22,9 +23,11 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
+from mantle import files
 from mantle.captured import captured
 from mantle.errors import EnvironmentProblem
 from mantle.system.doctor import form_cache
+from mantle.system.folders import seeded
 
 log = logging.getLogger("mantle")
 
@@ -32,7 +35,7 @@ LOCK, COMPILING = "mantle.lock", "compiling.lock"
 # Where the compiler puts what it needs for a moment, and stays if it is killed.
 SCRATCH = "compiling"
 # What is begun and not finished: of cffi (its own copy, the object), of ffcx.
-UNFINISHED = re.compile(r"\.c\.~\d+$|\.c\.failed$")
+UNFINISHED = re.compile(rf"\.c\.~\d+$|\.c\.failed$|{files.LEFT.pattern}")
 POLL = 0.1  # s
 SOURCES = ("ffcx/codegeneration/jit.py", "dolfinx/jit.py")
 # Of a 64-bit ELF file: where its last table begins (offset 40), its entries' size and number (58).
@@ -48,11 +51,9 @@ def mend() -> None:
     """
     folder = form_cache()
     with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        _own(folder)
+        lock = files.lock_file(folder / LOCK)
         _held.append(lock)
-        with suppress(OSError):
-            os.chmod(lock, 0o666)  # an image's cache is used by whoever runs it
         looked, now = os.stat(lock), time.time()
         alone = True
         try:
@@ -108,14 +109,11 @@ def _wait(
 ) -> Any:
     """`ffcx.codegeneration.jit.get_cached_module`, when nobody compiles the module any more."""
     source = Path(folder) / f"{name}.c"
-    ready = source.with_suffix(".c.cached")
-    if not ready.exists():
+    _own(source.parent)
+    if not usable(source.parent, name):
         with suppress(OSError):  # a file system without locks, or a folder that cannot be written
-            source.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(source.parent / COMPILING, os.O_RDWR | os.O_CREAT, 0o666)
+            file = files.lock_file(source.parent / COMPILING)
             _compiling.append(file)
-            with suppress(OSError):
-                os.fchmod(file, 0o666)
             at, logged = int(hashlib.sha256(name.encode()).hexdigest()[:12], 16), False
             while not _locked(file, at):
                 if not logged:
@@ -123,9 +121,47 @@ def _wait(
                 logged = True
                 time.sleep(POLL)
             # What was begun and is not ready now was left by one that was killed.
-            if not ready.exists():
+            if not usable(source.parent, name):
                 _remove(source.parent, source.name)
+                _seed(source.parent, name)
     return get(name, objects, folder, timeout)
+
+
+def _own(folder: Path) -> None:
+    """Make the folder of compiled forms, of this user alone.
+
+    Raises:
+        EnvironmentProblem: Others could change what it holds.
+    """
+    with suppress(OSError):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700)
+    if why := files.fault_of_folder(folder):
+        raise EnvironmentProblem(
+            f"compiled forms in {folder} are not used: {why}; remove it, or set XDG_CACHE_HOME to "
+            "a folder of your own"
+        )
+
+
+def usable(folder: Path, name: str) -> bool:
+    """Whether a module is compiled, and nobody but its user and root can have written it."""
+    try:
+        module = os.lstat(folder / (name + EXTENSION_SUFFIXES[0]))
+    except OSError:
+        return False
+    why = files.fault_of(module) or ("" if stat.S_ISREG(module.st_mode) else "is no file")
+    if why:
+        log.warning("%s/%s is not used: it %s", folder, name, why)
+    return not why and (folder / f"{name}.c.cached").exists()
+
+
+def _seed(folder: Path, name: str) -> None:
+    """Take a module from those of an image, if it is there."""
+    suffixes = (EXTENSION_SUFFIXES[0], ".c", ".c.cached")  # the mark that it is whole comes last
+    contents = [seeded("fenics", name + suffix) for suffix in suffixes]
+    for suffix, content in zip(suffixes, contents, strict=True):
+        if None not in contents:
+            files.write_bytes(folder / (name + suffix), content or b"", 0o700)
 
 
 def _locked(file: int, at: int) -> bool:
@@ -140,6 +176,7 @@ def _locked(file: int, at: int) -> bool:
 def _let_go(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Compile, and let go of what `_wait` has locked for it."""
     before, scratch = os.environ.get("TMPDIR"), form_cache() / SCRATCH
+    umask = os.umask(0o077)  # what others could have written is not used
     with suppress(OSError):
         scratch.mkdir(exist_ok=True)
         os.environ["TMPDIR"] = str(scratch)
@@ -151,6 +188,7 @@ def _let_go(compile: Callable[..., Any], *arguments: Any, **options: Any) -> Any
                 error.add_note("\n".join(written()))
                 raise
     finally:
+        os.umask(umask)
         os.environ.pop("TMPDIR", None)
         os.environ |= {} if before is None else {"TMPDIR": before}
         while _compiling:

@@ -53,7 +53,7 @@ def _lock(folder: Path) -> int:
     Raises:
         OSError: It is gone, or its run goes on.
     """
-    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

@@ -19,9 +19,9 @@ FOLDERS["configs"] = "mantle.configs"
 LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
-# do not know each other. Beside them stand `mantle.errors`, `mantle.captured` and `mantle.version`,
-# which everybody may import, and `mantle` itself with the public functions and `mantle.cli`, which
-# see everything.
+# do not know each other. Beside them stand `mantle.errors`, `mantle.captured`, `mantle.files` and
+# `mantle.version`, which everybody may import, and `mantle` itself with the public functions and
+# `mantle.cli`, which see everything.
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
@@ -175,9 +175,9 @@ def test_forms_import_only_ufl(path: Path) -> None:
 
 @all_of("meshes")
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
-    """What belongs to no layer above apart: errors, types of arrays, what libraries print."""
+    """What belongs to no layer above apart: errors, arrays, files, what libraries print."""
     own = {m for m in imported(path) if top(m) == "mantle" and package_of(m) != "meshes"}
-    assert own <= {"mantle.errors", "mantle.arrays", "mantle.captured"}
+    assert own <= {"mantle.errors", "mantle.arrays", "mantle.captured", "mantle.files"}
 
 
 @all_of("meshes")

@@ -300,8 +300,8 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(
     assert form_cache._let_go(lambda: form_cache._wait(get, "form", [], tmp_path, 10)) is False
     assert seen == [True, True, True]
     assert not form_cache._compiling
-    (tmp_path / "form.c").touch()
-    (tmp_path / "form.c.cached").touch()
+    for suffix in (".c", ".c.cached", form_cache.EXTENSION_SUFFIXES[0]):
+        (tmp_path / f"form{suffix}").touch()
     assert form_cache._wait(get, "form", [], tmp_path, 10) is True  # nothing to wait for
 
 

@@ -145,9 +145,9 @@ def test_no_compiler_is_told(ranks: int, tmp_path: Path) -> None:
 @slow
 def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     done = run(tmp_path / "out", HERE, "/proc/nowhere")
-    assert done.returncode == 69
-    assert "a form cannot be compiled: " in done.stderr
-    assert "XDG_CACHE_HOME names another place" in done.stderr
+    assert done.returncode == 0, done.stderr
+    own = f"/tmp/mantle-{os.geteuid()}"
+    assert f"caches are in {own} now: /proc/nowhere/fenics cannot be made" in done.stderr
 
 
 @slow

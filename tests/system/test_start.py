@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -102,10 +101,11 @@ def test_conversions_of_other_runs_stay(tmp_path: Path, monkeypatch: pytest.Monk
     unit_conversion._kept.cache_clear()
     unit_conversion.conversion("kN/inch^2", "MPa")
     path = tmp_path / "mantle/units/conversions.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"furlong in mm": ["1", "0"]}))
+    known = folders.unsealed(path, path.read_bytes())
+    folders.write_sealed(path, known | {"furlong in mm": ["1", "0"]})
     unit_conversion.conversion("lbf/inch^2", "MPa")
     keys = {"kN/inch^2 in MPa", "furlong in mm", "lbf/inch^2 in MPa"}
-    assert set(json.loads(path.read_text())) == keys
+    assert set(folders.unsealed(path, path.read_bytes())) == keys
     unit_conversion.conversion.cache_clear()
     unit_conversion._kept.cache_clear()
 
