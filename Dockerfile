@@ -1,6 +1,8 @@
 # mantle with its solver stack: docker build -t mantle . && docker run --rm -v "$PWD:/work" mantle run case.yaml
 # Where ranks exchange much, give them room: --shm-size=2g
-FROM debian:trixie-slim
+# Name a digest to build upon the very same base again (docs/howto/administrators.md tells how).
+ARG BASE=debian:trixie-slim
+FROM ${BASE}
 
 COPY packages.txt /tmp/packages.txt
 RUN apt-get update \
@@ -14,18 +16,17 @@ RUN pip install --no-deps --no-build-isolation --no-index --break-system-package
     && rm -rf /opt/mantle \
     && useradd --create-home --shell /bin/bash mantle \
     && mkdir /work \
-    && chown mantle:mantle /work \
-    && mkdir -m 1777 /var/cache/mantle
+    && chown mantle:mantle /work
 
-# What the shipped cases need is compiled and meshed now: the first run waits for no compiler. Who
-# runs later is somebody else, who adds to it.
+# What the shipped cases need is compiled now: the first run waits for no compiler. Root alone can
+# write it; whoever runs copies what a case needs into a cache of their own.
 RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 python3 -m mantle.simulation.precompile \
-    && find /var/cache/mantle -name '*.o' -delete -o -name '*.lock' -delete \
-    && chmod -R a+rwX /var/cache/mantle/fenics /var/cache/mantle/mantle
+    && rm -rf /var/cache/mantle/mantle/meshes \
+    && find /var/cache/mantle \( -name '*.o' -o -name '*lock' \) -delete \
+    && chmod -R a+rX,go-w /var/cache/mantle
 
 USER mantle
 WORKDIR /work
-# One thread per rank: more make MPI runs slower. The caches serve whatever user `--user` names. No
-# module in /work comes instead of the program's.
-ENV OMP_NUM_THREADS=1 PYTHONSAFEPATH=1 XDG_CACHE_HOME=/var/cache/mantle MPLCONFIGDIR=/var/cache/mantle/matplotlib
+# One thread per rank: more make MPI runs slower. No module in /work comes instead of the program's.
+ENV OMP_NUM_THREADS=1 PYTHONSAFEPATH=1
 ENTRYPOINT ["mantle"]

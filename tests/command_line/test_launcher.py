@@ -385,11 +385,13 @@ def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -
     # Not below tmp_path, whose parents are closed to others.
     with tempfile.TemporaryDirectory(dir="/tmp") as name:
         folder = Path(name)
-        for part in (folder, folder / "home", folder / "work"):
-            part.mkdir(exist_ok=True)
-            part.chmod(0o777)
+        folder.chmod(0o755)
+        for part in (folder / "home", folder / "work"):
+            part.mkdir()
         who: list[str] = []
         if os.geteuid() == 0:
+            for part in (folder / "home", folder / "work"):
+                os.chown(part, 65534, 65534)
             who = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
             readable = subprocess.run([*who, "test", "-r", MANTLE], check=False).returncode == 0
             if not readable:
