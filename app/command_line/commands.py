@@ -92,6 +92,13 @@ def _run(
         if rank() == 0:
             print(f"{output} is finished already")
         return 0
+    if options.isolate:
+        return _isolated(options, output, petsc_options, count, rest)
+    if size is None and os.geteuid() == 0 and sys.stderr.isatty():
+        print(
+            "note: root runs this case: what it starts may do anything (--isolate prevents it)",
+            file=sys.stderr,
+        )
     if size is None and count is not None and count > 1:
         if options.log_level in ("debug", "info"):
             print(f"starting {count} ranks", flush=True)
@@ -111,6 +118,25 @@ def _run(
         petsc_options=petsc_options,
     )
     return 0
+
+
+def _isolated(
+    options: argparse.Namespace,
+    output: Path,
+    petsc_options: list[str],
+    count: int | None,
+    rest: list[str],
+) -> int:
+    """Run a case where it can write to its output folder alone."""
+    from mantle.system import isolation
+
+    if ranks.world_size() is not None:
+        raise InputError("--isolate: not inside mpirun or srun; mantle run -n N starts ranks")
+    number = [] if count is None else ["-n", str(count)]
+    words = [word for word in rest[: len(rest) - len(petsc_options)] if word != "--isolate"]
+    pass_colours()
+    command = [sys.executable, "-m", "mantle", *words[:1], *number, *words[1:], *petsc_options]
+    return isolation.run(command, output, [options.case.parent])
 
 
 def _load(options: argparse.Namespace) -> LoadedCase:

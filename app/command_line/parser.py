@@ -113,7 +113,8 @@ def parser() -> argparse.ArgumentParser:
         "run",
         "solve a case",
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
-        "[--restart auto|FILE] [--walltime H:MM:SS] [--allow-scripts] [-- PETSC OPTIONS]",
+        "[--restart auto|FILE] [--walltime H:MM:SS] [--isolate] [--allow-scripts] "
+        "[-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
     )
     add_case(run)
@@ -144,6 +145,11 @@ def parser() -> argparse.ArgumentParser:
         "--error",
         action="store_true",
         help="estimate the error of each number by coarser companions (as output.error: true)",
+    )
+    run.add_argument(
+        "--isolate",
+        action="store_true",
+        help="let the run write to its output folder alone, without network, for cases of others",
     )
     run.add_argument(
         "--log-level",

@@ -18,8 +18,8 @@ from mantle.files import write_bytes as write_bytes
 
 # What stands in the folder of a variation that did not converge: why.
 FAILED = "FAILED"
-# Where an image has what its users' caches begin with.
-SEED = Path("/var/cache/mantle")
+# Where an image, or a run that is isolated, has what caches begin with.
+SEED = Path(os.environ.get("MANTLE_SEED") or "/var/cache/mantle")
 
 
 def cache_home() -> Path:
