@@ -31,6 +31,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
+from mantle import files
 from mantle.campaigns import cluster
 from mantle.campaigns.runs import (
     BatchRun,
@@ -139,7 +140,7 @@ def _folder(folder: Path) -> Iterator[IO[str]]:
     try:
         for name in ("cases", "runs"):
             (folder / name).mkdir(parents=True, exist_ok=True)
-        file = (folder / ".lock").open("w")
+        file = open(files.lock_file(folder / ".lock"), "w")
     except OSError as error:
         raise InputError(f"-o {folder}: cannot be written: {error.strerror}") from error
     with file:

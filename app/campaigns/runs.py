@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import signal
 from collections.abc import Sequence
 from contextlib import suppress
@@ -23,6 +24,8 @@ from mantle.system.folders import FAILED
 # How the ids of runs begin, and of processes that several of them share.
 CASE, SHARED = "case-", "shared-"
 DIGITS = 10  # of a digest
+RUN = re.compile(rf"{CASE}[0-9a-f]{{{DIGITS}}}", re.ASCII)
+PROCESS = re.compile(rf"{SHARED}[0-9a-f]{{{DIGITS}}}-[0-9]+", re.ASCII)
 LOG_LINES = 12
 LOST = 70  # the exit code of a run that left none
 
@@ -142,7 +145,7 @@ def runs_of(
     """
     done = {mark.parent.name[-DIGITS:]: mark.parent for mark in finished(folder)}
     saved = (folder / "runs").glob(f"{SHARED}*/*/checkpoint-*.state")
-    begun = {path.parent.name[-DIGITS:]: path.parent.parent.name for path in saved}
+    begun = {path.parent.name[-DIGITS:]: path.parent.parent.name for path in saved if _named(path)}
     digests = []
     for job, case in zip(jobs, cases, strict=True):
         # The same case, made in two ways, may have two titles.
@@ -193,9 +196,17 @@ def _processes(
 
 def finished(folder: Path) -> list[Path]:
     """The DONE of every finished run, whether it shared a process or not."""
-    shared = list((folder / "runs").glob(f"{SHARED}*/*/DONE"))
-    alone = (folder / "runs").glob("*/DONE")
-    return shared + [mark for mark in alone if not mark.parent.name.startswith(SHARED)]
+    marks = [*(folder / "runs").glob(f"{SHARED}*/*/DONE"), *(folder / "runs").glob("*/DONE")]
+    return [mark for mark in marks if _named(mark) and mark.parent.name.startswith(CASE)]
+
+
+def _named(path: Path) -> bool:
+    """Whether a file is in the folder of a run that has a name given here, and nothing else.
+
+    Such names stand in commands of a shell.
+    """
+    run, above = path.parent.name, path.parent.parent.name
+    return bool(RUN.fullmatch(run) and (above == "runs" or PROCESS.fullmatch(above)))
 
 
 def _shared(case: config.Case) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import statistics
 from collections import Counter
 from collections.abc import Sequence
@@ -22,10 +23,12 @@ from mantle.report.paper.compare import ComparedNumber
 from mantle.report.paper.trends import VERDICTS, Trend
 from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
 from mantle.schema.quantities import printed
-from mantle.system.folders import csv_text, write_text
+from mantle.system.folders import csv_text, remove, write_json, write_text
 from mantle.system.layout import duration, noted
 
 PAGE, PAPER, COMPARISON, PICTURES = "report.html", "paper.html", "comparison.csv", "report"
+# What the last report has written there, and the next may remove.
+WRITTEN = "written.json"
 MOST_NUMBERS = 11  # in the table of cases
 HONESTY = (
     "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
@@ -66,8 +69,8 @@ def run(folder: Path) -> Written:
     pictures = folder / PICTURES
     try:
         pictures.mkdir(exist_ok=True)
-        for old in (p for p in pictures.iterdir() if p.suffix in (".png", ".pdf", ".svg")):
-            old.unlink()
+        remove(pictures / name for name in _written(pictures))
+        before = _times(pictures)
         multiples = sweep_figures.multiples([c for c in sweep.cases if c.done], pictures)
         maps, unmapped = report_maps.draw(report_maps.chosen(cases, sweep), pictures)
         shields = gruen.shielding_picture(cases, gruen.intact(sweep.cases), pictures)
@@ -89,10 +92,26 @@ def run(folder: Path) -> Written:
         write_text(folder / PAGE, text)
         every = (pictures / f.name for f in (*maps, *shields, *multiples))
         files = [folder / PAGE, *papers, *every]
+        own = [name for name, time in _times(pictures).items() if before.get(name) != time]
+        write_json(pictures / WRITTEN, own)
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     done = sum(c.done for c in sweep.cases)
     return Written(files, trends, done, len(sweep.cases))
+
+
+def _written(pictures: Path) -> list[str]:
+    """Files that an earlier report has written into its folder, and no others."""
+    try:
+        names = json.loads((pictures / WRITTEN).read_text(encoding="utf-8"))
+        return [name for name in names if name == Path(name).name and (pictures / name).is_file()]
+    except (OSError, TypeError, ValueError):
+        return []
+
+
+def _times(pictures: Path) -> dict[str, int]:
+    """When each file in a folder was written last."""
+    return {p.name: p.stat().st_mtime_ns for p in pictures.iterdir() if p.is_file()}
 
 
 def _drawn(figures: Sequence[Figure], pictures: Path) -> Blocks:

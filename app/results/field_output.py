@@ -165,9 +165,7 @@ class Fields:
         Raises:
             OSError: It cannot be written.
         """
-        part = self._path.with_name("final.vtkhdf.partial")
-        write_last_step(self._path, part)
-        part.replace(self._path.with_name("final.vtkhdf"))
+        write_last_step(self._path, self._path.with_name("final.vtkhdf"))
 
     def write(self, time: float, samples: Samples | None) -> None:
         """Append a step; collective."""

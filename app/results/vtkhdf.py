@@ -25,6 +25,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from mantle import files
+
 Array = npt.NDArray[Any]
 
 # VTK's numbers of these cell types.
@@ -207,7 +209,7 @@ def _create(
             root.create_dataset(f"FieldData/{name}", data=ascii_words, dtype=kind)
         root["Steps"].attrs["NSteps"] = 0
         file.flush()
-        path.write_bytes(file.id.get_file_image())
+        files.write_bytes(path, file.id.get_file_image())
 
 
 def write_last_step(path: Path, target: Path) -> None:
@@ -237,7 +239,7 @@ def write_last_step(path: Path, target: Path) -> None:
                 start = int(source[f"Steps/{kind}Offsets/{name}"][-1])
                 root[f"{kind}/{name}"] = values[start : start + len(source[rows])]
         new.flush()
-        target.write_bytes(new.id.get_file_image())
+        files.write_bytes(target, new.id.get_file_image())
 
 
 def _cut(path: Path, points: int, cells: int, steps: int) -> None:

@@ -561,6 +561,32 @@ def test_a_group_keeps_all_cores_busy(
     assert sorted(Counter(r.process for r in again[:-1]).values()) == [5, 7, 7]
 
 
+@pytest.mark.parametrize("saved", ["checkpoint-3.state", "DONE"])
+def test_names_of_folders_are_not_run(bench: Bench, saved: str) -> None:
+    """A folder that somebody has left there is none of the runs, whatever its end is."""
+    jobs = [
+        Job(f"{i}", bench.folder / "case.yaml", (f"{FRICTION}=0.{i}",), 1, share=True)
+        for i in (1, 2)
+    ]
+    expected = [r.folder for r in batch.look(jobs, bench.out, 1)]
+    digests = [folder.name.removeprefix("case-") for folder in expected]
+    for digest in digests:
+        for above in ("shared-$(touch PWNED)-1", "shared-0123456789-1;touch PWNED", "x"):
+            for name in (f"case-{digest}", f"`touch PWNED`{digest}"):
+                place = bench.out / "runs" / above / name
+                place.mkdir(parents=True)
+                (place / saved).write_text("")
+        place = bench.out / "runs" / f"';touch PWNED;'{digest}"
+        place.mkdir()
+        (place / saved).write_text("")
+    assert [r.folder for r in batch.look(jobs, bench.out, 1)] == expected
+    sweep.run(bench.sweep, [], Options(bench.out, 2))
+    assert (
+        not list(bench.folder.rglob("PWNED"))
+        and "PWNED" not in (bench.out / "jobs.json").read_text()
+    )
+
+
 @pytest.mark.parametrize(("code", "expected"), [(3, 3), (137, 70)])
 def test_a_sweep_leaves_as_its_cases_did(bench: Bench, code: int, expected: int) -> None:
     (bench.folder / "broken").write_text("0.2 0.4")

@@ -482,9 +482,15 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
     assert "Numbers over taper" in page and "cement-bone slip, p99" in page
     assert "taper (°): 1, 2, 3." in page
     assert page.index("What varies") < page.index("All cases")
-    (maker.folder / "report" / "old.png").write_text("")
+    listed = maker.folder / "report" / "written.json"
+    names = [*json.loads(listed.read_text()), "old.png", "../sweep.json", "/etc/hosts"]
+    listed.write_text(json.dumps(names))
+    for name in ("old.png", "mine.png"):
+        (maker.folder / "report" / name).write_text("")
     sweep_report.run(maker.folder)
     assert not (maker.folder / "report" / "old.png").exists()
+    assert (maker.folder / "report" / "mine.png").exists()
+    assert (maker.folder / "sweep.json").exists()
 
 
 @pytest.mark.parametrize(
