@@ -24,7 +24,7 @@ from mantle.command_line.commands import dispatch
 from mantle.command_line.parser import parser
 from mantle.command_line.streams import painted, silence
 from mantle.errors import AloneError, EnvironmentProblem, MantleError, together
-from mantle.system import ranks
+from mantle.system import privacy, ranks
 from mantle.system.folders import settle_cache
 from mantle.system.ranks import rank
 
@@ -103,7 +103,7 @@ def _leave(error: MantleError) -> int:
         The exit code.
     """
     if rank() == 0:
-        print(painted(error, "bad", sys.stderr), file=sys.stderr, flush=True)
+        print(painted(privacy.told(str(error)), "bad", sys.stderr), file=sys.stderr, flush=True)
     else:
         # The first rank to leave has mpirun end the others, of which one is about to speak.
         time.sleep(GRACE)

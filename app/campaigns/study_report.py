@@ -13,7 +13,7 @@ from mantle.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
 from mantle.errors import StoppedError
 from mantle.schema.quantities import Quantity
 from mantle.schema.study_file import Source
-from mantle.system import layout
+from mantle.system import layout, privacy
 from mantle.system.folders import csv_text, remove, write_json, write_text
 from mantle.system.layout import duration
 from mantle.version import __version__
@@ -105,7 +105,7 @@ def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]
     """
     record = {
         "mantle": __version__,
-        "host": platform.node(),
+        **({} if privacy.asked() else {"host": platform.node()}),
         "study": source.file.name,
         "case": str(source.case),
         "overrides": source.overrides,

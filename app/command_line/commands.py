@@ -19,7 +19,7 @@ from mantle.command_line.parser import parser
 from mantle.command_line.streams import configure_log, painted, pass_colours
 from mantle.errors import InputError, stack_needed
 from mantle.schema import gmsh_file
-from mantle.system import ranks
+from mantle.system import privacy, ranks
 from mantle.system.progress import doing, during
 from mantle.system.ranks import rank
 
@@ -85,6 +85,8 @@ def _run(
     with during("reading the case" if size is None and sys.stdout.isatty() else ""):
         case = _load(options)
     output = options.output or case.output
+    if options.private:
+        privacy.ask(options.case.parent, output.parent)
     restart = options.restart or ""
     walltime = stopping.seconds(options.walltime) if options.walltime else None
     keep = options.keep or (restart == "auto" and not options.force)

@@ -113,8 +113,8 @@ def parser() -> argparse.ArgumentParser:
         "run",
         "solve a case",
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
-        "[--restart auto|FILE] [--walltime H:MM:SS] [--isolate] [--allow-scripts] "
-        "[-- PETSC OPTIONS]",
+        "[--restart auto|FILE] [--walltime H:MM:SS] [--isolate] [--private] "
+        "[--allow-scripts] [-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
     )
     add_case(run)
@@ -150,6 +150,11 @@ def parser() -> argparse.ArgumentParser:
         "--isolate",
         action="store_true",
         help="let the run write to its output folder alone, without network, for cases of others",
+    )
+    run.add_argument(
+        "--private",
+        action="store_true",
+        help="tell nothing of user and machine in any output: no host, command line or folders",
     )
     run.add_argument(
         "--log-level",

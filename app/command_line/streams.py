@@ -13,6 +13,7 @@ from contextlib import suppress
 from typing import TextIO
 
 from mantle.command_line import ticker
+from mantle.system import privacy
 from mantle.system.progress import LEVEL
 from mantle.system.ranks import rank, world_size
 
@@ -57,7 +58,8 @@ class Handler(logging.StreamHandler[TextIO]):
         """A record in the colour of its ``tone``: a warning is doubtful, an error bad."""
         tone = "doubtful" if record.levelno >= logging.WARNING else ""
         tone = "bad" if record.levelno >= logging.ERROR else tone
-        return painted(super().format(record), getattr(record, "tone", tone), self.stream)
+        text = privacy.told(super().format(record))
+        return painted(text, getattr(record, "tone", tone), self.stream)
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Forget a stream that has been closed."""

@@ -33,6 +33,7 @@ from mantle.results.reading import Run
 from mantle.results.tables import TABLES
 from mantle.schema import quantities
 from mantle.schema.quantities import NECROSIS, TABLE, Quantity, in_print, printed
+from mantle.system import privacy
 from mantle.system.folders import write_bytes, write_text
 from mantle.system.layout import duration, noted, plain
 from mantle.system.ranks import rank
@@ -282,7 +283,8 @@ def _maps(case: SweptCase, wanted: bool) -> tuple[list[tuple[Figure, bytes]], li
     if not (case.folder / "fields.vtkhdf").exists():
         return [], []
     if not wanted:
-        return [], [f"mantle report {case.folder} draws them: after a short run they take too long"]
+        folder = privacy.told(str(case.folder))
+        return [], [f"mantle report {folder} draws them: after a short run they take too long"]
     with tempfile.TemporaryDirectory() as scratch:
         try:
             drawn, missing = maps.draw([[("", case)]], Path(scratch))

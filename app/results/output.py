@@ -29,7 +29,7 @@ from mantle.results.field_output import Fields, Layer
 from mantle.results.quantities import Samples
 from mantle.results.thermal_quantities import ThermalRecord
 from mantle.schema import quantities
-from mantle.system import identity
+from mantle.system import identity, privacy
 from mantle.system.folders import csv_text, saved, write_json, write_text
 from mantle.version import __version__
 
@@ -203,8 +203,8 @@ class Writer:
         """Write summary and provenance, and the marker if the run is complete; collective."""
 
         def write() -> None:
-            for name, content in (("summary", summary), ("provenance", self._record())):
-                write_json(self.folder / f"{name}.json", content)
+            write_json(self.folder / "summary.json", privacy.told(summary))
+            write_json(self.folder / "provenance.json", self._record())
             if done:
                 write_text(self.folder / "DONE", "")
 
@@ -223,18 +223,19 @@ def provenance(
         mesh_hash: Digest of the mesh.
         started: When the run began.
     """
-    (case, digest), *others = digests.items()
+    private = privacy.asked()
+    (case, digest), *others = [(Path(n).name if private else n, d) for n, d in digests.items()]
+    place = {} if private else {"command": sys.argv, "host": platform.node()}
     return {
         "mantle": __version__,
         "identity": identity.parts(),
-        "command": sys.argv,
+        **place,
         "case": case,
         "case_sha256": digest,
         "based_on_sha256": dict(others),
-        "overrides": overrides,
+        "overrides": privacy.told(overrides),
         "mesh_sha256": mesh_hash,
         "ranks": ranks,
-        "host": platform.node(),
         "processor": _processor(),
         "python": platform.python_version(),
         "packages": _packages(),

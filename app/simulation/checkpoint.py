@@ -22,7 +22,7 @@ from mantle.schema import config
 from mantle.simulation.checkpoint_file import FORMAT, Checkpoint, DamagedError, read, write
 from mantle.simulation.model import Model
 from mantle.simulation.recorder import Recorder
-from mantle.system.folders import saved
+from mantle.system import folders, privacy
 from mantle.version import __version__
 
 log = logging.getLogger("mantle")
@@ -69,7 +69,7 @@ def _choose(
         found = _readable(Path(wanted))
         _refuse_another(found, case, force)
         return found.path
-    paths = saved(folder)
+    paths = folders.saved(folder)
     for path in (p for p in paths if p not in passed):
         try:
             found = read(path)
@@ -137,7 +137,8 @@ def described(case: config.Case) -> dict[str, Any]:
     data = config.plain(case)
     data.pop("title", None)
     data["output"] = {"probes": data.get("output", {}).get("probes", {})}
-    return dict(json.loads(json.dumps(data)))
+    # The mesh has a digest of its own, wherever it lies.
+    return dict(json.loads(json.dumps(privacy.without_folders(data))))
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -296,7 +297,7 @@ class Keeper:
 
 def _keep(folder: Path, newest: Path) -> None:
     """Leave the newest checkpoints; what is said to be newer is of another try."""
-    every = saved(folder)
+    every = folders.saved(folder)
     place = every.index(newest)
     for path in [*every[:place], *every[place + KEPT :]]:
         path.unlink(missing_ok=True)
@@ -333,10 +334,6 @@ def _kind(rows: Rows) -> tuple[Any, ...]:
     return rows.values.dtype, rows.values.shape[1:]
 
 
-def _items(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else []
-
-
 def _check_numbers(state: State) -> None:
     """Refuse steps and rows of the table that no run has.
 
@@ -354,7 +351,11 @@ def _check_numbers(state: State) -> None:
     if not all(isinstance(count, int | float) for count in counts):
         raise ValueError("a count that is no number")
     values = [value for _, value in _leaves(model)]
-    if any(isinstance(v, str) for value in values for v in (value, *_items(value))):
+    if any(
+        isinstance(v, str)
+        for value in values
+        for v in (value if isinstance(value, list) else [value])
+    ):
         raise ValueError("a text among numbers")
     cells = [*recorded["mechanical"].values()]
     cells += [cell for row in recorded["writer"]["rows"] for cell in row.values()]

@@ -9,10 +9,10 @@ from typing import Any
 
 from mantle.errors import InputError
 from mantle.results.log import check_usable
-from mantle.schema import config
+from mantle.schema import case_file, config
 from mantle.schema.loaded_case import LoadedCase
 from mantle.soundness import sizing
-from mantle.system import folders, identity
+from mantle.system import folders, identity, privacy
 
 
 def finished(folder: Path, case: config.Case) -> bool:
@@ -25,7 +25,9 @@ def finished(folder: Path, case: config.Case) -> bool:
     """
     try:
         done = (folder / "DONE").stat().st_mtime
-        same = (folder / "case.yaml").read_text(encoding="utf-8") == config.dump(case)
+        written = (folder / "case.yaml").read_text(encoding="utf-8")
+        private = case_file.written(privacy.without_folders(config.plain(case)))
+        same = written in (config.dump(case), private)
         record = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False

@@ -26,14 +26,14 @@ from mantle.numerics.condition import condition_number
 from mantle.results import error
 from mantle.results import log as text
 from mantle.results.output import Writer, on_root, provenance
-from mantle.schema import config
+from mantle.schema import case_file, config
 from mantle.schema.loaded_case import LoadedCase
 from mantle.simulation import checkpoint, checkpoint_file, keep_finished, variations
 from mantle.simulation.checkpoint import Keeper
 from mantle.simulation.model import Model
 from mantle.simulation.recorder import OnAccepted, Recorder
 from mantle.soundness import case_on_mesh, unusual_input
-from mantle.system import blas_check, form_cache, ranks, stopping
+from mantle.system import blas_check, form_cache, privacy, ranks, stopping
 from mantle.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from mantle.system.timing import Timing
 
@@ -263,7 +263,7 @@ class Session:
             model.tagged,
             model.layers(),
             output,
-            config.dump(case),
+            case_file.written(privacy.told(config.plain(case))),
             case.output.fields,
             lambda: provenance(
                 comm.size,
