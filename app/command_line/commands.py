@@ -347,10 +347,10 @@ def _schema(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    """Print what is found on this machine."""
-    from mantle.system import doctor
+    """Print what is found on this machine, or all packages that mantle runs with."""
+    from mantle.system import doctor, sbom
 
-    print(doctor.report())
+    print(sbom.bill() if options.sbom else doctor.report())
     return 0
 
 

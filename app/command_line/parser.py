@@ -233,6 +233,11 @@ def parser() -> argparse.ArgumentParser:
     schema.add_argument(
         "--markdown", action="store_true", help="print the reference of the keys instead, to read"
     )
-    add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
+    doctor = add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
+    doctor.add_argument(
+        "--sbom",
+        action="store_true",
+        help="print all packages of the stack with their versions instead, as CycloneDX JSON",
+    )
     add("version", "print the version")
     return top

@@ -1,0 +1,84 @@
+"""What mantle is made of: dependencies that are complete and bounded, and the list of all parts."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from mantle.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRA = PROJECT["optional-dependencies"]
+# Names of packages whose distributions are called otherwise.
+CALLED = {
+    "PIL": "pillow",
+    "basix": "fenics-basix",
+    "dolfinx": "fenics-dolfinx",
+    "ffcx": "fenics-ffcx",
+    "mpl_toolkits": "matplotlib",
+    "pydantic_core": "pydantic",
+    "ruamel": "ruamel.yaml",
+    "ufl": "fenics-ufl",
+}
+
+
+def imported() -> set[str]:
+    found: set[str] = set()
+    for path in (
+        p for f in ("app", "forms", "meshes", "configs") for p in (ROOT / f).rglob("*.py")
+    ):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                found.add(node.module.split(".")[0])
+    return found - set(sys.stdlib_module_names) - {"mantle"}
+
+
+def test_all_that_is_imported_is_a_dependency_and_nothing_else() -> None:
+    named = {Requirement(text).name for text in PROJECT["dependencies"]}
+    optional = {Requirement(text).name for text in (*EXTRA["many"], *EXTRA["completion"])}
+    needed = {CALLED.get(name, name) for name in imported()}
+    assert needed - optional == named and "snakemake" in optional
+
+
+@pytest.mark.parametrize(
+    "text", [*PROJECT["dependencies"], *(t for e in EXTRA.values() for t in e)]
+)
+def test_dependencies_have_bounds_that_hold_here(text: str) -> None:
+    wanted = Requirement(text)
+    assert {s.operator for s in wanted.specifier} & {"~=", "==", "<"}, text
+    try:
+        assert wanted.specifier.contains(metadata.version(wanted.name), prereleases=True)
+    except metadata.PackageNotFoundError:
+        assert wanted.name in ("gmsh", "ruff", "argcomplete")
+
+
+def test_dolfinx_is_of_one_series() -> None:
+    """Its interface changes with every one."""
+    (dolfinx,) = (Requirement(t) for t in PROJECT["dependencies"] if "dolfinx" in t)
+    assert "0.9.5" in dolfinx.specifier and "0.10.0" not in dolfinx.specifier
+
+
+def test_the_bill_of_materials_has_all_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--sbom"]) == 0
+    bill = json.loads(capsys.readouterr().out)
+    assert (bill["bomFormat"], bill["specVersion"], bill["version"]) == ("CycloneDX", "1.5", 1)
+    assert re.fullmatch(r"urn:uuid:[0-9a-f-]{36}", bill["serialNumber"])
+    parts = {c["purl"]: c for c in bill["components"]}
+    assert len(parts) == len(bill["components"])
+    version = metadata.version("h5py")
+    assert parts[f"pkg:pypi/h5py@{version}"]["version"] == version
+    if Path("/var/lib/dpkg/status").exists():
+        debian = {c["name"] for url, c in parts.items() if url.startswith("pkg:deb/debian/")}
+        needed = (ROOT / "packages.txt").read_text().splitlines()
+        assert {n for n in needed if n and not n.startswith("#")} <= debian
