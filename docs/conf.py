@@ -42,6 +42,7 @@ loads
 heat
 many-runs
 cluster
+administrators
 restart
 paraview
 python
