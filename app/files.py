@@ -113,14 +113,17 @@ def fault_of_folder(folder: Path) -> str:
 
 def make_own(folder: Path) -> str:
     """Make a folder that is of this user alone, unless it is there; why it is of no use, or ""."""
+    umask = os.umask(0o022)  # what a group can write is not used
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
             folder.mkdir(mode=0o700)
         if not os.access(folder, os.W_OK | os.X_OK):
             return f"{folder} cannot be written"
-    except (OSError, RuntimeError) as error:
-        return f"{folder} cannot be made: {getattr(error, 'strerror', error)}"
+    except OSError as error:
+        return f"{folder} cannot be made: {error.strerror}"
+    finally:
+        os.umask(umask)
     if why := fault_of_folder(folder):
         return why
     with suppress(OSError):  # root's

@@ -7,14 +7,18 @@ import fcntl
 import hashlib
 import io
 import json
+import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from mantle import files
 from mantle.errors import EnvironmentProblem, InputError
 from mantle.files import write_bytes as write_bytes
+
+log = logging.getLogger("mantle")
 
 # What stands in the folder of a variation that did not converge: why.
 FAILED = "FAILED"
@@ -68,7 +72,17 @@ def cache(name: str) -> Path | None:
         folder = cache_home() / "mantle" / name
     except RuntimeError:  # no home
         return None
-    return None if files.make_own(folder) else folder
+    if files.make_own(folder):
+        if why := files.fault_of_folder(folder):
+            _warn(f"{folder} is not used: {why}")
+        return None
+    return folder
+
+
+@lru_cache
+def _warn(message: str) -> None:
+    """Warn of something, once."""
+    log.warning("%s", message)
 
 
 def seeded(kind: str, name: str) -> bytes | None:

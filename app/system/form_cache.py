@@ -133,9 +133,7 @@ def _own(folder: Path) -> None:
     Raises:
         EnvironmentProblem: Others could change what it holds.
     """
-    with suppress(OSError):
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700)
+    files.make_own(folder)
     if why := files.fault_of_folder(folder):
         raise EnvironmentProblem(
             f"compiled forms in {folder} are not used: {why}; remove it, or set XDG_CACHE_HOME to "

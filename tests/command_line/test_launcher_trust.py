@@ -91,6 +91,26 @@ def test_a_cache_that_others_can_write_is_not_used(tmp_path: Path, level: int, h
     assert (result.stdout == f"{cache}\n") is (level > 0)  # where each owns what is theirs
 
 
+def test_a_tree_is_not_set_up_in_a_cache_that_others_can_write(tmp_path: Path) -> None:
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache").chmod(0o777)
+    result = set_up(tmp_path)
+    assert result.returncode == 69 and not (tmp_path / "log").exists()
+    assert "can be written by others: chmod -R go-w, or remove it" in result.stderr
+
+
+@as_root
+def test_a_umask_that_lets_a_group_write_makes_a_tree_that_is_used(tmp_path: Path) -> None:
+    before = os.umask(0o002)
+    try:
+        for _ in range(2):
+            result = set_up(tmp_path)
+            assert "not used" not in result.stderr
+    finally:
+        os.umask(before)
+    assert set_ups(tmp_path) == 1
+
+
 @as_root
 def test_no_password_stays_in_a_tree(tmp_path: Path) -> None:
     result = set_up(tmp_path, tool=EMPTY_TREE + KEEPING)

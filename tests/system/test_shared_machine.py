@@ -72,11 +72,30 @@ FORGED = [pytest.param("owner", marks=as_root), "group", "world", "link"]
 @as_root
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("how", ["owner", "group", "world"])
-def test_a_folder_of_somebody_else_is_no_cache(home: Path, level: int, how: str) -> None:
+def test_a_folder_of_somebody_else_is_no_cache(
+    home: Path, level: int, how: str, caplog: pytest.LogCaptureFixture
+) -> None:
     folder = folders.cache("meshes")
     assert folder is not None and stat.S_IMODE(folder.stat().st_mode) == 0o700
     forge([folder, *folder.parents][level], how)
-    assert folders.cache("meshes") is None
+    for _ in range(2):
+        assert folders.cache("meshes") is None
+    (told,) = caplog.messages
+    assert told.startswith(f"{folder} is not used: {[folder, *folder.parents][level]} ")
+
+
+def test_a_group_may_be_let_write_by_the_umask(home: Path) -> None:
+    """Results are its, as the user wants; caches are not."""
+    before = os.umask(0o002)
+    try:
+        folder = folders.cache("meshes")
+        assert folder is not None and files.fault_of_folder(folder) == ""
+        built(folder)
+        assert not [p for p in folder.iterdir() if files.fault_of(p.stat())]
+        files.write_bytes(home / "result", b"")
+        assert stat.S_IMODE((home / "result").stat().st_mode) == 0o664
+    finally:
+        os.umask(before)
 
 
 @as_root
