@@ -102,10 +102,10 @@ def fault_of_folder(folder: Path) -> str:
         except OSError as error:
             return f"{place} cannot be looked at: {error.strerror}"
         above = place != folder
+        owner = status.st_uid
         # In a namespace that knows one user, root owns what the namespace does not tell.
-        unknown = above and status.st_uid == _overflow()
-        if status.st_uid not in (ROOT, os.geteuid()) and not unknown:
-            return f"{place} is owned by {_name(status.st_uid)}"
+        if owner not in (ROOT, os.geteuid()) and not (above and owner == _overflow()):
+            return f"{place} is owned by {_name(owner)}"
         if status.st_mode & OTHERS and not (above and status.st_mode & stat.S_ISVTX):
             return f"{place} can be written by others"
     return ""

@@ -244,11 +244,16 @@ class ThermalRecord:
         self.seconds, self.rows = list(state["seconds"]), list(state["rows"])
         self._watched = state["watched"]
         self.hottest_time, self.hottest_at = state["hottest_time"], state["hottest_at"]
+        if len(state["hottest"]) != len(self.hottest) or np.shape(self.hottest_at) != (3,):
+            raise ValueError("no hottest state")
         self.hottest = []
         for found in state["hottest"]:
             function.x.array[: self._forms.owned] = found.of(nodes)
             function.x.scatter_forward()
             self.hottest.append(function.x.array.copy())
+        curves = [np.array(self.seconds), *self.curves().values()]
+        if not all(c.shape == (len(self.rows),) and c.dtype.kind in "fi" for c in curves):
+            raise ValueError("temperatures over time that are no numbers")
         self._extremes = {
             name: InterfaceExtremes(**found) for name, found in state["extremes"].items()
         }

@@ -263,6 +263,24 @@ def test_mutated_states(run: Path, out: Path, seed: int) -> None:
     assert restart(run, out) in (0, 4, 6)
 
 
+@pytest.mark.slow
+def test_mutated_states_of_heat_and_cure(tmp_path: Path) -> None:
+    """Temperatures over time are a table too, which has to be whole when it is drawn at the end."""
+    (tmp_path / "case.yaml").write_text(restarted.SETTING)
+    command = ["run", str(tmp_path / "case.yaml"), "-o", str(tmp_path / "out"), *FIELDS]
+    assert main([*command, "--set", "output.checkpoint.steps=1"]) == 0
+    (tmp_path / "out" / "DONE").unlink()
+    for seed in range(40):
+        out = Path(shutil.copytree(tmp_path / "out", tmp_path / f"out-{seed}"))
+        newest, _ = saved(out)
+        text, arrays = told(newest)
+        rows = text["content"][1]["recorder"]["writer"]["rows"]
+        text["content"][1]["recorder"]["writer"]["rows"] = rows[:1]  # which are most of the places
+        text["content"][1] = mutated(random.Random(seed), text["content"][1])
+        forged(newest, text, arrays)
+        assert restart(tmp_path, out) in (0, 4, 6), seed
+
+
 @pytest.mark.parallel
 def test_ranks_pass_over_a_forged_one_together(run: Path, out: Path) -> None:
     newest, _ = saved(out)
