@@ -98,6 +98,8 @@ def _binary_elements(data: bytes) -> Iterator[int]:
     left = int(number)
     while left > 0:
         kind, length, labels = struct.unpack_from("<3i", data, at)
+        if min(length, labels) < 0:
+            raise ValueError("a block that is less than empty")
         at += 12
         width = 4 * (1 + labels + (NODES | SOLID)[kind])
         if kind in SOLID:
