@@ -115,7 +115,7 @@ def parser() -> argparse.ArgumentParser:
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
         "[--restart auto|FILE] [--walltime H:MM:SS] [--isolate] [--private] "
         "[--allow-scripts] [-- PETSC OPTIONS]",
-        epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -log_view",
+        epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -ksp_view",
     )
     add_case(run)
     run.add_argument("-o", "--output", type=Path, metavar="DIR", help="default: out/<name of CASE>")
