@@ -108,7 +108,7 @@ def mesh(case: LoadedCase) -> MeshData:
     from mantle.system import folders
 
     sizing.check(case.file, case.config)
-    with stack_needed():
+    with stack_needed(petsc=False):
         import gmsh  # noqa: F401  (only to tell early that it is missing)
     with case.file.placing():
         return meshes.build(case.config.geometry, case.config.mesh, folders.cache("meshes"))

@@ -98,13 +98,22 @@ class AloneError(MantleError):
 
 
 @contextmanager
-def stack_needed() -> Iterator[None]:
+def stack_needed(petsc: bool = True) -> Iterator[None]:
     """Turn a missing package of the solver stack into an error of the environment.
+
+    PETSc is started without its files of options: the one in the working folder may be another's.
+
+    Args:
+        petsc: Whether PETSc is needed.
 
     Raises:
         EnvironmentProblem: A package that is not of mantle's own is missing.
     """
     try:
+        if petsc:
+            import petsc4py
+
+            petsc4py.init(["mantle", "-skip_petscrc"])
         yield
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("mantle"):

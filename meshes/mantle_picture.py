@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mantle import figures
 from mantle.arrays import Floats, Ints
 
 from .data import MeshData, interface_facets
 from .mantle import distance, triangles
-from .picture import add_legend, colours_of, cut, new_figure
+from .picture import add_legend, colours_of, cut
 from .refine import AROUND, CORNERS
 
 INTERFACES = ("stem_cement", "cement_bone")
@@ -32,7 +33,7 @@ def sections(data: MeshData, path: Path) -> None:
         path: The file to write.
     """
     colours = colours_of(data.regions)
-    figure = new_figure(12.0, 4.0)
+    figure = figures.new(12.0, 4.0)
     axes = figure.subplots(1, 3, sharex=True, sharey=True)
     places = ("near the neck cut", "middle of the stem", "above the tip")
     for ax, place, at in zip(axes, places, _heights(data), strict=True):
@@ -70,7 +71,7 @@ def interfaces(data: MeshData, path: Path) -> None:
     tinted = np.where(beside[:, None], shown.to_rgba(thickness)[:, :3], to_rgb("0.85"))
 
     widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in VIEWS]
-    figure = new_figure(8.5, 10.5)
+    figure = figures.new(8.5, 10.5)
     axes = figure.subplots(1, 4, sharey=True, width_ratios=widths).reshape(2, 2)
     cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
     for row, name, (facets, _, _), pieces, colours in zip(

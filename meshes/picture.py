@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mantle import figures
 from mantle.arrays import Floats, Ints
 
 from .data import EDGES, MeshData
@@ -79,7 +80,7 @@ def picture(data: MeshData, path: Path) -> None:
     widths = [extent[0], extent[1], max(extent[0], extent[1])]
     height = 9.0
     scale = (height - 1.5) / max(extent[2], 0.4 * max(extent[:2]))
-    figure = new_figure(float(np.clip(scale * sum(widths) + 4.0, 9.0, 24.0)), height)
+    figure = figures.new(float(np.clip(scale * sum(widths) + 4.0, 9.0, 24.0)), height)
     axes = figure.subplots(1, 3, width_ratios=np.maximum(widths, 0.15 * max(widths)))
     colours = colours_of(data.regions)
     for ax, (axis, at) in zip(axes, planes, strict=True):
@@ -87,16 +88,6 @@ def picture(data: MeshData, path: Path) -> None:
     add_legend(figure, colours)
     figure.suptitle(f"{len(data.cells)} cells, {len(data.points)} nodes")
     figure.savefig(path, dpi=130, format="png")
-
-
-def new_figure(width: float, height: float) -> Any:
-    """An empty figure [inch] by the object interface: no display, no global state of pyplot."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def add_legend(figure: Any, colours: Mapping[str, str]) -> None:

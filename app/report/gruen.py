@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mantle import figures
 from mantle.report.curves import STEM_COLOURS, Figure
 from mantle.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
 from mantle.report.sweep_results import Number, SweptCase, magnitude
@@ -111,7 +112,7 @@ def shielding_picture(cases: Cases, without: SweptCase | None, folder: Path) -> 
     if not changes:
         return []
     bones = [b for b in BONES if any(b in c for c in changes.values())]
-    figure = style.new(9.4, 2.9 * len(bones) + 0.5)
+    figure = figures.new(9.4, 2.9 * len(bones) + 0.5)
     grid = figure.subplots(len(bones), 1, squeeze=False, sharex=True).ravel()
     width = 0.8 / len(changes)
     for axes, bone in zip(grid, bones, strict=True):

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from mantle import figures
 from mantle.arrays import Floats, Ints
 from mantle.report.curves import Figure
 from mantle.report.viewer import INTERFACE, outsides
 from mantle.results.reading import Run
-from mantle.system import style
 
 NAME = "interfaces"
 QUANTITIES = ("slip", "gap", "pressure")
@@ -39,7 +39,7 @@ def draw(run: Run, folder: Path, formats: tuple[str, ...] = ("png",)) -> Figure 
     sides = {name: side for name, side in found.items() if side is not None}
     if not sides:
         return None
-    figure = style.new(10.0, 4.2 * len(sides))
+    figure = figures.new(10.0, 4.2 * len(sides))
     axes = figure.subplots(len(sides), len(QUANTITIES), squeeze=False)
     for row, (name, (body, triangles)) in zip(axes, sides.items(), strict=True):
         for ax, quantity in zip(row, QUANTITIES, strict=True):

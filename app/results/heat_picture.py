@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mantle import figures
 from mantle.arrays import Floats, Ints
 from mantle.meshes.distribute import TaggedMesh
 from mantle.meshes.picture import AXES, cut, middle_plane
@@ -37,7 +38,7 @@ def history(path: Path, seconds: Sequence[float], curves: Mapping[str, Floats]) 
     late = t[t > 0]
     logarithmic = len(late) > 1 and late[-1] / late[0] > _SPAN
     shown = t > 0 if logarithmic else np.ones(len(t), dtype=bool)
-    figure = style.new(8.5, 4.8)
+    figure = figures.new(8.5, 4.8)
     axes = figure.subplots()
     for k, (label, values) in enumerate(_distinct(curves).items()):
         axes.plot(
@@ -191,7 +192,7 @@ def _draw(
     widths = [max(size[0], 0.25 * tall) for size in sizes]
     height = 7.0
     width = float(np.clip(height * sum(widths) / tall + 3.0, 8.0, 16.0))
-    figure = style.new(width, height)
+    figure = figures.new(width, height)
     axes = figure.subplots(1, len(planes), width_ratios=widths)
     for ax, (axis, level), (triangles, outline) in zip(axes, planes, pieces, strict=True):
         shade = _panel(ax, axis, triangles, outline, (low, high))

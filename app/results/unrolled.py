@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mantle import figures
 from mantle.arrays import Floats, Ints
 from mantle.results.reading import EDGES, FACES, Run
 from mantle.schema.geometries import Sides
-from mantle.system import style
 
 # The angle runs from here by 360 degrees.
 SEAM = -90.0
@@ -188,7 +188,7 @@ def draw(
         return []
     round = all(s.round for _, _, s in columns)
     wide, high = (3.0, 2.9) if round else (3.4, 3.0)
-    figure = style.new(wide * len(columns) + 1.6, high * len(found) + 0.5)
+    figure = figures.new(wide * len(columns) + 1.6, high * len(found) + 0.5)
     grid = figure.subplots(len(found), len(columns), squeeze=False, sharey=round)
     for axes_row, (row, values) in zip(grid, found, strict=True):
         shown = [v[s.nodes] for (_, _, s), v in zip(columns, values, strict=True) if v is not None]

@@ -93,10 +93,16 @@ def mend() -> None:
 def share() -> None:
     """Have compilations that others are at work on waited for as long as they take, and no longer.
 
-    Whoever compiles a module holds one byte of a file locked, which ends with its process.
+    Whoever compiles a module holds one byte of a file locked, which ends with its process. Files of
+    options have no say in what is compiled.
     """
+    from dolfinx import jit as of_dolfinx
+    from ffcx import options
     from ffcx.codegeneration import jit
 
+    # Those in the home and in the working folder, which may be another's.
+    for module in (of_dolfinx, options):
+        vars(module)["_load_options"] = lambda: ({}, {})
     if isinstance(jit.get_cached_module, partial):
         return
     jit.get_cached_module = partial(_wait, jit.get_cached_module)

@@ -6,23 +6,10 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from mantle import figures
+
 COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
 MARKERS = "osD^vP*X"
-
-
-def new(width: float, height: float) -> Any:
-    """An empty figure that needs no screen.
-
-    Args:
-        width: Inches.
-        height: Inches.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def grid(axes: Any, axis: str = "both") -> None:
@@ -42,7 +29,7 @@ def panels(number: int, columns: int, width: float, height: float) -> tuple[Any,
     """
     columns = min(columns, number)
     rows = math.ceil(number / columns)
-    figure = new(width * columns, height * rows + 0.7)
+    figure = figures.new(width * columns, height * rows + 0.7)
     every = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in every[number:]:
         axes.set_visible(False)

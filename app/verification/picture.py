@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mantle import figures
 from mantle.system import style
 from mantle.system.style import COLOURS
 
@@ -34,7 +35,7 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
     ladders = _grouped([e for e in entries if e["sizes"] and e["errors"]])
     rows = max(1, len(ladders))
     height = max(3.4 * rows if ladders else 0.0, 1.6 + 0.36 * len(groups))
-    figure = style.new(12.5 if ladders else 7.5, height)
+    figure = figures.new(12.5 if ladders else 7.5, height)
     columns = 2 if ladders else 1
     cells = figure.add_gridspec(rows, columns, width_ratios=(1.0, 1.15)[:columns])
     for k, members in enumerate(ladders.values()):

@@ -322,9 +322,22 @@ def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------- who and where
 
 
+# Files of options that libraries read in the working folder: PETSc writes a log, compilers get a
+# flag that they do not know, forms are complex, pictures start LaTeX.
+OPTIONS = {
+    ".petscrc": "-log_view :petsc.txt\n",
+    "petscrc": "-log_view :petsc.txt\n",
+    "dolfinx_jit_options.json": '{"cffi_extra_compile_args": ["--no-such-flag"]}',
+    "ffcx_options.json": '{"scalar_type": "complex128"}',
+    "matplotlibrc": "text.usetex: True\n",
+}
+
+
 @pytest.fixture
 def misleading(tmp_path: Path) -> Path:
     """A folder with modules named as mantle's, as libraries and as what Python starts with."""
+    for name, text in OPTIONS.items():
+        (tmp_path / name).write_text(text)
     for name in ("app.py", "meshes/__init__.py", "numpy.py", "snakemake.py", "logging.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("raise SystemExit('this is not what was asked for')\n")
@@ -347,6 +360,7 @@ def test_modules_in_the_current_folder_change_nothing(misleading: Path) -> None:
         timeout=120,
     )
     assert result.returncode == 0, result.stdout + result.stderr
+    assert not (misleading / "petsc.txt").exists()
     (done,) = misleading.glob("out/runs/*/DONE")
     assert json.loads((done.parent / "provenance.json").read_text())["ranks"] == 2
 
@@ -366,11 +380,12 @@ def test_what_an_installed_command_starts_finds_mantle_and_not_the_folder(mislea
     )
     assert result.returncode == 0, result.stdout + result.stderr
     assert (misleading / "out" / "DONE").exists()
+    assert not (misleading / "petsc.txt").exists()
 
 
 def test_python_in_the_shell_finds_mantle_and_not_the_folder(misleading: Path) -> None:
     code = "import mantle; mantle.check(mantle.load('blocks.yaml'), meshed=True)"
-    for command in (f'python3 -c "{code}"', "python3 -m mantle check blocks.yaml"):
+    for command in (f'python3 -c "{code}"', "python3 -m mantle mesh blocks.yaml"):
         result = subprocess.run(
             ["sh", MANTLE, "shell", "-c", command],
             cwd=misleading,
