@@ -137,7 +137,7 @@ def run(
         keep: The same, but leave what is finished with this very configuration.
         restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
         walltime: Stop in time with the state saved [s].
-        signals: Have SIGINT, SIGTERM and SIGUSR1 stop the run with the state saved. They do nothing
+        signals: Have SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, state saved. They do nothing
             else afterwards. Without it, Ctrl-C is the KeyboardInterrupt that Python makes of it.
         petsc_options: Raw options, as after ``--`` on the command line.
 

@@ -65,7 +65,7 @@ def run(
         restart: A checkpoint to go on from, ``auto`` or nothing.
         force: Whether it may be of another configuration.
         walltime: How long the run may take [s].
-        signals: Whether SIGINT, SIGTERM and SIGUSR1 stop the run, with its state saved.
+        signals: Whether SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, with its state saved.
         progress: Called on every rank after each accepted step.
 
     Raises:

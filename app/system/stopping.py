@@ -62,6 +62,9 @@ def signals() -> Callable[[], str]:
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, note)
+    # nohup has it ignored: such a run goes on without its terminal.
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, note)
     # A reader that has left is an error where something is said, and no crash, as PETSc has it.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     return lambda: received[0] if received else ""

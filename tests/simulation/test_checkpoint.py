@@ -205,6 +205,7 @@ AGAIN = [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
 @pytest.mark.parametrize(
     "number",
     [
+        signal.SIGHUP,
         signal.SIGUSR1,
         *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGTERM, signal.SIGINT)),
     ],
