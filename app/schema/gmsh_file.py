@@ -16,7 +16,7 @@ ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.
 HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
-COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?\*/""", re.DOTALL)
+COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
 # Set for this process and all that it starts: the user trusts the scripts of this command.

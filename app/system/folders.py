@@ -9,6 +9,7 @@ import io
 import json
 import logging
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -20,6 +21,8 @@ from mantle.files import write_bytes as write_bytes
 
 log = logging.getLogger("mantle")
 
+# How texts begin that spreadsheets take for formulas, numbers apart.
+FORMULA = re.compile(r"[=@\t\r]|[+-](?![\d.])")
 # What stands in the folder of a variation that did not converge: why.
 FAILED = "FAILED"
 # Where an image, or a run that is isolated, has what caches begin with.
@@ -174,13 +177,21 @@ def write_text(path: Path, text: str) -> None:
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV below the names of all that any of them has."""
+    """Rows as CSV below the names of all that any of them has.
+
+    Texts that a spreadsheet would run as a formula have an apostrophe in front.
+    """
     text = io.StringIO()
     names = dict.fromkeys(name for row in rows for name in row)
-    table = csv.DictWriter(text, list(names), lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(map(_cell, names))
+    table.writerows([_cell(row.get(name, "")) for name in names] for row in rows)
     return text.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """A value, not as a formula."""
+    return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
 
 
 def write_json(path: Path, content: Any) -> None:
