@@ -21,8 +21,8 @@ from mantle.files import write_bytes as write_bytes
 
 log = logging.getLogger("mantle")
 
-# How texts begin that spreadsheets take for formulas, numbers apart.
-FORMULA = re.compile(r"[=@\t\r]|[+-](?![\d.])")
+# How texts begin that spreadsheets take for formulas, if they are no numbers.
+FORMULA = re.compile(r"[=@+\-\t\r](?!\d*\.?\d*(e[+-]?\d+)?$)", re.IGNORECASE)
 # What stands in the folder of a variation that did not converge: why.
 FAILED = "FAILED"
 # Where an image, or a run that is isolated, has what caches begin with.
