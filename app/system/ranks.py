@@ -155,6 +155,16 @@ def end_with_parent(environ: Mapping[str, str] = os.environ) -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
+def stop_signals() -> list[signal.Signals]:
+    """Return the signals that ask a run to stop.
+
+    Under ``nohup`` SIGHUP is ignored: such a run goes on without its terminal.
+    """
+    heard = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
+    lost = [signal.SIGHUP] if heard else []
+    return [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, *lost]
+
+
 def launch(ranks: int, command: Sequence[str]) -> int:
     """Run a command on several ranks and wait for it.
 
@@ -195,7 +205,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         else:
             child.send_signal(signal.SIGTERM if len(received) < 4 else signal.SIGKILL)
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1):
+    for number in stop_signals():
         signal.signal(number, stop)
     libc = ctypes.CDLL(None)
     folder, held = _scratch()

@@ -60,11 +60,8 @@ def signals() -> Callable[[], str]:
             ranks.tell("stopped before the state was saved")
             os._exit(130)
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+    for number in ranks.stop_signals():
         signal.signal(number, note)
-    # nohup has it ignored: such a run goes on without its terminal.
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        signal.signal(signal.SIGHUP, note)
     # A reader that has left is an error where something is said, and no crash, as PETSc has it.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     return lambda: received[0] if received else ""

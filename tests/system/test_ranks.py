@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import signal
 
 import pytest
 
@@ -155,3 +156,14 @@ def test_the_end_of_an_abort_is_left_out() -> None:
         + "\n\0"
     )
     assert filtered("mantle: internal error\n" + abort) == "mantle: internal error\n"
+
+
+@pytest.mark.parametrize(("usual", "heard"), [(signal.SIG_IGN, False), (signal.SIG_DFL, True)])
+def test_a_run_under_nohup_goes_on_without_its_terminal(
+    usual: signal.Handlers, heard: bool
+) -> None:
+    before = signal.signal(signal.SIGHUP, usual)
+    try:
+        assert (signal.SIGHUP in ranks.stop_signals()) is heard
+    finally:
+        signal.signal(signal.SIGHUP, before)
