@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import pickle
 import resource
 import subprocess
@@ -69,21 +71,42 @@ def _apart(geometry: Any, mesh: Any) -> Any:
     )
     if done.returncode:
         raise GeometryError(f"{geometry.path}: gmsh crashed: the file is damaged or too large")
-    result = pickle.loads(done.stdout)
-    if isinstance(result, GeometryError):
-        raise result
-    return result
+    head, _, arrays = done.stdout.partition(b"\n")
+    told = json.loads(head)
+    if "error" in told:
+        raise GeometryError(told["error"])
+    with np.load(io.BytesIO(arrays), allow_pickle=False) as found:
+        cells, surfaces = (
+            {name: found[f"{kind} {k}"] for k, name in enumerate(told[kind])}
+            for kind in ("cells", "surfaces")
+        )
+        nodes = found["nodes"], found["points"]
+    return told["regions"], *nodes, cells, surfaces, told["everything"]
 
 
 def serve() -> None:
-    """Read a mesh file: what is asked comes from standard input, the answer goes to the output."""
+    """Read a mesh file: what is asked comes from standard input, the answer goes to the output.
+
+    The answer is a line of JSON and arrays, no pickle: a file may have made gmsh do what it wants.
+    """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     geometry, mesh = pickle.load(sys.stdin.buffer)
+    arrays = io.BytesIO()
     try:
-        result = _parts(geometry, mesh)
+        regions, nodes, points, cells, surfaces, everything = _parts(geometry, mesh)
     except GeometryError as error:
-        result = error
-    sys.stdout.buffer.write(pickle.dumps(result))
+        told: dict[str, Any] = {"error": str(error)}
+    else:
+        parts = {"cells": cells, "surfaces": surfaces}
+        blocks = {
+            f"{kind} {k}": block
+            for kind, named in parts.items()
+            for k, block in enumerate(named.values())
+        }
+        np.savez(arrays, nodes=nodes, points=points, **blocks)
+        told = {kind: list(named) for kind, named in parts.items()}
+        told |= {"regions": regions, "everything": everything}
+    sys.stdout.buffer.write(json.dumps(told).encode() + b"\n" + arrays.getvalue())
 
 
 def _parts(geometry: Any, mesh: Any) -> Any:
@@ -158,8 +181,16 @@ def _named(
     """Put the pieces of the file together."""
     if not len(node_tags):
         raise GeometryError(f"{geometry.path}: the mesh has no nodes")
-    row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
-    row[node_tags.astype(np.int64)] = np.arange(len(node_tags))
+    order = np.argsort(node_tags, kind="stable")
+    tags = node_tags[order].astype(np.int64)
+
+    def rows(wanted: Ints) -> Ints:
+        """Rows of nodes by their tags, which may be any numbers."""
+        at = np.searchsorted(tags, wanted).clip(max=len(tags) - 1)
+        if (tags[at] != wanted).any():
+            raise GeometryError(f"{geometry.path}: cells have nodes that the file does not list")
+        return np.asarray(order[at])
+
     widths = {block.shape[1] for block in cells_by_name.values() if len(block)}
     if len(widths) != 1:
         what = (
@@ -167,7 +198,7 @@ def _named(
         )
         raise GeometryError(f"{geometry.path}: the mesh {what}")
     width = widths.pop()
-    cells = row[np.concatenate([block.reshape(-1, width) for block in cells_by_name.values()])]
+    cells = rows(np.concatenate([block.reshape(-1, width) for block in cells_by_name.values()]))
     cell_tags = np.concatenate(
         [np.full(len(block), regions[n], dtype=np.int32) for n, block in cells_by_name.items()]
     )
@@ -201,7 +232,7 @@ def _named(
             f"geometry: {turned} of {len(cells)} cells of the file list their nodes inside out: "
             "they are turned, and no cell overlaps its neighbours"
         )
-    masks = {name: _among(exterior[0], row[block[:, :3]]) for name, block in surfaces.items()}
+    masks = {name: _among(exterior[0], rows(block[:, :3])) for name, block in surfaces.items()}
     inside = sorted(name for name, mask in masks.items() if not mask.any())
     data = assemble(
         points,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 import re
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,3 +142,48 @@ def test_a_volume_without_cells_is_ignored_and_told(
     ]
     with pytest.raises(InputError, match="void"):
         support.case(CASE.format(path=path), "regions.void.rigid=true")
+
+
+def tetrahedron(path: Path, last: int) -> MeshData:
+    """A file of one cell, by the number of its last node."""
+    path.write_text(
+        f"""$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$PhysicalNames
+1
+3 1 "cube"
+$EndPhysicalNames
+$Nodes
+4
+1 0 0 0
+2 1 0 0
+3 0 1 0
+{last} 0 0 1
+$EndNodes
+$Elements
+1
+1 4 2 1 1 1 2 3 {last}
+$EndElements
+"""
+    )
+    return meshes.build(MeshFile(path=path), MeshOptions(size="1 mm"))
+
+
+def test_numbers_of_nodes_may_be_any(tmp_path: Path) -> None:
+    """No array is as long as the largest of them: 16 GB here."""
+    tracemalloc.start()
+    try:
+        data = tetrahedron(tmp_path / "far.msh", 2_000_000_000)
+        assert tracemalloc.get_traced_memory()[1] < 1e8
+    finally:
+        tracemalloc.stop()
+    assert len(data.points) == 4 and signed(data) == pytest.approx(1 / 6)
+
+
+def test_the_answer_of_the_child_is_no_pickle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever a file has made gmsh do, nothing of it runs here."""
+    monkeypatch.setattr(pickle, "loads", lambda _: pytest.fail("a pickle was read"))
+    assert len(read(tmp_path, cube()).points) == len(cube().points)
