@@ -60,8 +60,11 @@ def signals() -> Callable[[], str]:
             ranks.tell("stopped before the state was saved")
             os._exit(130)
 
-    for number in ranks.stop_signals():
+    heard = ranks.stop_signals()
+    for number in heard:
         signal.signal(number, note)
+    if signal.SIGHUP not in heard:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)  # again: PETSc ends a run that gets it
     # A reader that has left is an error where something is said, and no crash, as PETSc has it.
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     return lambda: received[0] if received else ""

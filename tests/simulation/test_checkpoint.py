@@ -211,7 +211,28 @@ AGAIN = [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
     ],
 )
 def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: int) -> None:
-    case, out = tmp_path / "case.yaml", tmp_path / "out"
+    out = tmp_path / "out"
+    process = begun(tmp_path, out, step, signal.SIG_DFL)
+    process.send_signal(number)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 5
+    (path,) = saved(out)
+    assert f"stopped by {number.name}" in message and f"state saved in {path}" in message
+    assert len(restarted.rows(out)) == 1 + int(path.stem.split("-")[1])
+
+
+def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
+    process = begun(tmp_path, tmp_path / "out", 1, signal.SIG_IGN)
+    process.send_signal(signal.SIGHUP)
+    wait_for(process, 3)
+    process.send_signal(signal.SIGUSR1)
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 5 and "stopped by SIGUSR1" in message
+
+
+def begun(folder: Path, out: Path, step: int, hung_up: signal.Handlers) -> subprocess.Popen[str]:
+    """A run that has made a step, started with what becomes of SIGHUP."""
+    case = folder / "case.yaml"
     case.write_text(restarted.RUBBING)
     process = subprocess.Popen(
         [sys.executable, "-m", "mantle", "run", str(case), "-o", str(out), *LONG],
@@ -219,16 +240,17 @@ def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: 
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, hung_up),
     )
+    wait_for(process, step)
+    return process
+
+
+def wait_for(process: subprocess.Popen[str], step: int) -> None:
+    """Wait until a run tells of a step."""
     assert process.stdout is not None
     while not process.stdout.readline().startswith(f"{step:4d} "):
         assert process.poll() is None
-    process.send_signal(number)
-    _, message = process.communicate(timeout=60)
-    assert process.returncode == 5
-    (path,) = saved(out)
-    assert f"stopped by {number.name}" in message and f"state saved in {path}" in message
-    assert len(restarted.rows(out)) == 1 + int(path.stem.split("-")[1])
 
 
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
