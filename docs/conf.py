@@ -67,7 +67,9 @@ def _read(app: Any, page: str, source: list[str]) -> None:
         source[0] = readme.replace("](docs/", "](") + source[0].partition("\n")[2]
     # Pages that are no part of the manual are named, not linked.
     text = re.sub(
-        r"\[([^\]]*)\]\([./]*(CONTRIBUTING|CHANGELOG|configs|app/README)(\.md)?\)", r"\1", source[0]
+        r"\[([^\]]*)\]\([./]*(CONTRIBUTING|CHANGELOG|SECURITY|configs|app/README)(\.md)?\)",
+        r"\1",
+        source[0],
     )
     source[0] = re.sub(r"\]\(([./]*)\.\./README\.md", r"](\1index.md", text)
     if page in CONTENTS:

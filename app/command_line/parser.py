@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--allow-scripts",
             action="store_true",
-            help="mesh .geo scripts that do not come with mantle: they can run any program",
+            help="mesh .geo scripts that do not come with mantle, in a process that is confined",
         )
 
     def add_case(command: argparse.ArgumentParser) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -318,10 +319,14 @@ class MeshFile(Shape):
         """Whether the file is still to be meshed."""
         return is_script(self.path)
 
-    @property
+    @cached_property
     def content(self) -> str:
-        """Hash of what the file holds."""
+        """Hash of what the file held when this was asked first."""
         return content(self.path)
+
+    def copy_files(self, folder: Path) -> str:
+        """Copy the file, and what a script names, to a folder; their hash."""
+        return content(self.path, folder)
 
 
 def _sides(value: object, name: object) -> object:

@@ -17,6 +17,7 @@ ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
 COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
+QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
 GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
 DIMENSIONS = {"Volume": 3, "Surface": 2}
 # Set for this process and all that it starts: the user trusts the scripts of this command.
@@ -40,7 +41,7 @@ def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
 
     Raises:
         ValueError: The file is not of this format; the script does not use its parameter, or is
-            not allowed to run; gmsh would run a file of options beside it.
+            not allowed to run.
     """
     groups = _names(path, path.stat().st_mtime_ns)
     return tuple(name for d, name, has_cells in groups if d == dimension and has_cells)
@@ -56,10 +57,6 @@ def _names(path: Path, modified: int) -> tuple[tuple[int, str, bool], ...]:
     """(dimension, name, not an empty volume) of every physical group; `modified` renews it."""
     if path.suffix not in (".msh", ".geo"):
         raise ValueError("is neither a .msh file nor a .geo script")
-    if (options := Path(f"{path}.opt")).exists():
-        raise ValueError(
-            f"gmsh would run {options.name} beside it, which may do anything; remove it"
-        )
     if is_script(path):
         return _groups(path)
     with path.open("rb") as file:
@@ -84,7 +81,7 @@ def _groups(path: Path) -> tuple[tuple[int, str, bool], ...]:
     """(dimension, name, true) of the groups that a script names."""
     if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
         raise ValueError(
-            "a gmsh script can run any program and change any file; --allow-scripts runs it"
+            "a gmsh script is a program; --allow-scripts runs it, in a process that is confined"
         )
     text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
     if not re.search(r"\bsize\b", text):
@@ -92,16 +89,40 @@ def _groups(path: Path) -> tuple[tuple[int, str, bool], ...]:
     return tuple(dict.fromkeys((DIMENSIONS[m[1]], m[2], True) for m in GROUP.finditer(text)))
 
 
-def content(path: Path) -> str:
-    """Hash of a file, and of the files that a script names (geometry that it merges)."""
-    raw = path.read_bytes()
-    digest = hashlib.sha256(raw)
-    if is_script(path):
-        for name in re.findall(r'"([^"\n]+)"', raw.decode("utf-8", "replace")):
-            other = path.parent / name
-            if other.is_file():
-                digest.update(name.encode() + other.read_bytes())
+def content(path: Path, copies: Path | None = None) -> str:
+    """Hash of a file and of the files that a script names; they are copied on demand.
+
+    Args:
+        path: The file.
+        copies: Folder for copies, which lie to each other as the files do.
+    """
+    digest = hashlib.sha256()
+    for name in _files(path):
+        raw = (path.parent / name).read_bytes()
+        digest.update(f"{len(raw)} {name if name != path.name else ''}\0".encode() + raw)
+        if copies:
+            copy = copies / name
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(raw)
     return digest.hexdigest()
+
+
+def _files(path: Path) -> list[str]:
+    """A file, and those below its folder that a script or a script which it names has in quotes."""
+    folder, found = path.parent.resolve(), [path.name]
+    for name in found:  # it grows
+        if not is_script(Path(name)):
+            continue
+        text = (folder / name).read_text("utf-8", "replace")
+        for quoted in QUOTED.finditer(text):
+            other = os.path.normpath(Path(name).parent / (quoted[1] or quoted[2] or "."))
+            try:
+                inside = (folder / other).resolve().is_relative_to(folder)
+                if inside and other not in found and (folder / other).is_file():
+                    found.append(other)
+            except (OSError, ValueError):  # no name of a file
+                continue
+    return found
 
 
 def counts(path: Path) -> int:

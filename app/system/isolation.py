@@ -18,22 +18,25 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from mantle.confined import (
+    DROP_BOUND,
+    NO_NEW_PRIVILEGES,
+    call,
+    code_of,
+    die_with_parent,
+    separate,
+)
 from mantle.errors import EnvironmentProblem, InputError
 from mantle.system.folders import cache_home
 from mantle.system.scratch import SHARED
 
-# Of linux/sched.h: mounts, IPC, processes, network; users.
-SPACES, USERS = 0x00020000 | 0x08000000 | 0x20000000 | 0x40000000, 0x10000000
 # Of linux/mount.h.
 RDONLY, NOSUID, NODEV, NOEXEC, BIND, REC, PRIVATE = 1, 2, 4, 8, 4096, 16384, 1 << 18
 SETATTR, RECURSIVE, HERE = 442, 0x8000, -100  # a system call on all of Linux's own processors
-# Of linux/prctl.h.
-DEATH_SIGNAL, DROP_BOUND, NO_NEW_PRIVILEGES = 1, 24, 38
 UP, GET_FLAGS, SET_FLAGS = 0x1, 0x8913, 0x8914  # of a network interface
 DEVICES = ("null", "zero", "full", "random", "urandom", "tty")
 LINKS = {"fd": "fd", "stdin": "fd/0", "stdout": "fd/1", "stderr": "fd/2"}
 PASSED_ON = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1)
-LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def run(command: Sequence[str], output: Path, needed: Iterable[Path]) -> int:
@@ -74,16 +77,10 @@ def run(command: Sequence[str], output: Path, needed: Iterable[Path]) -> int:
 
     before = {s: signal.signal(s, pass_on) for s in PASSED_ON}
     try:
-        return _code(middle)
+        return code_of(middle)
     finally:
         for s, handler in before.items():
             signal.signal(s, handler)
-
-
-def _code(process: int) -> int:
-    """Wait for a process; its exit code as a shell tells it."""
-    code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-    return code if code >= 0 else 128 - code
 
 
 def _enter(command: Sequence[str], output: Path, seen: Sequence[Path], tell: int) -> NoReturn:
@@ -91,16 +88,16 @@ def _enter(command: Sequence[str], output: Path, seen: Sequence[Path], tell: int
     for s in PASSED_ON:
         signal.signal(s, signal.SIG_IGN)
     try:
-        _call("prctl", DEATH_SIGNAL, signal.SIGKILL)
-        _separate()
+        die_with_parent()
+        separate()
         first = os.fork()
         if first:
             os.write(tell, f"{first}\n".encode())
             os.close(tell)
-            os._exit(_code(first))
+            os._exit(code_of(first))
         for s in PASSED_ON:
             signal.signal(s, signal.SIG_DFL)
-        _call("prctl", DEATH_SIGNAL, signal.SIGKILL)
+        die_with_parent()
         _close_up(output, seen)
         _give_up()
         os.chdir(os.getcwd())  # the folder as it is mounted now
@@ -112,45 +109,20 @@ def _enter(command: Sequence[str], output: Path, seen: Sequence[Path], tell: int
     os._exit(EnvironmentProblem.exit_code)
 
 
-def _call(name: str, *arguments: object) -> None:
-    """Call a function of the C library.
-
-    Raises:
-        OSError: It fails.
-    """
-    words = [os.fsencode(a) if isinstance(a, str | Path) else a for a in arguments]
-    padded = [ctypes.c_ulong(a) if isinstance(a, int) and a >= 0 else a for a in words]
-    if getattr(LIBC, name)(*padded) < 0:
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number), f"{name} {' '.join(map(str, arguments[:2]))}:")
-
-
-def _separate() -> None:
-    """Leave the namespaces of the machine; where this user may not, in one of users."""
-    user, group = os.geteuid(), os.getegid()
-    try:
-        _call("unshare", SPACES)
-    except PermissionError:
-        _call("unshare", SPACES | USERS)
-        Path("/proc/self/setgroups").write_text("deny")
-        Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
-        Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
-
-
 def _close_up(output: Path, seen: Sequence[Path]) -> None:
     """Make everything read-only but one folder; devices, sockets and processes are not there."""
     devices = {name: os.open(f"/dev/{name}", os.O_PATH) for name in DEVICES if _there(name)}
-    _call("mount", None, "/", None, REC | PRIVATE, None)
-    _call("mount", output, output, None, BIND, None)
-    _call("mount", "proc", "/proc", "proc", RDONLY | NOSUID | NODEV | NOEXEC, None)
+    call("mount", None, "/", None, REC | PRIVATE, None)
+    call("mount", output, output, None, BIND, None)
+    call("mount", "proc", "/proc", "proc", RDONLY | NOSUID | NODEV | NOEXEC, None)
     _set_attributes("/", RECURSIVE, RDONLY, 0)
     for place in ("/run", "/tmp"):
         if Path(place).is_dir() and not any(path.is_relative_to(place) for path in seen):
-            _call("mount", "none", place, "tmpfs", NOSUID | NODEV, "mode=1777")
-    _call("mount", "none", "/dev", "tmpfs", NOSUID, "mode=755")
+            call("mount", "none", place, "tmpfs", NOSUID | NODEV, "mode=1777")
+    call("mount", "none", "/dev", "tmpfs", NOSUID, "mode=755")
     for name, file in devices.items():
         Path("/dev", name).touch()
-        _call("mount", f"/proc/self/fd/{file}", f"/dev/{name}", None, BIND, None)
+        call("mount", f"/proc/self/fd/{file}", f"/dev/{name}", None, BIND, None)
     for name, target in LINKS.items():
         Path("/dev", name).symlink_to(f"/proc/self/{target}")
     SHARED.mkdir()
@@ -166,7 +138,7 @@ def _there(device: str) -> bool:
 def _set_attributes(place: Path | str, how: int, add: int, take: int) -> None:
     """Change what a mount allows."""
     attributes = ctypes.create_string_buffer(struct.pack("=QQQQ", add, take, 0, 0))
-    _call("syscall", SETATTR, HERE, place, how, attributes, 32)
+    call("syscall", SETATTR, HERE, place, how, attributes, 32)
 
 
 def _loop_back() -> None:
@@ -181,8 +153,8 @@ def _give_up() -> None:
     """Have no program that is started from here on any capability."""
     last = int(Path("/proc/sys/kernel/cap_last_cap").read_text())
     for capability in range(last + 1):
-        _call("prctl", DROP_BOUND, capability, 0, 0, 0)
-    _call("prctl", NO_NEW_PRIVILEGES, 1, 0, 0, 0)
+        call("prctl", DROP_BOUND, capability, 0, 0, 0)
+    call("prctl", NO_NEW_PRIVILEGES, 1, 0, 0, 0)
 
 
 def _environment(now: Mapping[str, str]) -> dict[str, str]:

@@ -32,7 +32,7 @@ from mantle.meshes.data import (
     order,
     region_volumes,
 )
-from mantle.meshes.imported import MILLIMETRES
+from mantle.meshes.gmsh_process import MILLIMETRES
 from mantle.meshes.picture import cut, picture
 from mantle.meshes.tags import assemble
 from mantle.schema.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from mantle import meshes
-from mantle.errors import InputError
+from mantle.errors import GeometryError, InputError
 from mantle.meshes import cache
 from mantle.meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
+from mantle.meshes.session import session
 from mantle.schema import config
 from mantle.schema.gmsh_file import ALLOWED, physical_names
 from tests import support
@@ -150,18 +151,57 @@ def test_cells_of_second_order_are_curved_where_the_script_is(
 
 
 def test_cached_by_what_the_mesh_depends_on(tmp_path: Path) -> None:
-    path = script(tmp_path, PIN + 'Merge "more.step";\n')
-    geometry, coarse = config.MeshFile(path=path), options(size="1 mm")
-    keys = {cache.key(geometry, coarse), cache.key(geometry, options(size="2 mm"))}
-    keys.add(cache.key(geometry, options(size="1 mm", curved=True)))
-    (tmp_path / "more.step").write_text("a")
-    keys.add(cache.key(geometry, coarse))
-    (tmp_path / "more.step").write_text("b")
-    keys.add(cache.key(geometry, coarse))
-    path.write_text(PIN)
-    keys.add(cache.key(geometry, coarse))
-    assert len(keys) == 6
-    assert cache.key(geometry, options(size="1 mm", order=2)) in keys
+    """Also what a script that it names has in quotes, but nothing outside its folder."""
+    folder = tmp_path / "own"
+    folder.mkdir()
+    path = script(folder, PIN + 'Merge "parts/pin.geo"; Merge "../foreign.step";\n')
+    coarse = options(size="1 mm")
+
+    def key(mesh: config.MeshOptions = coarse) -> str:
+        return cache.key(config.MeshFile(path=path), mesh)
+
+    keys = [key(), key(options(size="2 mm")), key(options(size="1 mm", curved=True))]
+    for name, text in (
+        ("parts/pin.geo", "Merge 'more.step';"),
+        ("parts/more.step", "a"),
+        ("parts/more.step", "b"),
+        ("a.geo", PIN),
+    ):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text)
+        keys.append(key())
+    assert len({*keys}) == len(keys) == 7
+    path.write_text(PIN + 'Merge "../foreign.step";\n')
+    before = key()
+    (tmp_path / "foreign.step").write_text("x")
+    (folder / "link.step").symlink_to(tmp_path / "foreign.step")
+    assert key() == before == key(options(size="1 mm", order=2))
+
+
+def test_a_script_uses_what_it_names_in_its_folder(tmp_path: Path) -> None:
+    """Scripts and other files, each named from where it is named."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "pin.geo").write_text('SetFactory("OpenCASCADE"); Merge "pin.brep";\n')
+    with session("pin") as gmsh:
+        gmsh.model.occ.addCylinder(0, 0, 0, 0, 0, 5, 2)
+        gmsh.model.occ.synchronize()
+        gmsh.write(str(tmp_path / "parts" / "pin.brep"))
+    path = script(
+        tmp_path,
+        "DefineConstant[ size = 1 ]; Merge 'parts/pin.geo'; Physical Volume(\"pin\") = {1};\n"
+        "MeshSize { PointsOf { Volume{:}; } } = size;\n",
+    )
+    data = meshes.build(config.MeshFile(path=path), options(size="0.7 mm", curved=True))
+    assert region_volumes(data)["pin"] == pytest.approx(np.pi * 2**2 * 5, rel=2e-3)
+
+
+def test_a_file_that_changes_after_the_case_was_read_is_refused(tmp_path: Path) -> None:
+    """What is meshed is what the cache and the provenance name."""
+    geometry = config.MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
+    assert geometry.content
+    script(tmp_path, PIN.replace("5, 2}", "5, 3}"))
+    with pytest.raises(GeometryError, match="has changed since it was looked at"):
+        meshes.build(geometry, options(size="1 mm"))
 
 
 def test_layers_are_solved(tmp_path: Path) -> None:

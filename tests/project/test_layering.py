@@ -175,12 +175,13 @@ def test_forms_import_only_ufl(path: Path) -> None:
 
 @all_of("meshes")
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
-    """What belongs to no layer above apart: errors, arrays, files, what libraries print."""
+    """What belongs to no layer above apart: errors, arrays, files, confinement."""
     own = {m for m in imported(path) if top(m) == "mantle" and package_of(m) != "meshes"}
     assert own <= {
         "mantle.errors",
         "mantle.arrays",
         "mantle.captured",
+        "mantle.confined",
         "mantle.figures",
         "mantle.files",
     }

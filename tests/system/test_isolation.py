@@ -189,7 +189,7 @@ def test_a_machine_without_namespaces_is_told(tmp_path: Path) -> None:
         "import ctypes, os\n"
         "from mantle.system import isolation\n"
         "def refuse(): raise PermissionError(1, 'Operation not permitted', 'unshare')\n"
-        "isolation._separate = refuse\n"
+        "isolation.separate = refuse\n"
         "from mantle.cli import main\n"
         "raise SystemExit(main(['run', 'case.yaml', '-o', 'out', '--isolate']))\n"
     )
