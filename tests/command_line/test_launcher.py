@@ -21,6 +21,7 @@ import pytest
 
 import mantle
 from mantle.command_line.parser import parser
+from tests.meshes.test_scripts import CASE, LAYERS
 
 ROOT = Path(__file__).resolve().parents[2]
 MANTLE = ROOT / "mantle"
@@ -333,12 +334,16 @@ OPTIONS = {
 }
 
 
+MODULES = ("app.py", "argparse.py", "gmsh.py", "logging.py", "mantle/__init__.py", "socket.py")
+MODULES += ("meshes/__init__.py", "numpy.py", "sitecustomize.py", "snakemake.py")
+
+
 @pytest.fixture
 def misleading(tmp_path: Path) -> Path:
     """A folder with modules named as mantle's, as libraries and as what Python starts with."""
     for name, text in OPTIONS.items():
         (tmp_path / name).write_text(text)
-    for name in ("app.py", "meshes/__init__.py", "numpy.py", "snakemake.py", "logging.py"):
+    for name in MODULES:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("raise SystemExit('this is not what was asked for')\n")
     shutil.copy(ROOT / "configs" / "blocks.yaml", tmp_path)
@@ -372,6 +377,23 @@ def test_what_an_installed_command_starts_finds_mantle_and_not_the_folder(mislea
     code = f"import sys; {front}; from mantle.cli import main; sys.exit(main())"
     result = subprocess.run(
         [sys.executable, "-P", "-c", code, "run", "blocks.yaml", "-n", "2", "-o", "out"],
+        cwd=misleading,
+        env={k: v for k, v in os.environ.items() if k not in ("PYTHONSAFEPATH", "PYTHONPATH")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert (misleading / "out" / "DONE").exists()
+    assert not (misleading / "petsc.txt").exists()
+
+
+def test_one_rank_and_what_it_starts_find_mantle_and_not_the_folder(misleading: Path) -> None:
+    """The process that tells what goes on, and the one that meshes a script."""
+    (misleading / "a.geo").write_text(f"{LAYERS}// {misleading}: in no cache\n")
+    (misleading / "layers.yaml").write_text(CASE)
+    result = subprocess.run(
+        ["sh", MANTLE, "run", "layers.yaml", "-o", "out", "--allow-scripts"],
         cwd=misleading,
         env={k: v for k, v in os.environ.items() if k not in ("PYTHONSAFEPATH", "PYTHONPATH")},
         capture_output=True,
