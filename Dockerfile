@@ -1,7 +1,7 @@
 # mantle with its solver stack: docker build -t mantle . && docker run --rm -v "$PWD:/work" mantle run case.yaml
 # Where ranks exchange much, give them room: --shm-size=2g
-# Name a digest to build upon the very same base again (docs/howto/administrators.md tells how).
-ARG BASE=debian:trixie-slim
+# The base never changes by itself; docs/howto/administrators.md tells how to renew it.
+ARG BASE=debian:trixie-slim@sha256:a29215f6a35e51e22adffa17f89e9d2ef06214e64a2bad10d765c46aea49f11f
 FROM ${BASE}
 
 COPY packages.txt /tmp/packages.txt

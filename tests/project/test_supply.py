@@ -69,6 +69,11 @@ def test_dolfinx_is_of_one_series() -> None:
     assert "0.9.5" in dolfinx.specifier and "0.10.0" not in dolfinx.specifier
 
 
+def test_the_base_of_the_image_is_named_by_its_digest() -> None:
+    (base,) = re.findall(r"^ARG BASE=(.*)$", (ROOT / "Dockerfile").read_text(), re.M)
+    assert re.fullmatch(r"debian:trixie-slim@sha256:[0-9a-f]{64}", base)
+
+
 def test_the_bill_of_materials_has_all_parts(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--sbom"]) == 0
     bill = json.loads(capsys.readouterr().out)
