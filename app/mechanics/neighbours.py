@@ -66,7 +66,12 @@ class Neighbours:
         self._start = None
         here = self._state()
         sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
-        known = [states[time] for states in self._past if time in states]
+        # One in other steps knows other times.
+        known = [
+            state
+            for states in self._past
+            for state in ([states[time]] if time in states else states.values())
+        ]
         scaled = [_scaled(state, self._factor(state, here, sizes)) for state in known]
         if not scaled:
             return

@@ -104,7 +104,8 @@ class Deflated:
         Zu, Zq = motions.displacement, motions.jump
         if self._sum is None:
             Zut, self._Zqt = (Z.transpose(PETSc.Mat()) for Z in (Zu, Zq))
-            made["uu"] = Zut.matMult(A.getNestSubMatrix(u, u).matMult(Zu))
+            made["K Zu"] = A.getNestSubMatrix(u, u).matMult(Zu)
+            made["uu"] = Zut.matMult(made["K Zu"])
             made["Zu C"] = Zut.matMult(A.getNestSubMatrix(u, q))
         Zq.transpose(self._Zqt)
         A.getNestSubMatrix(q, u).matMult(Zu, result=made["A Zu"])
@@ -139,12 +140,19 @@ class Deflated:
         given, moved = r.getNestSubVecs(), self._moved.getNestSubVecs()
         motions.work(given[self._u], given[self._q], self._part)
         self._factors.apply(self._part, self._weights)
+        self._weights.scale(-1.0)
         motions.moved(self._weights, moved[self._u], moved[self._q])
         self._moved.stateIncrease()
-        self._A.mult(self._moved, self._rest)
-        self._rest.aypx(-1.0, r)
+        r.copy(self._rest)
+        for i, rest in enumerate(self._rest.getNestSubVecs()):
+            for j in (self._u, self._q):
+                if i == j == self._u:  # the largest block by far
+                    self._products["K Zu"].multAdd(self._weights, rest, rest)
+                elif block := self._A.getNestSubMatrix(i, j):
+                    block.multAdd(moved[j], rest, rest)
+        self._rest.stateIncrease()
         self.inner.apply(self._rest, z)
-        z.axpy(1.0, self._moved)
+        z.axpy(-1.0, self._moved)
 
 
 def _diagonal(comm: PETSc.Comm, values: Floats) -> PETSc.Mat:

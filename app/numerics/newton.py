@@ -97,11 +97,16 @@ class Solver:
         self._augmentation = 1.0
         self._forces: Floats | None = None
 
-    def begin(self) -> None:
-        """Reset to the unloaded state; the matrices stay."""
+    def begin(self, tolerance: float) -> None:
+        """Reset to the unloaded state; the matrices stay.
+
+        Args:
+            tolerance: Residual over scale at which a solve has converged from now on.
+        """
         self.x.zeroEntries()
         self._newton.linear.sweep_interfaces()
-        self._newton.scales, self._augmentation = [], 1.0
+        self._newton.scales, self._newton.tolerance = [], tolerance
+        self._augmentation = 1.0
 
     def vector(self) -> PETSc.Vec:
         """A new vector of unknowns, zero."""

@@ -58,6 +58,7 @@ class Snes:
         residuals: Residual norms of the last runs, relative to the scale.
         flips: Contact points whose state changed, at each iterate.
         scales: Of the residuals of the last converged state, by part.
+        tolerance: Residual over scale at which a run has converged.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class Snes:
         """
         self._system = system
         self._timing = timing
-        self._tolerance = tolerance
+        self.tolerance = tolerance
         self._stop = stop
         blocks = system.blocks()
         self._vectors = list(blocks.values())
@@ -200,7 +201,7 @@ class Snes:
 
     def _limit(self, part: Measure) -> float:
         """Norm that a residual may have."""
-        return max(self._tolerance * part.scale, part.rounding)
+        return max(self.tolerance * part.scale, part.rounding)
 
     def measure(self, x: PETSc.Vec, f: PETSc.Vec) -> list[Measure]:
         """Residual by part, beside the scale of this state or of the converged ones before it."""

@@ -212,14 +212,19 @@ def _stiffness(e: Elastic) -> Floats:
     """
     fibre = e.fibre.axis if e.fibre and not e.fibre.turns else (0.0, 0.0, 1.0)
 
-    def law(ε: Any) -> Any:
-        return e.energy(ε, e.coefficients, as_vector(fibre))
+    def energy(strain: Floats) -> float:
+        ε = elasticity.symmetric([float(c) for c in strain])
+        return float(e.energy(ε, e.coefficients, as_vector(fibre))(()))
 
-    columns = []
-    for unit in np.eye(6):
-        σ = elasticity.stress(law, elasticity.symmetric([float(c) for c in unit]))
-        columns.append([float(σ[i, j](())) for i, j in COMPONENTS])
-    return np.array(columns).T
+    # Of a quadratic form, ψ(a + b) - ψ(a) - ψ(b) = a : σ(b).
+    units: list[Floats] = list(np.eye(6))
+    own = [energy(a) for a in units]
+    work = [
+        [energy(a + b) - ψ_a - ψ_b for b, ψ_b in zip(units, own, strict=True)]
+        for a, ψ_a in zip(units, own, strict=True)
+    ]
+    # A shear of a stands for two entries of the tensor.
+    return np.array(work) / np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])[:, None]
 
 
 def extrapolated(σ: Floats, points: Floats, X: Floats) -> Floats:

@@ -34,10 +34,10 @@ class Mechanical:
         self.neighbours = Neighbours(problem, solver)
         self._balance: list[Balance] = []
 
-    def begin(self, build: Scene, augmentation_factor: float) -> None:
+    def begin(self, build: Scene, augmentation_factor: float, tolerance: float) -> None:
         """Begin another model, at rest; collective."""
         self.problem.begin(build, augmentation_factor)
-        self.solver.begin()
+        self.solver.begin(tolerance)
         self.neighbours.begin()
 
     def balance(self, about: NDArray[np.float64]) -> Balance:

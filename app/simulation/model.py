@@ -155,7 +155,7 @@ class Model:
         for model in self._kin if not self.scene.cures else ():
             if model.deforms_like(self._case):
                 (m,) = model.mechanics
-                m.begin(self.scene, factor)
+                m.begin(self.scene, factor, self._case.solver.tolerance)
                 return (m,)
             if related.stiffness(model._case) == related.stiffness(self._case):
                 like += [m.problem for m in model.mechanics]
@@ -285,7 +285,7 @@ class Model:
 
     def _cheaper(self, case: config.Case) -> LoadStepper:
         """The mechanics of a cheaper model on their way; collective."""
-        comm, timing = self.tagged.mesh.comm, self._timing.of("start from a cheaper model")
+        comm, timing = self.tagged.mesh.comm, self._timing.of("cheaper model")
         other = Model(case, comm, self.options, timing, self.stop, self._kin)
         (m,) = other.mechanics
         predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))

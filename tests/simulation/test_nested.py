@@ -12,6 +12,7 @@ import pytest
 
 from mantle.errors import GeometryError, MantleError, StoppedError
 from mantle.mechanics.problem import TrialState
+from mantle.numerics.newton import NewtonResult
 from mantle.simulation import related
 from mantle.simulation.model import Model
 from mantle.stepping import nested_start
@@ -141,6 +142,33 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
     assert support.difference(states(warm), states(cold)) < 1e-6
     assert len(then) == len(first)
     assert then[0].outcome.residuals[0] < 0.3 * first[0].outcome.residuals[0]
+
+
+def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A companion of the cheaper model's mesh goes on from its states, to its own tolerance."""
+    always(monkeypatch)
+    monkeypatch.setattr(related, "TOLERANCE", 1e-2)
+    model, _ = go()
+    companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
+    coarse = next(m for m in model._kin if m._case.mesh.size == 5.0)
+    (m,) = coarse.mechanics
+    solves: list[NewtonResult] = []
+    plain = m.solver.solve
+
+    def noted() -> NewtonResult:
+        solves.append(plain())
+        return solves[-1]
+
+    monkeypatch.setattr(m.solver, "solve", noted)
+    found = model.relative(companion)
+    assert len(solves) == 1 and solves[0].residuals[0] < 1e-2
+    assert solves[0].residuals[-1] < companion.solver.tolerance
+    monkeypatch.undo()
+    alone = Model(companion, MPI.COMM_WORLD, {}, Timing(), str)
+    expected = alone.relative(companion)["interfaces"]["stem_cement"]
+    for name, number in found["interfaces"]["stem_cement"].items():
+        if isinstance(number, float) and not name.startswith("penetration"):
+            assert number == pytest.approx(expected[name], rel=1e-6, abs=1e-9), name
 
 
 def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:

@@ -335,6 +335,16 @@ def test_scaled_loads_take_no_iterations() -> None:
     assert q["slip_path_max"] == pytest.approx(2 * p["slip_path_max"], rel=1e-10)
 
 
+def test_other_steps_start_from_those_of_another_run() -> None:
+    """Also from another time: here it is the answer."""
+    runs = Runs()
+    u, iterations, _ = runs.run(CASES["as_is"])
+    assert len(iterations) == 3 and sum(iterations) > 5
+    v, again, _ = runs.run(changed("stages.0.increments=2"))
+    assert again == [0, 0, 0, 0]
+    assert support.difference(v[0], u[0]) < 1e-12
+
+
 def test_neighbours_save_iterations() -> None:
     """From its neighbours a friction coefficient takes far less than from rest."""
     runs = Runs()
