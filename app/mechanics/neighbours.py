@@ -3,7 +3,8 @@
 Every variation goes its own way from rest, for friction remembers; what it takes from others is
 where each of its solves starts. Contact with friction is homogeneous of degree one: where loads and
 gaps change by a common factor the scaled state is the answer itself. Where anything else changes
-the nearest scaled state is near it, in the distance of forces, gaps and the logarithm of friction.
+the nearest scaled state is near it, in the distance of forces, gaps and the logarithm of friction,
+and what it and the next nearest span holds a nearer one.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from petsc4py import PETSc
 import numpy as np
 
 from mantle.arrays import Floats
-from mantle.mechanics.prediction import same, take_better
+from mantle.mechanics.prediction import mixture, same, take_better
 from mantle.mechanics.problem import Problem
 from mantle.numerics.newton import Solver
 
 # Runs whose states are kept; one that is a multiple of another is not.
 KEPT = 6
+# Nearest states that are mixed.
+MIXED = 5
 # Friction below which there is as good as none.
 LITTLE = 1e-3
 
@@ -62,7 +65,7 @@ class Neighbours:
         self._now, self._new = {}, False
 
     def predict(self, time: float) -> None:
-        """Start from the nearest state of another run, if that is better."""
+        """Start from the nearest state of another run, or from it and others, if that is better."""
         self._start = None
         here = self._state()
         sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
@@ -75,9 +78,11 @@ class Neighbours:
         scaled = [_scaled(state, self._factor(state, here, sizes)) for state in known]
         if not scaled:
             return
-        nearest = min(scaled, key=lambda state: self._distance(state, here, sizes))
-        if take_better(self._solver, nearest.x):
-            self._start = nearest.x.copy()
+        scaled.sort(key=lambda state: self._distance(state, here, sizes))
+        nearest, *others = (state.x for state in scaled[:MIXED])
+        for x in (nearest, mixture(self._solver, nearest, others) if others else nearest):
+            if take_better(self._solver, x):
+                self._start = x.copy()
 
     def commit(self, time: float) -> None:
         """Remember the state."""

@@ -10,6 +10,7 @@ state the step comes from.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -36,13 +37,9 @@ class Predictor(Protocol):
 
 
 class Extrapolation:
-    r"""The straight line through the last two states; where a stage begins, all that they span.
+    """The straight line through the last two states; where a stage begins, all that they span.
 
-    Loads turn there. With x the last state and d_i the ways to it from those before, the s_i of
-
-    .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min
-
-    would make x + sum s_i d_i the state of least residual, were the residual R linear.
+    Loads turn there.
     """
 
     def __init__(self, solver: Solver) -> None:
@@ -60,7 +57,11 @@ class Extrapolation:
         if len(self._trail) < 2:
             return
         stage_begins = math.ceil(time) - 1
-        x = self._line(time) if self._trail[-2][0] >= stage_begins else self._mixture()
+        if self._trail[-2][0] >= stage_begins:
+            x = self._line(time)
+        else:
+            *before, last = (state for _, state in self._trail)
+            x = mixture(self._solver, last, before)
         take_better(self._solver, x)
 
     def _line(self, time: float) -> PETSc.Vec:
@@ -71,31 +72,41 @@ class Extrapolation:
         x.axpby(-s, 1.0 + s, x0)
         return x
 
-    def _mixture(self) -> PETSc.Vec:
-        """State of least linearized residual in the span of the last states."""
-        solver = self._solver
-        *before, x = (state.copy() for _, state in self._trail)
-        here = solver.residual(x)
-        steps, changes = [], []
-        for state in before:
-            step = x.copy()
-            step.axpy(-1.0, state)
-            there = x.copy()
-            there.axpy(1.0, step)
-            change = solver.residual(there)
-            change.axpy(-1.0, here)
-            steps.append(step)
-            changes.append(change)
-        gram = np.array([[a.dot(b) for b in changes] for a in changes])
-        shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
-        for share, step in zip(shares, steps, strict=True):
-            x.axpy(share, step)
-        return x
-
     def commit(self, time: float) -> None:
         """Remember the state; of two at one time the later."""
         state = (time, self._solver.x.copy())
         self._trail = [*[p for p in self._trail if p[0] != time][-KEPT:], state]
+
+
+def mixture(solver: Solver, x: PETSc.Vec, others: Sequence[PETSc.Vec]) -> PETSc.Vec:
+    r"""State of least residual in the span of a state and others, were the residual linear.
+
+    With x the state and d_i the ways to it from the others, it is x + sum s_i d_i with the s_i of
+
+    .. math:: |R(x) + \sum_i s_i (R(x + d_i) - R(x))| = \min.
+
+    Args:
+        solver: Of a problem at the time of the step; collective.
+        x: The state.
+        others: The others.
+    """
+    x = x.copy()
+    here = solver.residual(x)
+    steps, changes = [], []
+    for state in others:
+        step = x.copy()
+        step.axpy(-1.0, state)
+        there = x.copy()
+        there.axpy(1.0, step)
+        change = solver.residual(there)
+        change.axpy(-1.0, here)
+        steps.append(step)
+        changes.append(change)
+    gram = np.array([[a.dot(b) for b in changes] for a in changes])
+    shares, *_ = np.linalg.lstsq(gram, [-a.dot(here) for a in changes], rcond=1e-12)
+    for share, step in zip(shares, steps, strict=True):
+        x.axpy(share, step)
+    return x
 
 
 def take_better(solver: Solver, x: PETSc.Vec) -> bool:
