@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +21,7 @@ import pytest
 import mantle
 from mantle.command_line.parser import parser
 from tests.meshes.test_scripts import CASE, LAYERS
+from tests.misleading import mislead
 
 ROOT = Path(__file__).resolve().parents[2]
 MANTLE = ROOT / "mantle"
@@ -323,33 +323,10 @@ def test_a_second_signal_stops_at_once(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------- who and where
 
 
-# Files of options that libraries read in the working folder: PETSc writes a log, compilers get a
-# flag that they do not know, forms are complex, pictures start LaTeX.
-OPTIONS = {
-    ".petscrc": "-log_view :petsc.txt\n",
-    "petscrc": "-log_view :petsc.txt\n",
-    "dolfinx_jit_options.json": '{"cffi_extra_compile_args": ["--no-such-flag"]}',
-    "ffcx_options.json": '{"scalar_type": "complex128"}',
-    "matplotlibrc": "text.usetex: True\n",
-}
-
-
-MODULES = ("app.py", "argparse.py", "gmsh.py", "logging.py", "mantle/__init__.py", "socket.py")
-MODULES += ("meshes/__init__.py", "numpy.py", "sitecustomize.py", "snakemake.py")
-
-
 @pytest.fixture
 def misleading(tmp_path: Path) -> Path:
-    """A folder with modules named as mantle's, as libraries and as what Python starts with."""
-    for name, text in OPTIONS.items():
-        (tmp_path / name).write_text(text)
-    for name in MODULES:
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("raise SystemExit('this is not what was asked for')\n")
-    shutil.copy(ROOT / "configs" / "blocks.yaml", tmp_path)
-    (tmp_path / "sweep.yaml").write_text(
-        "base: blocks.yaml\nset: {ranks: 2, output.fields: false}\ngrid: {mesh.order: [1]}\n"
-    )
+    """A folder with modules and options that should have no say."""
+    mislead(tmp_path)
     return tmp_path
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 
 from tests import support
+from tests.misleading import mislead
 
 pytestmark = pytest.mark.slow
 
@@ -142,3 +143,18 @@ def test_cases_and_sweeps_run_in_the_image_without_a_compiler(image: Image) -> N
         record = json.loads((folder / "provenance.json").read_text())
         assert record["ranks"] == 2
         assert not any(str(support.ROOT) in word for word in record["command"])
+
+
+def test_a_hostile_folder_has_no_say_in_the_image(image: Image) -> None:
+    """On one rank and in a sweep on two."""
+    folder = image.work / "hostile"
+    folder.mkdir()
+    mislead(folder)
+    user = int(image.run("id", "-u"))
+    for path in (image.work, folder, *folder.rglob("*")):
+        os.chown(path, user, user)
+    image.run(
+        "sh", "-c", "cd hostile && mantle run blocks.yaml -o one && mantle sweep sweep.yaml -o many"
+    )
+    assert (folder / "one" / "DONE").exists() and list(folder.glob("many/runs/*/DONE"))
+    assert not list(folder.rglob("petsc.txt"))

@@ -1,0 +1,33 @@
+"""A received folder whose files would be executed where somebody is careless."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+# Files of options that libraries read in the working folder: PETSc writes a log, compilers get a
+# flag that they do not know, forms are complex, pictures start LaTeX.
+OPTIONS = {
+    ".petscrc": "-log_view :petsc.txt\n",
+    "petscrc": "-log_view :petsc.txt\n",
+    "dolfinx_jit_options.json": '{"cffi_extra_compile_args": ["--no-such-flag"]}',
+    "ffcx_options.json": '{"scalar_type": "complex128"}',
+    "matplotlibrc": "text.usetex: True\n",
+}
+# Named as mantle's, as libraries and as what Python starts with.
+MODULES = ("app.py", "argparse.py", "gmsh.py", "logging.py", "mantle/__init__.py", "socket.py")
+MODULES += ("meshes/__init__.py", "numpy.py", "sitecustomize.py", "snakemake.py")
+
+
+def mislead(folder: Path) -> None:
+    """Put such files into a folder, with a case, blocks.yaml, and a sweep of it on two ranks."""
+    for name, text in OPTIONS.items():
+        (folder / name).write_text(text)
+    for name in MODULES:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("raise SystemExit('this is not what was asked for')\n")
+    shutil.copy(ROOT / "configs" / "blocks.yaml", folder)
+    (folder / "sweep.yaml").write_text(
+        "base: blocks.yaml\nset: {ranks: 2, output.fields: false}\ngrid: {mesh.order: [1]}\n"
+    )
