@@ -198,8 +198,7 @@ def _verdict(summary: dict[str, Any]) -> list[str]:
         lines.append(
             f"note: the error is estimated without companions that failed: {', '.join(failed)}"
         )
-    if unsettled := error.get("unsettled"):
-        lines.append(f"peaks that do not converge with the mesh: {', '.join(unsettled)}")
+    lines += [clause.text for clause in text.peaks(summary)]
     return [in_print(line) for line in [*lines, *(f"note: {n}" for n in summary.get("notes", []))]]
 
 
@@ -232,6 +231,7 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
         found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))
         if section == "thermal.regions":
             found += _titled("Dead bone", _necrosis(named))
+    found += _titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += paragraph(note, "quiet")
     how = (
@@ -239,6 +239,18 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
         "stand at an edge and grow with the mesh."
     )
     return paragraph(how, "quiet") + found if found else []
+
+
+def _unsettled(summary: dict[str, Any]) -> Blocks:
+    """Peaks that do not converge, on each mesh that was solved."""
+    found = {k: dict(v) for k, v in summary.get("error", {}).get("unsettled", {}).items()}
+    sizes = sorted({size for values in found.values() for size in values})
+    rows = [
+        [f"{name} ({printed(q.shown)})", *(q.text({q.key: values.get(s)}) for s in sizes)]
+        for name, values in found.items()
+        if (q := quantities.get(name))
+    ]
+    return table(["", *(f"{s:g} mm" for s in sizes)], rows)
 
 
 def _titled(title: str, content: Blocks) -> Blocks:

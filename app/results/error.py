@@ -37,7 +37,7 @@ from mantle.schema.quantities import MOTION, STRESS, TABLE, Quantity, numbers_of
 COARSER = (2.0, 3.0)
 # The power of the error of all time steps with which the tolerance of one of them goes.
 TOLERANCE_POWER = {"sdirk4": 1.0, "backward_euler": 2.0}
-# A peak that still changes by more than this part of itself when the mesh is halved.
+# A peak that still changes by more than this part of itself from the next mesh to that of the run.
 UNSETTLED = 0.1
 # A mesh that is not coarser than this tells nothing.
 LEAST = 1.25
@@ -123,19 +123,24 @@ def of_what(solved: Sequence[Companion]) -> str:
     return "time step" if any(s.duration for c in solved for s in c.case.stages) else "load step"
 
 
-def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers]]) -> list[str]:
+def estimate(
+    run: Numbers, case: config.Case, solved: Sequence[tuple[Companion, Numbers]]
+) -> dict[str, list[list[float]]]:
     """Put an ``X_error`` beside each headline number X.
 
     Args:
         run: Sections interfaces, regions and stem of the run's summary, and thermal and cure where
             there are any; changed in place.
-        order: Degree of its displacement.
+        case: What it solved.
         solved: Its companions with the same sections.
 
     Returns:
-        Peaks that have not converged with the mesh, as ``interface.pressure_max``.
+        Peaks that still change with the mesh, as ``interface.pressure_max``, those that change most
+        first: mesh size in mm and value on each mesh that was solved, the finest first.
     """
-    unsettled: list[str] = []
+    order = case.mesh.order
+    unsettled: dict[str, list[list[float]]] = {}
+    changes: dict[str, float] = {}
     tables = list(numbers_of(run))
     relatives = [(c, {(s, n): q for s, n, q in numbers_of(o)}) for c, o in solved]
     peaks = [
@@ -153,16 +158,29 @@ def estimate(run: Numbers, order: int, solved: Sequence[tuple[Companion, Numbers
                 numbers[f"{q.key}_error"] = error
         if section in CHANCE:
             _raise_small(numbers, [q for q in known if q.order and not q.vector])
-        for other in [o for c, o in others if c.coarsening > LEAST][:1]:
-            for k in (q.key for q in known if q.peak):
-                like = "motion" if k in ALIKE else k
-                # What is next to nothing beside its like on other interfaces is no peak.
-                size = max(abs(numbers[k]), UNSETTLED * max(v for of, v in peaks if of == like))
-                if abs(numbers[k] - other[k]) > UNSETTLED * size:
-                    unsettled.append(f"{name}.{k}")
+        for k in (q.key for q in known if q.peak):
+            values = _on_meshes(k, numbers, case, others)
+            value, coarser = values[0][1], values[:2][-1][1]
+            like = "motion" if k in ALIKE else k
+            # What is next to nothing beside its like on other interfaces is no peak.
+            size = max(abs(value), UNSETTLED * max(v for of, v in peaks if of == like))
+            if (change := abs(value - coarser)) > UNSETTLED * size:
+                unsettled[f"{name}.{k}"] = values
+                changes[f"{name}.{k}"] = change / max(size, abs(coarser))
     for zone, numbers in run.get("gruen", {}).items():
         _of_zone(numbers, order, [(c, o.get("gruen", {}).get(zone, {})) for c, o in solved])
-    return unsettled
+    return {k: unsettled[k] for k in sorted(changes, key=changes.__getitem__, reverse=True)}
+
+
+def _on_meshes(
+    key: str, run: Numbers, case: config.Case, others: Sequence[tuple[Companion, Numbers]]
+) -> list[list[float]]:
+    """Size and value on each mesh, the finest first; of two on one that with the run's steps."""
+    found = {case.mesh.size: run[key]}
+    for c, o in sorted(others, key=lambda other: -abs(other[0].steps - 1)):
+        if c.coarsening > LEAST and o.get(key) is not None:
+            found[c.case.mesh.size] = o[key]
+    return [[size, found[size]] for size in sorted(found)]
 
 
 def _of_zone(zone: Numbers, order: int, others: Sequence[tuple[Companion, Numbers]]) -> None:

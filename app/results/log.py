@@ -13,6 +13,7 @@ import numpy as np
 
 from mantle.errors import UnusableError
 from mantle.results import tables
+from mantle.schema import quantities
 from mantle.schema.quantities import TABLE
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ BEYOND = "exceeds the size of its facets: beyond small displacements"
 
 # What errors are of, where coarser meshes could be compared.
 BOTH = "mesh and step"
+
+# As many peaks are told that do not converge.
+MOST = 3
 
 PERCENTILE = re.compile(r"_p\d+$")
 
@@ -150,7 +154,7 @@ def tell(summary: dict[str, Any], table: bool = True) -> None:
     """
     if table:
         log.info("%s", closing_table(summary))
-    for clause in (*verdict(summary), *_peaks(summary)):
+    for clause in (*verdict(summary), *peaks(summary)):
         log.info("%s", clause.text, extra={"tone": clause.tone})
 
 
@@ -216,8 +220,13 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Clause:
     return Clause(f"{of}: {text}" + ("" if of == BOTH else "; error of the mesh not estimated"))
 
 
-def _peaks(summary: Mapping[str, Any]) -> list[Clause]:
-    """How many peaks do not converge; the summary and the report name them."""
-    n = len(summary.get("error", {}).get("unsettled", ()))
-    text = f"peaks: {n} (error.unsettled of summary.json) do not converge with the mesh"
-    return [Clause(text, "doubtful")] if n else []
+def peaks(summary: Mapping[str, Any]) -> list[Clause]:
+    """Peaks that change most with the mesh, with their values on every mesh that was solved."""
+    told = []
+    for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
+        if q := quantities.get(name):
+            on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
+            told.append(", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others]))
+    more = [f"{len(told) - MOST} more in error.unsettled of summary.json"] if told[MOST:] else []
+    text = f"peaks that still change with the mesh: {'; '.join(told[:MOST] + more)}"
+    return [Clause(text, "doubtful")] if told else []

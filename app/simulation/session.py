@@ -314,7 +314,7 @@ class Session:
             writer.finish(summary, done=False)
             try:
                 with timing.phase("error"):
-                    summary["error"] = _errors(companions, model, summary, case.mesh.order)
+                    summary["error"] = _errors(companions, model, summary, case)
             except StoppedError as failure:
                 agree(comm, failure)
                 raise StoppedError(f"{failure}, in its companions{_saved(keeper)}") from failure
@@ -358,7 +358,7 @@ def _prepare(folder: Path) -> None:
 
 
 def _errors(
-    companions: Sequence[error.Companion], model: Model, summary: dict[str, Any], order: int
+    companions: Sequence[error.Companion], model: Model, summary: dict[str, Any], case: config.Case
 ) -> dict[str, Any]:
     """Solve the companions of a run and put the errors of its numbers into its summary."""
     solved, failed = [], []
@@ -382,7 +382,7 @@ def _errors(
         "companions": [str(c) for c, _ in solved],
         "of": error.of_what([c for c, _ in solved]),
         "failed": failed,
-        "unsettled": error.estimate(summary, order, solved),
+        "unsettled": error.estimate(summary, case, solved),
     }
 
 

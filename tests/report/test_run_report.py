@@ -138,14 +138,26 @@ def test_a_page_without_its_view_says_why(
 
 def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
     def estimated(numbers: dict[str, Any]) -> None:
-        numbers["error"] = {"companions": ["mesh 8 mm"], "failed": [], "unsettled": ["a.gap_max"]}
+        peaks = {"stem_cement.gap_max": [[4.0, 0.0123], [8.0, 0.009]]}
+        peaks |= {
+            f"{name}.von_mises_max": [[4.0, 20.0], [12.0, 9.0]] for name in numbers["regions"]
+        }
+        numbers["error"] = {"companions": ["mesh 8 mm"], "failed": [], "unsettled": peaks}
         for q in numbers["interfaces"].values():
             q["slip_p99_error"] = 0.02 * q["slip_p99"]
         numbers["interfaces"]["cement_bone"]["pressure_p95_error"] = 10.0
 
     html = shown(changed(done, tmp_path / "run", estimated))
     assert "every main number is known to 2 % or better, except cement-bone pressure, p95 (" in html
-    assert "peaks that do not converge with the mesh: a.gap_max" in html and " ± " in html
+    line = "peaks that still change with the mesh: stem_cement.gap_max 12.3 µm at 4 mm, 9.0 at 8"
+    assert line in html and " ± " in html
+    # The table has all of them.
+    rows = html[html.index("Peaks that still change with the mesh") :].split()
+    assert rows[7:13] == ["4", "mm", "8", "mm", "12", "mm"]
+    assert rows[13:18] == ["stem_cement.gap_max", "(µm)", "12.3", "9.0", "-"]
+    for name in summary(done)["regions"]:
+        place = rows.index(f"{name}.von_mises_max", 13)
+        assert rows[place + 1 : place + 5] == ["(MPa)", "20.00", "-", "9.00"]
 
     def unsure(numbers: dict[str, Any]) -> None:
         estimated(numbers)

@@ -6,6 +6,8 @@ from typing import Any
 
 from mantle.results import log
 
+CHANGE = "peaks that still change with the mesh"
+
 
 def summary(**changes: Any) -> dict[str, Any]:
     interface = {
@@ -31,7 +33,7 @@ def summary(**changes: Any) -> dict[str, Any]:
 
 def told(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """By what it is about: the words and the tone of each line but the first."""
-    first, *rest = (*log.verdict(found), *log._peaks(found))
+    first, *rest = (*log.verdict(found), *log.peaks(found))
     assert first.text.startswith("converged: 974 unknowns") and not first.tone
     parts = [(*clause.text.split(": ", 1), clause.tone) for clause in rest]
     return {about: (words, tone) for about, words, tone in parts}
@@ -56,7 +58,8 @@ def test_what_is_bad_stands_out() -> None:
 
 
 def test_the_error_is_told_without_peaks() -> None:
-    error = {"companions": ["mesh 8 mm"], "unsettled": ["stem_cement.pressure_max"]}
+    unsettled = {"stem_cement.pressure_max": [[4.0, 9.0], [8.0, 6.1], [12.0, 4.25]]}
+    error = {"companions": ["mesh 8 mm", "mesh 12 mm"], "unsettled": unsettled}
     lines = told(summary(error=error))
     words = (
         "half of the percentiles within ± 5 %, the least sure (pressure_p95 of stem_cement) within "
@@ -64,7 +67,22 @@ def test_the_error_is_told_without_peaks() -> None:
     )
     assert lines["mesh and step"] == (words, "")
     assert "load step" not in lines
-    assert lines["peaks"][0].startswith("1 ") and lines["peaks"][1] == "doubtful"
+    peaks = "stem_cement.pressure_max 9.00 MPa at 4 mm, 6.10 at 8, 4.25 at 12"
+    assert lines[CHANGE] == (peaks, "doubtful")
+
+
+def test_of_many_peaks_the_three_worst_are_told() -> None:
+    keys = ("gap_max", "pressure_max", "slip_max", "motion_max", "shear_max")
+    unsettled = {f"stem_cement.{k}": [[2.5, 0.0742], [5.0, 0.06]] for k in keys}
+    words, _ = told(summary(error={"companions": ["mesh 5 mm"], "unsettled": unsettled}))[CHANGE]
+    first, *others, rest = words.split("; ")
+    assert first == "stem_cement.gap_max 74.2 um at 2.5 mm, 60.0 at 5"
+    assert [name.split()[0] for name in others] == [f"stem_cement.{k}" for k in keys[1:3]]
+    assert rest == "2 more in error.unsettled of summary.json"
+
+
+def test_peaks_that_converge_are_not_told() -> None:
+    assert CHANGE not in told(summary(error={"companions": ["mesh 8 mm"], "unsettled": {}}))
 
 
 def test_where_only_steps_were_compared_the_error_is_theirs() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
@@ -138,13 +139,57 @@ def test_the_estimate_is_exact_for_its_model(increments: int, step: float) -> No
         for c in error.companions(this)
     ]
     run = numbers(1.0, increments, p, step)
-    unsettled = error.estimate(run, 2, solved)
+    unsettled = error.estimate(run, this, solved)
     q = run["interfaces"]["lower_upper"]
     assert q["slip_p99_error"] == pytest.approx(q["slip_p99"] - 1)
     assert q["force_error"] == pytest.approx(q["force"])
     # The peak changes by 0.2 of 1.2, the gap by far less than any slip.
-    assert unsettled == ["lower_upper.slip_max"]
+    assert list(unsettled) == ["lower_upper.slip_max"]
     assert "slip_max_error" not in q
+
+
+def test_peaks_that_do_not_converge_have_their_values_on_every_mesh() -> None:
+    """Finest mesh first, worst peak first; of two runs on a mesh the one with the run's steps."""
+    this = case("stages.0.increments=8")
+
+    def peaks(pressure: float, slip: float, stress: float, shear: float) -> dict[str, Any]:
+        own = {"pressure_max": pressure, "slip_max": slip, "slip_p99": 0.1, "shear_max": shear}
+        return {
+            "interfaces": {"lower_upper": own},
+            "regions": {"lower": {"von_mises_max": stress, "principal_min": -stress / 4}},
+        }
+
+    run = peaks(9.3, 0.050, 20.0, 3.0)
+    others = (
+        peaks(6.2, 0.049, 15.0, 2.8),  # on 2 h, half the steps
+        peaks(4.0, 0.030, 11.0, 1.0),  # on 3 h, half the steps
+        peaks(4.5, 0.035, 12.0, 1.5),  # on 3 h, all steps
+    )
+    unsettled = error.estimate(run, this, list(zip(error.companions(this), others, strict=True)))
+    # Slip and shear stress change by 2 and 7 %, from the finest mesh to the next.
+    assert list(unsettled.items()) == [
+        ("lower_upper.pressure_max", [[1.0, 9.3], [2.0, 6.2], [3.0, 4.5]]),
+        ("lower.von_mises_max", [[1.0, 20.0], [2.0, 15.0], [3.0, 12.0]]),
+        ("lower.principal_min", [[1.0, -5.0], [2.0, -3.75], [3.0, -3.0]]),
+    ]
+    assert json.loads(json.dumps(unsettled)) == unsettled
+
+
+def test_peaks_are_compared_on_the_meshes_that_were_solved() -> None:
+    """A companion has failed, another has no such number, and steps alone say nothing."""
+    this = case("stages.0.increments=8")
+    finer, coarser, _ = error.companions(this)
+    run = {"interfaces": {"lower_upper": {"pressure_max": 9.0}}}
+
+    def on(value: float | None) -> dict[str, Any]:
+        return {"interfaces": {"lower_upper": {"pressure_max": value}}}
+
+    found = {"lower_upper.pressure_max": [[1.0, 9.0], [3.0, 4.0]]}
+    assert error.estimate(run, this, [(coarser, on(4.0))]) == found
+    assert error.estimate(run, this, [(finer, on(None)), (coarser, on(4.0))]) == found
+    assert error.estimate(run, this, [(finer, {}), (coarser, on(4.0))]) == found
+    steps = error.Companion(this, 1.0, 0.5)
+    assert error.estimate(run, this, [(steps, on(4.0))]) == {}
 
 
 def test_an_error_that_is_small_by_chance_is_raised() -> None:
@@ -154,7 +199,7 @@ def test_an_error_that_is_small_by_chance_is_raised() -> None:
     values = {"slip_p99": 2.0, "slip_p95": 1.0, "slip_mean": 0.5, "gap_p99": 4.0}
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
     run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
-    error.estimate(run, 2, [(companion, {"interfaces": {"lower_upper": other}})])
+    error.estimate(run, this, [(companion, {"interfaces": {"lower_upper": other}})])
     part = 0.1 / (2 ** quantities.MOTION[1] - 1)
     assert values["slip_p99_error"] == pytest.approx(2.0 * part)
     assert values["gap_p99_error"] == pytest.approx(4.0 * part / 2)
@@ -162,7 +207,8 @@ def test_an_error_that_is_small_by_chance_is_raised() -> None:
 
 def test_gruen_zones_have_errors() -> None:
     """Means of interfaces and strain energy; what a coarser mesh has nothing of has none."""
-    (companion,) = error.companions(case("interfaces.lower_upper.friction_coefficient=0"))
+    this = case("interfaces.lower_upper.friction_coefficient=0")
+    (companion,) = error.companions(this)
 
     def zone(by: float, *regions: str) -> dict[str, Any]:
         interface = {"gap_mean": 2.0 * by, "gap_max": 3.0, "area": 5.0}
@@ -171,7 +217,7 @@ def test_gruen_zones_have_errors() -> None:
 
     run = {"interfaces": {}, "gruen": {"1": zone(1.0, "cortex", "spongiosa"), "2": zone(1.0)}}
     other = {"interfaces": {}, "gruen": {"1": zone(1.1, "cortex")}}
-    error.estimate(run, 2, [(companion, other)])
+    error.estimate(run, this, [(companion, other)])
     first, second = run["gruen"]["1"], run["gruen"]["2"]
     assert first["interfaces"]["a_b"] == pytest.approx(
         {"gap_mean": 2, "gap_max": 3, "area": 5}
@@ -183,16 +229,17 @@ def test_gruen_zones_have_errors() -> None:
 
 
 def test_on_one_coarser_mesh_half_the_steps_show() -> None:
-    first = error.companions(case("stages.0.increments=8"))[0]
+    this = case("stages.0.increments=8")
+    first = error.companions(this)[0]
     half = error.Companion(first.case, 5 / 3, 0.5)
     run = numbers(1e-9, 8, 2)
-    error.estimate(run, 2, [(half, numbers(1e-9, 4, 2))])
+    error.estimate(run, this, [(half, numbers(1e-9, 4, 2))])
     assert 0.5 < run["interfaces"]["lower_upper"]["slip_p99_error"] / (0.02 / 8) < 3
 
 
 def test_no_companion_no_error() -> None:
     run = numbers(1.0, 1, 1.8)
-    assert error.estimate(run, 2, []) == []
+    assert error.estimate(run, case(), []) == {}
     assert "slip_p99_error" not in run["interfaces"]["lower_upper"]
 
 
@@ -219,7 +266,7 @@ def test_numbers_of_heat_converge_as_temperature_does() -> None:
         (c, heated(c.case.mesh.size, c.case.stages[0].increments)) for c in error.companions(this)
     ]
     run = heated(1.0, 8)
-    error.estimate(run, 2, solved)
+    error.estimate(run, this, solved)
     wrong = 0.01 + 0.02 / 8
     lower = run["thermal"]["regions"]["lower"]
     assert lower["temperature_max_error"] == pytest.approx(10 * wrong)
@@ -239,6 +286,6 @@ def test_what_was_not_reached_has_no_error() -> None:
     for mine, theirs in ((2.0, 0.0), (0.0, 2.0), (0.0, 0.0)):
         run = heated(1.0, 8, mine)
         others = [(c, heated(c.case.mesh.size, 8, theirs)) for c in error.companions(this)]
-        error.estimate(run, 2, others)
+        error.estimate(run, this, others)
         assert "time_90_error" not in run["cure"]["lower"]
         assert "time_50_error" in run["cure"]["lower"]
