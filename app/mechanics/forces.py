@@ -78,7 +78,7 @@ class Forces:
             work = self._mechanics.load_work(load, b, v)
             if work != 0:
                 parts[b] = self._mechanics.assemble(work)
-        return self._action(parts)
+        return self.action(parts)
 
     def _eigenstrain(self, e: Elastic, k: int) -> Action:
         """An eigenstrain, as the load it is equivalent to."""
@@ -88,10 +88,10 @@ class Forces:
         energy = mechanics.body_energy(body, mechanics.u, mechanics.cells())
         part = mechanics.assemble(ufl.derivative(energy, mechanics.u, v))
         part.scale(-1)
-        return self._action({body: part})
+        return self.action({body: part})
 
-    def _action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
-        """Sum the nodal forces on each body, for the displacement and for the jumps."""
+    def action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
+        """Sum nodal forces on each body, for the displacement and for the jumps."""
         total, jump = self._nothing()
         for body, part in parts.items():
             own = total.duplicate()
@@ -110,7 +110,7 @@ class Forces:
 
     def set_free(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
-        self._free[cause] = self._action(parts)
+        self._free[cause] = self.action(parts)
 
     def at(self, time: float) -> Action:
         """All forces at a time [N]."""

@@ -180,6 +180,10 @@ class Solver:
         finally:
             self._system.linearize_at(None)
 
+    def adjoint(self, b: PETSc.Vec, rtol: float) -> tuple[PETSc.Vec, int]:
+        """As `Snes.adjoint`."""
+        return self._newton.adjoint(b, rtol)
+
     def solve(self) -> NewtonResult:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._system.impose(self.blocks())
@@ -284,6 +288,11 @@ class Solver:
         """The augmentation in force, in words; collective."""
         found = self._system.augmentation().values()
         return f" (up to {max(found):.3g} MPa/mm)" if found else ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the last solve, if there was one, has converged."""
+        return self._newton.met
 
     @property
     def active(self) -> ActiveSet:

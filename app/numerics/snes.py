@@ -7,7 +7,7 @@ Newton is semismooth, with the generalized Jacobian of the system; its linear so
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from petsc4py import PETSc
@@ -226,6 +226,26 @@ class Snes:
             self.x.axpy(-1.0, dx)
         return 1, int(ksp.getIterationNumber())
 
+    def adjoint(self, b: PETSc.Vec, rtol: float) -> tuple[PETSc.Vec, int]:
+        """Solve with the Jacobian of the adjoint at the state solved last.
+
+        Args:
+            b: Derivatives of a number by the unknowns; changed.
+            rtol: Residual relative to its norm at which to stop.
+
+        Returns:
+            The solution and Krylov iterations.
+        """
+        x, ksp = self.vector(), self.snes.getKSP()
+        usual = ksp.getTolerances()
+        self._system.transpose(self.blocks(b))
+        self.linear.matrix.assemble()
+        ksp.setTolerances(rtol=rtol, atol=0.0)
+        ksp.setOperators(self.linear.matrix)
+        ksp.solve(b, x)
+        ksp.setTolerances(*usual)
+        return x, int(ksp.getIterationNumber())
+
     def run(self) -> tuple[int, int]:
         """Iterate from the current state; Newton and Krylov iterations."""
         self._system.active.forget()
@@ -256,3 +276,16 @@ class Snes:
         self.snes.setFromOptions()
         for key in settings:
             database.delValue(key)
+
+
+def raw_options(arguments: Sequence[str]) -> dict[str, str]:
+    """PETSc options from the command line: ``-name value`` or ``-name``."""
+    options: dict[str, str] = {}
+    key = ""
+    for word in arguments:
+        if word.startswith("-") and not word[1:2].isdigit():
+            key = word.lstrip("-")
+            options[key] = ""
+        elif key:
+            options[key], key = word, ""
+    return options

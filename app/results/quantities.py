@@ -152,7 +152,12 @@ def _interface(problem: Problem, s: Samples, i: int) -> dict[str, Any]:
 
 
 class Facets:
-    """Facets of an interface: its points are their corners."""
+    """Facets of an interface: its points are their corners.
+
+    Attributes:
+        triangles: Contact points at the corners (f, 3).
+        area: Areas (f,) [mm2].
+    """
 
     def __init__(self, s: Samples, i: int) -> None:
         """Find them.
@@ -161,20 +166,38 @@ class Facets:
             s: The contact points.
             i: Number of the interface.
         """
-        self._triangles: Ints = s.points.triangles[i]
-        x = s.x[self._triangles]
+        self.triangles: Ints = s.points.triangles[i]
+        x = s.x[self.triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
         area = np.linalg.norm(flat, axis=1) / 2
         # Curved facets have a little more than their corners span.
         whole = s.weight[s.interface == i].sum()
-        self._area = area * (whole / area.sum()) if len(area) else area
+        self.area = area * (whole / area.sum()) if len(area) else area
         # At each corner the face of the point that this facet belongs to.
-        along = np.abs(np.einsum("fi,fcki->fck", flat, s.points.normals[self._triangles]))
+        along = np.abs(np.einsum("fi,fcki->fck", flat, s.points.normals[self.triangles]))
         self._face: Ints = np.argmax(along, axis=2)
+
+    def normals(self, s: Samples) -> Floats:
+        """Normals of the faces of the points at the corners (f, 3, 3)."""
+        found = s.points.normals[self.triangles]
+        return np.take_along_axis(found, self._face[:, :, None, None], axis=2)[:, :, 0]
 
     def field(self, values: Floats) -> SurfaceField:
         """Values at points (n,), or at the faces of points (n, 3), as a field on the facets."""
-        corners = values[self._triangles]
+        corners = values[self.triangles]
         if values.ndim == 2:
             corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
-        return SurfaceField(corners, self._area)
+        return SurfaceField(corners, self.area)
+
+    def gradient(self, values: Floats, fraction: float | None) -> Floats:
+        """Derivatives of a percentile of values, or of their mean, by the values.
+
+        Args:
+            values: As of `field`.
+            fraction: Of the area; None: of the mean.
+        """
+        of_corners = self.field(values).gradient(fraction)
+        result = np.zeros(values.shape)
+        at = (self.triangles, self._face) if values.ndim == 2 else self.triangles
+        np.add.at(result, at, of_corners)
+        return result

@@ -9,15 +9,23 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from dolfinx import fem
 from numpy.typing import NDArray
 
 from mantle.arrays import Floats, Ints
 from mantle.mechanics.problem import Problem
-from mantle.scene.bodies import FACET_VERTICES, FacetCells, facet_coordinates, facets_between
+from mantle.scene.bodies import (
+    FACET_VERTICES,
+    FacetCells,
+    cell_tags,
+    facet_coordinates,
+    facets_between,
+)
 from mantle.schema.config import Case
 
 # Nodes at an end of the stem are within this part of its length [-].
 END = 1e-6
+ENDS = ("tip_displacement", "top_displacement")
 
 
 def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
@@ -32,60 +40,159 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are those of the stem's lowest and
     highest nodes in the frame of the model, with the bending of the femur.
     """
-    regions = problem.tagged.regions
-    implant, bone, cement = (
-        [r for r in case.of_tissue(t) if r in regions] for t in ("implant", "bone", "cement")
+    comm, u = problem.comm, [_nodal(f) for f in problem.displacements()]
+
+    def value(gradient: list[Floats]) -> float:
+        return float(comm.allreduce(sum(float((g * v).sum()) for g, v in zip(gradient, u, strict=True))))
+
+    found: dict[str, Any] = {key: value(g) for key, g in _relative(problem, case).items()}
+    if ends := _ends(problem, case):
+        found |= {end: [value(g) for g in ends[end]] for end in ENDS}
+    return found
+
+
+def stem_gradient(problem: Problem, case: Case, key: str) -> list[Floats]:
+    """Derivatives of a motion of the stem by the displacement of each body; collective.
+
+    They are constant: motions are linear in the displacement.
+
+    Args:
+        problem: The problem.
+        case: Its case.
+        key: As in `stem_motion`; of a vector with ``.x``, ``.y`` or ``.z`` behind it.
+
+    Returns:
+        For each body, at all nodes of this rank (n, 3), what this rank adds to it.
+    """
+    key, _, axis = key.partition(".")
+    if axis:
+        return _ends(problem, case)[key]["xyz".index(axis)]
+    return _relative(problem, case)[key]
+
+
+def _tissues(problem: Problem, case: Case) -> list[list[str]]:
+    """Regions of implant, bone and cement that are deformed."""
+    known = problem.tagged.regions
+    return [[r for r in case.of_tissue(t) if r in known] for t in ("implant", "bone", "cement")]
+
+
+def _nodal(function: fem.Function) -> Floats:
+    """Displacement at all nodes of this rank (n, 3) [mm]."""
+    return np.asarray(function.x.array.reshape(-1, 3))
+
+
+def _relative(problem: Problem, case: Case) -> dict[str, list[Floats]]:
+    """Gradients of the motions against the bone; none where stem or bone touches nothing."""
+    comm = problem.comm
+    implant, bone, cement = _tissues(problem, case)
+    own = (
+        _surface(problem, implant, [*cement, *bone]),
+        _surface(problem, bone, [*cement, *implant]),
     )
-    if not implant or not bone:
+    # All facets on every rank: they are few.
+    (x, w), (y, a) = ((np.concatenate(comm.allgather(p)) for p in (s.x, s.area)) for s in own)
+    if not len(x) or not len(y):
         return {}
     from scipy.spatial import cKDTree  # imported late: few runs need it
 
-    comm = problem.comm
-    x, u, w = _surface(problem, implant, [*cement, *bone])
-    z = _corners(problem, implant)[0][:, 2]
-    ends = [
-        float(comm.allreduce(float(e), how))
-        for e, how in ((z.min(initial=np.inf), MPI.MIN), (z.max(initial=-np.inf), MPI.MAX))
-    ]
-    found: dict[str, Any] = {
-        f"{name}_displacement": _at_height(problem, implant, end, END * (ends[1] - ends[0]))
-        for name, end in zip(("tip", "top"), ends, strict=True)
-    }
-    beside = comm.allgather(_surface(problem, bone, [*cement, *implant]))
-    y, v, a = (np.concatenate([part[k] for part in beside]) for k in range(3))
-    if not len(y) or comm.allreduce(len(w)) == 0:
-        return found  # it touches something else
-    # The rigid motion of all bone moves stem and bone differently where they are apart: it is taken
-    # out first. What is left, the bone's deformation, is that of the nearest point.
-    whole = _rigid_fit(MPI.COMM_SELF, y, v, a)
-    nearest: Ints = cKDTree(y).query(x)[1] if len(x) else np.zeros(0, dtype=np.int64)
-    deformed = (v - whole(y))[nearest]
-    motion = _rigid_fit(comm, x, u - whole(x) - deformed, w)
-    t, ω = motion.translation, np.rad2deg(motion.rotation)
+    nearest = cKDTree(y).query(x)[1]
     medial = 1.0 if case.side == "left" else -1.0
-    return {
-        "subsidence": float(-t[2]),
-        "retroversion": float(-medial * ω[2]),
-        "varus": float(medial * ω[1]),
-        **found,
-    }
+    t, ω = np.eye(6)[:3], np.rad2deg(np.eye(6)[3:])
+    rows = {"subsidence": -t[2], "retroversion": -medial * ω[2], "varus": medial * ω[1]}
+    found = {}
+    for key, row in rows.items():
+        of_stem = np.einsum("k,kpi->pi", row, _fit(x, w))
+        of_bone = np.zeros(y.shape)
+        np.add.at(of_bone, nearest, -of_stem)
+        # The rigid motion of all bone moves stem and bone differently where they are apart: it is
+        # taken out. What is left, the bone's deformation, is that of the nearest point.
+        turn = np.cross(y[nearest] - x, of_stem).sum(axis=0)
+        of_bone += np.einsum("k,kpi->pi", turn, _fit(y, a)[3:])
+        found[key] = [np.zeros(_nodal(f).shape) for f in problem.displacements()]
+        for surface, of_facet in zip(own, (of_stem, of_bone), strict=True):
+            begin = sum(comm.allgather(len(surface.x))[: comm.rank])
+            mine = of_facet[begin : begin + len(surface.x)]
+            for body, nodes in enumerate(found[key]):
+                here = surface.body == body
+                np.add.at(nodes, surface.dofs[here], mine[here, None] / 3)
+    return found
 
 
-def _surface(
-    problem: Problem, inside: Sequence[str], outside: Sequence[str]
-) -> tuple[Floats, Floats, Floats]:
-    """Centres (f, 3) [mm] of own facets between regions, displacement (f, 3), area (f,)."""
+def _fit(x: Floats, w: Floats) -> Floats:
+    """Rigid motion (translation of the centre, rotation) that fits displacements of points best.
+
+    Args:
+        x: The points (n, 3) [mm].
+        w: Their weights (n,).
+
+    Returns:
+        Its derivatives by the displacements (6, n, 3).
+    """
+    ξ = x - np.average(x, axis=0, weights=w)
+    second = np.einsum("p,pi,pj->ij", w, ξ, ξ)
+    turning = np.linalg.inv(np.trace(second) * np.eye(3) - second)
+    translation = np.eye(3)[:, None, :] * (w / w.sum())[None, :, None]
+    rotation = np.cross(turning[:, None, :], ξ[None]) * w[None, :, None]
+    return np.concatenate([translation, rotation])
+
+
+def _ends(problem: Problem, case: Case) -> dict[str, list[list[Floats]]]:
+    """Gradients of the displacement of both ends, by component; none without implant or bone."""
+    implant, bone, _ = _tissues(problem, case)
+    if not implant or not bone:
+        return {}
+    comm = problem.comm
+    pairs = [
+        (np.full(len(dofs), problem.bodies.of_region[region]), dofs)
+        for region in implant
+        for dofs in [np.unique(_corner_dofs(problem, problem.mechanics.region_cells(region)))]
+    ]
+    body, dofs = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    x = problem.space.tabulate_dof_coordinates()[dofs]
+    low = comm.allreduce(float(x[:, 2].min(initial=np.inf)), MPI.MIN)
+    high = comm.allreduce(float(x[:, 2].max(initial=-np.inf)), MPI.MAX)
+    within = END * (high - low)
+    found = {}
+    for end, z in zip(ENDS, (low, high), strict=True):
+        here = np.flatnonzero(np.abs(x[:, 2] - z) <= within)
+        # Ranks share nodes: the first of them counts.
+        places = comm.allgather(x[here])
+        _, first = np.unique(np.round(np.concatenate(places) / within), axis=0, return_index=True)
+        begin = sum(map(len, places[: comm.rank]))
+        mine = here[first[(first >= begin) & (first < begin + len(here))] - begin]
+        found[end] = [[np.zeros(_nodal(f).shape) for f in problem.displacements()] for _ in range(3)]
+        for axis, gradient in enumerate(found[end]):
+            for b, nodes in enumerate(gradient):
+                nodes[dofs[mine[body[mine] == b]], axis] = 1 / len(first)
+    return found
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Own facets between regions.
+
+    Attributes:
+        x: Centres (f, 3) [mm].
+        dofs: Rows of the displacement at their corners (f, 3).
+        body: Body that they are seen from (f,).
+        area: Areas (f,) [mm2].
+    """
+
+    x: Floats
+    dofs: Ints
+    body: Ints
+    area: Floats
+
+
+def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) -> _Surface:
+    """Own facets between regions, as seen from those inside."""
     f: FacetCells = facets_between(problem.tagged, inside, outside)
     corners = facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    u = np.zeros((len(corners), 3))
-    for region in inside:
-        of_region = np.isin(f.cells, problem.mechanics.region_cells(region))
-        dofs = _corner_dofs(problem, f.cells[of_region])
-        at = np.array(FACET_VERTICES)[f.local[of_region]].reshape(-1, 3)
-        dofs = np.take_along_axis(dofs, at, axis=1)
-        u[of_region] = _values(problem, region)[dofs].mean(axis=1)
-    return corners.mean(axis=1), u, np.linalg.norm(normal, axis=1) / 2
+    dofs = _corner_dofs(problem, f.cells)
+    dofs = np.take_along_axis(dofs, np.array(FACET_VERTICES)[f.local].reshape(-1, 3), axis=1)
+    body = problem.bodies.of_tag[cell_tags(problem.tagged)[f.cells]]
+    return _Surface(corners.mean(axis=1), dofs, body, np.linalg.norm(normal, axis=1) / 2)
 
 
 def _corner_dofs(problem: Problem, cells: NDArray[Any]) -> Ints:
@@ -93,63 +200,3 @@ def _corner_dofs(problem: Problem, cells: NDArray[Any]) -> Ints:
     layout = problem.space.dofmap.dof_layout
     corner = [layout.entity_dofs(0, v)[0] for v in range(4)]
     return np.asarray(problem.space.dofmap.list[cells][:, corner], dtype=np.int64)
-
-
-def _values(problem: Problem, region: str) -> Floats:
-    """Displacement of a region's body at all nodes of this rank (n, 3) [mm]."""
-    function = problem.displacements()[problem.bodies.of_region[region]]
-    return np.asarray(function.x.array.reshape(-1, 3))
-
-
-def _corners(problem: Problem, regions: Sequence[str]) -> tuple[Floats, Floats]:
-    """Corners of own cells of regions (n, 3) [mm], and their displacement (n, 3) [mm]."""
-    x = problem.space.tabulate_dof_coordinates()
-    cells = [problem.mechanics.region_cells(r) for r in regions]
-    rows: list[Ints] = [np.unique(_corner_dofs(problem, c)) for c in cells]
-    u = [_values(problem, r)[row] for r, row in zip(regions, rows, strict=True)]
-    return x[np.concatenate(rows)], np.concatenate(u)
-
-
-def _at_height(problem: Problem, regions: Sequence[str], z: float, within: float) -> list[float]:
-    """Mean displacement of the corners of regions at a height (3,) [mm]; collective."""
-    x, u = _corners(problem, regions)
-    here = np.abs(x[:, 2] - z) <= within
-    pieces = problem.comm.allgather((x[here], u[here]))
-    places, values = (np.concatenate([p[k] for p in pieces]) for k in range(2))
-    # Ranks share nodes.
-    _, first = np.unique(np.round(places / within), axis=0, return_index=True)
-    return [float(c) for c in values[first].mean(axis=0)]
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """A rigid motion: rotation (3,) [rad] about a centre (3,) [mm], and its translation (3,)."""
-
-    centre: Floats
-    translation: Floats
-    rotation: Floats
-
-    def __call__(self, x: Floats) -> Floats:
-        """Displacement of points (n, 3) [mm]."""
-        return np.asarray(self.translation + np.cross(self.rotation, x - self.centre))
-
-
-def _rigid_fit(comm: MPI.Comm, x: Floats, u: Floats, w: Floats) -> _Motion:
-    """Least-squares rigid motion of points; collective.
-
-    Args:
-        comm: The ranks.
-        x: Own points (n, 3) [mm].
-        u: Their displacements (n, 3) [mm].
-        w: Their weights (n,).
-    """
-
-    def total(values: NDArray[np.floating[Any]]) -> Floats:
-        return np.asarray(comm.allreduce(np.einsum("p,p...->...", w, values), MPI.SUM))
-
-    whole = total(np.ones(len(w)))
-    centre, t = total(x) / whole, total(u) / whole
-    ξ = x - centre
-    second = total(np.einsum("pi,pj->pij", ξ, ξ))
-    inertia = np.trace(second) * np.eye(3) - second
-    return _Motion(centre, t, np.linalg.solve(inertia, total(np.cross(ξ, u - t))))

@@ -15,6 +15,7 @@ from pydantic_core import core_schema
 
 from mantle.schema.conditions import Point
 from mantle.schema.fields import MAPPING, Name, Section, Truth, Word, fail, show
+from mantle.schema.goals import Goal
 from mantle.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
 
 USUAL_AUGMENTATION = 0.2
@@ -130,6 +131,9 @@ class OutputOptions(Section):
     """Whether the condition number of the last Jacobian is estimated, which factorizes it."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
+    goal: Goal | None = None
+    """A motion, such as `stem_cement.slip_p99`, of which an adjoint solution estimates the error
+    and shows where in the mesh it comes from."""
     report: Truth = True
     """Whether `report.html` is written at the end: the results as a page."""
     checkpoint: CheckpointOptions = CheckpointOptions()

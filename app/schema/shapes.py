@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
-from pydantic import model_validator
+from pydantic import ValidationInfo, field_validator, model_validator
 
-from mantle.schema.fields import Section, Truth, fail
+from mantle.schema import divided_cells
+from mantle.schema.divided_cells import Point3
+from mantle.schema.fields import Section, Truth, fail, show
 from mantle.schema.units import Plain, PositiveLength
 
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
-Point3 = tuple[float, float, float]
 
 # The least size of a cell (mm), whose powers are numbers too; and more cells than can be.
 LEAST, COUNTLESS = 1e-8, 1e40
@@ -93,6 +95,28 @@ class MeshOptions(Section):
     curved: Truth | None = None
     """Whether the cells are curved (second order) to follow the geometry; by default where it is
     curved and `order` is 2."""
+    divided: Path | None = None
+    """File of cells that are divided, by their centres, pass after pass (`pass,x_mm,y_mm,z_mm`),
+    relative to this one; `mantle run --adapt` writes it."""
+
+    @field_validator("divided", mode="before")
+    @classmethod
+    def _find(cls, value: object, info: ValidationInfo) -> Path | None:
+        if value is None:
+            return None
+        if not isinstance(value, str | Path):
+            fail("is not a path; expected text")
+        path = (info.context or {}).get("folder", Path()) / Path(value)
+        try:
+            divided_cells.read(path)
+        except (OSError, ValueError) as error:
+            fail(f"{show(str(value))}: {getattr(error, 'strerror', None) or error}")
+        return path.resolve()
+
+    @property
+    def passes(self) -> tuple[tuple[Point3, ...], ...]:
+        """Centres of the cells that are divided (mm), by pass."""
+        return () if self.divided is None else divided_cells.read(self.divided)
 
     @property
     def far(self) -> float:

@@ -61,7 +61,11 @@ OnAccepted = Callable[[AcceptedStep], None]
 
 
 class Recorder:
-    """Turns converged steps into lines, rows, fields and the summary."""
+    """Turns converged steps into lines, rows, fields and the summary.
+
+    Attributes:
+        samples: Contact points after the last step, if there are any.
+    """
 
     def __init__(
         self,
@@ -92,7 +96,7 @@ class Recorder:
         probes = case.output.probes
         points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
         self._probes = [DisplacementProbes(m.problem, points) for m in model.mechanics]
-        self._samples: Samples | None = None
+        self.samples: Samples | None = None
         self._trials: tuple[TrialState, ...] = ()
         self._time = 0.0
         self._rows = self._written = self._frames = 0
@@ -139,7 +143,7 @@ class Recorder:
                 pressures, status = (law[k].of(j.mine) for k in ("pressures", "status"))
                 then = replace(trial.law, pressures=pressures, status=status.ravel())
                 self._trials = (replace(trial, law=then),)
-                self._samples = Samples(m.problem, *self._trials)
+                self.samples = Samples(m.problem, *self._trials)
         if not self._writer.resume(state["writer"]):
             self._written = 0
         self._begin -= state["seconds"]
@@ -157,7 +161,7 @@ class Recorder:
             (m,), (balance,) = self._model.mechanics, self._balances
             balance.update(m.solver.parts()[0], trial)
             self._trials = (trial,) if trial is not None else ()
-            self._samples = Samples(m.problem, trial) if trial is not None else None
+            self.samples = Samples(m.problem, trial) if trial is not None else None
             self._total.count(step.outcome)
             self._mechanical = self._row_of(step, balance)
             # The steps of heat, which come more often, have the rows of stages that take time.
@@ -175,7 +179,7 @@ class Recorder:
             self._row(step)
 
     def _line(self, step: LoadStep) -> None:
-        interfaces = self._model.interfaces(self._samples)
+        interfaces = self._model.interfaces(self.samples)
         rate = (len(self._model.scene.stages) - step.time) / step.time
         solved = self._timing.seconds.get("solve", 0.0)
         log.info(
@@ -210,7 +214,7 @@ class Recorder:
             for name, u in probes.values().items():
                 row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
-        for name, q in self._model.interfaces(self._samples).items():
+        for name, q in self._model.interfaces(self.samples).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
         return row
 
@@ -233,14 +237,14 @@ class Recorder:
         self._progress(AcceptedStep(folder, self._rows, step.stage, step.time, end, wall, row))
 
     def _fraction(self, status: int) -> float:
-        s = self._samples
+        s = self.samples
         if s is None:
             return 0.0
         return float(s.weight[s.status == status].sum() / s.weight.sum())
 
     def _fields(self) -> None:
         self._written = self._rows  # a step that does not fit the disk is not tried again
-        self._writer.fields(self._time, self._samples)
+        self._writer.fields(self._time, self.samples)
 
     def flush(self) -> None:
         """Write the fields of the last step, unless they are; the last alone; the pictures."""
@@ -264,8 +268,8 @@ class Recorder:
             "title": self._case.title,
             "units": UNITS,
             "time": self._time,
-            **model.numbers(self._samples),
-            **model.places(self._samples),
+            **model.numbers(self.samples),
+            **model.places(self.samples),
             "probes": {
                 name: {"displacement": u}
                 for probes in self._probes

@@ -26,7 +26,11 @@ def cheaper(case: config.Case, unknowns: int) -> config.Case | None:
     if unknowns < LARGE:
         return None
     if COARSER * case.mesh.size <= case.geometry.coarsest_size:
-        other = {"size": COARSER * case.mesh.size, "far_size": COARSER * case.mesh.far}
+        other = {
+            "size": COARSER * case.mesh.size,
+            "far_size": COARSER * case.mesh.far,
+            "divided": None,
+        }
     elif case.mesh.order > 1:
         other = {"order": 1}
     else:

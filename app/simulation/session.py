@@ -23,12 +23,19 @@ from mantle.errors import (
     agree,
 )
 from mantle.numerics.condition import condition_number
+from mantle.numerics.snes import raw_options
 from mantle.results import error
 from mantle.results import log as text
 from mantle.results.output import Writer, on_root, provenance
 from mantle.schema import case_file, config
 from mantle.schema.loaded_case import LoadedCase
-from mantle.simulation import checkpoint, checkpoint_file, keep_finished, variations
+from mantle.simulation import (
+    checkpoint,
+    checkpoint_file,
+    goal_error,
+    keep_finished,
+    variations,
+)
 from mantle.simulation.checkpoint import Keeper
 from mantle.simulation.model import Model
 from mantle.simulation.recorder import OnAccepted, Recorder
@@ -309,6 +316,9 @@ class Session:
             for m in model.mechanics:
                 A = m.solver.snes.getJacobian()[0]
                 summary["solver"]["condition"] = condition_number(A)
+        if case.output.goal:
+            with timing.phase("error"):
+                goal_error.add(case, model, recorder.samples, summary, output)
         if companions := error.companions(case):
             # The numbers are safe before their errors are looked for.
             writer.finish(summary, done=False)
@@ -384,16 +394,3 @@ def _errors(
         "failed": failed,
         "unsettled": error.estimate(summary, case, solved),
     }
-
-
-def raw_options(arguments: Sequence[str]) -> dict[str, str]:
-    """PETSc options from the command line: ``-name value`` or ``-name``."""
-    options: dict[str, str] = {}
-    key = ""
-    for word in arguments:
-        if word.startswith("-") and not word[1:2].isdigit():
-            key = word.lstrip("-")
-            options[key] = ""
-        elif key:
-            options[key], key = word, ""
-    return options

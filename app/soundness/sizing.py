@@ -33,7 +33,7 @@ ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 
 def needed(case: Case) -> float:
     """Memory that a run takes at least [byte], estimated; 0 where its mesh is not known yet."""
-    cells = case.geometry.estimate_cells(case.mesh)
+    cells = cost.cells(case)
     return BASE + PER_UNKNOWN * cost.unknowns(case) + PER_CELL * cells if cells else 0.0
 
 
@@ -133,7 +133,7 @@ def check(file: CaseFile, case: Case) -> None:
         )
     if needed(case) <= memory:
         return
-    cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
+    cells, unknowns = cost.cells(case), cost.unknowns(case)
     text = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which take at least "
         f"{needed(case) / GIGABYTE:.2g} GB; there are {memory / GIGABYTE:.2g} GB"
