@@ -113,6 +113,7 @@ def parser() -> argparse.ArgumentParser:
         "run",
         "solve a case",
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
+        "[--goal NUMBER | --adapt NUMBER --to SHARE] "
         "[--restart auto|FILE] [--walltime H:MM:SS] [--isolate] [--private] "
         "[--allow-scripts] [-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -ksp_view",
@@ -145,6 +146,21 @@ def parser() -> argparse.ArgumentParser:
         "--error",
         action="store_true",
         help="estimate the error of each number by coarser companions (as output.error: true)",
+    )
+    run.add_argument(
+        "--goal",
+        metavar="NUMBER",
+        help="estimate the error of one motion by an adjoint solution, e.g. stem_cement.slip_p99 "
+        "(as output.goal)",
+    )
+    run.add_argument(
+        "--adapt",
+        metavar="NUMBER",
+        help="the same, and divide cells until it is small enough; each pass in a folder of its "
+        "own",
+    )
+    run.add_argument(
+        "--to", default="5%", metavar="SHARE", help="of --adapt: error over number (default 5%%)"
     )
     run.add_argument(
         "--isolate",

@@ -180,7 +180,17 @@ def verdict(summary: dict[str, Any]) -> list[Clause]:
         clauses.append(_contact(summary["interfaces"]))
     if far := too_far(summary):
         clauses.append(Clause(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
+    if goal := summary.get("goal"):
+        clauses.append(Clause(f"goal: {goal_said(goal)}"))
     return [*clauses, _mesh_and_step(summary)]
+
+
+def goal_said(goal: Mapping[str, Any]) -> str:
+    """The number that is the goal of a run, with its error."""
+    q = quantities.find(goal["name"])
+    value, error = (f"{q.factor * goal[key]:.{q.digits}f}" for key in ("value", "error"))
+    part = f" ({100 * goal['error'] / abs(goal['value']):.2g} %)" if goal["value"] else ""
+    return f"{goal['name']} {value} ± {error} {q.shown}{part} by an adjoint solution"
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Clause:

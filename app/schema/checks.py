@@ -17,6 +17,7 @@ from mantle.schema.femurs import Femur, IntactFemur
 from mantle.schema.fields import did_you_mean
 from mantle.schema.materials import Conductor, Rigid
 from mantle.schema.quantities import of_run
+from mantle.schema.shapes import STRAIGHT
 
 
 def cross_check(parts: CaseParts) -> list[Fault]:
@@ -197,6 +198,9 @@ def _goal(parts: CaseParts) -> Iterable[Fault]:
     if output.error and parts.mesh is not None and parts.mesh.divided:
         text = "no coarser companion has a mesh that is divided; expected output.goal instead"
         yield Fault(("output", "error"), text)
+    if parts.mesh is not None and parts.mesh.divided and parts.geometry.has_curved_surfaces:
+        if parts.mesh.curved is False or parts.mesh.order == 1:
+            yield Fault(("mesh", "divided"), STRAIGHT)
     if output.goal is None or parts.regions is None:
         return
     path, owner = ("output", "goal"), output.goal.partition(".")[0]

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
+from mantle.errors import InputError
 from mantle.schema import quantities
 from mantle.schema.fields import fail, show
 
@@ -32,3 +33,19 @@ def _goal(value: object) -> object:
 
 
 Goal = Annotated[str, BeforeValidator(_goal)]
+
+
+def share(text: str) -> float:
+    """A part of a number, ``2%`` or ``0.02``.
+
+    Raises:
+        InputError: It is none between 0 and 1.
+    """
+    number, percent, rest = text.strip().partition("%")
+    try:
+        value = float(number) / (100 if percent else 1)
+    except ValueError:
+        value = -1.0
+    if rest or not 0 < value < 1:
+        raise InputError(f"--to {text}: not a part of the number; allowed: e.g. 2% or 0.02")
+    return value

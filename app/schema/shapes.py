@@ -18,6 +18,7 @@ Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 # The least size of a cell (mm), whose powers are numbers too; and more cells than can be.
 LEAST, COUNTLESS = 1e-8, 1e40
+STRAIGHT = "pieces of straight cells do not follow curved surfaces; expected mesh.order: 2"
 
 
 @dataclass(frozen=True)
