@@ -117,7 +117,7 @@ class _Edges:
 
     def halve(self, marked: Bools) -> None:
         """Halve the edges of cells (m,), and the longest of all cells and faces that are cut."""
-        new = self._of_cell[marked].ravel()
+        new: Ints = self._of_cell[marked].ravel()
         while not self.halved[new].all():
             self.halved[new] = True
             longest = [new[:0]]
@@ -139,7 +139,7 @@ class _Edges:
     def cut(self, corners: Ints) -> tuple[Ints, Ints]:
         """Cut cells (m, 4) or facets (m, 3) at halved edges; the pieces, and what each is of."""
         local = np.array(list(combinations(range(corners.shape[1]), 2)))
-        parent = np.arange(len(corners))
+        parent: Ints = np.arange(len(corners), dtype=np.int64)
         whole: list[tuple[Ints, Ints]] = []
         while len(corners):
             at, there = self.find(corners[:, local])

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mantle.errors import ConvergenceError, InputError
 from mantle.results.log import goal_said
-from mantle.results.output import DIVIDED, on_root
-from mantle.results.reading import Run
+from mantle.results.output import DIVIDED
+from mantle.results.reading import Results
 from mantle.schema import loaded_case, quantities
 from mantle.schema.loaded_case import LoadedCase
 from mantle.soundness import sizing
 from mantle.system import layout
 from mantle.system.folders import csv_text, write_text
+from mantle.system.ranks import rank
 
 log = logging.getLogger("mantle")
 
@@ -26,7 +26,7 @@ MOST = 12
 
 
 def run(
-    case: LoadedCase, output: Path, to: float, solve: Callable[[LoadedCase, Path], Run]
+    case: LoadedCase, output: Path, to: float, solve: Callable[[LoadedCase, Path], Results]
 ) -> None:
     """Divide cells until the error of ``output.goal`` is small enough; collective.
 
@@ -43,12 +43,11 @@ def run(
         ConvergenceError: The error does not get there, or the mesh not into the memory.
         MantleError: As a run.
     """
-    from mpi4py import MPI
-
     goal, rows = case.config.output.goal, list[dict[str, Any]]()
     assert goal is not None
     q = quantities.find(goal)
-    on_root(MPI.COMM_WORLD, lambda: (output / "DONE").unlink(missing_ok=True), share=False)
+    if rank() == 0:
+        (output / "DONE").unlink(missing_ok=True)
     while True:
         folder = output / f"pass-{len(rows)}"
         summary = solve(case, folder).summary
@@ -67,8 +66,8 @@ def run(
                 "cpu [s]": round(sum(summary["cpu"].values()), 1),
             }
         )
-        table = partial(write_text, output / "adapt.csv", csv_text(rows))
-        on_root(MPI.COMM_WORLD, table, share=False)
+        if rank() == 0:
+            write_text(output / "adapt.csv", csv_text(rows))
         log.info("pass %d: %s", len(rows) - 1, goal_said(found))
         if part <= to:
             break
@@ -81,7 +80,8 @@ def run(
         except InputError as error:
             where = f"on this machine: {error}"
             raise ConvergenceError(_short(goal, part, to, where, folder)) from None
-    on_root(MPI.COMM_WORLD, partial(write_text, output / "DONE", ""), share=False)
+    if rank() == 0:
+        write_text(output / "DONE", "")
     log.info("%s", layout.table(list(rows[0]), (list(row.values()) for row in rows)))
     log.info("results in %s", folder)
 

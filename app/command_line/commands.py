@@ -85,7 +85,10 @@ def _run(
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
     if goal := options.adapt or options.goal:
-        options.overrides += [f"output.goal={goal}", *([] if options.error else ["output.error=false"])]
+        options.overrides += [
+            f"output.goal={goal}",
+            *([] if options.error else ["output.error=false"]),
+        ]
     to = _share(options) if options.adapt else None
     with during("reading the case" if size is None and sys.stdout.isatty() else ""):
         case = _load(options)
@@ -145,7 +148,11 @@ def _share(options: argparse.Namespace) -> float:
     """
     from mantle.schema.goals import share
 
-    others = {"--error": options.error, "--restart": options.restart, "--walltime": options.walltime}
+    others = {
+        "--error": options.error,
+        "--restart": options.restart,
+        "--walltime": options.walltime,
+    }
     if wrong := [name for name, given in others.items() if given]:
         raise InputError(f"--adapt: not with {' or '.join(wrong)}: it makes many runs")
     return share(options.to)

@@ -160,8 +160,8 @@ class ContactSystem(System):
             b: g_u and g_q; g_u and R g_q.
         """
         law = self.trial.law
-        turned = (P.swapaxes(1, 2) for P in (law.jacobian, law.by_jump))
-        law = replace(law, **dict(zip(("jacobian", "by_jump"), turned, strict=True)))
+        P, by_jump = (block.swapaxes(1, 2) for block in (law.jacobian, law.by_jump))
+        law = replace(law, jacobian=P, by_jump=by_jump)
         self.trial = replace(self.trial, law=law)
         self._set_rows(*self._jumps.row_factors(law))
         self._rows.mult(b[1].copy(), b[1])

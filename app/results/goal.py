@@ -8,9 +8,9 @@ the derivative of the number N by the state), the error is
           + \sum_f \tfrac{A_f}{3} \sum_{e ⊂ f} (φ_z · n)(q · n),
 
 with σ* the recovered stress of each. The states of the contact points are frozen. The second sum is
-what the law leaves between its points: jumps q are linear along an edge e of a facet, and where both
-ends are closed the middle slides on a chord while the surface is curved; φ_z is the force of the
-adjoint solution per area, both are means of the ends, n is their mean normal.
+what the law leaves between its points: jumps q are linear along an edge e of a facet, and where
+both ends are closed the middle slides on a chord while the surface is curved; φ_z is the force of
+the adjoint solution per area, both are means of the ends, n is their mean normal.
 
 References: Becker and Rannacher, An optimal control approach to a posteriori error estimation, Acta
 Numerica 10 (2001); Zienkiewicz and Zhu, The superconvergent patch recovery, IJNME 33 (1992).
@@ -54,7 +54,7 @@ FOUR = np.asarray(basix.make_quadrature(basix.CellType.tetrahedron, 2)[0])
 SHARE = 0.5
 FRACTIONS = {"p95": 0.95, "p99": 0.99, "mean": None}
 # Columns of six components of stress.
-I, J = np.array([(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]).T
+ROWS, COLUMNS = np.array([(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]).T
 FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
 
 
@@ -81,10 +81,7 @@ def missing(
     problem: Problem, solver: Solver, stresses: Stresses, case: Case, samples: Samples | None
 ) -> Missing:
     """Estimate what is missing of ``output.goal`` in the state last committed; collective."""
-    assert case.output.goal
-    owner, _, key = case.output.goal.partition(".")
-    bodies, jumps = _gradient(problem, case, samples, owner, key)
-    x, iterations = solver.adjoint(_right_hand_side(problem, solver, bodies, jumps), TOLERANCE)
+    x, iterations = adjoint(problem, solver, case, samples)
     z, v = solver.parts(x)
     # Without displacement there is the stress of eigenstrains, which the adjoint has not.
     rest = solver.vector()
@@ -101,6 +98,18 @@ def missing(
     if samples is not None and v is not None:
         interfaces = _between(problem, samples, z, v, cells)
     return Missing(inside, interfaces, cells, volumes, iterations)
+
+
+def adjoint(
+    problem: Problem, solver: Solver, case: Case, samples: Samples | None
+) -> tuple[PETSc.Vec, int]:
+    """The adjoint displacement and jumps of ``output.goal``, and Krylov iterations; collective.
+
+    Their work with a change of the loads is what the number changes by.
+    """
+    owner, _, key = str(case.output.goal).partition(".")
+    bodies, jumps = _gradient(problem, case, samples, owner, key)
+    return solver.adjoint(_right_hand_side(problem, solver, bodies, jumps), TOLERANCE)
 
 
 def _gradient(
@@ -161,11 +170,12 @@ def _stress(
     return {region: stresses.evaluate(region) for region in stresses.cells}
 
 
-def _of_region(
-    problem: Problem, stresses: Stresses, region: str, σ: Floats, τ: Floats
-) -> Floats:
+def _of_region(problem: Problem, stresses: Stresses, region: str, σ: Floats, τ: Floats) -> Floats:
     """Integral of the product of both errors over each cell of a region (c,); collective."""
-    cells, both = stresses.cells[region], np.concatenate([s[..., I, J] for s in (σ, τ)], axis=2)
+    cells, both = (
+        stresses.cells[region],
+        np.concatenate([s[..., ROWS, COLUMNS] for s in (σ, τ)], axis=2),
+    )
     X = stresses.at(region)
     if len(X) == 1:  # constant stress: the recovered one is not
         X = FOUR
@@ -180,7 +190,7 @@ def _of_region(
 def _tensors(components: Floats) -> Floats:
     """Symmetric tensors (..., 3, 3) of six components."""
     full = np.zeros((*components.shape[:-1], 3, 3))
-    full[..., I, J] = full[..., J, I] = components
+    full[..., ROWS, COLUMNS] = full[..., COLUMNS, ROWS] = components
     return full
 
 
@@ -226,12 +236,21 @@ def _share_out(problem: Problem, facets: Ints, amounts: Floats, cells: Floats) -
     local = problem.space.dofmap.list[: len(cells)][:, corner]
     numbers = problem.space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
     numbers = numbers.reshape(local.shape)
-    amount = {tuple(f): a / 2 for f, a in zip(facets.tolist(), amounts.tolist(), strict=True)}
-    beside: Bools = np.isin(numbers, facets)
+    nodes = np.unique(facets)
+    at = np.minimum(np.searchsorted(nodes, numbers), len(nodes) - 1)
+    on: Bools = nodes[at] == numbers
+
+    def key(corners: Ints) -> Ints:
+        rows = np.sort(corners, axis=1)
+        return np.asarray((rows[:, 0] * len(nodes) + rows[:, 1]) * len(nodes) + rows[:, 2])
+
+    known = key(np.searchsorted(nodes, facets))
+    order = np.argsort(known)
     for face in FACES:
-        some = np.flatnonzero(beside[:, face].all(axis=1))
-        for cell, key in zip(some, np.sort(numbers[some][:, face], axis=1).tolist(), strict=True):
-            cells[cell] += amount.get(tuple(key), 0.0)
+        some = np.flatnonzero(on[:, face].all(axis=1))
+        wanted = key(at[some][:, face])
+        row = order[np.minimum(np.searchsorted(known[order], wanted), len(known) - 1)]
+        cells[some] += np.where(known[row] == wanted, amounts[row] / 2, 0.0)
 
 
 def to_divide(tagged: TaggedMesh, cells: Floats) -> list[list[float]]:

@@ -70,7 +70,9 @@ class SurfaceField:
             fraction: As of `percentile`; None: of the mean.
         """
         if fraction is None:
-            return np.broadcast_to(self._area[:, None] / (3 * self._area.sum()), self._corners.shape)
+            return np.broadcast_to(
+                self._area[:, None] / (3 * self._area.sum()), self._corners.shape
+            )
         # The level moves with what the field moves on its line, in the mean.
         level = self.percentile(fraction)
         low, middle, high = self._sorted.T

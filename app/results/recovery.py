@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import la
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from mantle.arrays import Floats, Ints
@@ -20,7 +21,9 @@ RIDGE = 1e-4
 AT_ONCE = 1 << 14  # cells
 
 
-def recovered(problem: Problem, cells: Ints, X: Floats, x: Floats, values: Floats) -> Floats:
+def recovered(
+    problem: Problem, cells: NDArray[np.integer], X: Floats, x: Floats, values: Floats
+) -> Floats:
     """Values at points of cells, from polynomials fitted around the vertices; collective.
 
     Args:
@@ -34,7 +37,7 @@ def recovered(problem: Problem, cells: Ints, X: Floats, x: Floats, values: Float
         Shape (c, q, k).
     """
     space, order = problem.mechanics.scalars, problem.scene.order
-    vertices = space.dofmap.list[cells]
+    vertices: Ints = space.dofmap.list[cells].astype(np.int64)
     at = space.tabulate_dof_coordinates()
     size = _size(problem, vertices, x)
     terms, k = len(_powers(np.zeros((1, 3)), order)[0]), values.shape[2]

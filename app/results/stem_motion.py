@@ -43,7 +43,9 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     comm, u = problem.comm, [_nodal(f) for f in problem.displacements()]
 
     def value(gradient: list[Floats]) -> float:
-        return float(comm.allreduce(sum(float((g * v).sum()) for g, v in zip(gradient, u, strict=True))))
+        return float(
+            comm.allreduce(sum(float((g * v).sum()) for g, v in zip(gradient, u, strict=True)))
+        )
 
     found: dict[str, Any] = {key: value(g) for key, g in _relative(problem, case).items()}
     if ends := _ends(problem, case):
@@ -160,7 +162,9 @@ def _ends(problem: Problem, case: Case) -> dict[str, list[list[Floats]]]:
         _, first = np.unique(np.round(np.concatenate(places) / within), axis=0, return_index=True)
         begin = sum(map(len, places[: comm.rank]))
         mine = here[first[(first >= begin) & (first < begin + len(here))] - begin]
-        found[end] = [[np.zeros(_nodal(f).shape) for f in problem.displacements()] for _ in range(3)]
+        found[end] = [
+            [np.zeros(_nodal(f).shape) for f in problem.displacements()] for _ in range(3)
+        ]
         for axis, gradient in enumerate(found[end]):
             for b, nodes in enumerate(gradient):
                 nodes[dofs[mine[body[mine] == b]], axis] = 1 / len(first)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -43,6 +44,8 @@ def _read(path: Path, modified: int) -> tuple[tuple[Point3, ...], ...]:
     for line, row in enumerate(rows, start=2):
         try:
             number, (x, y, z) = int(row[0]), map(float, row[1:])
+            if not all(map(math.isfinite, (x, y, z))):
+                raise ValueError
         except (ValueError, IndexError):
             raise ValueError(f"line {line} is not a pass and three coordinates") from None
         if number not in (len(passes), len(passes) + 1) or not number:

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import model_validator
 
+from mantle.schema.divided_cells import Point3
 from mantle.schema.fields import fail
-from mantle.schema.shapes import Mantle, MeshOptions, Point3, Shape, Sides
+from mantle.schema.shapes import Mantle, MeshOptions, Shape, Sides
 from mantle.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")

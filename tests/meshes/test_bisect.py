@@ -62,11 +62,9 @@ def test_the_mesh_is_conforming(curved: bool) -> None:
     """Every face is of two cells or outside, and what is outside is what was."""
     before = cones(curved)
     after = divide(before, near(before))
-    areas = [
-        facet_areas(m.points, exterior_facets(m.cells)[0]).sum() for m in (before, after)
-    ]
+    areas = [facet_areas(m.points, exterior_facets(m.cells)[0]).sum() for m in (before, after)]
     assert areas[1] == pytest.approx(areas[0], rel=1e-6)
-    nodes, cells = exterior_facets(after.cells)
+    nodes, _ = exterior_facets(after.cells)
     outside = {tuple(sorted(f)) for f in nodes[:, :3]}
     assert {tuple(sorted(f)) for f in after.facets[:, :3]} == outside
     # Cells that share an edge share the node in its middle: no two nodes are in one place.
