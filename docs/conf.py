@@ -40,6 +40,7 @@ case
 geometry
 loads
 heat
+error
 many-runs
 cluster
 administrators
