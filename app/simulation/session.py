@@ -32,7 +32,6 @@ from mantle.schema.loaded_case import LoadedCase
 from mantle.simulation import (
     checkpoint,
     checkpoint_file,
-    goal_error,
     keep_finished,
     variations,
 )
@@ -317,6 +316,8 @@ class Session:
                 A = m.solver.snes.getJacobian()[0]
                 summary["solver"]["condition"] = condition_number(A)
         if case.output.goal:
+            from mantle.simulation import goal_error  # brings scipy, which few runs need
+
             with timing.phase("error"):
                 goal_error.add(case, model, recorder.samples, summary, output)
         if companions := error.companions(case):
