@@ -303,6 +303,13 @@ def _suite(options: argparse.Namespace) -> int:
             )
             options.tier = "long"
     many = _many(options, Path("out") / options.command)
+    if getattr(options, "peers", False):
+        from mantle.verification import peers
+
+        if options.dry_run:
+            print(peers.dry_run(many))
+            return 0
+        return 0 if peers.run(many) else CHECK_FAILED
     if options.dry_run:
         print(engine.dry_run(options.command, many))
         return 0

@@ -238,6 +238,11 @@ def parser() -> argparse.ArgumentParser:
             default="default",
             help="how much: what takes seconds, the usual, or also what takes long",
         )
+    bench.add_argument(
+        "--peers",
+        action="store_true",
+        help="measure mantle beside GetFEM and CalculiX on the same meshes instead",
+    )
     library = add("library", "list the materials and loads that have names, or print one")
     library.add_argument(
         "name", nargs="?", default="", metavar="NAME", help="print it with its source"

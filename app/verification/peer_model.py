@@ -29,9 +29,9 @@ from mantle.results.percentiles import SurfaceField
 from mantle.schema import config
 from mantle.system import folders
 
-# A point with a larger gap is open, and does not slip [mm]: above what solvers leave, below what
-# matters.
-OPEN = 1e-6
+# A node with a larger gap is open, and does not slip [mm]. Where contact is enforced between the
+# nodes of facets that are not quite parallel to the slip, nodes are some micrometres apart.
+OPEN = 0.01
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def build(path: Path, overrides: tuple[str, ...] = ()) -> PeerModel:
         fixed.append(copies(facets[here], behind[here]).ravel())
     forces = np.zeros((len(pairs), 3))
     for load in case.loads.values():
-        here = np.isin(data.facet_tags, data.boundaries[load.boundary])
+        here = np.isin(data.facet_tags, data.boundaries[load.place[1]])
         area = facet_areas(data.points, facets[here])
         share = np.repeat(area / area.sum() / 3, 3)
         at = copies(facets[here], behind[here]).ravel()
@@ -222,12 +222,15 @@ def _exterior(data: MeshData) -> tuple[Ints, Ints]:
     return data.facets, rows[by[np.searchsorted(keys[0][by], keys[1])]] // 4
 
 
-def contact_numbers(model: PeerModel, displacement: Floats) -> dict[str, dict[str, float]]:
+def contact_numbers(
+    model: PeerModel, displacement: Floats, open_from: float = OPEN
+) -> dict[str, dict[str, float]]:
     """Slip and penetration of each interface by its name, from the displacement of the nodes.
 
     Args:
         model: The model.
         displacement: Of its nodes (n, 3) [mm].
+        open_from: Gap from which a node is open [mm].
 
     Returns:
         Of each interface ``slip_mean`` and ``slip_p99``, the mean by area and the percentile of
@@ -240,7 +243,7 @@ def contact_numbers(model: PeerModel, displacement: Floats) -> dict[str, dict[st
         normals = model.normals(interface)
         jump = displacement[second] - displacement[first]
         gap = np.einsum("pi,pi->p", jump, normals)
-        closed: Bools = gap <= OPEN
+        closed: Bools = gap <= open_from
         slip = np.linalg.norm(jump - gap[:, None] * normals, axis=1) * closed
         corners = np.searchsorted(first, interface.first)
         field = SurfaceField(slip[corners], facet_areas(model.points, interface.first))
