@@ -88,12 +88,12 @@ class Program(ABC):
     Attributes:
         name: For tables.
         key: For names of folders.
-        twice: Whether it is run twice, and the second time counts.
+        times: How often it is run; the median of CPU time counts.
     """
 
     name: str
     key: str
-    twice = False
+    times = 1
 
     def missing(self) -> str:
         """Why it cannot be run here; empty if it can."""
@@ -114,10 +114,10 @@ class Program(ABC):
 
 
 class MantleItself(Program):
-    """This program as it is called by its users; forms are compiled and the mesh is made before."""
+    """This program as its users call it; the mesh is made before, and forms are compiled."""
 
     name, key = "mantle", "mantle"
-    twice = True
+    times = 3  # of which the first may compile
 
     def command(self, model: PeerModel, case: config.Case, folder: Path) -> list[str]:
         """The case, as it was understood."""
@@ -133,6 +133,7 @@ class GetFem(Program):
     """GetFEM by its Python interface."""
 
     name, key = "GetFEM", "getfem"
+    times = 3
 
     def missing(self) -> str:
         """Whether there is the interface."""

@@ -116,7 +116,7 @@ def run(options: Options) -> bool:
         own: float | None = None
         for program in there:
             folder = options.folder / "peers" / f"{program.key}-{size:g}"
-            row = _measure(program, model, case, size, folder, reference, own)
+            row = measure(program, model, case, size, folder, reference, own)
             own = row.cpu if isinstance(program, MantleItself) else own
             rows.append(row)
             log.info("%s", _told(row))
@@ -163,7 +163,7 @@ def _reference(size: float, folder: Path) -> SlipReference:
     return SlipReference(name, size, numbers[name]["slip_mean"], numbers[name]["slip_p99"])
 
 
-def _measure(
+def measure(
     program: Program,
     model: PeerModel,
     case: config.Case,
@@ -188,8 +188,8 @@ def _measure(
         return PeerRow(*base, note=why)
     folder.mkdir(parents=True, exist_ok=True)
     command = program.command(model, case, folder)
-    for _ in range(2 if program.twice else 1):
-        cost = measured(command, folder, LIMIT)
+    costs = [measured(command, folder, LIMIT) for _ in range(program.times)]
+    cost = sorted(costs, key=lambda c: c.cpu)[len(costs) // 2]
     own = cost.cpu if isinstance(program, MantleItself) else own
     try:
         if cost.exit_code:
@@ -278,6 +278,7 @@ def draw(rows: Sequence[PeerRow], path: Path) -> None:
             )
     axes.set(xscale="log", yscale="log", xlabel="CPU time of the whole process (s)")
     axes.set_ylabel("error of the mean slip (%)")
-    axes.legend(frameon=False, fontsize=8)
+    if axes.lines:
+        axes.legend(frameon=False, fontsize=8)
     style.grid(axes)
     figure.savefig(path, dpi=110)
