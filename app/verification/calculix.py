@@ -2,8 +2,8 @@
 
 Contact is of type SURFACE TO SURFACE: a penalty at the integration points of matched facets, with a
 stick slope for friction. Both are numbers that its user chooses. On the tapered stem 1e4 with 1e3
-MPa/mm and 1e5 with 1e4 converge; 1e5 with 1e5, 1e6 with 1e4 and contact of nodes to surfaces do
-not.
+MPa/mm and 1e5 with 1e4 converge; 1e5 with 1e5, 1e6 with 1e4 and contact of nodes to surfaces do not
+at 5 mm.
 """
 
 from __future__ import annotations

@@ -135,7 +135,8 @@ def dry_run(options: Options) -> str:
     sizes = ", ".join(f"{size:g}" for size in SIZES[options.tier])
     wanted = [p for p in PROGRAMS if options.pattern.lower() in p.name.lower()]
     return layout.table(
-        ("program", "sizes [mm]", "note"), [(p.name, sizes, p.missing()) for p in wanted]
+        ("program", "sizes [mm]", "times", "note"),
+        [(p.name, sizes, p.times, p.missing()) for p in wanted],
     )
 
 
@@ -258,26 +259,26 @@ def draw(rows: Sequence[PeerRow], path: Path) -> None:
         rows: What was found.
         path: The PNG to write.
     """
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
     figure = figures.new(7.5, 5.0)
     axes = figure.add_subplot()
     for k, name in enumerate(dict.fromkeys(row.program for row in rows)):
-        points = [
-            (r.cpu, abs(r.error), r.size) for r in rows if r.program == name and r.cpu and r.error
-        ]
+        own = [row for row in rows if row.program == name]
+        points = [(r.cpu, 100 * abs(r.error), r.size) for r in own if r.cpu and r.error]
         if not points:
             continue
-        x, y, sizes = zip(*points, strict=True)
-        style.curve(axes, x, [100 * value for value in y], k, name)
-        for at in zip(x, y, sizes, strict=True):
-            axes.annotate(
-                f"{at[2]:g} mm",
-                (at[0], 100 * at[1]),
-                xytext=(5, 5),
-                fontsize=7,
-                textcoords="offset points",
-            )
+        x, y, _ = zip(*points, strict=True)
+        style.curve(axes, x, y, k, name)
+        for cpu, error, size in points:
+            place = {"xytext": (6, 5 if k else -11), "textcoords": "offset points"}
+            axes.annotate(f"{size:g} mm", (cpu, error), fontsize=7, **place)
     axes.set(xscale="log", yscale="log", xlabel="CPU time of the whole process (s)")
     axes.set_ylabel("error of the mean slip (%)")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(ScalarFormatter())
+        axis.set_minor_formatter(NullFormatter())
     if axes.lines:
         axes.legend(frameon=False, fontsize=8)
     style.grid(axes)
