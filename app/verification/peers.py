@@ -100,11 +100,15 @@ def run(options: Options) -> bool:
         Whether all that are installed came to the end.
 
     Raises:
-        InputError: The folder cannot be written, or mantle cannot solve the reference.
+        InputError: The folder cannot be made, no program has such a name, or mantle cannot solve
+            the reference.
     """
     if options.slurm is not None:
         raise InputError("--peers: runs on this machine alone; expected no --slurm")
-    options.folder.mkdir(parents=True, exist_ok=True)
+    try:
+        options.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"-o {options.folder}: cannot be made: {error.strerror}") from error
     if not (there := [p for p in PROGRAMS if options.pattern.lower() in p.name.lower()]):
         names = ", ".join(p.name for p in PROGRAMS)
         raise InputError(f"-k {options.pattern}: no program has this in its name; allowed: {names}")
@@ -154,7 +158,9 @@ def _reference(size: float, folder: Path) -> SlipReference:
     overrides = _sized(size)
     case = config.load(CONFIGS / STEM, (*overrides, "mesh.order=2"))
     program, model = MantleItself(), build(CONFIGS / STEM, overrides)
-    if not (place / "run" / "DONE").exists():
+    known, text = place / "case.yaml", config.dump(case)
+    same = known.exists() and known.read_text(encoding="utf-8") == text
+    if not (same and (place / "run" / "DONE").exists()):
         log.info("reference: second order at %g mm", size)
         cost = measured(program.command(model, case, place), place, 2 * LIMIT)
         if cost.exit_code:
