@@ -132,7 +132,7 @@ def test_fields_of_the_order_are_recovered(order: int) -> None:
     [
         (1, "stem.top_displacement.x"),
         (1, "stem.varus"),
-        (1, "bone_stem.slip_mean"),
+        (1, "bone_stem.motion_mean"),
         (2, "stem.top_displacement.x"),
     ],
 )

@@ -89,7 +89,8 @@ def test_shipped_cases(tmp_path: Path, name: str) -> None:
     n = len(files)
     for k in sorted({0, n // 3, 2 * n // 3, max(n - 2, 0)}):
         part = restarted.on(case, tmp_path, files[k], *SHIPPED[name])
-        restarted.assert_same(tmp_path / "whole", part)
+        # Loads of thousands of N are balanced to 1e-7 N.
+        restarted.assert_same(tmp_path / "whole", part, nothing=1e-7)
 
 
 def test_an_interruption_while_companions_are_solved(
