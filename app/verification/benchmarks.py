@@ -23,6 +23,8 @@ from mantle.verification.check import Check, CheckRun, Judge, Sample
 RUNGS = {"20k": "2.8 mm", "100k": "2.4 mm", "170k": "1.3 mm", "1m": "1 mm"}
 TIMES = 3  # of which the median is taken, where that is cheap
 CHEAP = ("20k", "50k", "100k")
+# Where bonded interfaces are so cheap that contact may take twice as long.
+SMALL = ("20k", "50k")
 LONG = "1m"
 STANCE = ("output.error=false", "stages.0.increments=1")
 INTERFACES = ("stem_cement", "cement_bone")
@@ -80,7 +82,7 @@ def benchmarks() -> list[Check]:
                 "CPU time of contact over that of bonded interfaces",
                 (stance("contact", rung), stance("bonded", rung)),
                 _ratio(cpu),
-                2.5,
+                2.0 if rung in SMALL else 1.25,
                 {"20k": "quick", LONG: "long"}.get(rung, "default"),
             )
             for rung in RUNGS
@@ -91,17 +93,17 @@ def benchmarks() -> list[Check]:
                 "the same of a stem pressed in, of which a quarter slips",
                 (_stem(rung, MODERATE), _stem(rung, BONDED)),
                 _ratio(cpu),
-                1.5,
+                1.2,
             )
             for rung in STEM_RUNGS
         ),
-        _goal("growth_exponent", "of CPU time over unknowns", ladder, growth, 1.15),
+        _goal("growth_exponent", "of CPU time over unknowns", ladder, growth, 1.12),
         _goal("newton_spread", "of iterations about their middle", ladder, spread, 3.0),
         _goal(
             "ranks_2_over_1", "time on two ranks over one", (two, largest), _ratio(wall), 1 / 1.7
         ),
         _goal("variations_12", "CPU time over that of one", (middle, *twelve), _variations, 2.5),
-        _goal("later_load_steps", "the longest over the first", steps, later_steps, 0.5),
+        _goal("later_load_steps", "the longest over the first", steps, later_steps, 0.3),
         _goal(
             "order_2_over_1",
             "CPU time of second order over first at equal error of slip",
@@ -109,7 +111,7 @@ def benchmarks() -> list[Check]:
             _orders,
             1.0,
         ),
-        _goal("cure_over_conduction", "CPU time", (half, bonded), _ratio(cpu), 3.0),
+        _goal("cure_over_conduction", "CPU time", (half, bonded), _ratio(cpu), 2.5),
         _goal(
             "cylinders_start_to_finish",
             "wall time over that of importing dolfinx",
