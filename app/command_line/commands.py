@@ -85,10 +85,7 @@ def _run(
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
     if goal := options.adapt or options.goal:
-        options.overrides += [
-            f"output.goal={goal}",
-            *([] if options.error else ["output.error=false"]),
-        ]
+        options.overrides += [f"output.goal={goal}", f"output.error={options.error}".lower()]
     to = _share(options) if options.adapt else None
     with during("reading the case" if size is None and sys.stdout.isatty() else ""):
         case = _load(options)
@@ -303,17 +300,15 @@ def _suite(options: argparse.Namespace) -> int:
             )
             options.tier = "long"
     many = _many(options, Path("out") / options.command)
+    tell, run = (partial(do, options.command) for do in (engine.dry_run, engine.run))
     if getattr(options, "peers", False):
         from mantle.verification import peers
 
-        if options.dry_run:
-            print(peers.dry_run(many))
-            return 0
-        return 0 if peers.run(many) else CHECK_FAILED
+        tell, run = partial(peers.dry_run), partial(peers.run)
     if options.dry_run:
-        print(engine.dry_run(options.command, many))
+        print(tell(many))
         return 0
-    return 0 if engine.run(options.command, many) else CHECK_FAILED
+    return 0 if run(many) else CHECK_FAILED
 
 
 def _many(options: argparse.Namespace, folder: Path) -> Options:
