@@ -188,9 +188,9 @@ def verdict(summary: dict[str, Any]) -> list[Clause]:
 def goal_said(goal: Mapping[str, Any]) -> str:
     """The number that is the goal of a run, with its error."""
     q = quantities.find(goal["name"])
-    value, error = (f"{q.factor * goal[key]:.{q.digits}f}" for key in ("value", "error"))
-    part = f" ({100 * goal['error'] / abs(goal['value']):.2g} %)" if goal["value"] else ""
-    return f"{goal['name']} {value} ± {error} {q.shown}{part} by an adjoint solution"
+    value, error = (q.factor * goal[key] for key in ("value", "error"))
+    part = f" ({100 * error / abs(value):.2g} %)" if value else ""
+    return f"{goal['name']} {value:.4g} ± {error:.2g} {q.shown}{part} by an adjoint solution"
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Clause:
