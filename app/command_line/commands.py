@@ -300,15 +300,17 @@ def _suite(options: argparse.Namespace) -> int:
             )
             options.tier = "long"
     many = _many(options, Path("out") / options.command)
-    tell, run = (partial(do, options.command) for do in (engine.dry_run, engine.run))
     if getattr(options, "peers", False):
         from mantle.verification import peers
 
-        tell, run = partial(peers.dry_run), partial(peers.run)
+        if options.dry_run:
+            print(peers.dry_run(many))
+            return 0
+        return 0 if peers.run(many) else CHECK_FAILED
     if options.dry_run:
-        print(tell(many))
+        print(engine.dry_run(options.command, many))
         return 0
-    return 0 if run(many) else CHECK_FAILED
+    return 0 if engine.run(options.command, many) else CHECK_FAILED
 
 
 def _many(options: argparse.Namespace, folder: Path) -> Options:

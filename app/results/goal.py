@@ -35,15 +35,15 @@ from mantle.meshes.distribute import TaggedMesh
 from mantle.numerics.newton import Solver
 from mantle.results.quantities import Facets, Samples
 from mantle.results.recovery import recovered
-from mantle.results.stem_motion import stem_gradient
-from mantle.results.stresses import Stresses
+from mantle.results.stem_motion import Gradient, corner_dofs, stem_gradient
+from mantle.results.stresses import COMPONENTS, Stresses
 from mantle.results.vtkhdf import (
     QUADRATIC_NODES,
     QUADRATIC_TETRAHEDRON,
     TETRAHEDRON,
     GridFile,
 )
-from mantle.scene.bodies import cell_tags
+from mantle.scene.bodies import FACET_VERTICES, cell_tags
 from mantle.schema.config import Case
 
 # Residual of the adjoint equations at which they are solved: far below the error of the estimate.
@@ -53,9 +53,7 @@ FOUR = np.asarray(basix.make_quadrature(basix.CellType.tetrahedron, 2)[0])
 # Part of the error that cells have which are proposed to be divided.
 SHARE = 0.5
 FRACTIONS = {"p95": 0.95, "p99": 0.99, "mean": None}
-# Columns of six components of stress.
-ROWS, COLUMNS = np.array([(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]).T
-FACES = np.array([(1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)])
+ROWS, COLUMNS = np.array(COMPONENTS).T
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ def adjoint(
 
 def _gradient(
     problem: Problem, case: Case, samples: Samples | None, owner: str, key: str
-) -> tuple[list[Floats], Floats | None]:
+) -> tuple[Gradient, Floats | None]:
     """Derivatives of a number by the displacement of each body, and by own jumps (n, 3)."""
     if owner == "stem":
         return stem_gradient(problem, case, key), None
@@ -136,21 +134,22 @@ def _gradient(
         size = np.linalg.norm(vectors, axis=1)
         moves = size > 0 if kind == "motion" else (size > 0) & (samples.status != OPEN)
         direction = np.where(moves[:, None], vectors / np.where(size > 0, size, 1.0)[:, None], 0.0)
-        turned = np.array([-1.0 if c.turned else 1.0 for c in problem.scene.contacts])
-        weight = facets.gradient(size, FRACTIONS[part]) * turned[samples.interface]
+        weight = facets.gradient(size, FRACTIONS[part]) * samples.sign
         jumps = (weight[:, None] * direction)[j.mine]
     return [], jumps
 
 
 def _right_hand_side(
-    problem: Problem, solver: Solver, bodies: list[Floats], jumps: Floats | None
+    problem: Problem, solver: Solver, bodies: Gradient, jumps: Floats | None
 ) -> PETSc.Vec:
     """Derivatives by the unknowns, as the adjoint equations have them; collective."""
     b = solver.vector()
     u, q = solver.parts(b)
     work, parts = problem.u.copy(), {}
-    for body, gradient in enumerate(bodies):
-        work.x.array[:] = gradient.ravel()
+    for body in range(len(problem.bodies.names)):
+        work.x.array[:] = 0.0
+        for _, nodes, values in (of_body for of_body in bodies if of_body[0] == body):
+            np.add.at(work.x.array.reshape(-1, 3), nodes, values)
         work.x.scatter_reverse(la.InsertMode.add)
         parts[body] = PETSc.Vec().createWithArray(
             work.x.array[: 3 * problem.space.dofmap.index_map.size_local].copy(), comm=problem.comm
@@ -208,8 +207,7 @@ def _between(
     rows = np.concatenate(problem.comm.allgather(j.mine))
     φ = np.empty(force.shape)
     φ[rows] = force
-    turned = np.array([-1.0 if c.turned else 1.0 for c in problem.scene.contacts])
-    q = samples.motion * turned[samples.interface][:, None]
+    q = samples.motion * samples.sign[:, None]
     closed = samples.status != OPEN
     total = 0.0
     keys: list[Ints] = []
@@ -235,9 +233,7 @@ def _between(
 
 def _share_out(problem: Problem, facets: Ints, amounts: Floats, cells: Floats) -> None:
     """Add half of the amount of each facet (f,), given by its nodes (f, 3), to either cell."""
-    layout = problem.space.dofmap.dof_layout
-    corner = [layout.entity_dofs(0, k)[0] for k in range(4)]
-    local = problem.space.dofmap.list[: len(cells)][:, corner]
+    local = corner_dofs(problem, np.arange(len(cells)))
     numbers = problem.space.dofmap.index_map.local_to_global(local.ravel().astype(np.int32))
     numbers = numbers.reshape(local.shape)
     nodes = np.unique(facets)
@@ -250,7 +246,7 @@ def _share_out(problem: Problem, facets: Ints, amounts: Floats, cells: Floats) -
 
     known = key(np.searchsorted(nodes, facets))
     order = np.argsort(known)
-    for face in FACES:
+    for face in FACET_VERTICES:
         some = np.flatnonzero(on[:, face].all(axis=1))
         wanted = key(at[some][:, face])
         row = order[np.minimum(np.searchsorted(known[order], wanted), len(known) - 1)]

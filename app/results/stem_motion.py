@@ -9,7 +9,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from dolfinx import fem
 from numpy.typing import NDArray
 
 from mantle.arrays import Floats, Ints
@@ -26,6 +25,8 @@ from mantle.schema.config import Case
 # Nodes at an end of the stem are within this part of its length [-].
 END = 1e-6
 ENDS = ("tip_displacement", "top_displacement")
+# Derivatives by displacements: bodies, nodes of each (n,), and derivatives there (n, 3).
+Gradient = list[tuple[int, Ints, Floats]]
 
 
 def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
@@ -40,12 +41,12 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     ``tip_displacement`` and ``top_displacement`` (3,) [mm] are those of the stem's lowest and
     highest nodes in the frame of the model, with the bending of the femur.
     """
-    comm, u = problem.comm, [_nodal(f) for f in problem.displacements()]
+    comm = problem.comm
+    u = [f.x.array.reshape(-1, 3) for f in problem.displacements()]
 
-    def value(gradient: list[Floats]) -> float:
-        return float(
-            comm.allreduce(sum(float((g * v).sum()) for g, v in zip(gradient, u, strict=True)))
-        )
+    def value(gradient: Gradient) -> float:
+        own = sum(float((g * u[body][nodes]).sum()) for body, nodes, g in gradient)
+        return float(comm.allreduce(own))
 
     found: dict[str, Any] = {key: value(g) for key, g in _relative(problem, case).items()}
     if ends := _ends(problem, case):
@@ -53,7 +54,7 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     return found
 
 
-def stem_gradient(problem: Problem, case: Case, key: str) -> list[Floats]:
+def stem_gradient(problem: Problem, case: Case, key: str) -> Gradient:
     """Derivatives of a motion of the stem by the displacement of each body; collective.
 
     They are constant: motions are linear in the displacement.
@@ -64,7 +65,7 @@ def stem_gradient(problem: Problem, case: Case, key: str) -> list[Floats]:
         key: As in `stem_motion`; of a vector with ``.x``, ``.y`` or ``.z`` behind it.
 
     Returns:
-        For each body, at all nodes of this rank (n, 3), what this rank adds to it.
+        What this rank adds to it.
     """
     key, _, axis = key.partition(".")
     if axis:
@@ -78,12 +79,7 @@ def _tissues(problem: Problem, case: Case) -> list[list[str]]:
     return [[r for r in case.of_tissue(t) if r in known] for t in ("implant", "bone", "cement")]
 
 
-def _nodal(function: fem.Function) -> Floats:
-    """Displacement at all nodes of this rank (n, 3) [mm]."""
-    return np.asarray(function.x.array.reshape(-1, 3))
-
-
-def _relative(problem: Problem, case: Case) -> dict[str, list[Floats]]:
+def _relative(problem: Problem, case: Case) -> dict[str, Gradient]:
     """Gradients of the motions against the bone; none where stem or bone touches nothing."""
     comm = problem.comm
     implant, bone, cement = _tissues(problem, case)
@@ -101,22 +97,24 @@ def _relative(problem: Problem, case: Case) -> dict[str, list[Floats]]:
     medial = 1.0 if case.side == "left" else -1.0
     t, ω = np.eye(6)[:3], np.rad2deg(np.eye(6)[3:])
     rows = {"subsidence": -t[2], "retroversion": -medial * ω[2], "varus": medial * ω[1]}
-    found = {}
+    by_stem, by_bone = _fit(x, w), _fit(y, a)[3:]
+    begins = [sum(comm.allgather(len(s.x))[: comm.rank]) for s in own]
+    found: dict[str, Gradient] = {}
     for key, row in rows.items():
-        of_stem = np.einsum("k,kpi->pi", row, _fit(x, w))
+        of_stem = np.einsum("k,kpi->pi", row, by_stem)
         of_bone = np.zeros(y.shape)
         np.add.at(of_bone, nearest, -of_stem)
         # The rigid motion of all bone moves stem and bone differently where they are apart: it is
         # taken out. What is left, the bone's deformation, is that of the nearest point.
         turn = np.cross(y[nearest] - x, of_stem).sum(axis=0)
-        of_bone += np.einsum("k,kpi->pi", turn, _fit(y, a)[3:])
-        found[key] = [np.zeros(_nodal(f).shape) for f in problem.displacements()]
-        for surface, of_facet in zip(own, (of_stem, of_bone), strict=True):
-            begin = sum(comm.allgather(len(surface.x))[: comm.rank])
-            mine = of_facet[begin : begin + len(surface.x)]
-            for body, nodes in enumerate(found[key]):
+        of_bone += np.einsum("k,kpi->pi", turn, by_bone)
+        found[key] = []
+        for surface, of_facet, begin in zip(own, (of_stem, of_bone), begins, strict=True):
+            mine = of_facet[begin : begin + len(surface.x)] / 3
+            for body in np.unique(surface.body):
                 here = surface.body == body
-                np.add.at(nodes, surface.dofs[here], mine[here, None] / 3)
+                nodes = surface.dofs[here].ravel()
+                found[key].append((int(body), nodes, np.repeat(mine[here], 3, axis=0)))
     return found
 
 
@@ -138,7 +136,7 @@ def _fit(x: Floats, w: Floats) -> Floats:
     return np.concatenate([translation, rotation])
 
 
-def _ends(problem: Problem, case: Case) -> dict[str, list[list[Floats]]]:
+def _ends(problem: Problem, case: Case) -> dict[str, list[Gradient]]:
     """Gradients of the displacement of both ends, by component; none without implant or bone."""
     implant, bone, _ = _tissues(problem, case)
     if not implant or not bone:
@@ -147,7 +145,7 @@ def _ends(problem: Problem, case: Case) -> dict[str, list[list[Floats]]]:
     pairs = [
         (np.full(len(dofs), problem.bodies.of_region[region]), dofs)
         for region in implant
-        for dofs in [np.unique(_corner_dofs(problem, problem.mechanics.region_cells(region)))]
+        for dofs in [np.unique(corner_dofs(problem, problem.mechanics.region_cells(region)))]
     ]
     body, dofs = (np.concatenate(part) for part in zip(*pairs, strict=True))
     x = problem.space.tabulate_dof_coordinates()[dofs]
@@ -163,11 +161,13 @@ def _ends(problem: Problem, case: Case) -> dict[str, list[list[Floats]]]:
         begin = sum(map(len, places[: comm.rank]))
         mine = here[first[(first >= begin) & (first < begin + len(here))] - begin]
         found[end] = [
-            [np.zeros(_nodal(f).shape) for f in problem.displacements()] for _ in range(3)
+            [
+                (int(b), nodes, np.tile(component / len(first), (len(nodes), 1)))
+                for b in np.unique(body[mine])
+                for nodes in [dofs[mine[body[mine] == b]]]
+            ]
+            for component in np.eye(3)
         ]
-        for axis, gradient in enumerate(found[end]):
-            for b, nodes in enumerate(gradient):
-                nodes[dofs[mine[body[mine] == b]], axis] = 1 / len(first)
     return found
 
 
@@ -193,13 +193,13 @@ def _surface(problem: Problem, inside: Sequence[str], outside: Sequence[str]) ->
     f: FacetCells = facets_between(problem.tagged, inside, outside)
     corners = facet_coordinates(problem.tagged, f)[0][:, :3]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    dofs = _corner_dofs(problem, f.cells)
+    dofs = corner_dofs(problem, f.cells)
     dofs = np.take_along_axis(dofs, np.array(FACET_VERTICES)[f.local].reshape(-1, 3), axis=1)
     body = problem.bodies.of_tag[cell_tags(problem.tagged)[f.cells]]
     return _Surface(corners.mean(axis=1), dofs, body, np.linalg.norm(normal, axis=1) / 2)
 
 
-def _corner_dofs(problem: Problem, cells: NDArray[Any]) -> Ints:
+def corner_dofs(problem: Problem, cells: NDArray[Any]) -> Ints:
     """Rows of the displacement at the corners of cells (c, 4)."""
     layout = problem.space.dofmap.dof_layout
     corner = [layout.entity_dofs(0, v)[0] for v in range(4)]

@@ -38,8 +38,9 @@ def add(
         folder: The run directory.
     """
     name = case.output.goal
+    assert name is not None
     (m,) = model.mechanics
-    if name is None or not m.solver.met:
+    if not m.solver.met:
         log.warning("note: %s: no error without a step since the restart", name)
         return
     begin = clock.perf_counter()

@@ -18,12 +18,11 @@ from mantle import meshes
 from mantle.arrays import Bools, Floats, Ints
 from mantle.errors import InputError
 from mantle.meshes.data import (
-    FACES,
     MeshData,
     distinct,
+    exterior_facets,
     facet_areas,
     interface_facets,
-    match_faces,
 )
 from mantle.results.percentiles import SurfaceField
 from mantle.schema import config
@@ -214,12 +213,12 @@ def _bodies(data: MeshData, contacts: Mapping[str, object]) -> Ints:
 
 def _exterior(data: MeshData) -> tuple[Ints, Ints]:
     """The tagged facets and the cell of each."""
-    rows = np.flatnonzero(match_faces(data.cells) < 0)
-    nodes = np.sort(data.cells[rows[:, None] // 4, FACES[rows % 4]], axis=1)
+    outside, cell = exterior_facets(data.cells)
     n = len(data.points)
-    keys = [(f[:, 0] * n + f[:, 1]) * n + f[:, 2] for f in (nodes, np.sort(data.facets, axis=1))]
+    sides = (np.sort(nodes, axis=1) for nodes in (outside, data.facets))
+    keys = [(f[:, 0] * n + f[:, 1]) * n + f[:, 2] for f in sides]
     by = np.argsort(keys[0])
-    return data.facets, rows[by[np.searchsorted(keys[0][by], keys[1])]] // 4
+    return data.facets, cell[by[np.searchsorted(keys[0][by], keys[1])]]
 
 
 def contact_numbers(
