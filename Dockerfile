@@ -10,17 +10,16 @@ RUN apt-get update \
        | DEBIAN_FRONTEND=noninteractive xargs apt-get install -y --no-install-recommends \
     && rm -rf /var/lib/apt/lists/* /tmp/packages.txt
 
-# Everything it depends on is installed; without an index nothing else can come in.
 COPY . /opt/mantle
-RUN pip install --no-deps --no-build-isolation --no-index --break-system-packages --no-cache-dir /opt/mantle \
-    && rm -rf /opt/mantle \
+RUN ln -s /opt/mantle/mantle /usr/local/bin/mantle \
     && useradd --create-home --shell /bin/bash mantle \
     && mkdir /work \
     && chown mantle:mantle /work
 
 # What the shipped cases need is compiled now: the first run waits for no compiler. Root alone can
 # write it; whoever runs copies what a case needs into a cache of their own.
-RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 python3 -m mantle.simulation.precompile \
+RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 PYTHONPATH=/opt/mantle \
+       python3 -m app.simulation.precompile \
     && rm -rf /var/cache/mantle/mantle/meshes \
     && find /var/cache/mantle \( -name '*.o' -o -name '*lock' \) -delete \
     && chmod -R a+rX,go-w /var/cache/mantle
@@ -28,5 +27,5 @@ RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 python3 -m man
 USER mantle
 WORKDIR /work
 # One thread per rank: more make MPI runs slower. No module in /work comes instead of the program's.
-ENV OMP_NUM_THREADS=1 PYTHONSAFEPATH=1
+ENV OMP_NUM_THREADS=1 PYTHONSAFEPATH=1 PYTHONPATH=/opt/mantle
 ENTRYPOINT ["mantle"]

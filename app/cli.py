@@ -20,13 +20,13 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-from mantle.command_line.commands import dispatch
-from mantle.command_line.parser import parser
-from mantle.command_line.streams import painted, silence
-from mantle.errors import AloneError, EnvironmentProblem, MantleError, together
-from mantle.system import privacy, ranks
-from mantle.system.folders import settle_cache
-from mantle.system.ranks import rank
+from app.command_line.commands import dispatch
+from app.command_line.parser import parser
+from app.command_line.streams import painted, silence
+from app.errors import AloneError, EnvironmentProblem, MantleError, together
+from app.system import privacy, ranks
+from app.system.folders import settle_cache
+from app.system.ranks import rank
 
 INTERNAL_ERROR = 70
 STOPPED = 5
@@ -84,13 +84,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _explain(error: Exception) -> EnvironmentProblem | None:
     """The machine's part in an error, if it has any."""
-    from mantle.soundness import sizing
-    from mantle.system import form_cache
+    from app.soundness import sizing
+    from app.system import form_cache
 
     if (problem := sizing.explain(error) or form_cache.explain(error)) is not None:
         return problem
     if type(error).__name__ == "LinAlgError":
-        from mantle.system import blas_check
+        from app.system import blas_check
 
         return blas_check.problem()
     return None

@@ -116,13 +116,14 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
             petsc4py.init(["mantle", "-skip_petscrc"])
         yield
     except ModuleNotFoundError as error:
-        if (error.name or "").startswith("mantle"):
+        if (error.name or "").partition(".")[0] in OWN:
             raise
         raise EnvironmentProblem(
             f"the package {error.name} is missing; ./mantle doctor tells what is there"
         ) from error
 
 
+OWN = ("app", "configs", "forms", "mantle", "meshes")
 KINDS = (
     *(InputError, GeometryError, ConvergenceError),
     *(StoppedError, UnusableError, EnvironmentProblem),

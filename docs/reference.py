@@ -14,10 +14,10 @@ from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 
-from mantle import errors
-from mantle.command_line.parser import parser
-from mantle.schema import reference
-from mantle.schema.reference import prose
+from app import errors
+from app.command_line.parser import parser
+from app.schema import reference
+from app.schema.reference import prose
 
 FOLDER = Path(__file__).resolve().parent / "reference"
 COMMAND = "./mantle shell -c 'python3 docs/reference.py'"

@@ -21,11 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from mantle.errors import GeometryError, Reason
-
-from . import cache as _cache
-from . import quality as _quality
-from .data import (
+from app.errors import GeometryError, Reason
+from meshes import cache as _cache
+from meshes import quality as _quality
+from meshes.data import (
     MeshData,
     boundary_areas,
     canonical,
@@ -35,7 +34,7 @@ from .data import (
     region_facets,
     region_volumes,
 )
-from .parts import coincident
+from meshes.parts import coincident
 
 __all__ = ["MeshData", "build", "write_msh"]
 
@@ -75,7 +74,7 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 def _make(geometry: Any, mesh: Any, cache: Path | None) -> MeshData:
     """Mesh a geometry, check the mesh and describe it."""
     if mesh.divided:
-        from . import bisect
+        from meshes import bisect
 
         whole = build(geometry, mesh.model_copy(update={"divided": None}), cache)
         data = bisect.divided(whole, map(np.array, mesh.passes))
@@ -104,7 +103,7 @@ def _make(geometry: Any, mesh: Any, cache: Path | None) -> MeshData:
 def _describe_mantle(data: MeshData, geometry: Any) -> dict[str, Any]:
     """A note how thick the cement is, if the geometry has a mantle."""
     for m in geometry.mantles:
-        from . import mantle  # needs scipy, which blocks do not
+        from meshes import mantle  # needs scipy, which blocks do not
 
         return {"mantle": mantle.describe(data, m.thickness, m.tip)}
     return {}
@@ -112,7 +111,7 @@ def _describe_mantle(data: MeshData, geometry: Any) -> dict[str, Any]:
 
 def write_msh(data: MeshData, path: Path) -> None:
     """Write a gmsh 4.1 file with physical names; see ``meshes.imported.write``."""
-    from .imported import write
+    from meshes.imported import write
 
     write(data, path)
 
@@ -121,23 +120,23 @@ def _generate(geometry: Any, mesh: Any) -> MeshData:
     # Imported here: each needs gmsh, and a block needs no femur.
     match geometry.kind:
         case "blocks":
-            from . import blocks
+            from meshes import blocks
 
             return blocks.build(geometry, mesh)
         case "cylinders":
-            from . import cylinders
+            from meshes import cylinders
 
             return cylinders.build(geometry, mesh)
         case "femur":
-            from . import femur
+            from meshes import femur
 
             return femur.build(geometry, mesh)
         case "intact_femur":
-            from . import femur_intact
+            from meshes import femur_intact
 
             return femur_intact.build(geometry, mesh)
         case "file":
-            from . import imported
+            from meshes import imported
 
             return imported.build(geometry, mesh)
         case kind:

@@ -15,10 +15,9 @@ from itertools import combinations
 
 import numpy as np
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.errors import GeometryError
-
-from .data import EDGES, MeshData, canonical
+from app.arrays import Bools, Floats, Ints
+from app.errors import GeometryError
+from meshes.data import EDGES, MeshData, canonical
 
 # Barycentric coordinates of the nodes of a quadratic tetrahedron (10, 4).
 NODES = np.concatenate([np.eye(4), np.eye(4)[np.array(EDGES)].mean(axis=1)])

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import GeometryError
-
-from .data import MeshData, exterior_facets
-from .session import extract, generate, grade, session
-from .tags import assemble, number
+from app.arrays import Floats
+from app.errors import GeometryError
+from meshes.data import MeshData, exterior_facets
+from meshes.session import extract, generate, grade, session
+from meshes.tags import assemble, number
 
 
 def build(geometry: Any, mesh: Any) -> MeshData:

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle import files
-
-from .data import MeshData
+from app import files
+from meshes.data import MeshData
 
 log = logging.getLogger("mantle")
 

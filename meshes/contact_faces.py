@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mantle.arrays import Bools, Floats, Ints
-
-from .contact_facets import InterfaceFacets
+from app.arrays import Bools, Floats, Ints
+from meshes.contact_facets import InterfaceFacets
 
 FACE_ANGLE = np.deg2rad(30.0)
 MAX_FACES = 3

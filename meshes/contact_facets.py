@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats, Ints
+from app.arrays import Floats, Ints
 
 if TYPE_CHECKING:
     from mpi4py import MPI

@@ -6,10 +6,9 @@ from itertools import count
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-
-from .data import EDGES
-from .quality import POOR, sicn
+from app.arrays import Floats, Ints
+from meshes.data import EDGES
+from meshes.quality import POOR, sicn
 
 STEPS = 7  # halvings; what is still bad then is made straight
 ROUNDING = 1e-9  # of the size, by which middle nodes of straight edges may be off

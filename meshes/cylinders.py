@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import GeometryError
-
-from .data import MeshData, exterior_facets
-from .quality import POOR, sicn
-from .session import extract, generate, grade, session
-from .tags import assemble, number
+from app.arrays import Floats
+from app.errors import GeometryError
+from meshes.data import MeshData, exterior_facets
+from meshes.quality import POOR, sicn
+from meshes.session import extract, generate, grade, session
+from meshes.tags import assemble, number
 
 REGIONS = ("stem", "cement", "bone")
 SLICE = 2.0  # mesh sizes: shorter cylinders may be swept

@@ -19,7 +19,7 @@ from dolfinx.io.gmshio import cell_perm_array
 from dolfinx.io.utils import distribute_entity_data
 from dolfinx.mesh import CellType, GhostMode, MeshTags, meshtags, meshtags_from_entities
 
-from .data import MeshData
+from meshes.data import MeshData
 
 # Several threads part a mesh in another way each time, and the numbers end with other rounding.
 os.environ.setdefault("SCOTCH_PTHREAD_NUMBER", "1")

@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-
-from . import femur_bone, layers, swept
-from .data import MeshData, facet_areas
-from .femur_bone import PATCH_RADIUS
-from .femur_surfaces import FemurSurfaces
-from .tags import assemble, number
+from app.arrays import Floats, Ints
+from meshes import femur_bone, layers, swept
+from meshes.data import MeshData, facet_areas
+from meshes.femur_bone import PATCH_RADIUS
+from meshes.femur_surfaces import FemurSurfaces
+from meshes.tags import assemble, number
 
 REGIONS = ("stem", "cement", "cortical_bone", "cancellous_bone")
 INTERFACES = {

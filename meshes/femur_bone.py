@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 # z, lateral, medial, antero-posterior half-width [mm], superellipse exponent
 OUTER = np.array(

@@ -18,14 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-
-from . import layers, swept
-from .data import MeshData
-from .femur import patches
-from .femur_surfaces import SPREAD, FemurSurfaces
-from .layers import DIGITS, Lines, Nodes
-from .tags import assemble, number
+from app.arrays import Floats, Ints
+from meshes import layers, swept
+from meshes.data import MeshData
+from meshes.femur import patches
+from meshes.femur_surfaces import SPREAD, FemurSurfaces
+from meshes.layers import DIGITS, Lines, Nodes
+from meshes.tags import assemble, number
 
 REGIONS = ("cortical_bone", "cancellous_bone")
 # Radius of the neck at the axis of the shaft and at the head's centre, over that of the head.

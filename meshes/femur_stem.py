@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 CORNERS = 0.35  # of a quarter's length: what its corner counts more
 

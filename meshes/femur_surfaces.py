@@ -21,12 +21,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize.elementwise import find_root
 
-from mantle.arrays import Floats, Ints
-from mantle.errors import GeometryError
-
-from . import femur_bone, femur_stem
-from .layers import Lines, Nodes
-from .swept import least_spokes
+from app.arrays import Floats, Ints
+from app.errors import GeometryError
+from meshes import femur_bone, femur_stem
+from meshes.layers import Lines, Nodes
+from meshes.swept import least_spokes
 
 TURN = 60.0  # mm below the neck cut over which sections turn to it
 CORE = 0.45  # of the canal: where the innermost surface goes below the plug

@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from mantle import confined
-from mantle.arrays import Floats, Ints
-from mantle.errors import GeometryError
-
-from .session import generate, session
-from .tags import number
+from app import confined
+from app.arrays import Floats, Ints
+from app.errors import GeometryError
+from meshes.session import generate, session
+from meshes.tags import number
 
 log = logging.getLogger("mantle")
 
@@ -32,7 +31,7 @@ MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 MOST_EDGES = 20_000
 SECONDS = 3600
 _TETRAHEDRA, _TRIANGLES = {4: 4, 11: 10}, {2: 3, 9: 6}
-_SERVE = "from mantle.meshes.gmsh_process import serve; serve()"
+_SERVE = "from meshes.gmsh_process import serve; serve()"
 
 
 @dataclass(frozen=True)

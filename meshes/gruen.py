@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-
-from . import femur_bone, femur_stem
+from app.arrays import Floats, Ints
+from meshes import femur_bone, femur_stem
 
 BELOW = 20.0  # mm below the tip that belong to zones 4 and 11
 # Layered meshes put points on the planes between zones, where rounding must not decide [mm].

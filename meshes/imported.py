@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Ints
-from mantle.errors import GeometryError
-
-from . import gmsh_process
-from .curving import bent, untangle
-from .data import MeshData, cell_volumes, exterior_facets
-from .quality import overlapping, places
-from .session import session
-from .tags import assemble
+from app.arrays import Ints
+from app.errors import GeometryError
+from meshes import gmsh_process
+from meshes.curving import bent, untangle
+from meshes.data import MeshData, cell_volumes, exterior_facets
+from meshes.quality import overlapping, places
+from meshes.session import session
+from meshes.tags import assemble
 
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}

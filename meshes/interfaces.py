@@ -30,10 +30,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mantle.arrays import Bools, Floats, Ints
-
-from .contact_faces import distinct_rows, drop_held, faces_around, projectors, shared
-from .contact_facets import InterfaceFacets
+from app.arrays import Bools, Floats, Ints
+from meshes.contact_faces import distinct_rows, drop_held, faces_around, projectors, shared
+from meshes.contact_facets import InterfaceFacets
 
 # Parts of a jump below this are rounding.
 ROUNDING = 1e-12

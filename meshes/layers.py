@@ -15,9 +15,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from mantle.arrays import Floats, Ints
-
-from .data import distinct, faces_of
+from app.arrays import Floats, Ints
+from meshes.data import distinct, faces_of
 
 Bools = npt.NDArray[np.bool_]
 

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mantle.arrays import Floats, Ints
-
-from .contact_facets import shape_functions
-from .data import MeshData, cell_volumes, facet_areas, interface_facets
+from app.arrays import Floats, Ints
+from meshes.contact_facets import shape_functions
+from meshes.data import MeshData, cell_volumes, facet_areas, interface_facets
 
 CLIPPED = 0.9  # of the nominal thickness: thinner is where the canal had no room
 PARTS = 3  # into which the edges of facets are divided, to follow their curvature

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mantle import figures
-from mantle.arrays import Floats, Ints
-
-from .data import MeshData, interface_facets
-from .mantle import distance, triangles
-from .picture import add_legend, colours_of, cut
-from .refine import AROUND, CORNERS
+from app import figures
+from app.arrays import Floats, Ints
+from meshes.data import MeshData, interface_facets
+from meshes.mantle import distance, triangles
+from meshes.picture import add_legend, colours_of, cut
+from meshes.refine import AROUND, CORNERS
 
 INTERFACES = ("stem_cement", "cement_bone")
 INSIDE = 1.0  # mm of the sections from the tip and from the lowest point of the neck cut

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-
-from .contact_facets import NODES, nodal_normals
-from .data import MeshData, cell_faces, cell_volumes, components, facet_areas
+from app.arrays import Floats, Ints
+from meshes.contact_facets import NODES, nodal_normals
+from meshes.data import MeshData, cell_faces, cell_volumes, components, facet_areas
 
 # Nodes this close, in parts of the mesh's diagonal, are meant to be one.
 COINCIDENT = 1e-7

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mantle import figures
-from mantle.arrays import Floats, Ints
-
-from .data import EDGES, MeshData
+from app import figures
+from app.arrays import Floats, Ints
+from meshes.data import EDGES, MeshData
 
 COLOURS = {
     "stem": "#7f8fa6",

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mantle.arrays import Floats, Ints
-from mantle.errors import GeometryError
-
-from .data import (
+from app.arrays import Floats, Ints
+from app.errors import GeometryError
+from meshes.data import (
     MeshData,
     cell_faces,
     cross,

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-
-from .curving import untangle
-from .data import EDGES, FACES, FACES_QUADRATIC, cell_faces, corners, distinct, match_faces
-from .layers import Nodes, Swept, lines_of, place
-from .quality import straight
+from app.arrays import Floats, Ints
+from meshes.curving import untangle
+from meshes.data import EDGES, FACES, FACES_QUADRATIC, cell_faces, corners, distinct, match_faces
+from meshes.layers import Nodes, Swept, lines_of, place
+from meshes.quality import straight
 
 SURER = 1e-6  # a diagonal is taken instead of the usual one if it is better by this much
 # How much of the larger thickness a mid-edge node keeps beside a layer's end: else cells invert.

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mantle.arrays import Floats, Ints
-from mantle.captured import captured
-from mantle.errors import GeometryError, MantleError
-
-from .curving import untangle
+from app.arrays import Floats, Ints
+from app.captured import captured
+from app.errors import GeometryError, MantleError
+from meshes.curving import untangle
 
 LOG_LINES = 6  # of gmsh's log, quoted when it fails
 # What gmsh's recovery of surfaces prints, and what it means.

@@ -16,12 +16,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.errors import GeometryError
-
-from . import refine
-from .data import cell_volumes, match_faces
-from .layers import ALONG, DIGITS, FLOOR, Nodes, Surfaces, Swept, place
+from app.arrays import Bools, Floats, Ints
+from app.errors import GeometryError
+from meshes import refine
+from meshes.data import cell_volumes, match_faces
+from meshes.layers import ALONG, DIGITS, FLOOR, Nodes, Surfaces, Swept, place
 
 COARSEST = 5.0  # mm: meshes of this size and below are refinements of one that is coarser
 SPOKES = 8  # least number around: two in each quarter

@@ -11,9 +11,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from mantle.arrays import Floats, Ints
-
-from .data import MeshData, exterior_facets
+from app.arrays import Floats, Ints
+from meshes.data import MeshData, exterior_facets
 
 UNTAGGED = 0
 

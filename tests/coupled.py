@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import pytest
 
-from mantle.arrays import Floats
-from mantle.mechanics.problem import TrialState
-from mantle.numerics.newton import Solver
-from mantle.scene.build import build_scene
-from mantle.scene.terms import Scene
-from mantle.simulation import model
-from mantle.simulation.model import Model
-from mantle.stepping.heat_steps import HeatStep
-from mantle.stepping.load_steps import LoadStep, Summary
-from mantle.system.timing import Timing
+from app.arrays import Floats
+from app.mechanics.problem import TrialState
+from app.numerics.newton import Solver
+from app.scene.build import build_scene
+from app.scene.terms import Scene
+from app.simulation import model
+from app.simulation.model import Model
+from app.stepping.heat_steps import HeatStep
+from app.stepping.load_steps import LoadStep, Summary
+from app.system.timing import Timing
 from tests import support
 
 # A hot block tilts and rubs on a cold one: points are open, stick and slip, and heat goes through

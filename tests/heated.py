@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Floats
-from mantle.mechanics.problem import Problem
-from mantle.mechanics.systems import mechanical
-from mantle.numerics.newton import Solver
-from mantle.results.balance import Balance
-from mantle.results.quantities import Samples
-from mantle.results.stresses import Stresses
-from mantle.scene.build import build_scene
-from mantle.scene.terms import Expansion, Scene
-from mantle.system.timing import Timing
+from app.arrays import Floats
+from app.mechanics.problem import Problem
+from app.mechanics.systems import mechanical
+from app.numerics.newton import Solver
+from app.results.balance import Balance
+from app.results.quantities import Samples
+from app.results.stresses import Stresses
+from app.scene.build import build_scene
+from app.scene.terms import Expansion, Scene
+from app.system.timing import Timing
 from tests import support
 
 Field = Callable[[Floats], Floats]

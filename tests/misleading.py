@@ -16,8 +16,8 @@ OPTIONS = {
     "matplotlibrc": "text.usetex: True\n",
 }
 # Named as mantle's, as libraries and as what Python starts with.
-MODULES = ("app.py", "argparse.py", "gmsh.py", "logging.py", "mantle/__init__.py", "socket.py")
-MODULES += ("meshes/__init__.py", "numpy.py", "sitecustomize.py", "snakemake.py")
+MODULES = ("app.py", "argparse.py", "configs/__init__.py", "forms.py", "gmsh.py", "logging.py")
+MODULES += ("mantle.py", "meshes/__init__.py", "numpy.py", "sitecustomize.py", "snakemake.py", "socket.py")
 
 
 def mislead(folder: Path) -> None:

@@ -19,8 +19,8 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from mantle import cli
-from mantle.system import ranks
+from app import cli
+from app.system import ranks
 
 PAUSE = 0.01
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from mantle.schema import loaded_case
-from mantle.simulation import checkpoint
-from mantle.simulation.session import run
-from mantle.system.folders import saved
+from app.schema import loaded_case
+from app.simulation import checkpoint
+from app.simulation.session import run
+from app.system.folders import saved
 
 BLOCKS = """
 geometry:

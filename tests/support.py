@@ -20,23 +20,22 @@ from mpi4py import MPI
 import numpy as np
 from ruamel.yaml import YAML
 
-import mantle
-from mantle import meshes
-from mantle.arrays import Floats
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.mechanics.systems import mechanical
-from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.numerics.newton import Solver
-from mantle.results import quantities
-from mantle.results.balance import Balance
-from mantle.results.quantities import Samples
-from mantle.results.stresses import Stresses
-from mantle.scene.build import build_scene
-from mantle.schema import config
-from mantle.stepping.load_steps import LoadStep, LoadStepper
-from mantle.stepping.stages import run_stages
-from mantle.system import form_cache, ranks
-from mantle.system.timing import Timing
+import meshes
+from app.arrays import Floats
+from app.mechanics.problem import Problem, TrialState
+from app.mechanics.systems import mechanical
+from app.numerics.newton import Solver
+from app.results import quantities
+from app.results.balance import Balance
+from app.results.quantities import Samples
+from app.results.stresses import Stresses
+from app.scene.build import build_scene
+from app.schema import config
+from app.stepping.load_steps import LoadStep, LoadStepper
+from app.stepping.stages import run_stages
+from app.system import form_cache, ranks
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh, distribute
 
 # Tests compile into the cache that runs of other tests use at the same time.
 form_cache.mend()
@@ -45,8 +44,6 @@ form_cache.share()
 TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
-# The folder that holds the package `mantle`: in a checkout it is made of links by the launcher.
-PROGRAM = Path(str(mantle.__file__)).parents[1]
 
 # A tapered stem in its cement and bone, on a mesh that is solved at once.
 STEM = """
@@ -282,7 +279,7 @@ def environment() -> dict[str, str]:
     foreign = ("OMPI_COMM_", "PMIX_", "PRTE_", "PMI_")
     here = {k: v for k, v in os.environ.items() if not k.startswith(foreign)}
     yielding = {"OMPI_MCA_mpi_yield_when_idle": "1"}  # others may use the cores, too
-    return ranks.environment(here) | yielding | {"PYTHONPATH": f"{PROGRAM}{os.pathsep}{ROOT}"}
+    return ranks.environment(here) | yielding | {"PYTHONPATH": str(ROOT)}
 
 
 def extended(

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mantle.errors import ConvergenceError, InputError
-from mantle.results.log import goal_said
-from mantle.results.output import DIVIDED
-from mantle.results.reading import Results
-from mantle.schema import loaded_case, quantities
-from mantle.schema.loaded_case import LoadedCase
-from mantle.soundness import sizing
-from mantle.system import layout
-from mantle.system.folders import csv_text, write_text
-from mantle.system.ranks import rank
+from app.errors import ConvergenceError, InputError
+from app.results.log import goal_said
+from app.results.output import DIVIDED
+from app.results.reading import Results
+from app.schema import loaded_case, quantities
+from app.schema.loaded_case import LoadedCase
+from app.soundness import sizing
+from app.system import layout
+from app.system.folders import csv_text, write_text
+from app.system.ranks import rank
 
 log = logging.getLogger("mantle")
 

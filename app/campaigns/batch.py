@@ -31,9 +31,9 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from mantle import files
-from mantle.campaigns import cluster
-from mantle.campaigns.runs import (
+from app import files
+from app.campaigns import cluster
+from app.campaigns.runs import (
     BatchRun,
     Job,
     Result,
@@ -43,12 +43,12 @@ from mantle.campaigns.runs import (
     runs_of,
     status_of,
 )
-from mantle.campaigns.scheduler import MEGABYTE, execute
-from mantle.errors import InputError, StoppedError
-from mantle.schema import case_file, config
-from mantle.schema.variation_options import split
-from mantle.soundness import sizing
-from mantle.system.folders import FAILED, write_json, write_text
+from app.campaigns.scheduler import MEGABYTE, execute
+from app.errors import InputError, StoppedError
+from app.schema import case_file, config
+from app.schema.variation_options import split
+from app.soundness import sizing
+from app.system.folders import FAILED, write_json, write_text
 
 log = logging.getLogger("mantle")
 

@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 
-from mantle.errors import EnvironmentProblem
-from mantle.system import ranks
+from app.errors import EnvironmentProblem
+from app.system import ranks
 
 STATUS = Path(__file__).with_name("slurm_status")
 AT_ONCE = 1000  # jobs in the queue

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mantle.campaigns import batch
-from mantle.campaigns.runs import Job
-from mantle.schema import config
-from mantle.soundness import cost
-from mantle.system import layout
+from app.campaigns import batch
+from app.campaigns.runs import Job
+from app.schema import config
+from app.soundness import cost
+from app.system import layout
 
 # How much of the cores' time runs of different length leave unused at the end of a batch.
 IDLE = 1.1

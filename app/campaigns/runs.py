@@ -14,12 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mantle.errors import ConvergenceError, InputError, UnusableError
-from mantle.results.log import faults
-from mantle.schema import config
-from mantle.schema.variation_options import CHANGED, split
-from mantle.system import identity
-from mantle.system.folders import FAILED
+from app.errors import ConvergenceError, InputError, UnusableError
+from app.results.log import faults
+from app.schema import config
+from app.schema.variation_options import CHANGED, split
+from app.system import identity
+from app.system.folders import FAILED
 
 # How the ids of runs begin, and of processes that several of them share.
 CASE, SHARED = "case-", "shared-"

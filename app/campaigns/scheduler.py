@@ -16,11 +16,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from mantle.campaigns import cluster
-from mantle.campaigns.runs import LOST, BatchRun, Job, file_of, result_of, status_of, tail
-from mantle.errors import EnvironmentProblem, StoppedError
-from mantle.soundness import sizing
-from mantle.system.layout import duration
+from app.campaigns import cluster
+from app.campaigns.runs import LOST, BatchRun, Job, file_of, result_of, status_of, tail
+from app.errors import EnvironmentProblem, StoppedError
+from app.soundness import sizing
+from app.system.layout import duration
 
 log = logging.getLogger("mantle")
 

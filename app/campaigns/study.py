@@ -10,17 +10,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns import batch, many, study_report
-from mantle.campaigns import work_precision as wp
-from mantle.campaigns.many import Options
-from mantle.campaigns.runs import Job, Result
-from mantle.campaigns.study_model import Measured, PlannedRun, Report, StudyRun, percent
-from mantle.errors import InputError, gravest
-from mantle.schema import case_file, config, quantities, study_file, study_options
-from mantle.schema.case_file import CaseFile, Fault
-from mantle.schema.study_file import Source
-from mantle.schema.study_options import Study
-from mantle.system.layout import duration
+from app.campaigns import batch, many, study_report
+from app.campaigns import work_precision as wp
+from app.campaigns.many import Options
+from app.campaigns.runs import Job, Result
+from app.campaigns.study_model import Measured, PlannedRun, Report, StudyRun, percent
+from app.errors import InputError, gravest
+from app.schema import case_file, config, quantities, study_file, study_options
+from app.schema.case_file import CaseFile, Fault
+from app.schema.study_file import Source
+from app.schema.study_options import Study
+from app.system.layout import duration
 
 log = logging.getLogger("mantle")
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mantle.campaigns.runs import Result
-from mantle.campaigns.work_precision import Effectivity, Point, ReferenceValue
-from mantle.schema.case_file import Path
-from mantle.schema.quantities import Quantity
+from app.campaigns.runs import Result
+from app.campaigns.work_precision import Effectivity, Point, ReferenceValue
+from app.schema.case_file import Path
+from app.schema.quantities import Quantity
 
 # Exponents nearer to 0 say that the error does not depend on the key.
 FLAT = 0.05

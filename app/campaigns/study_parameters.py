@@ -7,10 +7,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns.study_model import Measured, Report, percent
-from mantle.campaigns.study_picture import MOST_PANELS, panels
-from mantle.schema.quantities import printed
-from mantle.system import style
+from app.campaigns.study_model import Measured, Report, percent
+from app.campaigns.study_picture import MOST_PANELS, panels
+from app.schema.quantities import printed
+from app.system import style
 
 # Largest over smallest value from which an axis is logarithmic.
 DECADES = 30.0

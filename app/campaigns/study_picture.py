@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns.study_model import FLAT, Measured, Report, percent
-from mantle.system import style
-from mantle.system.style import COLOURS, MARKERS
+from app.campaigns.study_model import FLAT, Measured, Report, percent
+from app.system import style
+from app.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 6
 EXACT = 1e-16  # what an error of zero is drawn as

@@ -7,16 +7,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns import study_parameters, study_picture
-from mantle.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
-from mantle.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
-from mantle.errors import StoppedError
-from mantle.schema.quantities import Quantity
-from mantle.schema.study_file import Source
-from mantle.system import layout, privacy
-from mantle.system.folders import csv_text, remove, write_json, write_text
-from mantle.system.layout import duration
-from mantle.version import __version__
+from app.campaigns import study_parameters, study_picture
+from app.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
+from app.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
+from app.errors import StoppedError
+from app.schema.quantities import Quantity
+from app.schema.study_file import Source
+from app.system import layout, privacy
+from app.system.folders import csv_text, remove, write_json, write_text
+from app.system.layout import duration
+from app.version import __version__
 
 
 def shown(value: float | None, q: Quantity) -> str:

@@ -18,17 +18,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns import batch, many, uncertainty
-from mantle.campaigns.many import Options
-from mantle.campaigns.runs import Job, Result
-from mantle.errors import InputError, gravest
-from mantle.results.log import UNUSABLE
-from mantle.schema import case_file, quantities, sweep_file
-from mantle.schema.sweep_file import SweptRun
-from mantle.schema.sweep_options import Sweep, samples
-from mantle.simulation import variations
-from mantle.system import identity, layout
-from mantle.system.folders import csv_text, write_json, write_text
+from app.campaigns import batch, many, uncertainty
+from app.campaigns.many import Options
+from app.campaigns.runs import Job, Result
+from app.errors import InputError, gravest
+from app.results.log import UNUSABLE
+from app.schema import case_file, quantities, sweep_file
+from app.schema.sweep_file import SweptRun
+from app.schema.sweep_options import Sweep, samples
+from app.simulation import variations
+from app.system import identity, layout
+from app.system.folders import csv_text, write_json, write_text
 
 log = logging.getLogger("mantle")
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from mantle.schema import quantities
-from mantle.system import layout
+from app.schema import quantities
+from app.system import layout
 
 # Fewer samples say nothing of a spread.
 FEWEST = 3

@@ -16,18 +16,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mantle
-from mantle.command_line.parser import parser
-from mantle.command_line.streams import configure_log, painted, pass_colours
-from mantle.errors import InputError, stack_needed
-from mantle.schema import gmsh_file
-from mantle.schema.shapes import STRAIGHT
-from mantle.system import privacy, ranks
-from mantle.system.progress import doing, during
-from mantle.system.ranks import rank
+from app.command_line.parser import parser
+from app.command_line.streams import configure_log, painted, pass_colours
+from app.errors import InputError, stack_needed
+from app.schema import gmsh_file
+from app.schema.shapes import STRAIGHT
+from app.system import privacy, ranks
+from app.system.progress import doing, during
+from app.system.ranks import rank
 
 if TYPE_CHECKING:
-    from mantle.campaigns.many import Options
-    from mantle.schema.loaded_case import LoadedCase
+    from app.campaigns.many import Options
+    from app.schema.loaded_case import LoadedCase
 
 CHECK_FAILED = 1
 
@@ -77,8 +77,8 @@ def _run(
     options: argparse.Namespace, petsc_options: list[str], count: int | None, rest: list[str]
 ) -> int:
     """Solve a case, on several ranks if asked for."""
-    from mantle.simulation import keep_finished
-    from mantle.system import stopping
+    from app.simulation import keep_finished
+    from app.system import stopping
 
     size = ranks.world_size()
     configure_log(options.log_level)
@@ -132,7 +132,7 @@ def _run(
         solve(case, output)
     else:
         with stack_needed():
-            from mantle.campaigns import adaptive
+            from app.campaigns import adaptive
         adaptive.run(case, output, to, solve)
     return 0
 
@@ -143,7 +143,7 @@ def _share(options: argparse.Namespace) -> float:
     Raises:
         InputError: It is none, or another option does not go with it.
     """
-    from mantle.schema.goals import share
+    from app.schema.goals import share
 
     others = {
         "--error": options.error,
@@ -163,7 +163,7 @@ def _isolated(
     rest: list[str],
 ) -> int:
     """Run a case where it can write to its output folder alone."""
-    from mantle.system import isolation
+    from app.system import isolation
 
     if ranks.world_size() is not None:
         raise InputError("--isolate: not inside mpirun or srun; mantle run -n N starts ranks")
@@ -176,14 +176,14 @@ def _isolated(
 
 def _load(options: argparse.Namespace) -> LoadedCase:
     """The case that a command is about."""
-    from mantle.schema import loaded_case
+    from app.schema import loaded_case
 
     return loaded_case.load(options.case, options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:
     """Write a case to start from, and tell what comes next."""
-    from mantle.schema import start
+    from app.schema import start
 
     path = start.write(options.name, options.kind, options.stem, options.mesh)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
@@ -214,15 +214,15 @@ def _mesh(options: argparse.Namespace) -> int:
     case = _load(options)
     if options.pictures and not case.config.geometry.mantles:
         raise InputError("--pictures: needs a stem in a cement mantle; this case has none")
-    from mantle import meshes
-    from mantle.soundness import cost, sizing
+    import meshes
+    from app.soundness import cost, sizing
 
     sizing.check(case.file, case.config)
     path = _mesh_path(options.output, options.case.stem)
     configure_log("info", sys.stderr)
     with during("meshing"):
         data = mantle.mesh(case)
-    from mantle.meshes.picture import picture
+    from meshes.picture import picture
 
     try:
         meshes.write_msh(data, path)
@@ -244,7 +244,7 @@ def _mantle_pictures(data: Any, folder: Path) -> None:
     Raises:
         InputError: They cannot be written.
     """
-    from mantle.meshes import mantle_picture
+    from meshes import mantle_picture
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -277,7 +277,7 @@ def _mesh_path(output: Path | None, stem: str) -> Path:
 def _campaign(options: argparse.Namespace) -> int:
     """Error against run time of a case, or the cases of a sweep."""
     configure_log("info")
-    from mantle.campaigns import study, sweep
+    from app.campaigns import study, sweep
 
     module, path = (sweep, options.sweep) if options.command == "sweep" else (study, options.case)
     many = _many(options, Path("out") / f"{path.stem}-{options.command}")
@@ -291,7 +291,7 @@ def _campaign(options: argparse.Namespace) -> int:
 def _suite(options: argparse.Namespace) -> int:
     """Known answers, extremes or costs; 1 if a check is not as it should be."""
     configure_log("info")
-    from mantle.verification import engine
+    from app.verification import engine
 
     for old in ("fine", "full"):
         if getattr(options, old, False):
@@ -301,7 +301,7 @@ def _suite(options: argparse.Namespace) -> int:
             options.tier = "long"
     many = _many(options, Path("out") / options.command)
     if getattr(options, "peers", False):
-        from mantle.verification import peers
+        from app.verification import peers
 
         if options.dry_run:
             print(peers.dry_run(many))
@@ -315,7 +315,7 @@ def _suite(options: argparse.Namespace) -> int:
 
 def _many(options: argparse.Namespace, folder: Path) -> Options:
     """Options of a command that makes many runs."""
-    from mantle.campaigns.many import Options
+    from app.campaigns.many import Options
 
     return Options(
         folder=options.output or folder,
@@ -330,7 +330,7 @@ def _report(options: argparse.Namespace) -> int:
     """Write the report of a run or a sweep; say where, and how the paper's trends fare."""
     configure_log("info")
     with stack_needed():
-        from mantle.report import run_report, sweep_report
+        from app.report import run_report, sweep_report
 
     if run_report.is_run(options.folder):
         for path in run_report.write(options.folder):
@@ -351,14 +351,14 @@ def _report(options: argparse.Namespace) -> int:
 def _compare(options: argparse.Namespace) -> int:
     """Write the page that puts runs side by side; say where."""
     with stack_needed():
-        from mantle.report import compare
+        from app.report import compare
     print(compare.write(options.folders, options.output))
     return 0
 
 
 def _library(options: argparse.Namespace) -> int:
     """Print what a library holds."""
-    from mantle.schema import library
+    from app.schema import library
 
     path = options.file or library.SHIPPED
     print(library.described(options.name, path) if options.name else library.listed(path))
@@ -367,7 +367,7 @@ def _library(options: argparse.Namespace) -> int:
 
 def _explain(options: argparse.Namespace) -> int:
     """Print what a key means."""
-    from mantle.schema import explain
+    from app.schema import explain
 
     print(explain.explained(options.key))
     return 0
@@ -377,7 +377,7 @@ def _schema(options: argparse.Namespace) -> int:
     """Print the schema, for programs or for people."""
     import json
 
-    from mantle.schema import config, reference
+    from app.schema import config, reference
 
     if options.markdown:
         print(reference.case_page())
@@ -388,7 +388,7 @@ def _schema(options: argparse.Namespace) -> int:
 
 def _doctor(options: argparse.Namespace) -> int:
     """Print what is found on this machine, or all packages that mantle runs with."""
-    from mantle.system import doctor, sbom
+    from app.system import doctor, sbom
 
     print(sbom.bill() if options.sbom else doctor.report())
     return 0

@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
-from mantle.errors import InputError
-from mantle.system.ranks import rank
-from mantle.version import __version__
+from app.errors import InputError
+from app.system.ranks import rank
+from app.version import __version__
 
 
 class Parser(argparse.ArgumentParser):

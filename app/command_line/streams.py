@@ -12,10 +12,10 @@ import sys
 from contextlib import suppress
 from typing import TextIO
 
-from mantle.command_line import ticker
-from mantle.system import privacy
-from mantle.system.progress import LEVEL
-from mantle.system.ranks import rank, world_size
+from app.command_line import ticker
+from app.system import privacy
+from app.system.progress import LEVEL
+from app.system.ranks import rank, world_size
 
 # What goes on is printed after so many seconds of silence.
 SILENCE = 1.0

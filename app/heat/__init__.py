@@ -1,5 +1,5 @@
 """The discrete equations of temperature and of curing cement.
 
-It imports `scene`, `numerics` and `mantle.forms`; `mechanics` and it do not know each other. Begin
+It imports `scene`, `numerics` and `forms`; `mechanics` and it do not know each other. Begin
 with `conduction`.
 """

@@ -21,20 +21,20 @@ from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats, Ints
-from mantle.errors import everywhere
-from mantle.forms import heat
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.sparse import from_rows, matrix_sum
-from mantle.scene.bodies import Bodies, boundary_facets, cell_tags
-from mantle.scene.loads import Field
-from mantle.scene.terms import (
+from app.arrays import Floats, Ints
+from app.errors import everywhere
+from app.numerics.sparse import from_rows, matrix_sum
+from app.scene.bodies import Bodies, boundary_facets, cell_tags
+from app.scene.loads import Field
+from app.scene.terms import (
     ConductorTerm,
     ConvectionTerm,
     FixedTemperatureTerm,
     PerfusionTerm,
 )
-from mantle.system.timing import Timing
+from app.system.timing import Timing
+from forms import heat
+from meshes.distribute import TaggedMesh
 
 # Of the quadrature where fibres turn: UFL would take 20, with the same fluxes to 0.01 %.
 TURNING_DEGREE = 2

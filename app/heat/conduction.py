@@ -21,21 +21,21 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Floats, Ints
-from mantle.errors import InputError
-from mantle.heat.assembly import HeatForms
-from mantle.heat.cure_heat import CureHeat
-from mantle.heat.evaluation import HeatEvaluation
-from mantle.heat.loads import FixedTemperatures, FrictionHeating, HeatLoads
-from mantle.heat.matrices import HeatMatrices
-from mantle.heat.monotone import Bounds, Extremes, Monotone
-from mantle.heat.temperature_jumps import TemperatureJumps, cut_off
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.state import State, keyed, node_keys
-from mantle.numerics.system import Measure
-from mantle.scene.bodies import Bodies, bodies_of
-from mantle.scene.terms import Scene
-from mantle.system.timing import Timing
+from app.arrays import Floats, Ints
+from app.errors import InputError
+from app.heat.assembly import HeatForms
+from app.heat.cure_heat import CureHeat
+from app.heat.evaluation import HeatEvaluation
+from app.heat.loads import FixedTemperatures, FrictionHeating, HeatLoads
+from app.heat.matrices import HeatMatrices
+from app.heat.monotone import Bounds, Extremes, Monotone
+from app.heat.temperature_jumps import TemperatureJumps, cut_off
+from app.numerics.state import State, keyed, node_keys
+from app.numerics.system import Measure
+from app.scene.bodies import Bodies, bodies_of
+from app.scene.terms import Scene
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh
 
 # Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
 ROUNDING = 2.0

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.heat.assembly import HeatForms
-from mantle.heat.curing import Curing, Degrees
-from mantle.scene.bodies import Bodies
-from mantle.scene.terms import Scene
+from app.arrays import Floats, Ints
+from app.heat.assembly import HeatForms
+from app.heat.curing import Curing, Degrees
+from app.scene.bodies import Bodies
+from app.scene.terms import Scene
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from ufl import as_ufl, diff, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats, Ints
-from mantle.forms import cure as forms
-from mantle.numerics.pointwise import Pointwise
-from mantle.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure, multiplier
+from app.arrays import Floats, Ints
+from app.numerics.pointwise import Pointwise
+from app.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure, multiplier
+from forms import cure as forms
 
 # A reaction ends this far below its limit. What would be left takes ever longer and warms by less
 # than any tolerance, but the stages of a long step would overshoot the limit for it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 # A time [s] and the temperatures then (n,) [K].
 State = tuple[float, Floats]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from mantle.heat.conduction import Conduction
-from mantle.scene.build_heat import effusivity
+from app.heat.conduction import Conduction
+from app.scene.build_heat import effusivity
 
 # Times of a node after which it is near. Measured, in parts of the difference of the temperatures:
 # 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, whatever the size of the cells.

@@ -8,8 +8,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.heat.conduction import Conduction
-from mantle.scene.terms import multiplier
+from app.heat.conduction import Conduction
+from app.scene.terms import multiplier
 
 
 def flows(conduction: Conduction, x: Sequence[PETSc.Vec]) -> dict[str, float]:

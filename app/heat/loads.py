@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.heat.assembly import HeatForms
-from mantle.heat.temperature_jumps import TemperatureJumps
-from mantle.scene.bodies import Bodies
-from mantle.scene.loads import Field
-from mantle.scene.terms import (
+from app.arrays import Floats, Ints
+from app.heat.assembly import HeatForms
+from app.heat.temperature_jumps import TemperatureJumps
+from app.scene.bodies import Bodies
+from app.scene.loads import Field
+from app.scene.terms import (
     ConvectionTerm,
     Course,
     FixedTemperatureTerm,

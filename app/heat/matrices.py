@@ -16,9 +16,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Bools, Floats
-from mantle.heat.temperature_jumps import TemperatureJumps
-from mantle.numerics.sparse import matrix_sum
+from app.arrays import Bools, Floats
+from app.heat.temperature_jumps import TemperatureJumps
+from app.numerics.sparse import matrix_sum
 
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 SAME = PETSc.Mat.Structure.SAME_NONZERO_PATTERN

@@ -22,9 +22,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Bools, Floats
-from mantle.numerics.sparse import from_rows
-from mantle.numerics.state import State
+from app.arrays import Bools, Floats
+from app.numerics.sparse import from_rows
+from app.numerics.state import State
 
 # What counts as outside, and as near a bound, in parts of the range of the data.
 OUTSIDE = 1e-9

@@ -14,11 +14,11 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Floats, Ints
-from mantle.errors import InputError
-from mantle.heat.assembly import HeatForms
-from mantle.meshes.distribute import TaggedMesh
-from mantle.scene.bodies import cell_tags
+from app.arrays import Floats, Ints
+from app.errors import InputError
+from app.heat.assembly import HeatForms
+from app.scene.bodies import cell_tags
+from meshes.distribute import TaggedMesh
 
 # How far outside its cell a point may be, in barycentric coordinates: curved surfaces are cut.
 _OUTSIDE = 0.1

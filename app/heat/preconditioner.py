@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.numerics.preconditioners import FACTORED, configure, on_one_rank
+from app.numerics.preconditioners import FACTORED, configure, on_one_rank
 
 # Factors cost as much as so many solutions with them (measured: 8 to 12 for 7 000 to 30 000).
 WORTH = 10

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 from petsc4py import PETSc
 
-from mantle.heat.conduction import Conduction
-from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
-from mantle.numerics.state import State
-from mantle.numerics.system import Measure, System
+from app.heat.conduction import Conduction
+from app.numerics.active_set import ActiveSet
+from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
+from app.numerics.state import State
+from app.numerics.system import Measure, System
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
 # balance, and temperatures are kept between their bounds to 1e-9 of the range.
 STRICTER = 1e-2
 KEPT_FACTORS: Options = {
     "pc_type": "python",
-    "pc_python_type": "mantle.heat.preconditioner.KeptFactors",
+    "pc_python_type": "app.heat.preconditioner.KeptFactors",
 }
 
 

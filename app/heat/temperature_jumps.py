@@ -19,16 +19,16 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.forms import interface_heat
-from mantle.heat.assembly import HeatForms
-from mantle.meshes.contact_facets import InterfaceFacets, gather
-from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import Holds, contact_points
-from mantle.numerics.pointwise import Pointwise
-from mantle.numerics.sparse import from_triplets, owners
-from mantle.scene.bodies import Bodies, contact_facets
-from mantle.scene.terms import Scene, ThermalContact
+from app.arrays import Floats, Ints
+from app.heat.assembly import HeatForms
+from app.numerics.pointwise import Pointwise
+from app.numerics.sparse import from_triplets, owners
+from app.scene.bodies import Bodies, contact_facets
+from app.scene.terms import Scene, ThermalContact
+from forms import interface_heat
+from meshes.contact_facets import InterfaceFacets, gather
+from meshes.distribute import TaggedMesh
+from meshes.interfaces import Holds, contact_points
 
 
 class TemperatureJumps:

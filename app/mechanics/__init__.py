@@ -1,5 +1,5 @@
 """The discrete equations of motion and contact.
 
-It imports `scene`, `numerics` and `mantle.forms`; `heat` and it do not know each other. Begin with
+It imports `scene`, `numerics` and `forms`; `heat` and it do not know each other. Begin with
 `problem` and `jumps`.
 """

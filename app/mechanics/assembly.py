@@ -26,15 +26,15 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats
-from mantle.errors import InputError, everywhere
-from mantle.forms import elasticity
-from mantle.meshes.contact_facets import shape_functions, surface
-from mantle.meshes.distribute import TaggedMesh
-from mantle.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
-from mantle.scene.loads import Field, LoadTerm, Patch
-from mantle.scene.terms import Elastic, Scene
-from mantle.system.timing import Timing
+from app.arrays import Floats
+from app.errors import InputError, everywhere
+from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
+from app.scene.loads import Field, LoadTerm, Patch
+from app.scene.terms import Elastic, Scene
+from app.system.timing import Timing
+from forms import elasticity
+from meshes.contact_facets import shape_functions, surface
+from meshes.distribute import TaggedMesh
 
 # Cells, or facets as pairs of a cell and a local number, by number of the subdomain.
 Domains = list[tuple[int, NDArray[np.int32]]]

@@ -11,11 +11,11 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem, la
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.mechanics.problem import Problem
-from mantle.numerics.rigid_motions import rigid_modes
-from mantle.numerics.sparse import block_diagonal, fill, from_triplets, matrix_sum
-from mantle.scene.bodies import cell_tags
+from app.arrays import Bools, Floats, Ints
+from app.mechanics.problem import Problem
+from app.numerics.rigid_motions import rigid_modes
+from app.numerics.sparse import block_diagonal, fill, from_triplets, matrix_sum
+from app.scene.bodies import cell_tags
 
 # A direction of which a law resists less than this is free.
 RESISTED = 0.5

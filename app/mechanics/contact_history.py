@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 
 @dataclass

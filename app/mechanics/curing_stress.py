@@ -29,15 +29,15 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.forms import cure, elasticity, loads
-from mantle.mechanics.assembly import Mechanics
-from mantle.numerics.pointwise import Pointwise
-from mantle.numerics.state import State, keyed
-from mantle.scene.bodies import Bodies
-from mantle.scene.terms import CureTerm, Elastic, Scene
-from mantle.system.timing import Timing
+from app.arrays import Floats
+from app.errors import InputError
+from app.mechanics.assembly import Mechanics
+from app.numerics.pointwise import Pointwise
+from app.numerics.state import State, keyed
+from app.scene.bodies import Bodies
+from app.scene.terms import CureTerm, Elastic, Scene
+from app.system.timing import Timing
+from forms import cure, elasticity, loads
 
 # Rows and columns of the components of elasticity.symmetric.
 ROWS, COLUMNS = np.array([0, 1, 2, 1, 0, 0]), np.array([0, 1, 2, 2, 2, 1])

@@ -18,11 +18,11 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from mantle.mechanics.assembly import Mechanics
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.reduction import Reduction
-from mantle.scene.bodies import Bodies
-from mantle.scene.terms import Expansion, Scene
+from app.mechanics.assembly import Mechanics
+from app.mechanics.jumps import Jumps
+from app.mechanics.reduction import Reduction
+from app.scene.bodies import Bodies
+from app.scene.terms import Expansion, Scene
 
 
 @dataclass(frozen=True)

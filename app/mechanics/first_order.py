@@ -11,11 +11,11 @@ from petsc4py import PETSc
 from dolfinx import fem
 from dolfinx.fem.petsc import interpolation_matrix
 
-from mantle.arrays import Bools
-from mantle.mechanics.reduction import AllFree, Reduction, near_null_space
-from mantle.numerics.preconditioners import Inverse, stiffness_options
-from mantle.numerics.rigid_motions import rigid_modes
-from mantle.scene.terms import Scene
+from app.arrays import Bools
+from app.mechanics.reduction import AllFree, Reduction, near_null_space
+from app.numerics.preconditioners import Inverse, stiffness_options
+from app.numerics.rigid_motions import rigid_modes
+from app.scene.terms import Scene
 
 
 class FirstOrder:

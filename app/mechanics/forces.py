@@ -16,12 +16,12 @@ from petsc4py import PETSc
 import numpy as np
 import ufl
 
-from mantle.arrays import Floats
-from mantle.mechanics.assembly import Mechanics
-from mantle.mechanics.jumps import Jumps
-from mantle.scene.bodies import Bodies
-from mantle.scene.loads import LoadTerm
-from mantle.scene.terms import Elastic, Scene, amplitude
+from app.arrays import Floats
+from app.mechanics.assembly import Mechanics
+from app.mechanics.jumps import Jumps
+from app.scene.bodies import Bodies
+from app.scene.loads import LoadTerm
+from app.scene.terms import Elastic, Scene, amplitude
 
 
 @dataclass(frozen=True)

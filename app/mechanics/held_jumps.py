@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mantle.errors import InputError
-from mantle.meshes.interfaces import ContactPoints, Entries, Holds
-from mantle.scene.bodies import Bodies
-from mantle.scene.terms import Scene, Support
+from app.errors import InputError
+from app.scene.bodies import Bodies
+from app.scene.terms import Scene, Support
+from meshes.interfaces import ContactPoints, Entries, Holds
 
 
 def refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:

@@ -7,10 +7,10 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Ints
-from mantle.mechanics.assembly import Mechanics
-from mantle.meshes.interfaces import Entries
-from mantle.numerics.sparse import from_triplets
+from app.arrays import Ints
+from app.mechanics.assembly import Mechanics
+from app.numerics.sparse import from_triplets
+from meshes.interfaces import Entries
 
 
 def jump_moves(

@@ -27,25 +27,25 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Bools, Floats
-from mantle.forms.contact import OPEN, SLIP, STICK
-from mantle.mechanics.assembly import Mechanics
-from mantle.mechanics.contact_history import History
-from mantle.mechanics.held_jumps import refuse_moving_rigid, refuse_released
-from mantle.mechanics.jump_moves import jump_moves
-from mantle.mechanics.points import PointForces, PointLaw, gap_vectors
-from mantle.mechanics.reduction import Reduction
-from mantle.meshes.contact_facets import InterfaceFacets
-from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import contact_points
-from mantle.numerics.sparse import diagonal_blocks, matrix_sum, owners
-from mantle.numerics.state import Rows, State, keyed
-from mantle.scene.bodies import Bodies, contact_facets
-from mantle.scene.frames import Frames, held_at
-from mantle.scene.laws import InterfaceLaw
-from mantle.scene.terms import ContactTerm, Scene, amplitude, gap_at
-from mantle.schema.run_options import USUAL_AUGMENTATION
-from mantle.system.timing import Timing
+from app.arrays import Bools, Floats
+from app.mechanics.assembly import Mechanics
+from app.mechanics.contact_history import History
+from app.mechanics.held_jumps import refuse_moving_rigid, refuse_released
+from app.mechanics.jump_moves import jump_moves
+from app.mechanics.points import PointForces, PointLaw, gap_vectors
+from app.mechanics.reduction import Reduction
+from app.numerics.sparse import diagonal_blocks, matrix_sum, owners
+from app.numerics.state import Rows, State, keyed
+from app.scene.bodies import Bodies, contact_facets
+from app.scene.frames import Frames, held_at
+from app.scene.laws import InterfaceLaw
+from app.scene.terms import ContactTerm, Scene, amplitude, gap_at
+from app.schema.run_options import USUAL_AUGMENTATION
+from app.system.timing import Timing
+from forms.contact import OPEN, SLIP, STICK
+from meshes.contact_facets import InterfaceFacets
+from meshes.distribute import TaggedMesh
+from meshes.interfaces import contact_points
 
 # A face is closed, to separate slip from opening, if its gap is below this fraction of the step.
 CLOSED = 1e-6

@@ -17,10 +17,10 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.mechanics.prediction import mixture, same, take_better
-from mantle.mechanics.problem import Problem
-from mantle.numerics.newton import Solver
+from app.arrays import Floats
+from app.mechanics.prediction import mixture, same, take_better
+from app.mechanics.problem import Problem
+from app.numerics.newton import Solver
 
 # Runs whose states are kept; one that is a multiple of another is not.
 KEPT = 6

@@ -17,12 +17,12 @@ import numpy as np
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats, Ints
-from mantle.forms import contact
-from mantle.numerics import kernels, pointwise
-from mantle.numerics.pointwise import Pointwise
-from mantle.scene import laws
-from mantle.scene.laws import AtPoint, InterfaceLaw
+from app.arrays import Floats, Ints
+from app.numerics import kernels, pointwise
+from app.numerics.pointwise import Pointwise
+from app.scene import laws
+from app.scene.laws import AtPoint, InterfaceLaw
+from forms import contact
 
 # All that says what a law is, beside the module it is in: another text is another law.
 SOURCES = (contact, laws, pointwise, sys.modules[__name__])

@@ -17,7 +17,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.numerics.newton import Solver
+from app.numerics.newton import Solver
 
 # States before the last that are kept.
 KEPT = 3

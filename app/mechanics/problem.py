@@ -16,23 +16,23 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Floats, Ints
-from mantle.mechanics.assembly import Mechanics
-from mantle.mechanics.curing_stress import CuringStress
-from mantle.mechanics.expansion import Expansions, ThermalStiffness
-from mantle.mechanics.first_order import inverse_of
-from mantle.mechanics.forces import Forces
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.points import PointForces
-from mantle.mechanics.reduction import near_null_space, reduction_of
-from mantle.mechanics.supports import HeldRows
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.preconditioners import Inverse
-from mantle.numerics.state import State, keyed, node_keys
-from mantle.scene.bodies import bodies_of
-from mantle.scene.frames import frames_of
-from mantle.scene.terms import Scene, amplitude
-from mantle.system.timing import Timing
+from app.arrays import Floats, Ints
+from app.mechanics.assembly import Mechanics
+from app.mechanics.curing_stress import CuringStress
+from app.mechanics.expansion import Expansions, ThermalStiffness
+from app.mechanics.first_order import inverse_of
+from app.mechanics.forces import Forces
+from app.mechanics.jumps import Jumps
+from app.mechanics.points import PointForces
+from app.mechanics.reduction import near_null_space, reduction_of
+from app.mechanics.supports import HeldRows
+from app.numerics.preconditioners import Inverse
+from app.numerics.state import State, keyed, node_keys
+from app.scene.bodies import bodies_of
+from app.scene.frames import frames_of
+from app.scene.terms import Scene, amplitude
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
 ROUNDING = 2.0

@@ -16,15 +16,15 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.errors import InputError, everywhere
-from mantle.meshes.contact_facets import gather
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.rigid_motions import rigid_modes
-from mantle.numerics.state import State, keyed
-from mantle.scene.bodies import Bodies, boundary_facets, cell_tags
-from mantle.scene.frames import Frames
-from mantle.scene.terms import Scene
+from app.arrays import Bools, Floats, Ints
+from app.errors import InputError, everywhere
+from app.numerics.rigid_motions import rigid_modes
+from app.numerics.state import State, keyed
+from app.scene.bodies import Bodies, boundary_facets, cell_tags
+from app.scene.frames import Frames
+from app.scene.terms import Scene
+from meshes.contact_facets import gather
+from meshes.distribute import TaggedMesh
 
 # A motion of a rigid region counts as held when its supports resist it by more than this fraction
 # of the motion they resist most.

@@ -8,9 +8,9 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.reduction import Reduction
+from app.arrays import Floats
+from app.mechanics.jumps import Jumps
+from app.mechanics.reduction import Reduction
 
 
 class HeldRows:

@@ -9,15 +9,15 @@ from petsc4py import PETSc
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats
-from mantle.mechanics.coarse_space import SlidingMotions
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.preconditioners import SWEEP, Options, stiffness_options
-from mantle.numerics.sparse import block_diagonal, fill
-from mantle.numerics.state import State
-from mantle.numerics.system import Measure, System, size
+from app.arrays import Floats
+from app.mechanics.coarse_space import SlidingMotions
+from app.mechanics.jumps import Jumps
+from app.mechanics.problem import Problem, TrialState
+from app.numerics.active_set import ActiveSet
+from app.numerics.preconditioners import SWEEP, Options, stiffness_options
+from app.numerics.sparse import block_diagonal, fill
+from app.numerics.state import State
+from app.numerics.system import Measure, System, size
 
 
 def mechanical(problem: Problem) -> BondedSystem | ContactSystem:

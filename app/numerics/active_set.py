@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle.arrays import Ints
+from app.arrays import Ints
 
 # Iterations that are kept, and the longest cycle that is recognized.
 KEPT, LONGEST = 12, 5

@@ -6,7 +6,7 @@ import math
 
 from petsc4py import PETSc
 
-from mantle.numerics.preconditioners import INTERFACE, configure
+from app.numerics.preconditioners import INTERFACE, configure
 
 CONDITION_ITERATIONS = 20
 

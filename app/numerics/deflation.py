@@ -19,8 +19,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.numerics.sparse import from_rows, matrix_sum
+from app.arrays import Floats
+from app.numerics.sparse import from_rows, matrix_sum
 
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the
 # others are made stiffer by a part, for the motions of small boxes may be linearly dependent.

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 State = list[Floats]
 # Solves y = start + h f(seconds, y) from (start, h, seconds, guess of y); None: did not converge.

@@ -24,8 +24,8 @@ import ffcx
 import ufl
 from dolfinx import jit
 
-from mantle import files
-from mantle.system import folders, form_cache
+from app import files
+from app.system import folders, form_cache
 
 # Names that ffcx gives.
 MODULE, SYMBOL = re.compile(r"libffcx_expressions_[0-9a-f]+"), re.compile(r"expression_[0-9a-f]+")

@@ -14,10 +14,10 @@ from collections.abc import Mapping
 
 from petsc4py import PETSc
 
-from mantle.numerics.deflation import Deflated
-from mantle.numerics.preconditioners import INTERFACE, SWEEP, Inverse, Options
-from mantle.numerics.system import System
-from mantle.system.timing import Timing
+from app.numerics.deflation import Deflated
+from app.numerics.preconditioners import INTERFACE, SWEEP, Inverse, Options
+from app.numerics.system import System
+from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 

@@ -10,13 +10,13 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.preconditioners import Options
-from mantle.numerics.snes import REASONS, Snes
-from mantle.numerics.state import State
-from mantle.numerics.system import Measure, System
-from mantle.system.timing import Timing
+from app.arrays import Floats
+from app.numerics.active_set import ActiveSet
+from app.numerics.preconditioners import Options
+from app.numerics.snes import REASONS, Snes
+from app.numerics.state import State
+from app.numerics.system import Measure, System
+from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 

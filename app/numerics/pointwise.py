@@ -24,8 +24,8 @@ from dolfinx.mesh import create_mesh
 from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats, Ints
-from mantle.numerics import kernels
+from app.arrays import Floats, Ints
+from app.numerics import kernels
 
 
 class Pointwise:

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 DIRECTIONS = (
     "move along x",

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 from petsc4py import PETSc
 
-from mantle.errors import StoppedError
-from mantle.numerics.krylov import Linear
-from mantle.numerics.preconditioners import Options
-from mantle.numerics.system import Measure, System
-from mantle.system.timing import Timing
+from app.errors import StoppedError
+from app.numerics.krylov import Linear
+from app.numerics.preconditioners import Options
+from app.numerics.system import Measure, System
+from app.system.timing import Timing
 
 REASONS = PETSc.SNES.ConvergedReason
 

@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from mantle.arrays import Ints
+from app.arrays import Ints
 
 Array = NDArray[Any]
 State = dict[str, Any]

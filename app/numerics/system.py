@@ -14,11 +14,11 @@ from typing import Protocol
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from mantle.arrays import Floats
-from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.deflation import CoarseSpace
-from mantle.numerics.preconditioners import Inverse, Options
-from mantle.numerics.state import State
+from app.arrays import Floats
+from app.numerics.active_set import ActiveSet
+from app.numerics.deflation import CoarseSpace
+from app.numerics.preconditioners import Inverse, Options
+from app.numerics.state import State
 
 
 @dataclass(frozen=True)

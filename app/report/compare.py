@@ -6,14 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from mantle.errors import InputError, StoppedError
-from mantle.report import page, run_report, sweep_figures, viewer
-from mantle.report.page import Blocks, bullets, paragraph, table
-from mantle.report.sweep_results import Number, SweptCase
-from mantle.results.log import UNUSABLE, faults
-from mantle.schema import quantities
-from mantle.system.folders import write_text
-from mantle.system.layout import plain
+from app.errors import InputError, StoppedError
+from app.report import page, run_report, sweep_figures, viewer
+from app.report.page import Blocks, bullets, paragraph, table
+from app.report.sweep_results import Number, SweptCase
+from app.results.log import UNUSABLE, faults
+from app.schema import quantities
+from app.system.folders import write_text
+from app.system.layout import plain
 
 MOST = 8  # runs beside each other; a browser draws some sixteen views
 NAMED = 4  # differences in the leading sentence

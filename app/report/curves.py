@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mantle.report.paper.cases import STEMS
-from mantle.report.sweep_results import Number
-from mantle.system import style
-from mantle.system.style import COLOURS
+from app.report.paper.cases import STEMS
+from app.report.sweep_results import Number
+from app.system import style
+from app.system.style import COLOURS
 
 STEM_COLOURS = dict(zip(STEMS.values(), COLOURS, strict=False))
 # Largest over smallest value from which an axis is logarithmic.

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mantle import figures
-from mantle.report.curves import STEM_COLOURS, Figure
-from mantle.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
-from mantle.report.sweep_results import Number, SweptCase, magnitude
-from mantle.system import style
+from app import figures
+from app.report.curves import STEM_COLOURS, Figure
+from app.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
+from app.report.sweep_results import Number, SweptCase, magnitude
+from app.system import style
 
 ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import MantleError
-from mantle.report.curves import Figure
-from mantle.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
-from mantle.report.sweep_results import SweepResults, SweptCase
-from mantle.results import unrolled
-from mantle.results.reading import Run
-from mantle.results.unrolled import MapRow, Sheet
-from mantle.schema import config
+from app.arrays import Floats
+from app.errors import MantleError
+from app.report.curves import Figure
+from app.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
+from app.report.sweep_results import SweepResults, SweptCase
+from app.results import unrolled
+from app.results.reading import Run
+from app.results.unrolled import MapRow, Sheet
+from app.schema import config
 
 log = logging.getLogger("mantle")
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from mantle.report.curves import Figure
+from app.report.curves import Figure
 
 # Parts of a section: their kind, as the template names it, and what is in them.
 Blocks = list[tuple[str, dict[str, Any]]]

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from mantle.errors import InputError, StoppedError
-from mantle.report import (
+from app.errors import InputError, StoppedError
+from app.report import (
     gruen,
     history_curves,
     maps,
@@ -25,18 +25,18 @@ from mantle.report import (
     sweep_figures,
     viewer,
 )
-from mantle.report.curves import Figure
-from mantle.report.page import Blocks, bullets, heading, paragraph, table
-from mantle.report.sweep_results import CONVERGED, SweptCase
-from mantle.results import log as text
-from mantle.results.reading import Run
-from mantle.results.tables import TABLES
-from mantle.schema import quantities
-from mantle.schema.quantities import NECROSIS, TABLE, Quantity, in_print, printed
-from mantle.system import privacy
-from mantle.system.folders import write_bytes, write_text
-from mantle.system.layout import duration, noted, plain
-from mantle.system.ranks import rank
+from app.report.curves import Figure
+from app.report.page import Blocks, bullets, heading, paragraph, table
+from app.report.sweep_results import CONVERGED, SweptCase
+from app.results import log as text
+from app.results.reading import Run
+from app.results.tables import TABLES
+from app.schema import quantities
+from app.schema.quantities import NECROSIS, TABLE, Quantity, in_print, printed
+from app.system import privacy
+from app.system.folders import write_bytes, write_text
+from app.system.layout import duration, noted, plain
+from app.system.ranks import rank
 
 PAGE, PICTURES = "report.html", "report"
 # The part of a run's time that its page may take, and what maps and the view take.

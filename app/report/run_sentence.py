@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from mantle.report.sweep_figures import label
-from mantle.report.sweep_results import SweptCase, magnitude
-from mantle.results.log import BOTH
-from mantle.schema import quantities
-from mantle.schema.quantities import TABLE, in_print, numbers_of, printed
+from app.report.sweep_figures import label
+from app.report.sweep_results import SweptCase, magnitude
+from app.results.log import BOTH
+from app.schema import quantities
+from app.schema.quantities import TABLE, in_print, numbers_of, printed
 
 # What moves on what, by interface.
 PAIRS = {"stem_cement": ("the stem", "its cement"), "cement_bone": ("the cement", "the bone")}

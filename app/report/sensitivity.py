@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mantle.report.sweep_figures import headlines, label, scale, title
-from mantle.report.sweep_results import SweptCase
+from app.report.sweep_figures import headlines, label, scale, title
+from app.report.sweep_results import SweptCase
 
 FEWEST = 6  # cases, below which ranks say little
 MOST = 11  # numbers

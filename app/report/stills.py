@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mantle import figures
-from mantle.arrays import Floats, Ints
-from mantle.report.curves import Figure
-from mantle.report.viewer import INTERFACE, outsides
-from mantle.results.reading import Run
+from app import figures
+from app.arrays import Floats, Ints
+from app.report.curves import Figure
+from app.report.viewer import INTERFACE, outsides
+from app.results.reading import Run
 
 NAME = "interfaces"
 QUANTITIES = ("slip", "gap", "pressure")

@@ -8,14 +8,14 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from mantle.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
-from mantle.report.paper.cases import PERCENTILES
-from mantle.report.paper.compare import named
-from mantle.report.sweep_results import SweptCase, magnitude
-from mantle.schema import explain, quantities
-from mantle.schema.unit_conversion import conversion
-from mantle.schema.units import NUMBER
-from mantle.system.style import COLOURS, MARKERS
+from app.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
+from app.report.paper.cases import PERCENTILES
+from app.report.paper.compare import named
+from app.report.sweep_results import SweptCase, magnitude
+from app.schema import explain, quantities
+from app.schema.unit_conversion import conversion
+from app.schema.units import NUMBER
+from app.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 12
 MOST_SERIES = 8

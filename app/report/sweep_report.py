@@ -9,22 +9,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mantle.campaigns import uncertainty
-from mantle.errors import StoppedError
-from mantle.report import gruen, page, sensitivity, sweep_figures
-from mantle.report import maps as report_maps
-from mantle.report.curves import Figure
-from mantle.report.page import Blocks, bullets, heading, paragraph, table
-from mantle.report.paper import compare
-from mantle.report.paper import figures as report_figures
-from mantle.report.paper import trends as report_trends
-from mantle.report.paper.cases import Cases
-from mantle.report.paper.compare import ComparedNumber
-from mantle.report.paper.trends import VERDICTS, Trend
-from mantle.report.sweep_results import STATUSES, SweepResults, SweptCase, read
-from mantle.schema.quantities import printed
-from mantle.system.folders import csv_text, remove, write_json, write_text
-from mantle.system.layout import duration, noted
+from app.campaigns import uncertainty
+from app.errors import StoppedError
+from app.report import gruen, page, sensitivity, sweep_figures
+from app.report import maps as report_maps
+from app.report.curves import Figure
+from app.report.page import Blocks, bullets, heading, paragraph, table
+from app.report.paper import compare
+from app.report.paper import figures as report_figures
+from app.report.paper import trends as report_trends
+from app.report.paper.cases import Cases
+from app.report.paper.compare import ComparedNumber
+from app.report.paper.trends import VERDICTS, Trend
+from app.report.sweep_results import STATUSES, SweepResults, SweptCase, read
+from app.schema.quantities import printed
+from app.system.folders import csv_text, remove, write_json, write_text
+from app.system.layout import duration, noted
 
 PAGE, PAPER, COMPARISON, PICTURES = "report.html", "paper.html", "comparison.csv", "report"
 # What the last report has written there, and the next may remove.

@@ -14,10 +14,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mantle.errors import InputError
-from mantle.results.log import UNUSABLE
-from mantle.schema import case_file, quantities
-from mantle.schema.units import NUMBER
+from app.errors import InputError
+from app.results.log import UNUSABLE
+from app.schema import case_file, quantities
+from app.schema.units import NUMBER
 
 CONVERGED = "converged"
 STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)

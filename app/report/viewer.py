@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats, Ints
-from mantle.results.reading import EDGES, FACES, Run
+from app.arrays import Floats, Ints
+from app.results.reading import EDGES, FACES, Run
 
 THREE = Path("/usr/share/javascript/three")
 SCRIPTS = ("three.min.js", "examples/js/controls/OrbitControls.js")

@@ -12,11 +12,11 @@ import ufl
 from dolfinx import fem
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats
-from mantle.forms import elasticity, loads
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.numerics.state import State
-from mantle.scene.terms import Elastic, amplitude
+from app.arrays import Floats
+from app.mechanics.problem import Problem, TrialState
+from app.numerics.state import State
+from app.scene.terms import Elastic, amplitude
+from forms import elasticity, loads
 
 _SUMS = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 

@@ -12,11 +12,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.mechanics.problem import Problem
-from mantle.meshes.contact_facets import QUADRATURE, surface
-from mantle.results.stresses import Stresses, extrapolated
-from mantle.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
+from app.arrays import Floats
+from app.mechanics.problem import Problem
+from app.results.stresses import Stresses, extrapolated
+from app.scene.bodies import FACET_VERTICES, facet_coordinates, facets_between
+from meshes.contact_facets import QUADRATURE, surface
 
 # Strength of the cement-bone interface [MPa]: Mann, Werner & Ayers 1999, as quoted by the paper in
 # its section 4.5.

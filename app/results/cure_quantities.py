@@ -10,8 +10,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.numerics.state import Rows, State
+from app.arrays import Floats, Ints
+from app.numerics.state import Rows, State
 
 LEVELS = (0.5, 0.9)
 

@@ -8,9 +8,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.heat.nodes import ProbedPoint, locate
-from mantle.mechanics.problem import Problem
+from app.arrays import Floats, Ints
+from app.heat.nodes import ProbedPoint, locate
+from app.mechanics.problem import Problem
 
 
 class DisplacementProbes:

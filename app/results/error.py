@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
-from mantle.schema import config
-from mantle.schema.quantities import MOTION, STRESS, TABLE, Quantity, numbers_of
+from app.schema import config
+from app.schema.quantities import MOTION, STRESS, TABLE, Quantity, numbers_of
 
 # Mesh sizes over that of the run: of the companion that shows the error of the mesh, and of those
 # that show the error of the step.

@@ -19,22 +19,22 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats, Ints
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.state import ENDS, Rows, State
-from mantle.results.heat_passed import W_PER_M2
-from mantle.results.necrosis import CELSIUS
-from mantle.results.quantities import Samples
-from mantle.results.thermal_quantities import Interfaces, ThermalRecord
-from mantle.results.vtkhdf import (
+from app.arrays import Floats, Ints
+from app.numerics.state import ENDS, Rows, State
+from app.results.heat_passed import W_PER_M2
+from app.results.necrosis import CELSIUS
+from app.results.quantities import Samples
+from app.results.thermal_quantities import Interfaces, ThermalRecord
+from app.results.vtkhdf import (
     QUADRATIC_NODES,
     QUADRATIC_TETRAHEDRON,
     TETRAHEDRON,
     GridFile,
     write_last_step,
 )
-from mantle.scene.bodies import Bodies, cell_tags
-from mantle.stepping.heat_steps import HeatState
+from app.scene.bodies import Bodies, cell_tags
+from app.stepping.heat_steps import HeatState
+from meshes.distribute import TaggedMesh
 
 
 @dataclass(frozen=True)

@@ -28,23 +28,23 @@ import basix
 import numpy as np
 from dolfinx import la
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.forms.contact import OPEN
-from mantle.mechanics.problem import Problem
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.newton import Solver
-from mantle.results.quantities import Facets, Samples
-from mantle.results.recovery import recovered
-from mantle.results.stem_motion import Gradient, corner_dofs, stem_gradient
-from mantle.results.stresses import COMPONENTS, Stresses
-from mantle.results.vtkhdf import (
+from app.arrays import Bools, Floats, Ints
+from app.mechanics.problem import Problem
+from app.numerics.newton import Solver
+from app.results.quantities import Facets, Samples
+from app.results.recovery import recovered
+from app.results.stem_motion import Gradient, corner_dofs, stem_gradient
+from app.results.stresses import COMPONENTS, Stresses
+from app.results.vtkhdf import (
     QUADRATIC_NODES,
     QUADRATIC_TETRAHEDRON,
     TETRAHEDRON,
     GridFile,
 )
-from mantle.scene.bodies import FACET_VERTICES, cell_tags
-from mantle.schema.config import Case
+from app.scene.bodies import FACET_VERTICES, cell_tags
+from app.schema.config import Case
+from forms.contact import OPEN
+from meshes.distribute import TaggedMesh
 
 # Residual of the adjoint equations at which they are solved: far below the error of the estimate.
 TOLERANCE = 1e-3

@@ -9,13 +9,13 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats
-from mantle.mechanics.problem import Problem
-from mantle.results.quantities import Samples
-from mantle.results.stresses import Stresses
+from app.arrays import Floats
+from app.mechanics.problem import Problem
+from app.results.quantities import Samples
+from app.results.stresses import Stresses
 
 if TYPE_CHECKING:
-    from mantle.meshes.gruen import Zones
+    from meshes.gruen import Zones
 
 Zone = dict[str, Any]
 

@@ -11,9 +11,9 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats
-from mantle.forms import interface_heat
-from mantle.heat.temperature_jumps import TemperatureJumps
+from app.arrays import Floats
+from app.heat.temperature_jumps import TemperatureJumps
+from forms import interface_heat
 
 W_PER_M2 = 1e3  # W/m2 in N/(mm s), W/(m2 K) in N/(mm s K)
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from mantle import figures
-from mantle.arrays import Floats, Ints
-from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.picture import AXES, cut, middle_plane
-from mantle.results.necrosis import CELSIUS
-from mantle.scene.bodies import cell_tags
-from mantle.system import style
-from mantle.system.style import COLOURS
+from app import figures
+from app.arrays import Floats, Ints
+from app.results.necrosis import CELSIUS
+from app.scene.bodies import cell_tags
+from app.system import style
+from app.system.style import COLOURS
+from meshes.distribute import TaggedMesh
+from meshes.picture import AXES, cut, middle_plane
 
 # A run whose last step is this many times as late as its first is drawn on a logarithmic axis.
 _SPAN = 300.0

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mantle.errors import UnusableError
-from mantle.results import tables
-from mantle.schema import quantities
-from mantle.schema.quantities import TABLE
+from app.errors import UnusableError
+from app.results import tables
+from app.schema import quantities
+from app.schema.quantities import TABLE
 
 if TYPE_CHECKING:
-    from mantle.stepping.heat_steps import HeatStep
+    from app.stepping.heat_steps import HeatStep
 
 log = logging.getLogger("mantle")
 

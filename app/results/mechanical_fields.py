@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from dolfinx import la
 
-from mantle.arrays import Floats, Ints
-from mantle.forms.contact import OPEN, SLIP, STICK
-from mantle.mechanics.problem import Problem
-from mantle.results.field_output import Copies
-from mantle.results.quantities import Samples
-from mantle.results.stresses import Stresses, extrapolated
+from app.arrays import Floats, Ints
+from app.mechanics.problem import Problem
+from app.results.field_output import Copies
+from app.results.quantities import Samples
+from app.results.stresses import Stresses, extrapolated
+from forms.contact import OPEN, SLIP, STICK
 
 
 class MechanicalFields:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 CELSIUS = 273.15  # K at 0 degC
 LEVELS = (47.0, 50.0, 56.0)  # degC

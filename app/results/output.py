@@ -19,19 +19,19 @@ from typing import Any, TypeVar
 
 from mpi4py import MPI
 
-from mantle import files
-from mantle.errors import StoppedError, everywhere
-from mantle.heat.conduction import Conduction
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.state import State
-from mantle.results import heat_picture
-from mantle.results.field_output import Fields, Layer
-from mantle.results.quantities import Samples
-from mantle.results.thermal_quantities import ThermalRecord
-from mantle.schema import quantities
-from mantle.system import identity, privacy
-from mantle.system.folders import csv_text, saved, write_json, write_text
-from mantle.version import __version__
+from app import files
+from app.errors import StoppedError, everywhere
+from app.heat.conduction import Conduction
+from app.numerics.state import State
+from app.results import heat_picture
+from app.results.field_output import Fields, Layer
+from app.results.quantities import Samples
+from app.results.thermal_quantities import ThermalRecord
+from app.schema import quantities
+from app.system import identity, privacy
+from app.system.folders import csv_text, saved, write_json, write_text
+from app.version import __version__
+from meshes.distribute import TaggedMesh
 
 T = TypeVar("T")
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.mechanics.jumps import Jumps
-from mantle.meshes.contact_facets import InterfaceFacets, shape_functions, surface
+from app.arrays import Floats, Ints
+from app.mechanics.jumps import Jumps
+from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 
 # Where a facet is looked at: corners, middles of edges, and between them (barycentric).
 LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 PERCENTILE = 0.99
 # Bisections of a level: to the last digits.

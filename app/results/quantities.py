@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.forms.contact import OPEN, SLIP, STICK
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.results.penetration import overlap
-from mantle.results.percentiles import SurfaceField
-from mantle.schema.quantities import computed
+from app.arrays import Floats, Ints
+from app.mechanics.problem import Problem, TrialState
+from app.results.penetration import overlap
+from app.results.percentiles import SurfaceField
+from app.schema.quantities import computed
+from forms.contact import OPEN, SLIP, STICK
 
 MICROMOTION = 0.030  # mm: where biology reacts
 

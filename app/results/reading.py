@@ -20,9 +20,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats, Ints
-from mantle.errors import InputError
-from mantle.schema import case_file, config
+from app.arrays import Floats, Ints
+from app.errors import InputError
+from app.schema import case_file, config
 
 # Vertices of the edges that carry the middle nodes of a quadratic tetrahedron, in VTK's order.
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))

@@ -13,8 +13,8 @@ from dolfinx import la
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from mantle.arrays import Floats, Ints
-from mantle.mechanics.problem import Problem
+from app.arrays import Floats, Ints
+from app.mechanics.problem import Problem
 
 # Weight of what hardly any point tells of, over the number of points.
 RIDGE = 1e-4

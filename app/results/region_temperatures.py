@@ -18,13 +18,13 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.heat import curves_in_time
-from mantle.heat.curves_in_time import bend, bend_after_kink, peak_between, raise_to
-from mantle.heat.nodes import ThermalNodes
-from mantle.numerics.state import Rows, State, keyed
-from mantle.results.level_sets import RegionCells
-from mantle.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure
+from app.arrays import Bools, Floats, Ints
+from app.heat import curves_in_time
+from app.heat.curves_in_time import bend, bend_after_kink, peak_between, raise_to
+from app.heat.nodes import ThermalNodes
+from app.numerics.state import Rows, State, keyed
+from app.results.level_sets import RegionCells
+from app.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure
 
 
 @dataclass

@@ -11,16 +11,16 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats, Ints
-from mantle.mechanics.problem import Problem
-from mantle.scene.bodies import (
+from app.arrays import Floats, Ints
+from app.mechanics.problem import Problem
+from app.scene.bodies import (
     FACET_VERTICES,
     FacetCells,
     cell_tags,
     facet_coordinates,
     facets_between,
 )
-from mantle.schema.config import Case
+from app.schema.config import Case
 
 # Nodes at an end of the stem are within this part of its length [-].
 END = 1e-6

@@ -10,14 +10,14 @@ import numpy as np
 from dolfinx import fem
 from ufl import as_vector
 
-from mantle.arrays import Floats
-from mantle.forms import elasticity
-from mantle.mechanics.problem import Problem
-from mantle.results.percentiles import percentile
-from mantle.scene.fibres import Vector
-from mantle.scene.terms import Elastic
-from mantle.schema.quantities import computed
-from mantle.system.timing import Timing
+from app.arrays import Floats
+from app.mechanics.problem import Problem
+from app.results.percentiles import percentile
+from app.scene.fibres import Vector
+from app.scene.terms import Elastic
+from app.schema.quantities import computed
+from app.system.timing import Timing
+from forms import elasticity
 
 # Of a symmetric tensor, as `elasticity.symmetric` has them.
 COMPONENTS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))

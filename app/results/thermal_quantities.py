@@ -16,9 +16,9 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Floats
-from mantle.heat.assembly import HeatForms
-from mantle.heat.nodes import (
+from app.arrays import Floats
+from app.heat.assembly import HeatForms
+from app.heat.nodes import (
     ProbedPoint,
     Probes,
     Side,
@@ -27,12 +27,12 @@ from mantle.heat.nodes import (
     region_nodes,
     sides_of,
 )
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.state import State, keyed, node_keys
-from mantle.results.heat_passed import HeatPassed, InterfaceExtremes
-from mantle.results.level_sets import RegionCells
-from mantle.results.necrosis import CELSIUS, Exposure
-from mantle.results.region_temperatures import RegionTemperatures, largest
+from app.numerics.state import State, keyed, node_keys
+from app.results.heat_passed import HeatPassed, InterfaceExtremes
+from app.results.level_sets import RegionCells
+from app.results.necrosis import CELSIUS, Exposure
+from app.results.region_temperatures import RegionTemperatures, largest
+from meshes.distribute import TaggedMesh
 
 Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
 

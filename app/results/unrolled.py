@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle import figures
-from mantle.arrays import Floats, Ints
-from mantle.results.reading import EDGES, FACES, Run
-from mantle.schema.geometries import Sides
+from app import figures
+from app.arrays import Floats, Ints
+from app.results.reading import EDGES, FACES, Run
+from app.schema.geometries import Sides
 
 # The angle runs from here by 360 degrees.
 SEAM = -90.0

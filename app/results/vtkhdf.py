@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from mantle import files
+from app import files
 
 Array = npt.NDArray[Any]
 

@@ -17,12 +17,12 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from mantle.arrays import Ints
-from mantle.errors import InputError
-from mantle.meshes.contact_facets import InterfaceFacets, gather, sorted_facets
-from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import Holds
-from mantle.scene.terms import ContactTerm, RigidBody, Support, ThermalContact
+from app.arrays import Ints
+from app.errors import InputError
+from app.scene.terms import ContactTerm, RigidBody, Support, ThermalContact
+from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
+from meshes.distribute import TaggedMesh
+from meshes.interfaces import Holds
 
 FACET_VERTICES = basix.topology(basix.CellType.tetrahedron)[2]
 FACET_EDGES = basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2]

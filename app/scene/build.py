@@ -11,11 +11,10 @@ from functools import singledispatch
 
 import numpy as np
 
-from mantle.forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
-from mantle.scene.build_heat import fibre_of, field, heat
-from mantle.scene.laws import BondTerm, Coulomb, CoulombByPenalty, InterfaceLaw
-from mantle.scene.loads import BodyForceTerm, Field, ForceTerm, LoadTerm, PressureTerm
-from mantle.scene.terms import (
+from app.scene.build_heat import fibre_of, field, heat
+from app.scene.laws import BondTerm, Coulomb, CoulombByPenalty, InterfaceLaw
+from app.scene.loads import BodyForceTerm, Field, ForceTerm, LoadTerm, PressureTerm
+from app.scene.terms import (
     ContactTerm,
     EigenstrainTerm,
     Elastic,
@@ -25,8 +24,9 @@ from mantle.scene.terms import (
     SceneStage,
     Support,
 )
-from mantle.schema import config
-from mantle.schema.shapes import Sides
+from app.schema import config
+from app.schema.shapes import Sides
+from forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
 
 
 def build_scene(case: config.Case) -> Scene:

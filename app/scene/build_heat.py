@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.scene.fibres import Fibre
-from mantle.scene.loads import Field
-from mantle.scene.terms import (
+from app.arrays import Floats
+from app.errors import InputError
+from app.scene.fibres import Fibre
+from app.scene.loads import Field
+from app.scene.terms import (
     AutocatalyticCure,
     ConductorTerm,
     ConvectionTerm,
@@ -29,9 +29,9 @@ from mantle.scene.terms import (
     ThermalContact,
     TimeStepping,
 )
-from mantle.schema import config
-from mantle.schema.fibres import FibreDirection
-from mantle.schema.shapes import Sides
+from app.schema import config
+from app.schema.fibres import FibreDirection
+from app.schema.shapes import Sides
 
 
 def heat(case: config.Case, sides: Mapping[str, Sides]) -> dict[str, Any]:

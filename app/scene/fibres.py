@@ -10,8 +10,8 @@ import numpy as np
 from ufl import SpatialCoordinate
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats
-from mantle.forms import fibres
+from app.arrays import Floats
+from forms import fibres
 
 Vector = tuple[float, float, float]
 

@@ -13,20 +13,20 @@ import numpy as np
 from dolfinx import fem
 from dolfinx.common import IndexMap
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.errors import InputError
-from mantle.meshes.contact_faces import projectors
-from mantle.meshes.contact_facets import (
+from app.arrays import Bools, Floats, Ints
+from app.errors import InputError
+from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, held_vertices
+from app.scene.terms import Scene, Support
+from meshes.contact_faces import projectors
+from meshes.contact_facets import (
     NODES,
     InterfaceFacets,
     gather,
     nodal_normals,
     shape_functions,
 )
-from mantle.meshes.distribute import TaggedMesh
-from mantle.meshes.interfaces import Holds
-from mantle.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, held_vertices
-from mantle.scene.terms import Scene, Support
+from meshes.distribute import TaggedMesh
+from meshes.interfaces import Holds
 
 # Directions are one within about a milliradian: squares of sines below this are zero.
 ONE = 1e-6

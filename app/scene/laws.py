@@ -17,9 +17,9 @@ from ufl import as_ufl, as_vector, diff, variable
 from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats
-from mantle.forms.contact import STICK, components, contact_law
-from mantle.schema.run_options import USUAL_AUGMENTATION
+from app.arrays import Floats
+from app.schema.run_options import USUAL_AUGMENTATION
+from forms.contact import STICK, components, contact_law
 
 Shapes = Mapping[str, tuple[int, ...]]
 

@@ -14,8 +14,8 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats
-from mantle.forms import loads
+from app.arrays import Floats
+from forms import loads
 
 # Values at points (n, 3) [mm].
 Field = Callable[[Floats], Floats]

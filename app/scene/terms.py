@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from ufl.core.expr import Expr
 
-from mantle.arrays import Floats
-from mantle.forms import elasticity, loads
-from mantle.scene.fibres import Fibre
-from mantle.scene.laws import BondTerm, InterfaceLaw
-from mantle.scene.loads import Field, LoadTerm
+from app.arrays import Floats
+from app.scene.fibres import Fibre
+from app.scene.laws import BondTerm, InterfaceLaw
+from app.scene.loads import Field, LoadTerm
+from forms import elasticity, loads
 
 
 def amplitude(history: Sequence[float], time: float) -> float:

@@ -1,4 +1,4 @@
 """The case: from YAML to frozen data that are valid, without the solver stack.
 
-It imports `mantle.errors` and the small shapes of `mantle.meshes`. Begin with `config`.
+It imports `app.errors` and the small shapes of `meshes`. Begin with `config`.
 """

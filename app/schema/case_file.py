@@ -19,8 +19,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from mantle.errors import GeometryError, InputError
-from mantle.schema.yaml_text import (
+from app.errors import GeometryError, InputError
+from app.schema.yaml_text import (
     LONGEST,
     MOST_NODES,
     TOO_MANY,

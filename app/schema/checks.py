@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from mantle.errors import Reason
-from mantle.schema import thermal_checks
-from mantle.schema.case_file import Fault, Path
-from mantle.schema.case_parts import CaseParts
-from mantle.schema.femurs import Femur, IntactFemur
-from mantle.schema.fields import did_you_mean
-from mantle.schema.materials import Conductor, Rigid
-from mantle.schema.quantities import of_run
-from mantle.schema.shapes import STRAIGHT
+from app.errors import Reason
+from app.schema import thermal_checks
+from app.schema.case_file import Fault, Path
+from app.schema.case_parts import CaseParts
+from app.schema.femurs import Femur, IntactFemur
+from app.schema.fields import did_you_mean
+from app.schema.materials import Conductor, Rigid
+from app.schema.quantities import of_run
+from app.schema.shapes import STRAIGHT
 
 
 def cross_check(parts: CaseParts) -> list[Fault]:

@@ -14,11 +14,11 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from mantle.schema.expressions import Varying
-from mantle.schema.fields import ITEMS, TAG, Extensible, Kinds, Name, Section, Word, fail, show
-from mantle.schema.materials import History
-from mantle.schema.units import Axis, Dimension, ForceVector, Length, Stiffness, Stress
-from mantle.schema.vectors import Triple, spread_unit
+from app.schema.expressions import Varying
+from app.schema.fields import ITEMS, TAG, Extensible, Kinds, Name, Section, Word, fail, show
+from app.schema.materials import History
+from app.schema.units import Axis, Dimension, ForceVector, Length, Stiffness, Stress
+from app.schema.vectors import Triple, spread_unit
 
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 ForceDensityField = Annotated[

@@ -18,11 +18,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from mantle.errors import InputError
-from mantle.schema import case_file, checks, layers, study_options
-from mantle.schema.case_file import CaseFile, Fault
-from mantle.schema.case_parts import CaseParts
-from mantle.schema.conditions import (
+from app.errors import InputError
+from app.schema import case_file, checks, layers, study_options
+from app.schema.case_file import CaseFile, Fault
+from app.schema.case_parts import CaseParts
+from app.schema.conditions import (
     BodyForce,
     Displacement,
     Fixed,
@@ -34,8 +34,8 @@ from mantle.schema.conditions import (
     Roller,
     Support,
 )
-from mantle.schema.expressions import evaluate
-from mantle.schema.fields import (
+from app.schema.expressions import evaluate
+from app.schema.fields import (
     ITEMS,
     MAPPING,
     RENEWALS,
@@ -44,7 +44,7 @@ from mantle.schema.fields import (
     Text,
     Word,
 )
-from mantle.schema.geometries import (
+from app.schema.geometries import (
     Block,
     Blocks,
     Cylinders,
@@ -54,9 +54,9 @@ from mantle.schema.geometries import (
     MeshFile,
     MeshOptions,
 )
-from mantle.schema.interfaces import Bonded, Contact, Interface, InterfaceSection, Penalty
-from mantle.schema.json_schema import json_schema, over_a_base
-from mantle.schema.materials import (
+from app.schema.interfaces import Bonded, Contact, Interface, InterfaceSection, Penalty
+from app.schema.json_schema import json_schema, over_a_base
+from app.schema.materials import (
     Conductor,
     Eigenstrain,
     Isotropic,
@@ -64,9 +64,9 @@ from mantle.schema.materials import (
     Rigid,
     TransverselyIsotropic,
 )
-from mantle.schema.run_options import OutputOptions, Probe, SolverOptions, Stage
-from mantle.schema.study_options import Study
-from mantle.schema.thermal_options import (
+from app.schema.run_options import OutputOptions, Probe, SolverOptions, Stage
+from app.schema.study_options import Study
+from app.schema.thermal_options import (
     Autocatalytic,
     Convection,
     Cure,
@@ -80,8 +80,8 @@ from mantle.schema.thermal_options import (
     Thermal,
     TimeOptions,
 )
-from mantle.schema.validation import problems
-from mantle.schema.variation_options import Variations, every, expand, titled
+from app.schema.validation import problems
+from app.schema.variation_options import Variations, every, expand, titled
 
 __all__ = [
     "Autocatalytic",

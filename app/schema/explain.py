@@ -14,11 +14,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from mantle import configs
-from mantle.errors import InputError
-from mantle.schema import case_file, reference
-from mantle.schema.config import Case
-from mantle.schema.json_schema import docstrings
+import configs
+from app.errors import InputError
+from app.schema import case_file, reference
+from app.schema.config import Case
+from app.schema.json_schema import docstrings
 
 WIDTH = 96
 # Keys that the text of another tells of.

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from pydantic import GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from mantle.errors import InputError
-from mantle.schema.fields import Scalar, did_you_mean, fail
-from mantle.schema.units import NUMBER, Dimension
+from app.errors import InputError
+from app.schema.fields import Scalar, did_you_mean, fail
+from app.schema.units import NUMBER, Dimension
 
 if TYPE_CHECKING:
     import numpy as np

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 from pydantic import model_validator
 
-from mantle.schema.divided_cells import Point3
-from mantle.schema.fields import fail
-from mantle.schema.shapes import Mantle, MeshOptions, Shape, Sides
-from mantle.schema.units import Angle, Dimension, Length, PositiveLength
+from app.schema.divided_cells import Point3
+from app.schema.fields import fail
+from app.schema.shapes import Mantle, MeshOptions, Shape, Sides
+from app.schema.units import Angle, Dimension, Length, PositiveLength
 
 BONE = ("cortical_bone", "cancellous_bone")
 # Where the middle of each muscle's insertion lies on the bone (mm); as in `meshes.femur_bone`.

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, GetCoreSchemaHandler
 from pydantic_core import core_schema
 
-from mantle.schema.fields import TAG, Kinds, Section
-from mantle.schema.units import Axis, Length
-from mantle.schema.vectors import Triple
+from app.schema.fields import TAG, Kinds, Section
+from app.schema.units import Axis, Length
+from app.schema.vectors import Triple
 
 
 class Circumferential(Section):

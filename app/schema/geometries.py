@@ -14,17 +14,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from mantle.schema.femurs import Femur, IntactFemur
-from mantle.schema.fields import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
-from mantle.schema.gmsh_file import (
+from app.schema.femurs import Femur, IntactFemur
+from app.schema.fields import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
+from app.schema.gmsh_file import (
     content,
     counts,
     empty_volumes,
     is_script,
     physical_names,
 )
-from mantle.schema.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
-from mantle.schema.units import Angle, PositiveLength, SizeVector
+from app.schema.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
+from app.schema.units import Angle, PositiveLength, SizeVector
 
 __all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
 __all__ += ["MeshOptions", "Sides"]

@@ -9,8 +9,8 @@ import struct
 from functools import lru_cache
 from pathlib import Path
 
-from mantle import configs
-from mantle.schema.gmsh_cells import with_cells
+import configs
+from app.schema.gmsh_cells import with_cells
 
 ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.

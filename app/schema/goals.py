@@ -6,9 +6,9 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
-from mantle.errors import InputError
-from mantle.schema import quantities
-from mantle.schema.fields import fail, show
+from app.errors import InputError
+from app.schema import quantities
+from app.schema.fields import fail, show
 
 # The mean of slip is none: slip counts in contact alone, so that points that open take it along,
 # which a derivative does not see (on the femur it missed an error of 15 %).

@@ -6,11 +6,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
 
-from mantle.schema.expressions import Varying
-from mantle.schema.fields import Extensible, Kinds, fail
-from mantle.schema.materials import History
-from mantle.schema.thermal_options import Conductance, FrictionHeating, PressureConductance
-from mantle.schema.units import Dimension, NonNegativeNumber, PositiveStiffness
+from app.schema.expressions import Varying
+from app.schema.fields import Extensible, Kinds, fail
+from app.schema.materials import History
+from app.schema.thermal_options import Conductance, FrictionHeating, PressureConductance
+from app.schema.units import Dimension, NonNegativeNumber, PositiveStiffness
 
 LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
 

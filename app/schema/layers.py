@@ -16,14 +16,14 @@ from typing import Any
 
 from pydantic_core import PydanticCustomError
 
-from mantle import configs
-from mantle.errors import InputError
-from mantle.schema import case_file, library
-from mantle.schema.case_file import CaseFile, Fault, Path, Place
-from mantle.schema.fields import did_you_mean, show
-from mantle.schema.units import FORCE
-from mantle.schema.vectors import VECTOR, Triple
-from mantle.schema.yaml_text import MOST_NODES, TOO_MANY, BadYaml
+import configs
+from app.errors import InputError
+from app.schema import case_file, library
+from app.schema.case_file import CaseFile, Fault, Path, Place
+from app.schema.fields import did_you_mean, show
+from app.schema.units import FORCE
+from app.schema.vectors import VECTOR, Triple
+from app.schema.yaml_text import MOST_NODES, TOO_MANY, BadYaml
 
 MOST_BASES = 10
 # What a region keeps when it gets another material.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
-from mantle import configs
-from mantle.errors import InputError
-from mantle.schema import case_file
-from mantle.schema.case_file import CaseFile, Fault
-from mantle.schema.fields import did_you_mean, show
+import configs
+from app.errors import InputError
+from app.schema import case_file
+from app.schema.case_file import CaseFile, Fault
+from app.schema.fields import did_you_mean, show
 
 SHIPPED = configs.FOLDER / "library" / "library.yaml"
 # What an entry says beside its values.

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mantle.schema import config, layers
-from mantle.schema.case_file import CaseFile
-from mantle.schema.config import Case, Varied
+from app.schema import config, layers
+from app.schema.case_file import CaseFile
+from app.schema.config import Case, Varied
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, model_validator
 
-from mantle.schema.fibres import FibreDirection
-from mantle.schema.fields import ITEMS, Kinds, Section, Text, Word, fail, show
-from mantle.schema.thermal_options import Thermal
-from mantle.schema.units import Modulus, Number
+from app.schema.fibres import FibreDirection
+from app.schema.fields import ITEMS, Kinds, Section, Text, Word, fail, show
+from app.schema.thermal_options import Thermal
+from app.schema.units import Modulus, Number
 
 Tissue = Annotated[Literal["bone", "cement", "implant", "other"], Word()]
 History = Annotated[tuple[Number, ...], ITEMS] | None

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import partial, reduce
 from typing import Any
 
-from mantle.schema.fields import did_you_mean, fail, show
-from mantle.schema.units import Dimension, Plain, TemperatureDifference
+from app.schema.fields import did_you_mean, fail, show
+from app.schema.units import Dimension, Plain, TemperatureDifference
 
 # Orders of convergence of P1 and P2 that give the best estimates of errors (docs/verification.md):
 # of what goes with the displacement, of tractions, of stress, of temperature.
@@ -134,7 +134,7 @@ TABLE: dict[str, dict[str, Quantity]] = {
 }
 
 
-def add(*quantities: Quantity) -> None:
+def add_quantity(*quantities: Quantity) -> None:
     """Publish quantities.
 
     Raises:
@@ -161,7 +161,7 @@ for _key, _word, _unit, _shown, _digits, _order in (
     _how = partial(_interface, unit=_unit, shown=_shown, digits=_digits)
     # One per cent of a stem's surface is its tip, where tractions grow with refinement.
     _main = "p95" if _order is TRACTION else "p99"
-    add(
+    add_quantity(
         _how(f"{_key}_max", label=f"{_word}, max", peak=True, history=_key != "slip_path"),
         *(
             _how(
@@ -175,7 +175,7 @@ for _key, _word, _unit, _shown, _digits, _order in (
         ),
         _how(f"{_key}_mean", label=f"{_word}, mean", order=MOTION),
     )
-add(
+add_quantity(
     _interface("penetration_max", "mm", "um", exact=True, history=True, headline=True),
     _interface("penetration_sampled", "mm", "um", exact=True),
     _interface("penetration_mean", "mm", "um", exact=True),
@@ -211,7 +211,7 @@ add(
 _heated = partial(Quantity, "thermal.regions", order=HEAT, digits=1)
 _between = partial(Quantity, "thermal.interfaces", order=HEAT, digits=1)
 _cure = partial(Quantity, "cure", order=HEAT, digits=4)
-add(
+add_quantity(
     _heated("temperature_max", "degC", headline=True),
     *(_heated(f"temperature_{what}", "degC") for what in ("min", "mean", "end_max")),
     _heated("temperature_max_time", "s"),

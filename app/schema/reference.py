@@ -12,13 +12,13 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from mantle.schema.config import Case
-from mantle.schema.expressions import Varying
-from mantle.schema.fields import Scalar
-from mantle.schema.json_schema import docstrings
-from mantle.schema.study_options import StudyFile
-from mantle.schema.sweep_options import Sweep
-from mantle.schema.units import ConductancePerArea, Dimension, Plain
+from app.schema.config import Case
+from app.schema.expressions import Varying
+from app.schema.fields import Scalar
+from app.schema.json_schema import docstrings
+from app.schema.study_options import StudyFile
+from app.schema.sweep_options import Sweep
+from app.schema.units import ConductancePerArea, Dimension, Plain
 
 NUMBERS = {2: "two", 3: "three", 6: "six"}
 # So many equal rows of two kinds are written once; bounds beyond this keep overflows out.
@@ -160,7 +160,7 @@ def variants(model: type[BaseModel]) -> list[type[BaseModel]]:
     if kind is None or get_args(kind.annotation):
         return [model]
     # Kinds that somebody has added from outside are not the program's.
-    below = [c for c in model.__subclasses__() if c.__module__.startswith("mantle.")]
+    below = [c for c in model.__subclasses__() if c.__module__.startswith("app.")]
     return list(dict.fromkeys(v for c in below for v in variants(c)))
 
 

@@ -13,10 +13,10 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from mantle.schema.conditions import Point
-from mantle.schema.fields import MAPPING, Name, Section, Truth, Word, fail, show
-from mantle.schema.goals import Goal
-from mantle.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
+from app.schema.conditions import Point
+from app.schema.fields import MAPPING, Name, Section, Truth, Word, fail, show
+from app.schema.goals import Goal
+from app.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
 
 USUAL_AUGMENTATION = 0.2
 

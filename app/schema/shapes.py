@@ -9,10 +9,10 @@ from typing import Annotated
 
 from pydantic import ValidationInfo, field_validator, model_validator
 
-from mantle.schema import divided_cells
-from mantle.schema.divided_cells import Point3
-from mantle.schema.fields import Section, Truth, fail, show
-from mantle.schema.units import Plain, PositiveLength
+from app.schema import divided_cells
+from app.schema.divided_cells import Point3
+from app.schema.fields import Section, Truth, fail, show
+from app.schema.units import Plain, PositiveLength
 
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 

@@ -7,9 +7,9 @@ import re
 import textwrap
 from pathlib import Path
 
-from mantle import configs
-from mantle.errors import InputError
-from mantle.schema import gmsh_file
+import configs
+from app.errors import InputError
+from app.schema import gmsh_file
 
 FOLDER = configs.FOLDER / "start"
 KINDS = ("femur", "cylinders", "blocks", "file")

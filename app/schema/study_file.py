@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mantle.errors import InputError
-from mantle.schema import case_file, checks, config, layers, study_options, validation
-from mantle.schema.case_file import CaseFile, Fault
-from mantle.schema.study_options import Study, StudyFile
+from app.errors import InputError
+from app.schema import case_file, checks, config, layers, study_options, validation
+from app.schema.case_file import CaseFile, Fault
+from app.schema.study_options import Study, StudyFile
 
 # A study has no use for the variations of its case.
 ALONE = ("variations={}",)

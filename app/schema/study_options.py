@@ -10,10 +10,10 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mantle.errors import InputError
-from mantle.schema import quantities
-from mantle.schema.fields import ITEMS, MAPPING, Name, Section, Text, fail, show
-from mantle.schema.units import PositiveNumber
+from app.errors import InputError
+from app.schema import quantities
+from app.schema.fields import ITEMS, MAPPING, Name, Section, Text, fail, show
+from app.schema.units import PositiveNumber
 
 
 def known_value(quantity: str, value: object) -> float:

@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from mantle.errors import InputError
-from mantle.schema import case_file, config, layers, study_options, validation
-from mantle.schema.case_file import CaseFile, Fault
-from mantle.schema.sweep_options import Sweep, SweepPoint, expand
+from app.errors import InputError
+from app.schema import case_file, config, layers, study_options, validation
+from app.schema.case_file import CaseFile, Fault
+from app.schema.sweep_options import Sweep, SweepPoint, expand
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mantle.schema.case_file import Path
-from mantle.schema.fields import MAPPING, Name, Section, Text, Word, fail, show
-from mantle.schema.study_options import Changes, Line, check_ranks, steps
-from mantle.schema.variation_options import Variation, axes, labels, short_keys
+from app.schema.case_file import Path
+from app.schema.fields import MAPPING, Name, Section, Text, Word, fail, show
+from app.schema.study_options import Changes, Line, check_ranks, steps
+from app.schema.variation_options import Variation, axes, labels, short_keys
 
 # Random designs of samples to choose from.
 DESIGNS = 20

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from mantle.schema.case_file import Fault
-from mantle.schema.case_parts import CaseParts
-from mantle.schema.fields import did_you_mean
-from mantle.schema.materials import Conductor
-from mantle.schema.thermal_options import Convection, FixedTemperature, Perfusion
+from app.schema.case_file import Fault
+from app.schema.case_parts import CaseParts
+from app.schema.fields import did_you_mean
+from app.schema.materials import Conductor
+from app.schema.thermal_options import Convection, FixedTemperature, Perfusion
 
 
 def cross_check(parts: CaseParts) -> Iterable[Fault]:

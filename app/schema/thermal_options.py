@@ -16,10 +16,10 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from mantle.schema.expressions import Varying
-from mantle.schema.fibres import FibreDirection
-from mantle.schema.fields import ITEMS, TAG, Kinds, Name, Scalar, Section, Word, fail, show
-from mantle.schema.units import (
+from app.schema.expressions import Varying
+from app.schema.fibres import FibreDirection
+from app.schema.fields import ITEMS, TAG, Kinds, Name, Scalar, Section, Word, fail, show
+from app.schema.units import (
     NUMBER,
     AbsoluteTemperature,
     ActivationEnergy,
@@ -42,7 +42,7 @@ from mantle.schema.units import (
     SpecificHeat,
     Temperature,
 )
-from mantle.schema.vectors import Pair
+from app.schema.vectors import Pair
 
 Table = tuple[tuple[float, float], ...]
 

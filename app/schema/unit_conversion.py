@@ -10,9 +10,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mantle import files
-from mantle.errors import MantleError
-from mantle.system import folders
+from app import files
+from app.errors import MantleError
+from app.system import folders
 
 UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
 # Powers of powers would cost more than they can mean.

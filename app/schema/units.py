@@ -18,9 +18,9 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from mantle.schema.fields import Scalar, did_you_mean, fail, show
-from mantle.schema.unit_conversion import conversion
-from mantle.schema.vectors import Triple
+from app.schema.fields import Scalar, did_you_mean, fail, show
+from app.schema.unit_conversion import conversion
+from app.schema.vectors import Triple
 
 NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
 NOT_FINITE = re.compile(r"\s*[+-]?\.?(inf(inity)?|nan)\b", re.IGNORECASE)

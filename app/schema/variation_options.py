@@ -15,9 +15,9 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from mantle.schema.case_file import CaseFile, Path, words
-from mantle.schema.fields import MAPPING, Name, did_you_mean, fail, show
-from mantle.system.layout import plain
+from app.schema.case_file import CaseFile, Path, words
+from app.schema.fields import MAPPING, Name, did_you_mean, fail, show
+from app.system.layout import plain
 
 # The name of the entry whose lists multiply.
 GRID = "grid"

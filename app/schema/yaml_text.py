@@ -14,7 +14,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import Node
 from ruamel.yaml.reader import ReaderError
 
-from mantle.errors import InputError
+from app.errors import InputError
 
 MOST_NODES = 100_000
 TOO_MANY = "too many or too deeply nested values (an alias inside itself?)"

@@ -15,15 +15,15 @@ from mpi4py import MPI  # before h5py, which may be built for MPI
 
 import numpy as np
 
-from mantle.errors import InputError, agree, everywhere
-from mantle.numerics.state import Rows, State
-from mantle.results.output import on_root
-from mantle.schema import config
-from mantle.simulation.checkpoint_file import FORMAT, Checkpoint, DamagedError, read, write
-from mantle.simulation.model import Model
-from mantle.simulation.recorder import Recorder
-from mantle.system import folders, privacy
-from mantle.version import __version__
+from app.errors import InputError, agree, everywhere
+from app.numerics.state import Rows, State
+from app.results.output import on_root
+from app.schema import config
+from app.simulation.checkpoint_file import FORMAT, Checkpoint, DamagedError, read, write
+from app.simulation.model import Model
+from app.simulation.recorder import Recorder
+from app.system import folders, privacy
+from app.version import __version__
 
 log = logging.getLogger("mantle")
 

@@ -22,10 +22,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle.errors import InputError
-from mantle.numerics.state import Array, Rows, State
-from mantle.soundness import sizing
-from mantle.system.folders import write_bytes
+from app.errors import InputError
+from app.numerics.state import Array, Rows, State
+from app.soundness import sizing
+from app.system.folders import write_bytes
 
 # Of the layout of the file.
 FORMAT = 4

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mantle.results import goal
-from mantle.results.output import DIVIDED, GOAL_MAP, on_root
-from mantle.results.quantities import Samples
-from mantle.schema import config, divided_cells, quantities
-from mantle.simulation.model import Model
-from mantle.system.folders import write_text
+from app.results import goal
+from app.results.output import DIVIDED, GOAL_MAP, on_root
+from app.results.quantities import Samples
+from app.schema import config, divided_cells, quantities
+from app.simulation.model import Model
+from app.system.folders import write_text
 
 log = logging.getLogger("mantle")
 

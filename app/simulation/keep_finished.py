@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mantle.errors import InputError
-from mantle.results.log import check_usable
-from mantle.schema import case_file, config
-from mantle.schema.loaded_case import LoadedCase
-from mantle.soundness import sizing
-from mantle.system import folders, identity, privacy
+from app.errors import InputError
+from app.results.log import check_usable
+from app.schema import case_file, config
+from app.schema.loaded_case import LoadedCase
+from app.soundness import sizing
+from app.system import folders, identity, privacy
 
 
 def finished(folder: Path, case: config.Case) -> bool:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.mechanics.neighbours import Neighbours
-from mantle.mechanics.problem import Problem
-from mantle.numerics.newton import Solver
-from mantle.results.balance import Balance
-from mantle.results.bond_strength import Bond, bonds
-from mantle.results.stresses import Stresses
-from mantle.scene.terms import Scene
-from mantle.system.timing import Timing
+from app.mechanics.neighbours import Neighbours
+from app.mechanics.problem import Problem
+from app.numerics.newton import Solver
+from app.results.balance import Balance
+from app.results.bond_strength import Bond, bonds
+from app.results.stresses import Stresses
+from app.scene.terms import Scene
+from app.system.timing import Timing
 
 
 class Mechanical:

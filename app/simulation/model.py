@@ -11,37 +11,34 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle import meshes
-from mantle.heat.conduction import Conduction
-from mantle.heat.system import HeatSystem
-from mantle.mechanics.prediction import Predictor
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.mechanics.systems import ContactSystem, mechanical
-from mantle.meshes.data import MeshData
-from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.meshes.parts import Parts
-from mantle.numerics.newton import Solver
-from mantle.numerics.state import State
-from mantle.numerics.system import System
-from mantle.results import gruen, quantities
-from mantle.results.field_output import HeatFields, Layer
-from mantle.results.mechanical_fields import MechanicalFields
-from mantle.results.output import on_root
-from mantle.results.quantities import Samples
-from mantle.results.stem_motion import stem_motion
-from mantle.scene.build import build_scene
-from mantle.scene.terms import Scene, SceneStage
-from mantle.schema import config
-from mantle.simulation import related
-from mantle.simulation.mechanical_model import Mechanical
-from mantle.simulation.thermal_model import ThermalModel
-from mantle.soundness import case_on_mesh, cost
-from mantle.stepping.contact_heat import ContactHeat
-from mantle.stepping.coupling import CoupledSystem
-from mantle.stepping.heat_steps import HeatState, HeatStep
-from mantle.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
-from mantle.stepping.nested_start import Nested
-from mantle.stepping.stages import (
+import meshes
+from app.heat.conduction import Conduction
+from app.heat.system import HeatSystem
+from app.mechanics.prediction import Predictor
+from app.mechanics.problem import Problem, TrialState
+from app.mechanics.systems import ContactSystem, mechanical
+from app.numerics.newton import Solver
+from app.numerics.state import State
+from app.numerics.system import System
+from app.results import gruen, quantities
+from app.results.field_output import HeatFields, Layer
+from app.results.mechanical_fields import MechanicalFields
+from app.results.output import on_root
+from app.results.quantities import Samples
+from app.results.stem_motion import stem_motion
+from app.scene.build import build_scene
+from app.scene.terms import Scene, SceneStage
+from app.schema import config
+from app.simulation import related
+from app.simulation.mechanical_model import Mechanical
+from app.simulation.thermal_model import ThermalModel
+from app.soundness import case_on_mesh, cost
+from app.stepping.contact_heat import ContactHeat
+from app.stepping.coupling import CoupledSystem
+from app.stepping.heat_steps import HeatState, HeatStep
+from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
+from app.stepping.nested_start import Nested
+from app.stepping.stages import (
     HeatStepper,
     MechanicsBesideHeat,
     OnHeat,
@@ -49,9 +46,12 @@ from mantle.stepping.stages import (
     SolvedWithHeat,
     run_stages,
 )
-from mantle.stepping.staggered import Staggered
-from mantle.system import folders
-from mantle.system.timing import Timing
+from app.stepping.staggered import Staggered
+from app.system import folders
+from app.system.timing import Timing
+from meshes.data import MeshData
+from meshes.distribute import TaggedMesh, distribute
+from meshes.parts import Parts
 
 log = logging.getLogger("mantle")
 
@@ -329,7 +329,7 @@ class Model:
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
         for m in self.mechanics:
             if self._case.geometry.has_gruen_zones:
-                from mantle.meshes.gruen import Zones  # brings scipy, which few runs need
+                from meshes.gruen import Zones  # brings scipy, which few runs need
 
                 zones = Zones(self._case.geometry)
                 found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)

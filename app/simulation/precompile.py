@@ -1,6 +1,6 @@
 """Compile what the shipped cases need, when an image is built.
 
-    python3 -m mantle.simulation.precompile
+    python3 -m app.simulation.precompile
 
 Compiled forms depend on materials, laws and orders, not on the mesh: each case is set up, not
 solved, with elements of first and second order. Each in a process of its own, as when it is run:
@@ -23,17 +23,18 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle import configs, meshes
-from mantle.mechanics.points import PointLaw
-from mantle.meshes.data import MeshData
-from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.meshes.tags import number
-from mantle.scene.laws import Coulomb
-from mantle.schema import config
-from mantle.schema.femurs import BONE, Femur, IntactFemur
-from mantle.simulation.model import Model
-from mantle.system import form_cache
-from mantle.system.timing import Timing
+import configs
+import meshes
+from app.mechanics.points import PointLaw
+from app.scene.laws import Coulomb
+from app.schema import config
+from app.schema.femurs import BONE, Femur, IntactFemur
+from app.simulation.model import Model
+from app.system import form_cache
+from app.system.timing import Timing
+from meshes.data import MeshData
+from meshes.distribute import TaggedMesh, distribute
+from meshes.tags import number
 
 log = logging.getLogger("mantle")
 
@@ -96,7 +97,7 @@ def laws() -> None:
 
 def _alone(arguments: tuple[str, ...]) -> None:
     begin = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "mantle.simulation.precompile", *arguments], check=True)
+    subprocess.run([sys.executable, "-m", "app.simulation.precompile", *arguments], check=True)
     log.info("%s: %.1f s", " ".join(arguments), time.perf_counter() - begin)
 
 

@@ -11,25 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from mantle.errors import StoppedError
-from mantle.forms.contact import OPEN, SLIP
-from mantle.heat.nodes import ProbedPoint
-from mantle.mechanics.problem import TrialState
-from mantle.numerics.state import State
-from mantle.results import log as text
-from mantle.results.balance import Balance
-from mantle.results.displacement_probes import DisplacementProbes
-from mantle.results.output import UNITS, Writer
-from mantle.results.quantities import Samples
-from mantle.scene.terms import SceneStage
-from mantle.schema import config
-from mantle.schema.quantities import TABLE
-from mantle.simulation.mechanical_model import Mechanical
-from mantle.simulation.model import Model
-from mantle.soundness import uniqueness
-from mantle.stepping.heat_steps import HeatStep
-from mantle.stepping.load_steps import LoadStep, Summary
-from mantle.system.timing import Timing, peak_memory
+from app.errors import StoppedError
+from app.heat.nodes import ProbedPoint
+from app.mechanics.problem import TrialState
+from app.numerics.state import State
+from app.results import log as text
+from app.results.balance import Balance
+from app.results.displacement_probes import DisplacementProbes
+from app.results.output import UNITS, Writer
+from app.results.quantities import Samples
+from app.scene.terms import SceneStage
+from app.schema import config
+from app.schema.quantities import TABLE
+from app.simulation.mechanical_model import Mechanical
+from app.simulation.model import Model
+from app.soundness import uniqueness
+from app.stepping.heat_steps import HeatStep
+from app.stepping.load_steps import LoadStep, Summary
+from app.system.timing import Timing, peak_memory
+from forms.contact import OPEN, SLIP
 
 log = logging.getLogger("mantle")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mantle.schema import config
+from app.schema import config
 
 # Unknowns from which a start from a cheaper model pays. Between 18 000 and 40 000 it takes as long
 # as none where that converges (within 10 %), and half as long where it does not: 7 iterations, not

@@ -14,7 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from mantle.errors import (
+from app.errors import (
     ConvergenceError,
     EnvironmentProblem,
     GeometryError,
@@ -22,26 +22,26 @@ from mantle.errors import (
     StoppedError,
     agree,
 )
-from mantle.numerics.condition import condition_number
-from mantle.numerics.snes import raw_options
-from mantle.results import error
-from mantle.results import log as text
-from mantle.results.output import Writer, on_root, provenance
-from mantle.schema import case_file, config
-from mantle.schema.loaded_case import LoadedCase
-from mantle.simulation import (
+from app.numerics.condition import condition_number
+from app.numerics.snes import raw_options
+from app.results import error
+from app.results import log as text
+from app.results.output import Writer, on_root, provenance
+from app.schema import case_file, config
+from app.schema.loaded_case import LoadedCase
+from app.simulation import (
     checkpoint,
     checkpoint_file,
     keep_finished,
     variations,
 )
-from mantle.simulation.checkpoint import Keeper
-from mantle.simulation.model import Model
-from mantle.simulation.recorder import OnAccepted, Recorder
-from mantle.soundness import case_on_mesh, unusual_input
-from mantle.system import blas_check, form_cache, privacy, ranks, stopping
-from mantle.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
-from mantle.system.timing import Timing
+from app.simulation.checkpoint import Keeper
+from app.simulation.model import Model
+from app.simulation.recorder import OnAccepted, Recorder
+from app.soundness import case_on_mesh, unusual_input
+from app.system import blas_check, form_cache, privacy, ranks, stopping
+from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
+from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
@@ -316,7 +316,7 @@ class Session:
                 A = m.solver.snes.getJacobian()[0]
                 summary["solver"]["condition"] = condition_number(A)
         if case.output.goal:
-            from mantle.simulation import goal_error  # brings scipy, which few runs need
+            from app.simulation import goal_error  # brings scipy, which few runs need
 
             with timing.phase("error"):
                 goal_error.add(case, model, recorder.samples, summary, output)

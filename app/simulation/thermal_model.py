@@ -6,16 +6,16 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from mantle.heat.first_contact import FirstContact
-from mantle.heat.flows import stored, through
-from mantle.heat.nodes import ProbedPoint
-from mantle.numerics.state import State
-from mantle.results.cure_quantities import CureRecord
-from mantle.results.heat_balance import HeatBalance
-from mantle.results.heat_passed import exchange
-from mantle.results.thermal_quantities import ThermalRecord
-from mantle.schema import config
-from mantle.stepping.heat_steps import HeatState, HeatStep
+from app.heat.first_contact import FirstContact
+from app.heat.flows import stored, through
+from app.heat.nodes import ProbedPoint
+from app.numerics.state import State
+from app.results.cure_quantities import CureRecord
+from app.results.heat_balance import HeatBalance
+from app.results.heat_passed import exchange
+from app.results.thermal_quantities import ThermalRecord
+from app.schema import config
+from app.stepping.heat_steps import HeatState, HeatStep
 
 # Heat below so many times what rounding leaves of it in a step is none.
 NOTHING = 1e7

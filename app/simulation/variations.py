@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mantle.schema import quantities
-from mantle.schema.config import Case, Varied
-from mantle.system import layout
-from mantle.system.folders import csv_text, write_json, write_text
+from app.schema import quantities
+from app.schema.config import Case, Varied
+from app.system import layout
+from app.system.folders import csv_text, write_json, write_text
 
 # Distance of two runs per step of a key: loads may merely scale, interfaces of other kinds share
 # little.

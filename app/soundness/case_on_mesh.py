@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.meshes.parts import Parts, parts
-from mantle.scene.build_heat import field
-from mantle.schema import config
-from mantle.schema.materials import Conductor, Rigid
-from mantle.soundness.fibre_axes import on_axis
-from mantle.soundness.free_motions import (
+from app.arrays import Floats
+from app.errors import InputError
+from app.scene.build_heat import field
+from app.schema import config
+from app.schema.materials import Conductor, Rigid
+from app.soundness.fibre_axes import on_axis
+from app.soundness.free_motions import (
     directions,
     gaps_of,
     groups_of,
@@ -29,9 +28,10 @@ from mantle.soundness.free_motions import (
     place,
     unheld,
 )
+from meshes.parts import Parts, parts
 
 if TYPE_CHECKING:
-    from mantle.meshes import MeshData
+    from meshes import MeshData
 
 
 # Gaps beyond this part of the interface or of the bodies are no small displacements, interferences

@@ -6,13 +6,13 @@ import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from mantle.schema.config import Case
-from mantle.schema.materials import Conductor, TransverselyIsotropic
-from mantle.schema.variation_options import expand
-from mantle.system.layout import count, duration, plain
+from app.schema.config import Case
+from app.schema.materials import Conductor, TransverselyIsotropic
+from app.schema.variation_options import expand
+from app.system.layout import count, duration, plain
 
 if TYPE_CHECKING:
-    from mantle.meshes import MeshData
+    from meshes import MeshData
 
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
@@ -157,7 +157,7 @@ def exact_size(case: Case, data: MeshData) -> str:
     """Cells, unknowns and memory of a mesh, and what the mesher noted."""
     import numpy as np
 
-    from mantle.meshes.data import EDGES, interface_facets
+    from meshes.data import EDGES, interface_facets
 
     tetrahedra = data.cells[:, :4]
     nodes = corners = len(np.unique(tetrahedra))

@@ -9,16 +9,16 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import Reason
-from mantle.forms.contact import OPEN
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.newton import NewtonResult, Solver
-from mantle.numerics.rigid_motions import add_relative, describe, rigid_modes
-from mantle.scene.bodies import bodies_at
-from mantle.soundness import uniqueness
+from app.arrays import Floats
+from app.errors import Reason
+from app.mechanics.jumps import Jumps
+from app.mechanics.problem import Problem, TrialState
+from app.numerics.active_set import ActiveSet
+from app.numerics.newton import NewtonResult, Solver
+from app.numerics.rigid_motions import add_relative, describe, rigid_modes
+from app.scene.bodies import bodies_at
+from app.soundness import uniqueness
+from forms.contact import OPEN
 
 # A rigid mode is free when the contact holds it by less than this fraction of the best-held one.
 _FREE = 1e-10

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats
-from mantle.meshes.parts import Parts
-from mantle.schema import config
-from mantle.schema.fibres import Circumferential
-from mantle.soundness.free_motions import place
+from app.arrays import Floats
+from app.schema import config
+from app.schema.fibres import Circumferential
+from app.soundness.free_motions import place
+from meshes.parts import Parts
 
 # An axis this close to a cell, in parts of its size, touches it.
 CLOSE = 1e-6

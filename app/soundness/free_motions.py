@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.meshes.parts import Parts, Piece
-from mantle.numerics.rigid_motions import describe, rigid_modes
-from mantle.scene.build_heat import field
-from mantle.scene.terms import gap_at
-from mantle.schema import config
+from app.arrays import Floats, Ints
+from app.numerics.rigid_motions import describe, rigid_modes
+from app.scene.build_heat import field
+from app.scene.terms import gap_at
+from app.schema import config
+from meshes.parts import Parts, Piece
 
 # A motion is free if what resists it is below this part of what resists any; contact without
 # friction hardly resists one that it is sloped against by less than so many degrees in the mean, or

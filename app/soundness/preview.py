@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mantle.schema.config import Case, Stage
-from mantle.schema.fields import Section
-from mantle.schema.materials import Rigid
-from mantle.schema.variation_options import expand
-from mantle.soundness.cost import solid
-from mantle.system.layout import plain
+from app.schema.config import Case, Stage
+from app.schema.fields import Section
+from app.schema.materials import Rigid
+from app.schema.variation_options import expand
+from app.soundness.cost import solid
+from app.system.layout import plain
 
 
 @dataclass(frozen=True)

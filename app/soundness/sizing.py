@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from mantle.errors import EnvironmentProblem
-from mantle.schema.case_file import CaseFile, Fault
-from mantle.schema.config import Case, MeshFile
-from mantle.soundness import cost
+from app.errors import EnvironmentProblem
+from app.schema.case_file import CaseFile, Fault
+from app.schema.config import Case, MeshFile
+from app.soundness import cost
 
 # Bytes that a run takes at least: in all, per unknown (measured: 6 kB) and per cell.
 BASE, PER_UNKNOWN, PER_CELL = 3e8, 4e3, 3e2

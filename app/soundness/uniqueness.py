@@ -49,10 +49,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import Reason
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.problem import Problem
+from app.arrays import Floats
+from app.errors import Reason
+from app.mechanics.jumps import Jumps
+from app.mechanics.problem import Problem
 
 log = logging.getLogger("mantle")
 

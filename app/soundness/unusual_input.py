@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from mantle.schema.config import Case
-from mantle.schema.fields import Section
-from mantle.schema.thermal_options import PressureConductance, Thermal
-from mantle.system.layout import plain
+from app.schema.config import Case
+from app.schema.fields import Section
+from app.schema.thermal_options import PressureConductance, Thermal
+from app.system.layout import plain
 
 # Data that some material has, in internal units: from foam to diamond and osmium. Absolute
 # temperatures between dry ice and burning.

@@ -26,14 +26,14 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.forms import interface_heat
-from mantle.heat.conduction import Conduction
-from mantle.mechanics.points import PointForces
-from mantle.mechanics.problem import ROUNDING, Problem, TrialState
-from mantle.numerics.sparse import from_triplets, owners
-from mantle.scene.bodies import contact_facets
-from mantle.scene.terms import Scene
+from app.arrays import Floats, Ints
+from app.heat.conduction import Conduction
+from app.mechanics.points import PointForces
+from app.mechanics.problem import ROUNDING, Problem, TrialState
+from app.numerics.sparse import from_triplets, owners
+from app.scene.bodies import contact_facets
+from app.scene.terms import Scene
+from forms import interface_heat
 
 
 @dataclass(frozen=True)

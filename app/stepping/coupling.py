@@ -15,17 +15,17 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.heat.conduction import Conduction
-from mantle.heat.system import HeatSystem
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.mechanics.systems import ContactSystem
-from mantle.numerics.deflation import CoarseSpace
-from mantle.numerics.preconditioners import INTERFACE, Options
-from mantle.numerics.sparse import from_triplets, matrix_sum
-from mantle.numerics.state import State
-from mantle.numerics.system import Measure, System
-from mantle.scene.terms import Scene
-from mantle.stepping.contact_heat import ContactHeat, PointDerivatives
+from app.heat.conduction import Conduction
+from app.heat.system import HeatSystem
+from app.mechanics.problem import Problem, TrialState
+from app.mechanics.systems import ContactSystem
+from app.numerics.deflation import CoarseSpace
+from app.numerics.preconditioners import INTERFACE, Options
+from app.numerics.sparse import from_triplets, matrix_sum
+from app.numerics.state import State
+from app.numerics.system import Measure, System
+from app.scene.terms import Scene
+from app.stepping.contact_heat import ContactHeat, PointDerivatives
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN

@@ -15,20 +15,20 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.heat.conduction import Conduction
-from mantle.heat.curing import as_temperature
-from mantle.heat.flows import flows
-from mantle.numerics import integrator
-from mantle.numerics.integrator import METHODS, Method, State
-from mantle.numerics.newton import NewtonResult
-from mantle.numerics.state import State as SavedState
-from mantle.scene.terms import Scene
-from mantle.stepping import stability
-from mantle.stepping.coupling import CoupledSystem
-from mantle.stepping.load_steps import Summary
-from mantle.stepping.staggered import Staggered
-from mantle.stepping.thermal_loading import ThermalLoading, Warmth
+from app.arrays import Floats
+from app.heat.conduction import Conduction
+from app.heat.curing import as_temperature
+from app.heat.flows import flows
+from app.numerics import integrator
+from app.numerics.integrator import METHODS, Method, State
+from app.numerics.newton import NewtonResult
+from app.numerics.state import State as SavedState
+from app.scene.terms import Scene
+from app.stepping import stability
+from app.stepping.coupling import CoupledSystem
+from app.stepping.load_steps import Summary
+from app.stepping.staggered import Staggered
+from app.stepping.thermal_loading import ThermalLoading, Warmth
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
 FIRST = 1e-3

@@ -11,15 +11,15 @@ import time as clock
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
-from mantle.errors import ConvergenceError, Reason
-from mantle.mechanics.prediction import Extrapolation, Predictor, same
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.numerics.newton import NewtonResult, Solver
-from mantle.numerics.state import State
-from mantle.scene.terms import SceneStage
-from mantle.soundness.diagnosis import explain, runaway
-from mantle.soundness.facet_support import held_by_facets
-from mantle.system.progress import during
+from app.errors import ConvergenceError, Reason
+from app.mechanics.prediction import Extrapolation, Predictor, same
+from app.mechanics.problem import Problem, TrialState
+from app.numerics.newton import NewtonResult, Solver
+from app.numerics.state import State
+from app.scene.terms import SceneStage
+from app.soundness.diagnosis import explain, runaway
+from app.soundness.facet_support import held_by_facets
+from app.system.progress import during
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0

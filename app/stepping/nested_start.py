@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.errors import MantleError, StoppedError
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.prediction import imbalance
-from mantle.mechanics.problem import Problem
-from mantle.meshes.interfaces import ContactPoints
-from mantle.numerics.newton import Solver
-from mantle.stepping.load_steps import LoadStepper
-from mantle.system.progress import during
+from app.arrays import Floats, Ints
+from app.errors import MantleError, StoppedError
+from app.mechanics.jumps import Jumps
+from app.mechanics.prediction import imbalance
+from app.mechanics.problem import Problem
+from app.numerics.newton import Solver
+from app.stepping.load_steps import LoadStepper
+from app.system.progress import during
+from meshes.interfaces import ContactPoints
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

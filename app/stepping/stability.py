@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.numerics.system import System
+from app.numerics.system import System
 
 # Lengths of the steps, in times of the slowest mode; iterations of each.
 STEPS, ITERATIONS = (0.7, 0.15, 0.03), 60

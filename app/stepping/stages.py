@@ -17,16 +17,16 @@ from typing import Protocol
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import ConvergenceError
-from mantle.numerics.integrator import Controller
-from mantle.numerics.state import State
-from mantle.scene.terms import SceneStage
-from mantle.soundness.diagnosis import attempts
-from mantle.stepping.coupling import CoupledSystem
-from mantle.stepping.heat_steps import HeatState, HeatStep
-from mantle.stepping.load_steps import LoadStep, LoadStepper, Mark, Summary, unmarked
-from mantle.stepping.staggered import Staggered
+from app.arrays import Floats
+from app.errors import ConvergenceError
+from app.numerics.integrator import Controller
+from app.numerics.state import State
+from app.scene.terms import SceneStage
+from app.soundness.diagnosis import attempts
+from app.stepping.coupling import CoupledSystem
+from app.stepping.heat_steps import HeatState, HeatStep
+from app.stepping.load_steps import LoadStep, LoadStepper, Mark, Summary, unmarked
+from app.stepping.staggered import Staggered
 
 # A time step below this part of its stage is given up.
 SHORTEST = 1e-10

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from petsc4py import PETSc
 
-from mantle.heat.conduction import Conduction
-from mantle.mechanics.problem import Problem
-from mantle.numerics.newton import NewtonResult, Solver
-from mantle.numerics.state import State
-from mantle.stepping.contact_heat import ContactHeat
+from app.heat.conduction import Conduction
+from app.mechanics.problem import Problem
+from app.numerics.newton import NewtonResult, Solver
+from app.numerics.state import State
+from app.stepping.contact_heat import ContactHeat
 
 # Turns of heat and mechanics before giving up.
 TURNS = 60

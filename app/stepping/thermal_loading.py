@@ -11,12 +11,12 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from mantle.arrays import Floats
-from mantle.heat.conduction import Conduction
-from mantle.heat.curing import FreeStrain, since_gelation
-from mantle.mechanics.problem import Problem
-from mantle.numerics.state import Rows, State, keyed
-from mantle.scene.terms import Expansion, Scene
+from app.arrays import Floats
+from app.heat.conduction import Conduction
+from app.heat.curing import FreeStrain, since_gelation
+from app.mechanics.problem import Problem
+from app.numerics.state import Rows, State, keyed
+from app.scene.terms import Expansion, Scene
 
 # Parts of a way are whole up to this.
 SAME = 1e-9

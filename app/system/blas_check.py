@@ -14,8 +14,8 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from mantle.errors import EnvironmentProblem, everywhere
-from mantle.system import doctor
+from app.errors import EnvironmentProblem, everywhere
+from app.system import doctor
 
 # Larger than the blocks of usual kernels, and no multiple of them.
 SIZE = 131

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
 
-from mantle.system import ranks
-from mantle.version import __version__
+from app.system import ranks
+from app.version import __version__
 
 # What a run needs, as (shown name, module).
 _MODULES = (

@@ -15,9 +15,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mantle import files
-from mantle.errors import EnvironmentProblem, InputError
-from mantle.files import write_bytes as write_bytes
+from app import files
+from app.errors import EnvironmentProblem, InputError
+from app.files import write_bytes as write_bytes
 
 log = logging.getLogger("mantle")
 

@@ -23,11 +23,11 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
-from mantle import files
-from mantle.captured import captured
-from mantle.errors import EnvironmentProblem
-from mantle.system.doctor import form_cache
-from mantle.system.folders import seeded
+from app import files
+from app.captured import captured
+from app.errors import EnvironmentProblem
+from app.system.doctor import form_cache
+from app.system.folders import seeded
 
 log = logging.getLogger("mantle")
 

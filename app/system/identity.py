@@ -15,11 +15,11 @@ from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from mantle.version import __version__
+from app.version import __version__
 
 # Modules that no number of a run depends on: changing them leaves finished runs valid.
 OUTSIDE = re.compile(
-    r"(cli|__init__|(campaigns|command_line|report|verification)/.*|results/(reading|unrolled)"
+    r"app/(cli|(campaigns|command_line|report|verification)/.*|results/(reading|unrolled)"
     r"|schema/(study|sweep)_\w+|system/(doctor|isolation|privacy|sbom)|version)\.py"
 )
 MISSING = "missing"
@@ -57,13 +57,10 @@ def program() -> str:
 
 
 def sources() -> dict[str, Path]:
-    """Files of the program by their place in the package ``mantle``, wherever their folders lie."""
-    found: dict[str, Path] = {}
-    for package in ("", "forms/", "meshes/"):
-        spec = importlib.util.find_spec(f"mantle.{package}".strip("./"))
-        folder = Path(str(spec and spec.origin)).resolve().parent
-        found |= {package + p.relative_to(folder).as_posix(): p for p in folder.rglob("*.py")}
-    return found
+    """Files of the program by their place below the folder that holds ``app``."""
+    top = Path(__file__).resolve().parents[2]
+    files = (p for folder in ("app", "forms", "meshes") for p in (top / folder).rglob("*.py"))
+    return {p.relative_to(top).as_posix(): p for p in files}
 
 
 def _version(package: str) -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from mantle.confined import (
+from app.confined import (
     DROP_BOUND,
     NO_NEW_PRIVILEGES,
     call,
@@ -26,9 +26,9 @@ from mantle.confined import (
     die_with_parent,
     separate,
 )
-from mantle.errors import EnvironmentProblem, InputError
-from mantle.system.folders import cache_home
-from mantle.system.scratch import SHARED
+from app.errors import EnvironmentProblem, InputError
+from app.system.folders import cache_home
+from app.system.scratch import SHARED
 
 # Of linux/mount.h.
 RDONLY, NOSUID, NODEV, NOEXEC, BIND, REC, PRIVATE = 1, 2, 4, 8, 4096, 16384, 1 << 18

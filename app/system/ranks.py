@@ -22,8 +22,8 @@ from collections.abc import Mapping, MutableMapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from mantle.errors import EnvironmentProblem, InputError, StoppedError
-from mantle.system import scratch
+from app.errors import EnvironmentProblem, InputError, StoppedError
+from app.system import scratch
 
 # Where the number of ranks is found, by the process manager that started this process.
 _WORLD_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "SLURM_NTASKS")
@@ -40,8 +40,8 @@ _RULE = b"-" * 74
 _PR_SET_PDEATHSIG = 1
 _CRASHED = 59  # exit code of PETSc after a signal such as SIGSEGV, which it has reported
 SAME_SIGNAL = 1.0  # s
-# The folder that holds the package: not resolved, for in a checkout it is made of links.
-_FOLDER = str(Path(__file__).parents[2])
+# The folder that holds app, forms, meshes, configs and mantle.py.
+_FOLDER = str(Path(__file__).resolve().parents[2])
 
 
 def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:

@@ -11,7 +11,7 @@ from importlib import metadata
 from typing import Any
 from urllib.parse import quote
 
-from mantle.version import __version__
+from app.version import __version__
 
 FORMAT = "${db:Status-Status}\\t${Package}\\t${Version}\\t${Architecture}\\n"
 

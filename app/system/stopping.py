@@ -9,8 +9,8 @@ import time as clock
 from collections.abc import Callable
 from types import FrameType
 
-from mantle.errors import InputError
-from mantle.system import ranks
+from app.errors import InputError
+from app.system import ranks
 
 # Part of the time that is left for saving, and the most of it that is [s].
 LEFT, MOST = 0.05, 60.0

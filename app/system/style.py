@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from mantle import figures
+from app import figures
 
 COLOURS = ("#1f5fa8", "#d1682c", "#3a8f4d", "#8b4fa0", "#b8922a", "#4d4d4d", "#c2457a", "#2a9d9d")
 MARKERS = "osD^vP*X"

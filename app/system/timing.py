@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from mantle.system.progress import doing
+from app.system.progress import doing
 
 # What a run does in each phase, in words.
 DOING = {

@@ -15,9 +15,9 @@ from statistics import median
 from time import perf_counter
 from typing import Any
 
-from mantle.campaigns.work_precision import fitted_order
-from mantle.results.reading import Run
-from mantle.verification.check import Check, CheckRun, Judge, Sample
+from app.campaigns.work_precision import fitted_order
+from app.results.reading import Run
+from app.verification.check import Check, CheckRun, Judge, Sample
 
 # Mesh sizes of the femur, by about how many unknowns they give at first order.
 RUNGS = {"20k": "2.8 mm", "100k": "2.4 mm", "170k": "1.3 mm", "1m": "1 mm"}

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mantle.arrays import Bools, Floats, Ints
-from mantle.errors import InputError
-from mantle.verification.peer_model import PeerModel
+from app.arrays import Bools, Floats, Ints
+from app.errors import InputError
+from app.verification.peer_model import PeerModel
 
 # The faces S1 to S4 of a C3D4, by the node that each leaves out.
 FACE_WITHOUT = {3: 1, 2: 2, 0: 3, 1: 4}

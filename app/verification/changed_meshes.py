@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mantle import meshes
-from mantle.meshes.data import MeshData
-from mantle.meshes.quality import BAD, sicn
-from mantle.schema import config
-from mantle.system import folders
+import meshes
+from app.schema import config
+from app.system import folders
+from meshes.data import MeshData
+from meshes.quality import BAD, sicn
 
 # About (1, 2, 3) by 40 degrees: no axis goes to an axis.
 _AXIS, _ANGLE = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0), np.radians(40.0)

@@ -9,9 +9,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from mantle import configs
-from mantle.errors import Reason
-from mantle.results.reading import Run
+import configs
+from app.errors import Reason
+from app.results.reading import Run
 
 CONFIGS = configs.FOLDER
 # Each tier contains those before it.

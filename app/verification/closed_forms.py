@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 Elastic = tuple[float, float]
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.verification.closed_forms import Elastic, lame_pressure
-from mantle.verification.closed_forms_heat import two_bars
+from app.arrays import Floats
+from app.verification.closed_forms import Elastic, lame_pressure
+from app.verification.closed_forms_heat import two_bars
 
 
 def hot_fit_pressure(

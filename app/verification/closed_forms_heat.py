@@ -16,7 +16,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import erfc, erfcx, j0, j1, jn_zeros
 
-from mantle.arrays import Floats
+from app.arrays import Floats
 
 Conductor = tuple[float, float]
 

@@ -14,19 +14,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mantle.campaigns import batch, many
-from mantle.campaigns.many import Options
-from mantle.campaigns.runs import Job, Result
-from mantle.campaigns.work_precision import fitted_order
-from mantle.errors import ConvergenceError, GeometryError, InputError, Reason, UnusableError
-from mantle.results.reading import Run
-from mantle.schema import config
-from mantle.system import layout
-from mantle.system.folders import csv_text, remove, write_json, write_text
-from mantle.verification import picture
-from mantle.verification.benchmarks import solution
-from mantle.verification.check import CONFIGS, Check, Sample, within
-from mantle.verification.suites import SUITES
+from app.campaigns import batch, many
+from app.campaigns.many import Options
+from app.campaigns.runs import Job, Result
+from app.campaigns.work_precision import fitted_order
+from app.errors import ConvergenceError, GeometryError, InputError, Reason, UnusableError
+from app.results.reading import Run
+from app.schema import config
+from app.system import layout
+from app.system.folders import csv_text, remove, write_json, write_text
+from app.verification import picture
+from app.verification.benchmarks import solution
+from app.verification.check import CONFIGS, Check, Sample, within
+from app.verification.suites import SUITES
 
 log = logging.getLogger("mantle")
 
@@ -181,7 +181,7 @@ def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
         try:
             case = config.load(path, overrides)
             if run.mesh:
-                from mantle.verification.changed_meshes import change  # needs gmsh
+                from app.verification.changed_meshes import change  # needs gmsh
 
                 overrides = (*change(case, run.mesh, folder / "meshes"), *overrides)
         except InputError as error:

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.results.reading import Run
-from mantle.verification import closed_forms_coupled as coupled
-from mantle.verification import closed_forms_heat as exact
-from mantle.verification.check import Sample, worst
-from mantle.verification.measures import in_l2, relative
+from app.arrays import Floats, Ints
+from app.results.reading import Run
+from app.verification import closed_forms_coupled as coupled
+from app.verification import closed_forms_heat as exact
+from app.verification.check import Sample, worst
+from app.verification.measures import in_l2, relative
 
 # Conductivity [N/(s K)] and capacity [N/(mm2 K)] of the cases.
 CEMENT, BONE = (0.2, 1.74), (0.58, 2.331)

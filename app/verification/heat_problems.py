@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from mantle.verification import closed_forms_heat as exact
-from mantle.verification import heat_measures as measures
-from mantle.verification.check import Check, CheckRun, Judge, Measure, each, finest, ladder
-from mantle.verification.heat_measures import BONE, CEMENT
-from mantle.verification.measures import number
+from app.verification import closed_forms_heat as exact
+from app.verification import heat_measures as measures
+from app.verification.check import Check, CheckRun, Judge, Measure, each, finest, ladder
+from app.verification.heat_measures import BONE, CEMENT
+from app.verification.measures import number
 
 KINETICS = (2.6397e8, 62866.0)
 PMMA = exact.ExactKinetics(*KINETICS, 0.98, 1.064)

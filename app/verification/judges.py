@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats
-from mantle.campaigns.work_precision import fitted_order
-from mantle.errors import Reason
-from mantle.results.reading import Run
-from mantle.verification import closed_forms as exact
-from mantle.verification.check import Sample, worst
+from app.arrays import Floats
+from app.campaigns.work_precision import fitted_order
+from app.errors import Reason
+from app.results.reading import Run
+from app.verification import closed_forms as exact
+from app.verification.check import Sample, worst
 
 OPEN, STICK = 0, 1
 # A share of what friction may bear that still counts as nothing.
@@ -141,7 +141,7 @@ def _worst(errors: Mapping[str, float]) -> Sample:
 
 def _friction(run: Run, name: str) -> float:
     """Friction coefficient of an interface."""
-    from mantle.schema import config
+    from app.schema import config
 
     return config.load(run.folder / "case.yaml").interfaces[name].friction
 

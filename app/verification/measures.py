@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mantle.arrays import Floats, Ints
-from mantle.results.reading import Run
-from mantle.schema import quantities
-from mantle.verification import closed_forms as exact
-from mantle.verification.check import Sample
+from app.arrays import Floats, Ints
+from app.results.reading import Run
+from app.schema import quantities
+from app.verification import closed_forms as exact
+from app.verification.check import Sample
 
 # Materials of the cases (MPa, -).
 CEMENT, TITANIUM = (2200.0, 0.3), (110e3, 0.3)
@@ -165,7 +165,7 @@ def locking(run: Run, poisson_ratio: float) -> Sample:
 
 def klarbring(runs: Sequence[Run]) -> Sample:
     """Friction beyond which Klarbring's particle has several equilibria."""
-    from mantle.soundness.uniqueness import critical_friction  # brings the whole solver
+    from app.soundness.uniqueness import critical_friction  # brings the whole solver
 
     K = np.diag([1.0, 1.0, 2.0])
     K[0, 2] = K[2, 0] = 0.8

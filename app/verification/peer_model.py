@@ -14,19 +14,19 @@ from pathlib import Path
 
 import numpy as np
 
-from mantle import meshes
-from mantle.arrays import Bools, Floats, Ints
-from mantle.errors import InputError
-from mantle.meshes.data import (
+import meshes
+from app.arrays import Bools, Floats, Ints
+from app.errors import InputError
+from app.results.percentiles import SurfaceField
+from app.schema import config
+from app.system import folders
+from meshes.data import (
     MeshData,
     distinct,
     exterior_facets,
     facet_areas,
     interface_facets,
 )
-from mantle.results.percentiles import SurfaceField
-from mantle.schema import config
-from mantle.system import folders
 
 # A node with a larger gap is open, and does not slip [mm]. Where contact is enforced between the
 # nodes of facets that are not quite parallel to the slip, nodes are some micrometres apart.

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.results.reading import Run
-from mantle.schema import config
-from mantle.verification import calculix
-from mantle.verification.peer_model import PeerModel
+from app.arrays import Floats
+from app.errors import InputError
+from app.results.reading import Run
+from app.schema import config
+from app.verification import calculix
+from app.verification.peer_model import PeerModel
 
 # What starts a program and measures it. It is small: Linux counts the memory of what starts a
 # process as the process's own.

@@ -12,16 +12,16 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from mantle import figures
-from mantle.campaigns.many import Options
-from mantle.errors import InputError
-from mantle.schema import config
-from mantle.system import layout, style
-from mantle.system.folders import csv_text, remove, write_json, write_text
-from mantle.verification.benchmarks import STEM
-from mantle.verification.check import CONFIGS
-from mantle.verification.peer_model import PeerModel, build, contact_numbers
-from mantle.verification.peer_programs import (
+from app import figures
+from app.campaigns.many import Options
+from app.errors import InputError
+from app.schema import config
+from app.system import layout, style
+from app.system.folders import csv_text, remove, write_json, write_text
+from app.verification.benchmarks import STEM
+from app.verification.check import CONFIGS
+from app.verification.peer_model import PeerModel, build, contact_numbers
+from app.verification.peer_programs import (
     CalculiX,
     GetFem,
     MantleItself,

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from mantle import figures
-from mantle.system import style
-from mantle.system.style import COLOURS
+from app import figures
+from app.system import style
+from app.system.style import COLOURS
 
 Entry = dict[str, Any]
 # By outcome: colour and marker.

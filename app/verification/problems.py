@@ -9,11 +9,11 @@ from itertools import product
 
 import numpy as np
 
-from mantle.verification import closed_forms as exact
-from mantle.verification import measures
-from mantle.verification.check import Check, CheckRun, Measure, each, finest, ladder
-from mantle.verification.heat_problems import heat_problems
-from mantle.verification.measures import BONE, CEMENT, TITANIUM
+from app.verification import closed_forms as exact
+from app.verification import measures
+from app.verification.check import Check, CheckRun, Measure, each, finest, ladder
+from app.verification.heat_problems import heat_problems
+from app.verification.measures import BONE, CEMENT, TITANIUM
 
 # Some of each kind, each some seconds.
 QUICK = {

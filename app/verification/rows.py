@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mantle.errors import Reason
-from mantle.verification.check import Check, CheckRun, Judge
+from app.errors import Reason
+from app.verification.check import Check, CheckRun, Judge
 
 STEM, TAPER, STACK = "stress/stem.yaml", "stress/taper.yaml", "blocks.yaml"
 BAR, RINGS, WALL, INCLINE, COOK = (

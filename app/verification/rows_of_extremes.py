@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from mantle.errors import Reason
-from mantle.verification import closed_forms as exact
-from mantle.verification import judges, measures
-from mantle.verification.check import Check, Judge, each
-from mantle.verification.measures import CEMENT, TITANIUM
-from mantle.verification.rows import BAR, COOK, INCLINE, MESH, RINGS, STACK, STEM, WALL, row, run
+from app.errors import Reason
+from app.verification import closed_forms as exact
+from app.verification import judges, measures
+from app.verification.check import Check, Judge, each
+from app.verification.measures import CEMENT, TITANIUM
+from app.verification.rows import BAR, COOK, INCLINE, MESH, RINGS, STACK, STEM, WALL, row, run
 
 BONE = (17e3, 0.3)
 PRESS = 2.0  # MPa on the bar, 10 mm wide

@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from mantle.errors import Reason
-from mantle.verification import judges
-from mantle.verification.changed_meshes import ROTATION
-from mantle.verification.check import Check, Judge
-from mantle.verification.rows import BAR, MESH, STACK, STEM, TAPER, row, run
+from app.errors import Reason
+from app.verification import judges
+from app.verification.changed_meshes import ROTATION
+from app.verification.check import Check, Judge
+from app.verification.rows import BAR, MESH, STACK, STEM, TAPER, row, run
 
 SIDES = ("stem_cement", "cement_bone")
 

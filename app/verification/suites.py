@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from mantle.verification.benchmarks import benchmarks
-from mantle.verification.check import Check
-from mantle.verification.heat_problems import heat_problems
-from mantle.verification.problems import problems
-from mantle.verification.rows_of_extremes import extremes
-from mantle.verification.rows_of_invariants import invariants
+from app.verification.benchmarks import benchmarks
+from app.verification.check import Check
+from app.verification.heat_problems import heat_problems
+from app.verification.problems import problems
+from app.verification.rows_of_extremes import extremes
+from app.verification.rows_of_invariants import invariants
 
 
 def rows() -> list[Check]:

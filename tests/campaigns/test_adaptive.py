@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 import mantle
-from mantle.campaigns import adaptive
-from mantle.errors import ConvergenceError, InputError
-from mantle.schema import divided_cells, loaded_case
-from mantle.schema.case_file import CaseFile
-from mantle.schema.config import Case
-from mantle.schema.goals import share
-from mantle.soundness import sizing
+from app.campaigns import adaptive
+from app.errors import ConvergenceError, InputError
+from app.schema import divided_cells, loaded_case
+from app.schema.case_file import CaseFile
+from app.schema.config import Case
+from app.schema.goals import share
+from app.soundness import sizing
 from tests.results.test_goal import STACK
 
 GOAL = "stem.top_displacement.x"

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import pytest
 
-from mantle import meshes
-from mantle.campaigns import batch, cluster, scheduler
-from mantle.campaigns.runs import Job, Result
-from mantle.errors import EnvironmentProblem, InputError, StoppedError
-from mantle.schema import config
-from mantle.system import identity, layout
+import meshes
+from app.campaigns import batch, cluster, scheduler
+from app.campaigns.runs import Job, Result
+from app.errors import EnvironmentProblem, InputError, StoppedError
+from app.schema import config
+from app.system import identity, layout
 from tests import support
 
 CASE = """\
@@ -341,8 +341,8 @@ def test_a_killed_batch_does_not_block_the_next(bench: Bench) -> None:
     """Everything is killed while a case runs; and while it lives, no second batch may start."""
     bench.take(60)
     script = (
-        "import sys, pathlib; from mantle.campaigns import batch;"
-        "from mantle.campaigns.runs import Job;"
+        "import sys, pathlib; from app.campaigns import batch;"
+        "from app.campaigns.runs import Job;"
         "batch.MANTLE_RUN = tuple(sys.argv[2:4]);"
         "case = pathlib.Path(sys.argv[1]) / 'case.yaml';"
         "job = Job('size-1.0', case, ('mesh.size=1.0 mm',));"

@@ -17,12 +17,12 @@ from typing import Any
 
 import pytest
 
-from mantle.campaigns import batch, study, study_parameters
-from mantle.campaigns.many import Options
-from mantle.campaigns.runs import Job
-from mantle.cli import main
-from mantle.errors import InputError, MantleError, StoppedError
-from mantle.schema import config, quantities, study_file, study_options
+from app.campaigns import batch, study, study_parameters
+from app.campaigns.many import Options
+from app.campaigns.runs import Job
+from app.cli import main
+from app.errors import InputError, MantleError, StoppedError
+from app.schema import config, quantities, study_file, study_options
 from tests import support
 
 CASE = """\

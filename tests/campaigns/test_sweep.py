@@ -28,14 +28,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mantle.campaigns import batch, scheduler, sweep, uncertainty
-from mantle.campaigns.many import Options
-from mantle.campaigns.runs import Job, finished
-from mantle.cli import main
-from mantle.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
-from mantle.report import sweep_results
-from mantle.schema import case_file, config, sweep_file, sweep_options
-from mantle.soundness import cost
+from app.campaigns import batch, scheduler, sweep, uncertainty
+from app.campaigns.many import Options
+from app.campaigns.runs import Job, finished
+from app.cli import main
+from app.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
+from app.report import sweep_results
+from app.schema import case_file, config, sweep_file, sweep_options
+from app.soundness import cost
 from tests import support
 
 CASE = """\
@@ -69,8 +69,8 @@ FRICTION = "interfaces.lower_upper.friction_coefficient"
 
 STAND_IN = """\
 import json, pathlib, sys, time
-from mantle.schema import config
-from mantle.system.folders import FAILED
+from app.schema import config
+from app.system.folders import FAILED
 here, path, output = pathlib.Path(__file__).parent, *map(pathlib.Path, (sys.argv[1], sys.argv[3]))
 case = config.load(path)
 many = [(v.name, v.case) for v in config.variations(path)] or [("", case)]
@@ -609,7 +609,7 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from mantle.campaigns import batch, sweep; from mantle.campaigns.many import Options
+from app.campaigns import batch, sweep; from app.campaigns.many import Options
 batch.MANTLE_RUN = tuple(sys.argv[3:])
 sweep.run(Path(sys.argv[1]), (), Options(Path(sys.argv[2]), 2))
 """
@@ -622,7 +622,7 @@ def killed(path: Path, out: Path, wanted: int, seconds: float, runs_too: bool) -
     """
     child = subprocess.Popen(
         [sys.executable, "-c", CONTROLLER, str(path), str(out), *batch.MANTLE_RUN],
-        env=os.environ | {"PYTHONPATH": str(support.PROGRAM)},
+        env=os.environ | {"PYTHONPATH": str(support.ROOT)},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mantle.campaigns import work_precision as wp
-from mantle.campaigns.work_precision import Point, ReferenceValue
+from app.campaigns import work_precision as wp
+from app.campaigns.work_precision import Point, ReferenceValue
 
 
 @pytest.mark.parametrize("order", [0.6, 1.0, 1.7, 2.0, 3.0, 3.9])

@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from mantle import cli
-from mantle.cli import main
-from mantle.errors import InputError
-from mantle.schema import config
-from mantle.system import ranks
+from app import cli
+from app.cli import main
+from app.errors import InputError
+from app.schema import config
+from app.system import ranks
 
 GOOD = """\
 title: press

@@ -13,12 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from mantle import __version__, cli
-from mantle.cli import main
-from mantle.errors import ConvergenceError
-from mantle.schema import config
-from mantle.soundness import unusual_input
-from mantle.system import folders, ranks
+from app import cli
+from app.cli import main
+from app.errors import ConvergenceError
+from app.schema import config
+from app.soundness import unusual_input
+from app.system import folders, ranks
+from app.version import __version__
 
 ROOT = Path(__file__).parents[2]
 CONFIGS = ROOT / "configs"
@@ -39,7 +40,7 @@ def test_check_imports_neither_solver_nor_mesher() -> None:
     result = python(
         """
         import sys
-        from mantle.cli import main
+        from app.cli import main
         assert main(["check", "configs/stance.yaml"]) == 0
         heavy = ("dolfinx", "mpi4py", "petsc4py", "gmsh", "ufl", "h5py", "scipy", "matplotlib")
         print("loaded:", [m for m in heavy if m in sys.modules])

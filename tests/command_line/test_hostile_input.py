@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from mantle import meshes
-from mantle.cli import main
-from mantle.errors import GeometryError, InputError
-from mantle.schema import case_file, config, study_file, sweep_file, yaml_text
-from mantle.schema.gmsh_file import ALLOWED
-from mantle.schema.units import LONGEST_VALUE
-from mantle.soundness import cost, sizing
+import meshes
+from app.cli import main
+from app.errors import GeometryError, InputError
+from app.schema import case_file, config, study_file, sweep_file, yaml_text
+from app.schema.gmsh_file import ALLOWED
+from app.schema.units import LONGEST_VALUE
+from app.soundness import cost, sizing
 from tests.support import CONFIGS, environment
 
 BLOCKS = CONFIGS / "blocks.yaml"
@@ -286,7 +286,7 @@ def test_a_mesh_file_is_known_by_its_name(tmp_path: Path) -> None:
 def test_a_script_is_not_meshed_by_the_nanometre(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mantle import meshes
+    import meshes
 
     monkeypatch.setenv(ALLOWED, "1")
     case = config.load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])

@@ -19,13 +19,12 @@ from pathlib import Path
 import pytest
 
 import mantle
-from mantle.command_line.parser import parser
+from app.command_line.parser import parser
 from tests.meshes.test_scripts import CASE, LAYERS
 from tests.misleading import mislead
 
 ROOT = Path(__file__).resolve().parents[2]
 MANTLE = ROOT / "mantle"
-PROGRAM = Path(str(mantle.__file__)).parents[1]
 
 # A stand-in for the application on every rank.
 RANK = """
@@ -55,7 +54,7 @@ if what == "wait":
 """
 LAUNCH = """
 import sys
-from mantle.system import ranks
+from app.system import ranks
 sys.exit(ranks.launch(int(sys.argv[1]), sys.argv[2:]))
 """
 
@@ -350,8 +349,8 @@ def test_modules_in_the_current_folder_change_nothing(misleading: Path) -> None:
 @pytest.mark.parallel
 def test_what_an_installed_command_starts_finds_mantle_and_not_the_folder(misleading: Path) -> None:
     """As the script that pip makes: it has the program's folder in front, and no environment."""
-    front = f"sys.path.insert(0, {str(PROGRAM)!r})"
-    code = f"import sys; {front}; from mantle.cli import main; sys.exit(main())"
+    front = f"sys.path.insert(0, {str(ROOT)!r})"
+    code = f"import sys; {front}; from app.cli import main; sys.exit(main())"
     result = subprocess.run(
         [sys.executable, "-P", "-c", code, "run", "blocks.yaml", "-n", "2", "-o", "out"],
         cwd=misleading,
@@ -417,7 +416,7 @@ def test_somebody_else_writes_only_to_the_cache_and_the_output(tmp_path: Path) -
             env={
                 "PATH": os.environ["PATH"],
                 "HOME": str(folder / "home"),
-                "PYTHONPATH": str(PROGRAM),
+                "PYTHONPATH": str(ROOT),
             }
             | {"MANTLE_BACKEND": "native", "PYTHONDONTWRITEBYTECODE": "1"},
             capture_output=True,

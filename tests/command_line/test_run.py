@@ -19,11 +19,11 @@ import h5py
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.meshes import femur_bone
-from mantle.schema import config
-from mantle.simulation import keep_finished
-from mantle.system import identity
+import meshes
+from app.schema import config
+from app.simulation import keep_finished
+from app.system import identity
+from meshes import femur_bone
 from tests import support
 
 FILES = {"case.yaml", "fields.vtkhdf", "final.vtkhdf", "history.csv", "provenance.json"}

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import mantle
-from mantle.cli import main
-from mantle.errors import InputError
-from mantle.schema import config, explain, reference, start
+from app.cli import main
+from app.errors import InputError
+from app.schema import config, explain, reference, start
 from tests.support import CONFIGS
 
 MSH = """\

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from mantle.command_line import streams
-from mantle.command_line.streams import COLOURS, Handler, coloured, painted
+from app.command_line import streams
+from app.command_line.streams import COLOURS, Handler, coloured, painted
 from tests import support
 
 WRONG = [sys.executable, "-m", "mantle", "check", "no_such_case.yaml"]

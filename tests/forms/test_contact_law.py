@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from ufl.algorithms import expand_derivatives, strip_variables
 
-from mantle.arrays import Floats
-from mantle.forms.contact import OPEN, SLIP, STICK, contact_law
-from mantle.mechanics import points
-from mantle.mechanics.points import PointLaw, gap_vectors
-from mantle.scene.laws import Coulomb
+from app.arrays import Floats
+from app.mechanics import points
+from app.mechanics.points import PointLaw, gap_vectors
+from app.scene.laws import Coulomb
+from forms.contact import OPEN, SLIP, STICK, contact_law
 
 ALL = [(faces, friction) for faces in (1, 2, 3) for friction in (False, True)]
 KINDS = pytest.mark.parametrize(

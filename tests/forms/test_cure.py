@@ -18,10 +18,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from mantle.arrays import Floats
-from mantle.forms import cure as forms
-from mantle.heat.curing import UNREACTED, Curing, Degrees, FreeStrain, as_temperature
-from mantle.numerics.integrator import (
+from app.arrays import Floats
+from app.heat.curing import UNREACTED, Curing, Degrees, FreeStrain, as_temperature
+from app.numerics.integrator import (
     METHODS,
     Controller,
     Method,
@@ -30,8 +29,9 @@ from mantle.numerics.integrator import (
     start_slope,
     step,
 )
-from mantle.numerics.pointwise import Pointwise
-from mantle.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure
+from app.numerics.pointwise import Pointwise
+from app.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure
+from forms import cure as forms
 
 R = 8.314462618
 BALIGA = AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ())

@@ -19,9 +19,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ufl.algorithms import expand_derivatives, strip_variables
 
-from mantle.arrays import Floats
-from mantle.forms import elasticity
-from mantle.verification.closed_forms import Fibrous
+from app.arrays import Floats
+from app.verification.closed_forms import Fibrous
+from forms import elasticity
 
 Stiffness = Callable[[Sequence[float], Sequence[float]], Floats]
 

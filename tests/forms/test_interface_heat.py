@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mantle.arrays import Floats
-from mantle.forms import heat, interface_heat
-from mantle.numerics.pointwise import Pointwise
+from app.arrays import Floats
+from app.numerics.pointwise import Pointwise
+from forms import heat, interface_heat
 
 N = 60
 NAMES = ("p", "τ", "open", "per_pressure", "cap")

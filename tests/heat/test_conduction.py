@@ -13,18 +13,16 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats
-from mantle.campaigns.work_precision import fitted_order
-from mantle.errors import InputError
-from mantle.heat.conduction import Conduction
-from mantle.heat.flows import flows, stored
-from mantle.heat.system import HeatSystem
-from mantle.meshes import blocks
-from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.numerics.integrator import METHODS, Method, State, step
-from mantle.numerics.newton import Solver
-from mantle.scene.fibres import Fibre
-from mantle.scene.terms import (
+from app.arrays import Floats
+from app.campaigns.work_precision import fitted_order
+from app.errors import InputError
+from app.heat.conduction import Conduction
+from app.heat.flows import flows, stored
+from app.heat.system import HeatSystem
+from app.numerics.integrator import METHODS, Method, State, step
+from app.numerics.newton import Solver
+from app.scene.fibres import Fibre
+from app.scene.terms import (
     AutocatalyticCure,
     ConductorTerm,
     ConvectionTerm,
@@ -38,7 +36,9 @@ from mantle.scene.terms import (
     Scene,
     ThermalContact,
 )
-from mantle.system.timing import Timing
+from app.system.timing import Timing
+from meshes import blocks
+from meshes.distribute import TaggedMesh, distribute
 from tests import support
 
 ZERO = 273.15

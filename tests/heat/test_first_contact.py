@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mantle.campaigns.work_precision import fitted_order
-from mantle.verification.closed_forms_heat import HalfSpaces
+from app.campaigns.work_precision import fitted_order
+from app.verification.closed_forms_heat import HalfSpaces
 from tests import coupled, support
 
 TEXT = (support.CONFIGS / "verification" / "half_spaces.yaml").read_text()

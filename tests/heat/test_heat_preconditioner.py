@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle.heat.preconditioner import WORTH, KeptFactors
+from app.heat.preconditioner import WORTH, KeptFactors
 from tests.heat.test_conduction import (
     BONE,
     CEMENT,

@@ -10,8 +10,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from mantle.numerics.newton import NewtonResult, Solver
-from mantle.stepping.load_steps import LoadStepper
+from app.numerics.newton import NewtonResult, Solver
+from app.stepping.load_steps import LoadStepper
 from tests import support
 
 STEM = (

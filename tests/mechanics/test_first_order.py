@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle.mechanics.first_order import FirstOrder
-from mantle.mechanics.problem import Problem
-from mantle.numerics.preconditioners import Inverse, stiffness_options
+from app.mechanics.first_order import FirstOrder
+from app.mechanics.problem import Problem
+from app.numerics.preconditioners import Inverse, stiffness_options
 from tests import support
 
 BLOCK = """

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.results.balance import Balance
-from mantle.schema import config
-from mantle.soundness.case_on_mesh import judge, look
-from mantle.verification.changed_meshes import ROTATION, turned
+import meshes
+from app.arrays import Floats
+from app.errors import InputError
+from app.results.balance import Balance
+from app.schema import config
+from app.soundness.case_on_mesh import judge, look
+from app.verification.changed_meshes import ROTATION, turned
+from meshes.distribute import TaggedMesh, distribute
 from tests import support
 
 QUARTER = """

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mantle.errors import InputError
-from mantle.scene.terms import Scene
+from app.errors import InputError
+from app.scene.terms import Scene
 from tests.heated import Heated
 
 # A column pushed down at its top while a second support holds the top sideways, or entirely.

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import ufl
 
-from mantle.heat import assembly, temperature_jumps
-from mantle.mechanics import assembly as mechanics_assembly
-from mantle.mechanics import points
-from mantle.mechanics.problem import Problem
-from mantle.numerics.newton import Solver
-from mantle.simulation import model
-from mantle.system.timing import Timing
+from app.heat import assembly, temperature_jumps
+from app.mechanics import assembly as mechanics_assembly
+from app.mechanics import points
+from app.mechanics.problem import Problem
+from app.numerics.newton import Solver
+from app.simulation import model
+from app.system.timing import Timing
 from tests import support
 
 CASE = """

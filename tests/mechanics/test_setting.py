@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.scene.terms import CureTerm, PrescribedCure, Scene
+from app.arrays import Floats
+from app.errors import InputError
+from app.scene.terms import CureTerm, PrescribedCure, Scene
 from tests.heated import Heated, expanding
 from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
 

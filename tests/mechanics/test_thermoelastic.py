@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from mantle.arrays import Floats
-from mantle.results import quantities
-from mantle.results.bond_strength import bonds
+from app.arrays import Floats
+from app.results import quantities
+from app.results.bond_strength import bonds
 from tests.heated import Heated, expanding
 
 # A bar of two materials, each with a fibre of its own direction; rollers on three faces, so that it

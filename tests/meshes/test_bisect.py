@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.arrays import Bools
-from mantle.errors import GeometryError
-from mantle.meshes import quality
-from mantle.meshes.bisect import centres, divide, divided
-from mantle.meshes.data import (
+import meshes
+from app.arrays import Bools
+from app.errors import GeometryError
+from app.schema.geometries import Cylinders, MeshOptions
+from meshes import quality
+from meshes.bisect import centres, divide, divided
+from meshes.data import (
     MeshData,
     boundary_areas,
     canonical,
@@ -20,7 +21,6 @@ from mantle.meshes.data import (
     interface_facets,
     region_volumes,
 )
-from mantle.schema.geometries import Cylinders, MeshOptions
 
 CONES = Cylinders(
     stem_radius="7 mm",

@@ -12,11 +12,11 @@ import gmsh
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.errors import GeometryError, InputError
-from mantle.meshes.data import MeshData, region_volumes
-from mantle.schema.geometries import Block, Blocks, MeshFile, MeshOptions
-from mantle.soundness import case_on_mesh
+import meshes
+from app.errors import GeometryError, InputError
+from app.schema.geometries import Block, Blocks, MeshFile, MeshOptions
+from app.soundness import case_on_mesh
+from meshes.data import MeshData, region_volumes
 from tests import support
 
 CUBE = Blocks(blocks=(Block(name="cube", size=["10 mm", "10 mm", "10 mm"]),))

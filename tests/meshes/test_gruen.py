@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import ufl
 
-from mantle.meshes import femur_bone, femur_stem
-from mantle.meshes.gruen import BELOW, Zones
-from mantle.results.stresses import Stresses
-from mantle.schema.femurs import Femur, IntactFemur
-from mantle.schema.geometries import Blocks, Cylinders
-from mantle.system.timing import Timing
+from app.results.stresses import Stresses
+from app.schema.femurs import Femur, IntactFemur
+from app.schema.geometries import Blocks, Cylinders
+from app.system.timing import Timing
+from meshes import femur_bone, femur_stem
+from meshes.gruen import BELOW, Zones
 from tests import support
 
 GEOMETRY = Femur()

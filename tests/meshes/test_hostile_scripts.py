@@ -16,11 +16,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mantle import meshes
-from mantle.errors import GeometryError
-from mantle.meshes import gmsh_process
-from mantle.schema import config
-from mantle.schema.gmsh_file import ALLOWED
+import meshes
+from app.errors import GeometryError
+from app.schema import config
+from app.schema.gmsh_file import ALLOWED
+from meshes import gmsh_process
 
 SHAPE = """\
 DefineConstant[ size = 1 ];
@@ -152,7 +152,7 @@ def test_the_same_scripts_reach_all_that_is_not_confined(
     tmp_path: Path, canaries: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise the canaries would mean nothing."""
-    free = "from mantle import confined as c; c.enter = lambda *a: __import__('os').chdir(a[0]); "
+    free = "from app import confined as c; c.enter = lambda *a: __import__('os').chdir(a[0]); "
     monkeypatch.setattr(gmsh_process, "_SERVE", free + gmsh_process._SERVE)
     kinds = {
         "called": 'SystemCall "touch @/called";',
@@ -185,7 +185,7 @@ def test_each_way_to_confine_holds_alone(
 ) -> None:
     """Where a machine has one of them; with none of them no program starts, and that is told."""
     blocked = (
-        "from mantle import confined as c\ndef refuse(*a): raise PermissionError(1, 'no')\n"
+        "from app import confined as c\ndef refuse(*a): raise PermissionError(1, 'no')\n"
         f"{WAYS[way]}\n"
     )
     monkeypatch.setattr(gmsh_process, "_SERVE", blocked + gmsh_process._SERVE)
@@ -204,7 +204,7 @@ def test_each_way_to_confine_holds_alone(
 def test_a_script_that_never_ends_is_stopped(
     grows: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    few = "from mantle.meshes import gmsh_process as g; g.SECONDS = 2; "
+    few = "from meshes import gmsh_process as g; g.SECONDS = 2; "
     if grows:  # of a machine with 1 GiB
         few = "import os; os.sysconf = lambda name: 1 << 15; "
     monkeypatch.setattr(gmsh_process, "_SERVE", few + gmsh_process._SERVE)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mantle.arrays import Floats
-from mantle.campaigns.work_precision import fitted_order
-from mantle.meshes.contact_facets import InterfaceFacets, sorted_facets
-from mantle.meshes.interfaces import ContactPoints, Entries, Holds, contact_points
+from app.arrays import Floats
+from app.campaigns.work_precision import fitted_order
+from meshes.contact_facets import InterfaceFacets, sorted_facets
+from meshes.interfaces import ContactPoints, Entries, Holds, contact_points
 from tests import support
 
 NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))
@@ -351,7 +351,7 @@ def test_points_do_not_depend_on_the_partition(tmp_path: Path) -> None:
     for ranks in (1, 3):
         path = tmp_path / f"{ranks}.npz"
         program = tmp_path / f"{ranks}.py"
-        program.write_text(SAVE.format(root=str(support.PROGRAM), path=str(path)))
+        program.write_text(SAVE.format(root=str(support.ROOT), path=str(path)))
         support.on_ranks(ranks, program)
         results.append(dict(np.load(path)))
     for other in results[1:]:

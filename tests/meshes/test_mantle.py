@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.meshes import mantle, mantle_picture
-from mantle.meshes.data import MeshData
-from mantle.schema.geometries import Blocks, Cylinders, MeshOptions
-from mantle.soundness import cost
+import meshes
+from app.schema.geometries import Blocks, Cylinders, MeshOptions
+from app.soundness import cost
+from meshes import mantle, mantle_picture
+from meshes.data import MeshData
 
 INNER, THICKNESS, LENGTH = 7.0, 4.0, 20.0
 ROD = Cylinders(

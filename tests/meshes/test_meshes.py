@@ -15,11 +15,12 @@ import gmsh
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.campaigns.work_precision import fitted_order
-from mantle.errors import GeometryError
-from mantle.meshes import cache, quality
-from mantle.meshes.data import (
+import meshes
+from app.campaigns.work_precision import fitted_order
+from app.errors import GeometryError
+from app.schema.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
+from meshes import cache, quality
+from meshes.data import (
     MeshData,
     boundary_areas,
     cell_volumes,
@@ -32,10 +33,9 @@ from mantle.meshes.data import (
     order,
     region_volumes,
 )
-from mantle.meshes.gmsh_process import MILLIMETRES
-from mantle.meshes.picture import cut, picture
-from mantle.meshes.tags import assemble
-from mantle.schema.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
+from meshes.gmsh_process import MILLIMETRES
+from meshes.picture import cut, picture
+from meshes.tags import assemble
 from tests import support
 
 STACK = Blocks(
@@ -70,7 +70,7 @@ def rod() -> MeshData:
 
 def test_a_package_that_only_checks_input_loads_neither_gmsh_nor_dolfinx() -> None:
     heavy = {"gmsh", "dolfinx", "mpi4py"}
-    program = f"import sys; from mantle import meshes; assert not {heavy} & set(sys.modules)"
+    program = f"import sys; import meshes; assert not {heavy} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
@@ -149,7 +149,7 @@ def test_impossible_tapers_are_refused() -> None:
 
 def test_same_input_same_mesh_in_another_process(rod: MeshData) -> None:
     program = f"""
-import hashlib, sys; sys.path.insert(0, {str(support.PROGRAM)!r})
+import hashlib, sys; sys.path.insert(0, {str(support.ROOT)!r})
 from tests.meshes.test_meshes import ROD, mesh
 d = mesh(ROD, 2.0)
 print(hashlib.sha256(d.points.tobytes() + d.cells.tobytes() + d.facets.tobytes()).hexdigest())

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.errors import GeometryError
-from mantle.meshes import femur_bone, femur_stem, mantle
-from mantle.schema.geometries import Femur, MeshOptions
+import meshes
+from app.errors import GeometryError
+from app.schema.geometries import Femur, MeshOptions
+from meshes import femur_bone, femur_stem, mantle
 
 GEOMETRY = Femur()
 TURN = np.linspace(-np.pi, np.pi, 361)

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.errors import GeometryError, InputError
-from mantle.meshes import cache
-from mantle.meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
-from mantle.meshes.session import session
-from mantle.schema import config
-from mantle.schema.gmsh_file import ALLOWED, physical_names
+import meshes
+from app.errors import GeometryError, InputError
+from app.schema import config
+from app.schema.gmsh_file import ALLOWED, physical_names
+from meshes import cache
+from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
+from meshes.session import session
 from tests import support
 
 # Two layers of a box 2 x 3 x (1 + 2), by gmsh's own kernel; the surface between them is named.

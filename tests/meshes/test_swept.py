@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.errors import GeometryError
-from mantle.meshes import (
+from app.errors import GeometryError
+from app.schema.geometries import Femur, IntactFemur, MeshOptions
+from meshes import (
     femur,
     femur_bone,
     femur_intact,
@@ -24,7 +25,7 @@ from mantle.meshes import (
     quality,
     swept,
 )
-from mantle.meshes.data import (
+from meshes.data import (
     MeshData,
     cell_volumes,
     exterior_facets,
@@ -33,8 +34,7 @@ from mantle.meshes.data import (
     jacobians,
     match_faces,
 )
-from mantle.meshes.femur_surfaces import FemurSurfaces as Surfaces
-from mantle.schema.geometries import Femur, IntactFemur, MeshOptions
+from meshes.femur_surfaces import FemurSurfaces as Surfaces
 from tests import support
 
 
@@ -382,7 +382,7 @@ PROCESSORS = {
 
 def digest(**environment: str) -> str:
     return subprocess.run(
-        [sys.executable, "-c", DIGEST.format(root=str(support.PROGRAM))],
+        [sys.executable, "-c", DIGEST.format(root=str(support.ROOT))],
         env={**os.environ, **environment},
         capture_output=True,
         text=True,

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mantle.arrays import Floats
-from mantle.numerics.integrator import (
+from app.arrays import Floats
+from app.numerics.integrator import (
     METHODS,
     Controller,
     Method,

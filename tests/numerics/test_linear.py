@@ -11,11 +11,11 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from mantle.errors import ConvergenceError
-from mantle.mechanics.coarse_space import Boxes, SlidingMotions, free_directions
-from mantle.numerics.deflation import Deflated
-from mantle.numerics.preconditioners import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
-from mantle.numerics.sparse import from_rows
+from app.errors import ConvergenceError
+from app.mechanics.coarse_space import Boxes, SlidingMotions, free_directions
+from app.numerics.deflation import Deflated
+from app.numerics.preconditioners import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
+from app.numerics.sparse import from_rows
 from tests import support
 
 BLOCK = """
@@ -212,7 +212,7 @@ def test_interfaces_are_factored_first_and_the_stiffness_next(
 
 
 def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mantle.mechanics.coarse_space.STALE", 0.2)
+    monkeypatch.setattr("app.mechanics.coarse_space.STALE", 0.2)
     problem, _ = support.assemble(support.case(PUSHED))
     (j,) = problem.jumps
     motions = SlidingMotions(problem)

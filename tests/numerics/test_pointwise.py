@@ -8,7 +8,7 @@ import numpy as np
 from ufl import as_vector, outer
 from ufl.core.expr import Expr
 
-from mantle.numerics.pointwise import Pointwise
+from app.numerics.pointwise import Pointwise
 
 
 def expressions(x: dict[str, Expr]) -> list[Expr]:

@@ -7,11 +7,11 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from mantle.errors import ConvergenceError
-from mantle.mechanics.prediction import take_better
-from mantle.meshes.distribute import TaggedMesh
-from mantle.numerics.condition import condition_number
-from mantle.numerics.system import Measure
+from app.errors import ConvergenceError
+from app.mechanics.prediction import take_better
+from app.numerics.condition import condition_number
+from app.numerics.system import Measure
+from meshes.distribute import TaggedMesh
 from tests import support
 
 # A block pressed on a wall and aside: points stick and slip.

@@ -14,10 +14,10 @@ import numpy as np
 from dolfinx.cpp.graph import AdjacencyList_int32
 from scipy.spatial import cKDTree
 
-from mantle import cli
-from mantle.meshes.data import MeshData, face_neighbours
-from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.simulation import model
+from app import cli
+from app.simulation import model
+from meshes.data import MeshData, face_neighbours
+from meshes.distribute import TaggedMesh, distribute
 
 Ints = np.ndarray
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from petsc4py import PETSc
 
-from mantle.results import quantities
-from mantle.results.bond_strength import bonds
-from mantle.scene.terms import CureTerm, Expansion, PrescribedCure, Scene
+from app.results import quantities
+from app.results.bond_strength import bonds
+from app.scene.terms import CureTerm, Expansion, PrescribedCure, Scene
 from tests.heated import Heated
 
 CASE = """

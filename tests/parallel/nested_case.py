@@ -10,8 +10,8 @@ from unittest.mock import patch
 
 from mpi4py import MPI
 
-from mantle.simulation import related
-from mantle.stepping import nested_start
+from app.simulation import related
+from app.stepping import nested_start
 from tests.simulation import test_nested
 
 if __name__ == "__main__":

@@ -16,13 +16,13 @@ import json, sys
 from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
-from mantle.heat.conduction import Conduction
-from mantle.heat.flows import flows, stored
-from mantle.heat.system import HeatSystem
-from mantle.numerics.newton import Solver
-from mantle.scene import terms as t
-from mantle.scene.fibres import Fibre
-from mantle.system.timing import Timing
+from app.heat.conduction import Conduction
+from app.heat.flows import flows, stored
+from app.heat.system import HeatSystem
+from app.numerics.newton import Solver
+from app.scene import terms as t
+from app.scene.fibres import Fibre
+from app.system.timing import Timing
 from tests import support
 
 case = support.case((support.CONFIGS / "cylinders.yaml").read_text(),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mantle.verification.changed_meshes import ROTATION, change
+from app.verification.changed_meshes import ROTATION, change
 from tests import support
 from tests.mechanics.test_oblique import QUARTER, vector
 from tests.restarted import assert_same, whole

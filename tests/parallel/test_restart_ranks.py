@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle.results.reading import Run
-from mantle.system.folders import saved
+from app.results.reading import Run
+from app.system.folders import saved
 from tests import restarted, support
 
 STEPS = ("--set", "output.checkpoint.steps=1")

@@ -18,13 +18,13 @@ import pytest
 from ruamel.yaml import YAML
 
 import mantle
-from mantle.command_line.parser import parser
-from mantle.schema import config, start
-from mantle.schema.quantities import TABLE
-from mantle.schema.study_options import StudyFile
-from mantle.schema.sweep_options import Sweep
-from mantle.system import ranks
-from mantle.verification.suites import SUITES
+from app.command_line.parser import parser
+from app.schema import config, start
+from app.schema.quantities import TABLE
+from app.schema.study_options import StudyFile
+from app.schema.sweep_options import Sweep
+from app.system import ranks
+from app.verification.suites import SUITES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

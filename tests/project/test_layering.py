@@ -14,14 +14,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = {"app": "mantle", "forms": "mantle.forms", "meshes": "mantle.meshes"}
-FOLDERS["configs"] = "mantle.configs"
+FOLDERS = ("app", "configs", "forms", "meshes")
 LAYERS = ("app", "forms", "meshes")
 
 # Lowest first: a package imports only what stands before its row, and itself. Packages of one row
-# do not know each other. Beside them stand `mantle.errors`, `mantle.captured`, `mantle.files` and
-# `mantle.version`, which everybody may import, and `mantle` itself with the public functions and
-# `mantle.cli`, which see everything.
+# do not know each other. Beside them stand `app.errors`, `app.captured`, `app.files` and
+# `app.version`, which everybody may import, and `mantle.py` with the public functions and
+# `app.cli`, which see everything.
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
@@ -35,7 +34,7 @@ ROWS = (
     ("report", "verification"),
     ("command_line",),
 )
-TOP = ("mantle", "mantle.cli")
+TOP = ("mantle", "app.cli")
 # What prints: answers and errors.
 PRINTING = ("app/cli.py", "app/command_line/commands.py")
 # What a package may not see although it stands lower.
@@ -60,26 +59,26 @@ def tree(path: Path) -> ast.Module:
 
 
 def module(path: Path) -> str:
-    """Name of a module of the package mantle."""
-    folder, *parts = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join([FOLDERS[folder], *(part for part in parts if part != "__init__")])
+    """Name of a module."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(part for part in parts if part != "__init__")
 
 
-MODULES = {module(path): path for path in sources(*FOLDERS)}
+MODULES = {module(path): path for path in [ROOT / "mantle.py", *sources(*FOLDERS)]}
 
 
 @cache
 def imported(path: Path) -> frozenset[str]:
-    """Modules that a file imports, wherever in it; for type checkers alone, too."""
+    """Modules that a file imports, wherever in it but as a script; for type checkers alone, too."""
     own = module(path)
-    package = own if path.name == "__init__.py" else own.rpartition(".")[0]
     found = set()
-    for node in ast.walk(tree(path)):
+    body = [n for n in tree(path).body if not (isinstance(n, ast.If) and "__main__" in ast.dump(n))]
+    for node in (inner for outer in body for inner in ast.walk(outer)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            parents = package.split(".")[: len(package.split(".")) + 1 - node.level]
-            base = ".".join([*(parents if node.level else ()), *filter(None, [node.module])])
+            assert not node.level, f"{path}:{node.lineno}: a relative import"
+            base = str(node.module)
             names = {f"{base}.{alias.name}" for alias in node.names}
             found |= {name if name in MODULES else base for name in names}
     return frozenset(found - {own})
@@ -90,10 +89,11 @@ def top(name: str) -> str:
 
 
 def package_of(name: str) -> str:
-    """The package of a module below mantle; empty for what is beside them."""
+    """The package of a module; empty for what is beside them."""
     parts = name.split(".")
     known = {package for row in ROWS for package in row}
-    return parts[1] if parts[0] == "mantle" and len(parts) > 1 and parts[1] in known else ""
+    inner = parts[1] if parts[0] == "app" and len(parts) > 1 else parts[0]
+    return inner if inner in known else ""
 
 
 def all_of(*folders: str) -> object:
@@ -144,8 +144,7 @@ def test_every_package_is_installed_and_says_what_it_is() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     packages = {name for name, path in MODULES.items() if path.name == "__init__.py"}
     assert set(settings["packages"]) == packages
-    assert settings["package-dir"] == {name: folder for folder, name in FOLDERS.items()}
-    for name in packages - set(FOLDERS.values()):
+    for name in packages - set(FOLDERS):
         text = ast.get_docstring(tree(MODULES[name]))
         assert text and len(text.splitlines()) <= 6, name
 
@@ -159,7 +158,7 @@ def test_only_reports_know_the_paper() -> None:
     users = {
         name
         for name, path in MODULES.items()
-        if "mantle.report.paper"
+        if "app.report.paper"
         in {i.rpartition(".")[0] for i in imported(path)} | set(imported(path))
     }
     assert {package_of(name) for name in users} == {"report"}
@@ -168,7 +167,7 @@ def test_only_reports_know_the_paper() -> None:
 @all_of("forms")
 def test_forms_import_only_ufl(path: Path) -> None:
     allowed = sys.stdlib_module_names | {"ufl"}
-    assert {m for m in imported(path) if not m.startswith("mantle.forms")} <= {
+    assert {m for m in imported(path) if not m.startswith("forms")} <= {
         m for m in imported(path) if top(m) in allowed
     }
 
@@ -176,14 +175,14 @@ def test_forms_import_only_ufl(path: Path) -> None:
 @all_of("meshes")
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
     """What belongs to no layer above apart: errors, arrays, files, confinement."""
-    own = {m for m in imported(path) if top(m) == "mantle" and package_of(m) != "meshes"}
+    own = {m for m in imported(path) if top(m) == "app"}
     assert own <= {
-        "mantle.errors",
-        "mantle.arrays",
-        "mantle.captured",
-        "mantle.confined",
-        "mantle.figures",
-        "mantle.files",
+        "app.errors",
+        "app.arrays",
+        "app.captured",
+        "app.confined",
+        "app.figures",
+        "app.files",
     }
 
 
@@ -237,20 +236,20 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
     # The solver's side of the program does not even see the configuration's classes.
     solving = {"numerics", "mechanics", "heat", "stepping"}
     if package_of(module(path)) in solving or module(path) in (
-        "mantle.scene.terms",
-        "mantle.scene.bodies",
-        "mantle.results.balance",
-        "mantle.results.heat_balance",
-        "mantle.results.heat_passed",
-        "mantle.results.quantities",
-        "mantle.results.region_temperatures",
-        "mantle.results.thermal_quantities",
-        "mantle.soundness.diagnosis",
+        "app.scene.terms",
+        "app.scene.bodies",
+        "app.results.balance",
+        "app.results.heat_balance",
+        "app.results.heat_passed",
+        "app.results.quantities",
+        "app.results.region_temperatures",
+        "app.results.thermal_quantities",
+        "app.soundness.diagnosis",
     ):
-        seen = {m for m in imported(path) if m.startswith("mantle.schema.")}
+        seen = {m for m in imported(path) if m.startswith("app.schema.")}
         # A default value, and the table of numbers.
-        known = {"mantle.schema.run_options"} if path.stem == "jumps" else set()
-        known |= {"mantle.schema.quantities"} if path.stem == "quantities" else set()
+        known = {"app.schema.run_options"} if path.stem == "jumps" else set()
+        known |= {"app.schema.quantities"} if path.stem == "quantities" else set()
         assert seen <= known
         text = ast.unparse(tree(path))
         assert not {c for c in chosen - {"Contact"} if f"config.{c}" in text}

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import mantle
-from mantle.errors import InputError
-from mantle.simulation.recorder import AcceptedStep
+from app.errors import InputError
+from app.simulation.recorder import AcceptedStep
 from tests.support import CONFIGS, ROOT
 
 COARSE = {"mesh.size": "4 mm", "mesh.order": 1}
@@ -173,13 +173,13 @@ def test_code_for_people_runs_from_top_to_bottom(
 
 
 @pytest.mark.slow
-def test_a_wheel_brings_one_name(tmp_path: Path) -> None:
-    """With the shipped cases, and without the folders of a checkout."""
+def test_a_wheel_brings_five_names(tmp_path: Path) -> None:
+    """With the shipped cases, and without the other folders of a checkout."""
     pytest.importorskip("setuptools")
     checkout = tmp_path / "checkout"
     for folder in ("app", "forms", "meshes", "configs"):
         shutil.copytree(ROOT / folder, checkout / folder)
-    for file in ("pyproject.toml", "README.md"):
+    for file in ("pyproject.toml", "README.md", "mantle.py"):
         shutil.copy(ROOT / file, checkout)
     build = ["wheel", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
     python("-m", "pip", *build, "-w", str(tmp_path), str(checkout))
@@ -187,16 +187,18 @@ def test_a_wheel_brings_one_name(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {name.split("/")[0] for name in archive.namelist()}
         archive.extractall(tmp_path / "site")
-    assert {name for name in names if not name.endswith(".dist-info")} == {"mantle"}
+    assert {name for name in names if not name.endswith(".dist-info")} == {
+        *("app", "configs", "forms", "mantle.py", "meshes")
+    }
     code = (
-        "import mantle; from mantle.configs import FOLDER; from mantle.cli import main; "
+        "import mantle; from configs import FOLDER; from app.cli import main; "
         "print(mantle.__file__); main(['check', str(FOLDER / 'blocks.yaml'), '--mesh']); "
         "print(*FOLDER.glob('notebooks/*'))"
     )
     said = python("-c", code, PYTHONPATH=str(tmp_path / "site")).splitlines()
-    assert said[0] == str(tmp_path / "site" / "mantle" / "__init__.py")
+    assert said[0] == str(tmp_path / "site" / "mantle.py")
     assert "Patch test of three blocks" in said
-    assert said[-1] == str(tmp_path / "site" / "mantle" / "configs" / "notebooks/first_run.ipynb")
+    assert said[-1] == str(tmp_path / "site" / "configs" / "notebooks/first_run.ipynb")
 
 
 def test_words_are_completed_in_a_shell() -> None:

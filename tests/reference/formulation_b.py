@@ -36,9 +36,9 @@ from dolfinx.mesh import create_submesh, entities_to_geometry
 from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 
-from mantle.arrays import Floats, Ints
-from mantle.meshes.distribute import TaggedMesh
-from mantle.schema import config
+from app.arrays import Floats, Ints
+from app.schema import config
+from meshes.distribute import TaggedMesh
 
 VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
 TOLERANCE = 1e-11

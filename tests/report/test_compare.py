@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from mantle.errors import InputError
-from mantle.report import compare
-from mantle.report.sweep_results import Number
+from app.errors import InputError
+from app.report import compare
+from app.report.sweep_results import Number
 from tests.support import STEM, extended
 
 CASE = STEM.replace("size: 5 mm", "size: 8 mm")

@@ -13,17 +13,17 @@ from typing import Any
 
 import pytest
 
-from mantle.cli import main
-from mantle.errors import InputError
-from mantle.report import gruen, sensitivity, sweep_figures, sweep_report
-from mantle.report import sweep_results as rs
-from mantle.report.paper import cases as report_paper
-from mantle.report.paper import compare
-from mantle.report.paper import trends as rt
-from mantle.report.paper.cases import PERCENTILES
-from mantle.report.paper.trends import CONFIRMED, NOT_CONFIRMED, UNDECIDED
-from mantle.report.sweep_results import Number
-from mantle.schema import case_file, config
+from app.cli import main
+from app.errors import InputError
+from app.report import gruen, sensitivity, sweep_figures, sweep_report
+from app.report import sweep_results as rs
+from app.report.paper import cases as report_paper
+from app.report.paper import compare
+from app.report.paper import trends as rt
+from app.report.paper.cases import PERCENTILES
+from app.report.paper.trends import CONFIRMED, NOT_CONFIRMED, UNDECIDED
+from app.report.sweep_results import Number
+from app.schema import case_file, config
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODULI = {"titanium": 110, "CoCr": 200}

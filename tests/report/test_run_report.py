@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 import mantle
-from mantle.cli import main
-from mantle.report import history_curves, maps, run_report, run_sentence, viewer
-from mantle.schema.quantities import TABLE
+from app.cli import main
+from app.report import history_curves, maps, run_report, run_sentence, viewer
+from app.schema.quantities import TABLE
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
@@ -198,7 +198,7 @@ def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
 
 def test_a_run_without_convergence_says_so(tmp_path: Path) -> None:
     weak = {**COARSE, "solver.max_iterations": 1, "stages[1].max_cut_backs": 0}
-    with pytest.raises(mantle.errors.ConvergenceError):
+    with pytest.raises(mantle.ConvergenceError):
         mantle.run(mantle.load(CONFIGS / "cylinders.yaml", **weak), tmp_path / "out")
     written = (tmp_path / "out" / "summary.json").exists()
     assert written == (tmp_path / "out" / "report.html").exists()

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle.report import stills, viewer
-from mantle.results.reading import Run
+from app.report import stills, viewer
+from app.results.reading import Run
 from tests.support import STEM, extended
 
 

@@ -10,15 +10,15 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.errors import InputError
-from mantle.heat.assembly import HeatForms
-from mantle.report.paper.heat import bone_peak
-from mantle.report.sweep_results import SweptCase
-from mantle.results.stem_motion import stem_motion
-from mantle.results.thermal_quantities import ThermalRecord
-from mantle.schema import config
-from mantle.system.timing import Timing
+import meshes
+from app.errors import InputError
+from app.heat.assembly import HeatForms
+from app.report.paper.heat import bone_peak
+from app.report.sweep_results import SweptCase
+from app.results.stem_motion import stem_motion
+from app.results.thermal_quantities import ThermalRecord
+from app.schema import config
+from app.system.timing import Timing
 from tests import support
 from tests.results.test_thermal_quantities import BODIES, SIDES, Play, constant, two_blocks
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats
-from mantle.report import viewer
-from mantle.results.reading import Run
+from app.arrays import Floats
+from app.report import viewer
+from app.results.reading import Run
 from tests.support import STEM, extended
 
 BROWSER = shutil.which("chromium-headless-shell") or shutil.which("chromium")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mantle.results import log
+from app.results import log
 
 CHANGE = "peaks that still change with the mesh"
 

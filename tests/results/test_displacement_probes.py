@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mantle.cli import main
+from app.cli import main
 
 # Pressed without Poisson's effect: u_z = -p z / E, 1 MPa on 100 MPa, half of it in the first step.
 BAR = """

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from mantle.results import error
-from mantle.schema import config, quantities
+from app.results import error
+from app.schema import config, quantities
 from tests import support
 
 STACK = """

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from mantle.heat.conduction import Conduction
-from mantle.meshes.distribute import TaggedMesh
-from mantle.results.field_output import Copies, Fields, HeatFields
-from mantle.results.quantities import Samples
-from mantle.results.reading import shape_functions
-from mantle.results.thermal_quantities import ThermalRecord
-from mantle.scene.bodies import Bodies, bodies_of
-from mantle.scene.terms import ConductorTerm, Scene, ThermalContact
-from mantle.system.timing import Timing
+from app.heat.conduction import Conduction
+from app.results.field_output import Copies, Fields, HeatFields
+from app.results.quantities import Samples
+from app.results.reading import shape_functions
+from app.results.thermal_quantities import ThermalRecord
+from app.scene.bodies import Bodies, bodies_of
+from app.scene.terms import ConductorTerm, Scene, ThermalContact
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh
 from tests import support
 from tests.results.test_thermal_quantities import SIDES, ZERO, two_blocks
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mantle.cli import main
+from app.cli import main
 
 WALL = """
 geometry:

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from mantle.results import log
-from mantle.schema import loaded_case
-from mantle.simulation.session import run
+from app.results import log
+from app.schema import loaded_case
+from app.simulation.session import run
 
 # A ring that sets around a rigid core that it is smooth on, all at body temperature.
 RING = """

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import mantle
-from mantle import meshes
-from mantle.arrays import Floats
-from mantle.meshes.bisect import centres
-from mantle.results import goal
-from mantle.results.percentiles import SurfaceField
-from mantle.results.quantities import Samples
-from mantle.results.recovery import recovered
-from mantle.results.stem_motion import stem_motion
-from mantle.results.stresses import Stresses
-from mantle.schema import divided_cells, quantities
-from mantle.schema.goals import OF_INTERFACE, OF_STEM
-from mantle.system.timing import Timing
+import meshes
+from app.arrays import Floats
+from app.results import goal
+from app.results.percentiles import SurfaceField
+from app.results.quantities import Samples
+from app.results.recovery import recovered
+from app.results.stem_motion import stem_motion
+from app.results.stresses import Stresses
+from app.schema import divided_cells, quantities
+from app.schema.goals import OF_INTERFACE, OF_STEM
+from app.system.timing import Timing
+from meshes.bisect import centres
 from tests import support
 
 # A block of implant on one of bone: bent, slipping, and open at one edge.

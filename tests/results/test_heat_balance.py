@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle.results.heat_balance import HeatBalance
+from app.results.heat_balance import HeatBalance
 
 # One lump that cools by c T' = -k T, by the implicit trapezoidal rule and by backward Euler.
 C, K, STEP = 3.0, 0.7, 0.4

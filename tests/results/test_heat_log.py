@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mantle.results import log, tables
+from app.results import log, tables
 
 
 def summary() -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from mantle.results import heat_picture
+from app.results import heat_picture
 from tests.results.test_thermal_quantities import BODIES, ZERO, two_blocks
 
 

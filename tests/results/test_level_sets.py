@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle.results.level_sets import distance, positive_share
+from app.results.level_sets import distance, positive_share
 
 
 def test_part_of_a_tetrahedron_by_counting() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from mantle.results import necrosis
+from app.results import necrosis
 
 ZERO = 273.15
 R = 8.314462618

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats, Ints
-from mantle.meshes.contact_facets import InterfaceFacets, shape_functions, surface
-from mantle.results.penetration import LATTICE, gaps
+from app.arrays import Floats, Ints
+from app.results.penetration import LATTICE, gaps
+from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 from tests.support import STEM, Solved, solve
 
 MIDDLES = ((1, 2), (0, 2), (0, 1))

@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
-from mantle.results.percentiles import SurfaceField
-from mantle.results.stem_motion import stem_motion
-from mantle.results.stresses import Stresses
-from mantle.system.timing import Timing
+from app.results.percentiles import SurfaceField
+from app.results.stem_motion import stem_motion
+from app.results.stresses import Stresses
+from app.system.timing import Timing
 from tests import support
 
 # A rigid block on an elastic one without Poisson's ratio: it moves as it is told to.

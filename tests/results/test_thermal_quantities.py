@@ -16,16 +16,16 @@ import pytest
 from dolfinx import fem, mesh
 from scipy.integrate import quad
 
-from mantle.errors import InputError
-from mantle.heat.assembly import HeatForms
-from mantle.heat.nodes import ProbedPoint
-from mantle.meshes.distribute import TaggedMesh
-from mantle.results import tables
-from mantle.results.cure_quantities import CureRecord
-from mantle.results.heat_passed import HeatPassed
-from mantle.results.thermal_quantities import ThermalRecord
-from mantle.scene.bodies import Bodies, bodies_of
-from mantle.system.timing import Timing
+from app.errors import InputError
+from app.heat.assembly import HeatForms
+from app.heat.nodes import ProbedPoint
+from app.results import tables
+from app.results.cure_quantities import CureRecord
+from app.results.heat_passed import HeatPassed
+from app.results.thermal_quantities import ThermalRecord
+from app.scene.bodies import Bodies, bodies_of
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh
 from tests import coupled, support
 
 ZERO = 273.15

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.results import unrolled
-from mantle.results.reading import FACES, Run
+from app.results import unrolled
+from app.results.reading import FACES, Run
 
 N, LAYERS, RADIUS, LENGTH = 12, 3, 5.0, 30.0
 

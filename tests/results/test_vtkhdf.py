@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from dolfinx import fem, mesh
 
-from mantle.results import vtkhdf
+from app.results import vtkhdf
 from tests import support
 
 STEPS = 3

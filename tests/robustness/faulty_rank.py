@@ -8,13 +8,14 @@ from typing import Any
 
 from mpi4py import MPI
 
-from mantle import cli, meshes
-from mantle.errors import ConvergenceError, StoppedError
-from mantle.mechanics import problem
-from mantle.meshes import distribute
-from mantle.numerics import snes
-from mantle.results.output import Writer
-from mantle.simulation import checkpoint
+import meshes
+from app import cli
+from app.errors import ConvergenceError, StoppedError
+from app.mechanics import problem
+from app.numerics import snes
+from app.results.output import Writer
+from app.simulation import checkpoint
+from meshes import distribute
 
 # What is called in a phase, and the call that fails.
 PHASES: dict[str, tuple[Any, str, int]] = {

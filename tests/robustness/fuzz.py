@@ -25,10 +25,10 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from mantle.errors import InputError
-from mantle.schema import case_file, config, gmsh_file, layers, study_file, sweep_file
-from mantle.schema.unit_conversion import registry
-from mantle.soundness import cost, preview, unusual_input
+from app.errors import InputError
+from app.schema import case_file, config, gmsh_file, layers, study_file, sweep_file
+from app.schema.unit_conversion import registry
+from app.soundness import cost, preview, unusual_input
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SECONDS = 2.0

@@ -16,10 +16,10 @@ import sys
 import traceback
 from pathlib import Path
 
-from mantle import meshes
-from mantle.errors import GeometryError, InputError
-from mantle.meshes.session import session
-from mantle.schema import config
+import meshes
+from app.errors import GeometryError, InputError
+from app.schema import config
+from meshes.session import session
 
 MEMORY = 4 << 30
 SECONDS = 20

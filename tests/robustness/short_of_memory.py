@@ -8,9 +8,9 @@ import resource
 import sys
 from pathlib import Path
 
-from mantle import cli
-from mantle.simulation import model, session
-from mantle.soundness import sizing
+from app import cli
+from app.simulation import model, session
+from app.soundness import sizing
 
 
 def limit(more: float) -> None:

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle.errors import EnvironmentProblem
-from mantle.soundness import sizing
-from mantle.system import blas_check, form_cache
+from app.errors import EnvironmentProblem
+from app.soundness import sizing
+from app.system import blas_check, form_cache
 from tests import support
 from tests.robustness import shims
 from tests.robustness.faulty import CASE, HERE, OPTIONS, run, slow
@@ -263,7 +263,7 @@ def test_a_compiler_that(how: str, tmp_path: Path) -> None:
 def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
     """A process that compiles a module for ever."""
     script = (
-        "import sys, time\nfrom pathlib import Path\nfrom mantle.system import form_cache\n"
+        "import sys, time\nfrom pathlib import Path\nfrom app.system import form_cache\n"
         "def get(name, objects, folder, timeout): (folder / f'{name}.c').touch()\n"
         "form_cache._wait(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
         "print('compiling', flush=True)\ntime.sleep(60)\n"

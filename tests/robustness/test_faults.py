@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.schema import config
-from mantle.system import folders, form_cache
+import meshes
+from app.schema import config
+from app.system import folders, form_cache
 from tests.robustness.faulty import CASE, DAMAGES, HERE, OPTIONS, damage, mounts, run, slow
 from tests.support import environment
 
@@ -41,7 +41,7 @@ def test_a_mesh_that_cannot_be_kept_is_a_mesh(caplog: pytest.LogCaptureFixture) 
 def test_damaged_conversions_are_made_again(kept: str, tmp_path: Path) -> None:
     (tmp_path / "mantle" / "units").mkdir(parents=True)
     (tmp_path / "mantle" / "units" / "conversions.json").write_text(kept)
-    script = "from mantle.schema.unit_conversion import conversion; print(*conversion('mm', 'mm'))"
+    script = "from app.schema.unit_conversion import conversion; print(*conversion('mm', 'mm'))"
     done = subprocess.run(
         [sys.executable, "-c", script],
         env=environment() | {"XDG_CACHE_HOME": str(tmp_path)},

@@ -21,9 +21,9 @@ from pathlib import Path
 
 import pytest
 
-from mantle.campaigns import batch
-from mantle.campaigns.runs import Job, Result
-from mantle.errors import EnvironmentProblem
+from app.campaigns import batch
+from app.campaigns.runs import Job, Result
+from app.errors import EnvironmentProblem
 from tests import support
 
 pytestmark = pytest.mark.slow
@@ -85,7 +85,7 @@ sys.exit(done.returncode)
 """
 CONTROLLER = """\
 import logging, pathlib, sys
-from mantle.campaigns import batch
+from app.campaigns import batch
 from tests.robustness.test_slurm import batch_of
 logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stdout)
 batch_of(pathlib.Path(sys.argv[1]), int(sys.argv[2]))

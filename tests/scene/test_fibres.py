@@ -12,16 +12,16 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.meshes.distribute import TaggedMesh
-from mantle.results.stresses import Stresses
-from mantle.scene.fibres import Fibre
-from mantle.schema import config
-from mantle.simulation.model import Model
-from mantle.soundness import case_on_mesh
-from mantle.system.timing import Timing
-from mantle.verification import closed_forms as exact
+from app.arrays import Floats
+from app.errors import InputError
+from app.results.stresses import Stresses
+from app.scene.fibres import Fibre
+from app.schema import config
+from app.simulation.model import Model
+from app.soundness import case_on_mesh
+from app.system.timing import Timing
+from app.verification import closed_forms as exact
+from meshes.distribute import TaggedMesh
 from tests import support
 from tests.heated import Heated
 from tests.mechanics.test_setting import cure, setting
@@ -196,7 +196,7 @@ def test_the_axis_runs_outside_the_region(
 def test_check_and_run_refuse_an_axis_in_the_region(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from mantle.cli import main
+    from app.cli import main
 
     name, *options = command
     folder = [str(tmp_path / "out")] if name == "run" else []

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from mantle.errors import InputError
-from mantle.scene import terms
-from mantle.scene.build import build_scene
-from mantle.scene.fibres import Fibre
-from mantle.scene.terms import multiplier
-from mantle.schema import config, units
+from app.errors import InputError
+from app.scene import terms
+from app.scene.build import build_scene
+from app.scene.fibres import Fibre
+from app.scene.terms import multiplier
+from app.schema import config, units
 from tests import support
 
 CASE = """

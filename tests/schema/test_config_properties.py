@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from mantle.errors import InputError
-from mantle.schema import case_file, config
-from mantle.schema.units import Length, Modulus, Stiffness, Temperature
+from app.errors import InputError
+from app.schema import case_file, config
+from app.schema.units import Length, Modulus, Stiffness, Temperature
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 moderate = st.floats(-1e6, 1e6)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mantle.schema import gmsh_file
-from mantle.schema.gmsh_cells import with_cells
+from app.schema import gmsh_file
+from app.schema.gmsh_cells import with_cells
 
 HEAD = b"$MeshFormat\n2.2 1 8\n$EndMeshFormat\n$Elements\n1000\n"
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from mantle.errors import InputError
-from mantle.schema import case_file, config, layers, library, loaded_case, study_file, sweep_file
+from app.errors import InputError
+from app.schema import case_file, config, layers, library, loaded_case, study_file, sweep_file
 from tests.support import CONFIGS
 
 BLOCKS = """\

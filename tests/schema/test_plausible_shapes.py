@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from mantle.cli import main
-from mantle.errors import InputError
-from mantle.schema import config
+from app.cli import main
+from app.errors import InputError
+from app.schema import config
 
 HIP = """\
 geometry:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from mantle.campaigns.runs import Job, resolve, runs_of
-from mantle.schema import config, sweep_file
+from app.campaigns.runs import Job, resolve, runs_of
+from app.schema import config, sweep_file
 from tests.support import CONFIGS
 
 STANCE = CONFIGS / "stance.yaml"

@@ -17,14 +17,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from mantle.cli import main
-from mantle.errors import InputError
-from mantle.numerics.state import Rows
-from mantle.schema import config
-from mantle.simulation import checkpoint, checkpoint_file
-from mantle.simulation.checkpoint_file import DamagedError
-from mantle.system import stopping
-from mantle.system.folders import saved
+from app.cli import main
+from app.errors import InputError
+from app.numerics.state import Rows
+from app.schema import config
+from app.simulation import checkpoint, checkpoint_file
+from app.simulation.checkpoint_file import DamagedError
+from app.system import stopping
+from app.system.folders import saved
 from tests import restarted, support
 
 COMM = MPI.COMM_SELF
@@ -73,7 +73,7 @@ def test_a_failed_write_leaves_what_was_there(
     def full(number: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("mantle.system.folders.os.fsync", full)
+    monkeypatch.setattr("app.system.folders.os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         checkpoint_file.write(COMM, path, HEADER, {"a": 2})
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
@@ -261,8 +261,8 @@ def test_a_second_interruption_stops_a_single_rank_at_once(
     handlers: dict[int, Any] = {}
     now, ended = [10.0], list[int]()
     monkeypatch.setattr(signal, "signal", handlers.__setitem__)
-    monkeypatch.setattr("mantle.system.stopping.clock", SimpleNamespace(monotonic=lambda: now[0]))
-    monkeypatch.setattr("mantle.system.ranks.world_size", lambda: None)
+    monkeypatch.setattr("app.system.stopping.clock", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("app.system.ranks.world_size", lambda: None)
     monkeypatch.setattr("os._exit", ended.append)
     stop = stopping.signals()
     handlers[first](first, None)
@@ -294,8 +294,8 @@ def test_the_wall_time_is_kept(
             return self.now
 
     clock = Clock()
-    monkeypatch.setattr("mantle.simulation.session.clock", clock)
-    monkeypatch.setattr("mantle.system.stopping.clock", clock)
+    monkeypatch.setattr("app.simulation.session.clock", clock)
+    monkeypatch.setattr("app.system.stopping.clock", clock)
     case, out = tmp_path / "case.yaml", tmp_path / "out"
     case.write_text(restarted.RUBBING)
     command = ["run", str(case), "-o", str(out), *LONG, "--restart", "auto"]

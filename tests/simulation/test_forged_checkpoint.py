@@ -19,10 +19,10 @@ import h5py
 import numpy as np
 import pytest
 
-from mantle.cli import main
-from mantle.simulation import checkpoint_file
-from mantle.simulation.checkpoint_file import BLOCK, WORD, DamagedError, read
-from mantle.system.folders import saved
+from app.cli import main
+from app.simulation import checkpoint_file
+from app.simulation.checkpoint_file import BLOCK, WORD, DamagedError, read
+from app.system.folders import saved
 from tests import restarted, support
 
 FIELDS = ("--set", "output.fields=false")

@@ -10,14 +10,14 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from mantle.errors import GeometryError, MantleError, StoppedError
-from mantle.mechanics.problem import TrialState
-from mantle.numerics.newton import NewtonResult
-from mantle.simulation import related
-from mantle.simulation.model import Model
-from mantle.stepping import nested_start
-from mantle.stepping.load_steps import LoadStep
-from mantle.system.timing import Timing
+from app.errors import GeometryError, MantleError, StoppedError
+from app.mechanics.problem import TrialState
+from app.numerics.newton import NewtonResult
+from app.simulation import related
+from app.simulation.model import Model
+from app.stepping import nested_start
+from app.stepping.load_steps import LoadStep
+from app.system.timing import Timing
 from tests import support
 
 STEM = """

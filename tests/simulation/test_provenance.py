@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 import mantle
-from mantle.cli import main
-from mantle.system import privacy
+from app.cli import main
+from app.system import privacy
 from tests import support
 
 BASE = """

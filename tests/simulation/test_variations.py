@@ -13,15 +13,15 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats
-from mantle.errors import InputError
-from mantle.mechanics.problem import TrialState
-from mantle.results.quantities import Samples
-from mantle.schema import config
-from mantle.simulation import variations
-from mantle.simulation.model import Model
-from mantle.stepping.load_steps import LoadStep
-from mantle.system.timing import Timing
+from app.arrays import Floats
+from app.errors import InputError
+from app.mechanics.problem import TrialState
+from app.results.quantities import Samples
+from app.schema import config
+from app.simulation import variations
+from app.simulation.model import Model
+from app.stepping.load_steps import LoadStep
+from app.system.timing import Timing
 from tests import coupled, support
 
 # A tapered stem pushed down and aside in two steps: the first sticks in part, the second slips.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mantle.schema import config
-from mantle.soundness import cost
+from app.schema import config
+from app.soundness import cost
 from tests.support import CONFIGS
 
 NO_ERRORS = "output.error=false"

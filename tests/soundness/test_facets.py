@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from mantle.errors import ConvergenceError
-from mantle.stepping.load_steps import LoadStepper
+from app.errors import ConvergenceError
+from app.stepping.load_steps import LoadStepper
 from tests import support
 
 STEM = (support.CONFIGS / "stress" / "stem.yaml").read_text(encoding="utf-8")

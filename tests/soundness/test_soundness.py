@@ -14,17 +14,17 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.cli import main
-from mantle.errors import ConvergenceError, GeometryError, InputError
-from mantle.meshes.data import MeshData, components, face_neighbours
-from mantle.meshes.parts import coincident
-from mantle.numerics.active_set import ActiveSet
-from mantle.numerics.rigid_motions import describe, rigid_modes
-from mantle.schema import config
-from mantle.soundness import case_on_mesh, unusual_input
-from mantle.soundness.free_motions import gaps_of, groups_of
-from mantle.system import folders
+import meshes
+from app.cli import main
+from app.errors import ConvergenceError, GeometryError, InputError
+from app.numerics.active_set import ActiveSet
+from app.numerics.rigid_motions import describe, rigid_modes
+from app.schema import config
+from app.soundness import case_on_mesh, unusual_input
+from app.soundness.free_motions import gaps_of, groups_of
+from app.system import folders
+from meshes.data import MeshData, components, face_neighbours
+from meshes.parts import coincident
 from tests import support
 from tests.support import CONFIGS
 

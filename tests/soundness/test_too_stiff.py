@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.cli import main
-from mantle.soundness import case_on_mesh
+import meshes
+from app.cli import main
+from app.soundness import case_on_mesh
 from tests import support
 
 # A cantilever of E = 1 GPa and nu = 0, pushed down at its end by 1 N.

@@ -7,9 +7,9 @@ import logging
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats
-from mantle.soundness import uniqueness
-from mantle.soundness.uniqueness import critical_friction
+from app.arrays import Floats
+from app.soundness import uniqueness
+from app.soundness.uniqueness import critical_friction
 from tests import support
 
 # Relative distance from the critical coefficient at which sides are told apart.

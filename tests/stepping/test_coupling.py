@@ -10,8 +10,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 
-from mantle.campaigns.work_precision import fitted_order
-from mantle.stepping.staggered import Staggered
+from app.campaigns.work_precision import fitted_order
+from app.stepping.staggered import Staggered
 from tests import coupled
 
 OPEN, STICK, SLIP = 0, 1, 2

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mantle.cli import main
-from mantle.verification.heat_measures import WALLS
+from app.cli import main
+from app.verification.heat_measures import WALLS
 from tests.support import CONFIGS
 
 

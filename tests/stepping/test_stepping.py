@@ -6,8 +6,8 @@ import dataclasses
 
 import pytest
 
-from mantle.errors import ConvergenceError
-from mantle.numerics.newton import NewtonResult, Solver
+from app.errors import ConvergenceError
+from app.numerics.newton import NewtonResult, Solver
 from tests import coupled, support
 
 PLUG = """

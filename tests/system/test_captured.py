@@ -9,9 +9,9 @@ import sys
 
 import pytest
 
-from mantle.captured import captured
-from mantle.errors import GeometryError
-from mantle.meshes import session
+from app.captured import captured
+from app.errors import GeometryError
+from meshes import session
 
 log = logging.getLogger("mantle")
 

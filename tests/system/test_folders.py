@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 
-from mantle.system.folders import csv_text
+from app.system.folders import csv_text
 
 
 def test_no_text_of_a_case_is_a_formula_in_a_spreadsheet() -> None:

@@ -12,8 +12,8 @@ import dolfinx
 import gmsh
 import pytest
 
-from mantle import __version__
-from mantle.system import identity
+from app.system import identity
+from app.version import __version__
 from tests import support
 
 
@@ -30,7 +30,7 @@ def test_versions_are_those_of_the_libraries() -> None:
 def told(**environ: str) -> dict[str, str]:
     """The parts in a process of its own, which does not load MPI for Python."""
     code = (
-        "import json, sys; from mantle.system import identity; print(json.dumps(identity.parts()));"
+        "import json, sys; from app.system import identity; print(json.dumps(identity.parts()));"
         "assert not {'mpi4py.MPI', 'petsc4py.PETSc', 'dolfinx'} & sys.modules.keys()"
     )
     done = subprocess.run(
@@ -55,6 +55,6 @@ def test_the_kernel_of_the_blas_belongs_to_it() -> None:
 
 def test_the_sources_that_numbers_depend_on_belong_to_it() -> None:
     """What only asks for runs, or tells of them, does not."""
-    assert not identity.OUTSIDE.fullmatch("numerics/newton.py")
-    assert not identity.OUTSIDE.fullmatch("system/identity.py")
-    assert identity.OUTSIDE.fullmatch("verification/problems.py")
+    assert not identity.OUTSIDE.fullmatch("app/numerics/newton.py")
+    assert not identity.OUTSIDE.fullmatch("app/system/identity.py")
+    assert identity.OUTSIDE.fullmatch("app/verification/problems.py")

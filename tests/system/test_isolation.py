@@ -61,7 +61,7 @@ sys.exit(7)
 RUN = """
 import sys
 from pathlib import Path
-from mantle.system import isolation
+from app.system import isolation
 sys.exit(isolation.run(sys.argv[3:], Path(sys.argv[1]), [Path(sys.argv[2])]))
 """
 NOBODY = 65534
@@ -187,10 +187,10 @@ def test_a_machine_without_namespaces_is_told(tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text(restarted.RUBBING)
     refuse = (
         "import ctypes, os\n"
-        "from mantle.system import isolation\n"
+        "from app.system import isolation\n"
         "def refuse(): raise PermissionError(1, 'Operation not permitted', 'unshare')\n"
         "isolation.separate = refuse\n"
-        "from mantle.cli import main\n"
+        "from app.cli import main\n"
         "raise SystemExit(main(['run', 'case.yaml', '-o', 'out', '--isolate']))\n"
     )
     done = subprocess.run(

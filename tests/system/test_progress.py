@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from mantle.command_line import streams
-from mantle.command_line.streams import ProgressHandler
-from mantle.system.progress import LEVEL, doing
-from mantle.system.timing import Timing
+from app.command_line import streams
+from app.command_line.streams import ProgressHandler
+from app.system.progress import LEVEL, doing
+from app.system.timing import Timing
 
 Printed = Callable[[], str]
 

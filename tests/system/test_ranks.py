@@ -7,10 +7,10 @@ import signal
 
 import pytest
 
-from mantle.cli import main
-from mantle.command_line import commands
-from mantle.errors import InputError
-from mantle.system import ranks
+from app.cli import main
+from app.command_line import commands
+from app.errors import InputError
+from app.system import ranks
 
 RULE = "-" * 74 + "\n"
 NON_ZERO = (

@@ -10,12 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from mantle.system import scratch
+from app.system import scratch
 from tests.support import environment
 
-SCRIPT = (
-    "from mantle.system import scratch; import sys, time; print(scratch.make()[0], flush=True)\n"
-)
+SCRIPT = "from app.system import scratch; import sys, time; print(scratch.make()[0], flush=True)\n"
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +35,7 @@ def test_folders_of_runs_that_live_stay(place: Path) -> None:
 
 def test_folders_of_runs_that_were_killed_go(place: Path) -> None:
     setting = (
-        "from pathlib import Path\nfrom mantle.system import scratch\n"
+        "from pathlib import Path\nfrom app.system import scratch\n"
         f"scratch.SHARED = Path('{place}')\n"
     )
     child = subprocess.Popen(

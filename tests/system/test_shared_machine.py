@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle import files, meshes
-from mantle.cli import main
-from mantle.errors import EnvironmentProblem
-from mantle.numerics import kernels
-from mantle.schema import unit_conversion
-from mantle.system import folders, form_cache
+import meshes
+from app import files
+from app.cli import main
+from app.errors import EnvironmentProblem
+from app.numerics import kernels
+from app.schema import unit_conversion
+from app.system import folders, form_cache
 from tests import support
 
 NOBODY = 65534

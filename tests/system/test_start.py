@@ -17,12 +17,12 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mantle import meshes
-from mantle.meshes.contact_faces import _connected, distinct_rows
-from mantle.numerics import kernels, pointwise
-from mantle.numerics.sparse import from_triplets
-from mantle.schema import config, unit_conversion
-from mantle.system import folders
+import meshes
+from app.numerics import kernels, pointwise
+from app.numerics.sparse import from_triplets
+from app.schema import config, unit_conversion
+from app.system import folders
+from meshes.contact_faces import _connected, distinct_rows
 from tests import support
 
 
@@ -32,7 +32,7 @@ def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_
     case = config.load(path)
     meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     script = (
-        "import sys; from mantle.cli import main; "
+        "import sys; from app.cli import main; "
         f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}]) == 0; "
         "print(*sys.modules)"
     )
@@ -47,7 +47,7 @@ def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_
 def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:
     import gmsh
 
-    from mantle.meshes.cache import _gmsh_version
+    from meshes.cache import _gmsh_version
 
     assert _gmsh_version() == gmsh.__version__
 
@@ -183,11 +183,11 @@ def test_a_run_of_a_warm_case_compiles_nothing(tmp_path: Path) -> None:
     """On another mesh and in a cache of its own, where there was nothing before."""
     case = str(support.CONFIGS / "blocks.yaml")
     warm = (
-        "from pathlib import Path; from mantle.simulation.precompile import warm; "
+        "from pathlib import Path; from app.simulation.precompile import warm; "
         f"warm(Path({case!r}), 1)"
     )
     run = (
-        "import sys, ffcx.codegeneration.jit as jit; from mantle.cli import main; "
+        "import sys, ffcx.codegeneration.jit as jit; from app.cli import main; "
         "jit._compile_objects = None; "
         f"sys.exit(main(['run', {case!r}, '-o', {str(tmp_path / 'out')!r}]))"
     )

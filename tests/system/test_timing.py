@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from mantle.system import progress, timing
+from app.system import progress, timing
 from tests import support
 
 
@@ -70,7 +70,7 @@ def test_a_phase_inside_another_counts_alone(monkeypatch: pytest.MonkeyPatch) ->
 def test_peak_memory_is_that_of_the_arrays_there_were() -> None:
     """In a process of its own: it begins with little."""
     code = (
-        "import numpy as np; from mantle.system import timing; before = timing.peak_memory();"
+        "import numpy as np; from app.system import timing; before = timing.peak_memory();"
         "size = int(before + 100); assert np.ones((size, 125_000)).nbytes == size * 1e6;"
         "print(timing.peak_memory() - size)"
     )

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from mantle.schema import config
-from mantle.verification import benchmarks
-from mantle.verification.benchmarks import INTERFACES, RUNGS, growth, later_steps, spread
-from mantle.verification.check import CONFIGS, Check, within
+from app.schema import config
+from app.verification import benchmarks
+from app.verification.benchmarks import INTERFACES, RUNGS, growth, later_steps, spread
+from app.verification.check import CONFIGS, Check, within
 
 
 @dataclass

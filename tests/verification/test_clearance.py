@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle.errors import ConvergenceError
-from mantle.forms.contact import STICK
-from mantle.meshes.distribute import TaggedMesh
-from mantle.scene.terms import gap_at
-from mantle.schema import config
-from mantle.verification import closed_forms as exact
-from mantle.verification.measures import CEMENT
+from app.errors import ConvergenceError
+from app.scene.terms import gap_at
+from app.schema import config
+from app.verification import closed_forms as exact
+from app.verification.measures import CEMENT
+from forms.contact import STICK
+from meshes.distribute import TaggedMesh
 from tests import support
 
 CASES = support.CONFIGS / "verification"

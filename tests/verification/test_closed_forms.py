@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from mantle.schema.expressions import evaluate
-from mantle.verification import closed_forms as exact
+from app.schema.expressions import evaluate
+from app.verification import closed_forms as exact
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 CEMENT, STEM = (2200.0, 0.3), (110e3, 0.3)

@@ -16,9 +16,9 @@ from ruamel.yaml import YAML
 from scipy.integrate import quad, solve_ivp
 from scipy.special import expi
 
-from mantle.schema.expressions import evaluate
-from mantle.verification import closed_forms_coupled as coupled
-from mantle.verification import closed_forms_heat as exact
+from app.schema.expressions import evaluate
+from app.verification import closed_forms_coupled as coupled
+from app.verification import closed_forms_heat as exact
 
 CASES = Path(__file__).resolve().parents[2] / "configs" / "verification"
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.results.stresses import Stresses
-from mantle.system.timing import Timing
-from mantle.verification import closed_forms
+from app.results.stresses import Stresses
+from app.system.timing import Timing
+from app.verification import closed_forms
 from tests import support
 
 SHRINK_FIT = """

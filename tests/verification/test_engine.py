@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle import cli
-from mantle.campaigns import batch
-from mantle.campaigns.many import Options
-from mantle.campaigns.runs import Job, Result
-from mantle.errors import InputError, Reason
-from mantle.verification import engine, picture
-from mantle.verification.check import Check, CheckRun, Sample, each, finest
-from mantle.verification.suites import SUITES
+from app import cli
+from app.campaigns import batch
+from app.campaigns.many import Options
+from app.campaigns.runs import Job, Result
+from app.errors import InputError, Reason
+from app.verification import engine, picture
+from app.verification.check import Check, CheckRun, Sample, each, finest
+from app.verification.suites import SUITES
 
 LOOSE = "no convergence: it is loose [loose-body]"
 KEYS = {"name", "group", "outcome", "error", "tolerance", "order", "seconds", "message", "runs"}

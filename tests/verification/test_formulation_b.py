@@ -13,18 +13,18 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.arrays import Floats, Ints
-from mantle.mechanics.jumps import Jumps
-from mantle.mechanics.problem import Problem, TrialState
-from mantle.mechanics.systems import mechanical
-from mantle.meshes.distribute import TaggedMesh, distribute
-from mantle.numerics.newton import Solver
-from mantle.scene.build import build_scene
-from mantle.schema import config
-from mantle.stepping.load_steps import LoadStep, LoadStepper
-from mantle.stepping.stages import run_stages
-from mantle.system.timing import Timing
+import meshes
+from app.arrays import Floats, Ints
+from app.mechanics.jumps import Jumps
+from app.mechanics.problem import Problem, TrialState
+from app.mechanics.systems import mechanical
+from app.numerics.newton import Solver
+from app.scene.build import build_scene
+from app.schema import config
+from app.stepping.load_steps import LoadStep, LoadStepper
+from app.stepping.stages import run_stages
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh, distribute
 from tests.reference import formulation_b
 from tests.reference.formulation_b import InterfaceState, State
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mantle.forms.contact import SLIP
+from forms.contact import SLIP
 from tests import support
 
 # A straight stem and its mantle, both too large for their holes, then pushed down or pulled up by

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.meshes import femur_bone, femur_intact, femur_stem, mantle
-from mantle.meshes.data import (
+import meshes
+from app.schema.geometries import Femur, IntactFemur, MeshOptions
+from meshes import femur_bone, femur_intact, femur_stem, mantle
+from meshes.data import (
     MeshData,
     boundary_areas,
     cell_volumes,
     facet_areas,
     region_volumes,
 )
-from mantle.schema.geometries import Femur, IntactFemur, MeshOptions
 from tests import support
 
 SIZE = 3.0
@@ -188,8 +188,8 @@ sys.path.insert(0, {root!r})
 from pathlib import Path
 from mpi4py import MPI
 import dolfinx, numpy as np, ufl
-from mantle.meshes import cache
-from mantle.meshes.distribute import distribute
+from meshes import cache
+from meshes.distribute import distribute
 
 comm = MPI.COMM_WORLD
 data = cache.load(Path({mesh!r})) if comm.rank == 0 else None
@@ -220,8 +220,8 @@ if comm.rank == 0:
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["straight", "curved", "femur"])
 def test_distributed_volumes_and_areas_are_the_serial_ones(tmp_path: Path, kind: str) -> None:
-    from mantle.meshes import cache as stored
-    from mantle.schema.geometries import Cylinders
+    from app.schema.geometries import Cylinders
+    from meshes import cache as stored
 
     if kind == "femur":
         data = femur(4.0)
@@ -234,7 +234,7 @@ def test_distributed_volumes_and_areas_are_the_serial_ones(tmp_path: Path, kind:
     stored.store(data, mesh)
     for ranks in (1, 2, 3):
         out = tmp_path / f"{ranks}.json"
-        program.write_text(PROGRAM.format(root=str(support.PROGRAM), mesh=str(mesh), out=str(out)))
+        program.write_text(PROGRAM.format(root=str(support.ROOT), mesh=str(mesh), out=str(out)))
         support.on_ranks(ranks, program)
         volumes, areas = json.loads(out.read_text())
         assert volumes == pytest.approx(region_volumes(data), rel=1e-10)

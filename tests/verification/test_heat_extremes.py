@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from mantle.campaigns.many import Options
-from mantle.verification import engine
+from app.campaigns.many import Options
+from app.verification import engine
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.forms.contact import OPEN, SLIP, STICK
+from forms.contact import OPEN, SLIP, STICK
 from tests import support
 from tests.support import Solved
 

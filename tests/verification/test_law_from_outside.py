@@ -13,10 +13,10 @@ from tests import support
 LAYER = '''
 from dataclasses import dataclass
 from typing import Literal
-from mantle.scene.build import law_of
-from mantle.scene.laws import Traction
-from mantle.schema.interfaces import InterfaceSection
-from mantle.schema.units import PositiveStiffness
+from app.scene.build import law_of
+from app.scene.laws import Traction
+from app.schema.interfaces import InterfaceSection
+from app.schema.units import PositiveStiffness
 
 
 class ElasticLayer(InterfaceSection):
@@ -100,10 +100,10 @@ WORN = '''
 from dataclasses import dataclass
 from typing import Literal
 from ufl import dot, max_value
-from mantle.scene.build import law_of
-from mantle.scene.laws import Traction
-from mantle.schema.interfaces import InterfaceSection
-from mantle.schema.units import Length, PositiveStiffness
+from app.scene.build import law_of
+from app.scene.laws import Traction
+from app.schema.interfaces import InterfaceSection
+from app.schema.units import Length, PositiveStiffness
 
 
 class WornLayer(InterfaceSection):
@@ -155,10 +155,10 @@ WIND = '''
 from dataclasses import dataclass
 from typing import Literal
 from ufl import dot
-from mantle.scene.build import load_of
-from mantle.scene.loads import LoadTerm
-from mantle.schema.conditions import LoadSection
-from mantle.schema.units import Stress
+from app.scene.build import load_of
+from app.scene.loads import LoadTerm
+from app.schema.conditions import LoadSection
+from app.schema.units import Stress
 
 
 class Wind(LoadSection):

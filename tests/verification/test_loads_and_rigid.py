@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mantle.errors import InputError
-from mantle.mechanics.reduction import _held_motions
-from mantle.numerics.rigid_motions import rigid_modes
-from mantle.schema import config
+from app.errors import InputError
+from app.mechanics.reduction import _held_motions
+from app.numerics.rigid_motions import rigid_modes
+from app.schema import config
 from tests import support
 
 CYLINDERS = """

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mantle import meshes
-from mantle.campaigns.many import Options
-from mantle.configs import FOLDER
-from mantle.errors import InputError
-from mantle.meshes.data import cell_volumes, region_volumes
-from mantle.results.reading import Run
-from mantle.schema import config
-from mantle.verification import calculix, peer_programs, peers
-from mantle.verification.peer_model import PeerModel, build, contact_numbers
+import meshes
+from app.campaigns.many import Options
+from app.errors import InputError
+from app.results.reading import Run
+from app.schema import config
+from app.verification import calculix, peer_programs, peers
+from app.verification.peer_model import PeerModel, build, contact_numbers
+from configs import FOLDER
+from meshes.data import cell_volumes, region_volumes
 
 STEM = FOLDER / "bench" / "stem.yaml"
 SIZE = 4.0

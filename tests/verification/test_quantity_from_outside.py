@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from mantle.schema import quantities
+from app.schema import quantities
 from tests import support
 
 # All that it takes: what each is, and how it is computed.
 OWN = '''
 import numpy as np
 from mpi4py import MPI
-from mantle.schema.quantities import STRESS, Quantity, add
+from app.schema.quantities import STRESS, Quantity, add
 
 
 def area_over(level):

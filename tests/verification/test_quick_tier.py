@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 import mantle
-from mantle.campaigns.runs import Job, Result
-from mantle.schema import loaded_case
-from mantle.verification import engine
-from mantle.verification.check import CONFIGS
-from mantle.verification.problems import QUICK, problems
+from app.campaigns.runs import Job, Result
+from app.schema import loaded_case
+from app.verification import engine
+from app.verification.check import CONFIGS
+from app.verification.problems import QUICK, problems
 
 QUICK_PROBLEMS = {p.name: p.up_to("quick") for p in problems() if p.tier == "quick"}
 

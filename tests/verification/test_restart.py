@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.errors import StoppedError
-from mantle.results.reading import Run
-from mantle.schema import loaded_case
-from mantle.simulation import related
-from mantle.simulation import session as running
-from mantle.simulation.session import run
-from mantle.system.folders import saved
+from app.errors import StoppedError
+from app.results.reading import Run
+from app.schema import loaded_case
+from app.simulation import related
+from app.simulation import session as running
+from app.simulation.session import run
+from app.system.folders import saved
 from tests import coupled, restarted, support
 from tests.simulation import test_nested
 
@@ -101,7 +101,7 @@ def test_an_interruption_while_companions_are_solved(
     options = (FIELDS, "output.error=true", "mesh.size=1.5 mm", "mesh.far_size=1.5 mm")
     case, _ = restarted.whole(restarted.RUBBING, tmp_path, *options)
     stop: list[str] = []
-    monkeypatch.setattr("mantle.system.stopping.signals", lambda: lambda: stop[0] if stop else "")
+    monkeypatch.setattr("app.system.stopping.signals", lambda: lambda: stop[0] if stop else "")
     errors = running._errors
 
     def interrupted(*arguments: Any) -> Any:

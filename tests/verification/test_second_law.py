@@ -13,9 +13,9 @@ import gmsh
 import numpy as np
 import pytest
 
-from mantle.arrays import Floats
-from mantle.campaigns.work_precision import fitted_order
-from mantle.forms.contact import SLIP
+from app.arrays import Floats
+from app.campaigns.work_precision import fitted_order
+from forms.contact import SLIP
 from tests import support
 from tests.support import Solved
 from tests.verification.test_full_slip import BAR

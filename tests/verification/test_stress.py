@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mantle.campaigns.many import Options
-from mantle.meshes import build
-from mantle.meshes.data import cell_volumes
-from mantle.meshes.quality import sicn
-from mantle.results.reading import Run
-from mantle.schema import config
-from mantle.verification import changed_meshes, engine, judges
-from mantle.verification.check import CONFIGS, within
-from mantle.verification.suites import SUITES
+from app.campaigns.many import Options
+from app.results.reading import Run
+from app.schema import config
+from app.verification import changed_meshes, engine, judges
+from app.verification.check import CONFIGS, within
+from app.verification.suites import SUITES
+from meshes import build
+from meshes.data import cell_volumes
+from meshes.quality import sicn
 from tests import support
 
 

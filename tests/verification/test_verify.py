@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from mantle.campaigns.many import Options
-from mantle.schema import config
-from mantle.verification import closed_forms, engine
-from mantle.verification.check import CONFIGS, Check, CheckRun, Sample, each
-from mantle.verification.problems import problems
-from mantle.verification.suites import SUITES
+from app.campaigns.many import Options
+from app.schema import config
+from app.verification import closed_forms, engine
+from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
+from app.verification.problems import problems
+from app.verification.suites import SUITES
 
 KEYS = {"name", "error", "tolerance", "order", "expected_order", "seconds", "outcome"}
 

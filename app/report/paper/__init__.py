@@ -1,4 +1,4 @@
 """The paper by Rakotomanana and Ramaniraka: its cases, figures, numbers and claims.
 
-Only `mantle.report` imports it. Begin with `cases`.
+Only `app.report` imports it. Begin with `cases`.
 """

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from mantle.report.paper.cases import (
+from app.report.paper.cases import (
     INTERFACES,
     QUANTITIES,
     STEMS,
@@ -23,8 +23,8 @@ from mantle.report.paper.cases import (
     contact,
     same,
 )
-from mantle.report.paper.heat import AT, bone_peak, cement_peak
-from mantle.report.sweep_results import Number, SweepResults, SweptCase, magnitude
+from app.report.paper.heat import AT, bone_peak, cement_peak
+from app.report.sweep_results import Number, SweepResults, SweptCase, magnitude
 
 FACTS = Path(__file__).with_name("numbers.csv")
 READINGS = {"initial": "100 °C at the start", "held": "100 °C held"}

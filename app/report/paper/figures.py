@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from mantle.report.curves import STEM_COLOURS, Figure, Line, Panel, draw, in_words, too_few
-from mantle.report.paper.cases import (
+from app.report.curves import STEM_COLOURS, Figure, Line, Panel, draw, in_words, too_few
+from app.report.paper.cases import (
     QUANTITIES,
     STEMS,
     WORDS,
@@ -14,10 +14,10 @@ from mantle.report.paper.cases import (
     contact,
     series,
 )
-from mantle.report.paper.compare import READINGS, published
-from mantle.report.paper.heat import bone_p99, bone_peak, cement_peak
-from mantle.report.sweep_results import Number, SweptCase
-from mantle.system.style import COLOURS, MARKERS
+from app.report.paper.compare import READINGS, published
+from app.report.paper.heat import bone_p99, bone_peak, cement_peak
+from app.report.sweep_results import Number, SweptCase
+from app.system.style import COLOURS, MARKERS
 
 PLACES = ("cement_bone", "stem_cement")
 

@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from mantle.errors import MantleError
-from mantle.report.sweep_results import Number, SweptCase, magnitude
-from mantle.results.reading import Run
-from mantle.results.unrolled import facets
-from mantle.schema import config
+from app.errors import MantleError
+from app.report.sweep_results import Number, SweptCase, magnitude
+from app.results.reading import Run
+from app.results.unrolled import facets
+from app.schema import config
 
 # When the temperature of cement that starts at 100 degC is reported [s].
 AT = 10.0

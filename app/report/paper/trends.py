@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from mantle.report.paper.cases import (
+from app.report.paper.cases import (
     INTERFACES,
     QUANTITIES,
     STEMS,
@@ -19,8 +19,8 @@ from mantle.report.paper.cases import (
     contact,
     series,
 )
-from mantle.report.paper.heat import at_ten_seconds, bone_p99, bone_peak, cement_peak
-from mantle.report.sweep_results import Number, SweptCase
+from app.report.paper.heat import at_ten_seconds, bone_p99, bone_peak, cement_peak
+from app.report.sweep_results import Number, SweptCase
 
 VERDICTS = CONFIRMED, NOT_CONFIRMED, UNDECIDED = "confirmed", "not confirmed", "undecided"
 SLIP_LIKE, SHEAR_LIKE = 0.02, 0.05  # how alike the paper's two stems are

@@ -1,0 +1,264 @@
+"""mantle: thermomechanics of cemented joint replacements, from Python.
+
+    >>> import mantle
+    >>> case = mantle.load("stance.yaml", **{"mesh.size": "5 mm"})
+    >>> print(mantle.check(case))
+    >>> results = mantle.run(case, "out/stance", progress=lambda step: print(step.time))
+    >>> results.summary["interfaces"]["stem_cement"]["slip_p99"]  # mm
+
+All numbers are in mm, N, MPa, s and degC. The errors are here, and what an extension needs:
+`Traction`, `InterfaceSection`, `LoadSection`, `Quantity`, `add_quantity`. ``import mantle`` loads
+neither numpy nor pydantic nor the solver stack: the functions that need them do.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from app.errors import (
+    ConvergenceError,
+    EnvironmentProblem,
+    GeometryError,
+    InputError,
+    MantleError,
+    StoppedError,
+    UnusableError,
+    stack_needed,
+)
+from app.system.progress import during
+from app.version import __version__
+
+if TYPE_CHECKING:
+    from app.results.reading import Results
+    from app.schema.loaded_case import LoadedCase
+    from app.simulation.recorder import AcceptedStep
+    from app.soundness.preview import CheckedCase
+    from meshes import MeshData
+
+__all__ = [
+    "ConvergenceError",
+    "EnvironmentProblem",
+    "GeometryError",
+    "InputError",
+    "MantleError",
+    "StoppedError",
+    "UnusableError",
+    "__version__",
+    "check",
+    "load",
+    "mesh",
+    "read",
+    "run",
+]
+
+# What an extension is written with, and where it is defined.
+_EXTENSIONS = {
+    "InterfaceSection": "app.schema.interfaces",
+    "LoadSection": "app.schema.conditions",
+    "Quantity": "app.schema.quantities",
+    "Traction": "app.scene.laws",
+    "add_quantity": "app.schema.quantities",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what an extension is written with, when it is asked for."""
+    if name not in _EXTENSIONS:
+        raise AttributeError(f"module 'mantle' has no attribute '{name}'")
+    return getattr(import_module(_EXTENSIONS[name]), name)
+
+
+def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
+    """Read a case file and check all that can be checked without a mesh.
+
+    Args:
+        path: The YAML file.
+        overrides: Values that replace those of the file, by their keys as after ``--set``:
+            ``**{"mesh.size": "5 mm"}``. In a key without dots two underscores are a dot, so that
+            ``mesh__size="5 mm"`` is the same. Values are as in the file: text with a unit,
+            numbers, lists, mappings.
+
+    Returns:
+        The case; ``case.config`` has its checked parts.
+
+    Raises:
+        InputError: The file cannot be read or is wrong; every defect at once, one line each.
+    """
+    from app.schema import loaded_case, study_options
+
+    keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
+    changes = study_options.options({keys[key]: value for key, value in overrides.items()})
+    return loaded_case.load(Path(path), changes)
+
+
+def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
+    """Tell how a case was understood, how large it is, and what in it is rarely meant.
+
+    Args:
+        case: What `load` gives.
+        meshed: Whether to make the mesh: sizes are counted then instead of estimated, and what is
+            loose or cannot be solved on it is found.
+
+    Returns:
+        Texts on the case: its ``description``, its ``size`` and its ``notes``; print it.
+
+    Raises:
+        InputError: The case cannot be solved, or its mesh does not fit this machine.
+        GeometryError: It cannot be meshed.
+        EnvironmentProblem: A package for meshing is missing.
+    """
+    from app.soundness import cost, preview, unusual_input
+
+    size, notes = cost.estimated_size(case.config), unusual_input.warnings(case.config)
+    if meshed:
+        data = mesh(case)
+        with stack_needed():
+            from app.soundness import case_on_mesh
+        with case.file.placing():
+            notes += case_on_mesh.judge(case.config, case_on_mesh.look(case.config, data))
+        size = cost.exact_size(case.config, data)
+    return preview.CheckedCase(preview.describe(case.config, case.file.data), size, tuple(notes))
+
+
+def mesh(case: LoadedCase) -> MeshData:
+    """Make the mesh of a case, or take it from the cache.
+
+    Args:
+        case: What `load` gives.
+
+    Returns:
+        Plain arrays: ``points`` (n, 3) [mm], ``cells`` (m, 4) or (m, 10) in gmsh's order,
+        ``cell_tags`` (m,), names of regions, boundaries and interfaces, and what the mesher notes.
+
+    Raises:
+        InputError: The mesh does not fit this machine.
+        GeometryError: The geometry cannot be built, or its mesh is not good enough.
+        EnvironmentProblem: A package for meshing is missing.
+    """
+    import meshes
+    from app.soundness import sizing
+    from app.system import folders
+
+    sizing.check(case.file, case.config)
+    with stack_needed(petsc=False):
+        import gmsh  # noqa: F401  (only to tell early that it is missing)
+    with case.file.placing():
+        return meshes.build(case.config.geometry, case.config.mesh, folders.cache("meshes"))
+
+
+def run(
+    case: LoadedCase,
+    output: str | os.PathLike[str] | None = None,
+    *,
+    progress: Callable[[AcceptedStep], None] = lambda step: None,
+    force: bool = False,
+    keep: bool = False,
+    restart: str = "",
+    walltime: float | None = None,
+    signals: bool = False,
+    petsc_options: Sequence[str] = (),
+) -> Results:
+    """Solve a case in this process and write its results; under mpirun, all ranks call it together.
+
+    Args:
+        case: What `load` gives.
+        output: The folder for the results; ``out/<name of the case file>`` by default.
+        progress: Called on every rank after each accepted step, with a record of it: number, stage,
+            time, wall seconds and the row of history.csv.
+        force: Replace results in the folder; take a checkpoint of another configuration.
+        keep: The same, but leave what is finished with this very configuration.
+        restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
+        walltime: Stop in time with the state saved [s].
+        signals: Have SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, state saved. They do nothing
+            else afterwards. Without it, Ctrl-C is the KeyboardInterrupt that Python makes of it.
+        petsc_options: Raw options, as after ``--`` on the command line.
+
+    Returns:
+        What `read` gives of the folder.
+
+    Raises:
+        InputError: The case cannot be solved, or the folder holds something already.
+        GeometryError: The case cannot be meshed.
+        ConvergenceError: It could not be solved; the last converged state is in the folder.
+        UnusableError: Solved, but the numbers are not to be used; everything is in the folder.
+        StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
+        EnvironmentProblem: A package, a compiler or MPI is missing or unusable.
+    """
+    from app.simulation import keep_finished
+    from app.system import ranks
+
+    folder = Path(output) if output is not None else case.output
+    if not keep_finished.prepare(case, folder, force=force, keep=keep, restart=restart):
+        ranks.keep_quiet()
+        ranks.alone()
+        with stack_needed():
+            from app.simulation import session
+        with _reported(folder, case.config.output.report):
+            session.run(
+                case,
+                folder,
+                petsc_options,
+                keep=keep,
+                restart=restart,
+                force=force,
+                walltime=walltime,
+                signals=signals,
+                progress=progress,
+            )
+    return _results(folder)
+
+
+def read(folder: str | os.PathLike[str]) -> Results:
+    """Read the results of a run.
+
+    Args:
+        folder: Output folder of a run.
+
+    Returns:
+        Its numbers (``summary``), its histories as arrays by column (``history``), its ``fields``
+        on points and cells, and the results of its ``variations`` by name.
+
+    Raises:
+        InputError: No run has written into the folder.
+        EnvironmentProblem: A package for reading is missing.
+    """
+    path = Path(folder)
+    if not any((path / name).exists() for name in ("case.yaml", "variations.json")):
+        raise InputError(f"{path}: holds no results of a run")
+    return _results(path)
+
+
+@contextmanager
+def _reported(folder: Path, wanted: bool) -> Iterator[None]:
+    """Write the page of a run at its end, also of one that has failed or is not to be used."""
+    failure = None
+    try:
+        yield
+    except (ConvergenceError, UnusableError) as error:
+        failure = error
+    if wanted:
+        from app.report import run_report
+
+        with during("writing the report, some seconds"):
+            run_report.after_run(folder, failure is not None)
+    if failure:
+        raise failure
+
+
+def _results(folder: Path) -> Results:
+    """The results in a run directory."""
+    with stack_needed():
+        from app.results.reading import Results
+    return Results(folder)
+
+
+if __name__ == "__main__":
+    from app.cli import main
+
+    sys.exit(main())
