@@ -35,8 +35,8 @@ from app.system.progress import during
 from app.version import __version__
 
 if TYPE_CHECKING:
+    from app.case.loaded_case import LoadedCase
     from app.results.reading import Results
-    from app.schema.loaded_case import LoadedCase
     from app.simulation.recorder import AcceptedStep
     from app.soundness.preview import CheckedCase
     from meshes import MeshData
@@ -59,11 +59,11 @@ __all__ = [
 
 # What an extension is written with, and where it is defined.
 _EXTENSIONS = {
-    "InterfaceSection": "app.schema.interfaces",
-    "LoadSection": "app.schema.conditions",
-    "Quantity": "app.schema.quantities",
+    "InterfaceSection": "app.laws.interface_laws",
+    "LoadSection": "app.laws.loads",
+    "Quantity": "app.case.quantities",
     "Traction": "app.scene.laws",
-    "add_quantity": "app.schema.quantities",
+    "add_quantity": "app.case.quantities",
 }
 
 
@@ -90,7 +90,7 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
     Raises:
         InputError: The file cannot be read or is wrong; every defect at once, one line each.
     """
-    from app.schema import loaded_case, study_options
+    from app.case import loaded_case, study_options
 
     keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
     changes = study_options.options({keys[key]: value for key, value in overrides.items()})
@@ -113,15 +113,15 @@ def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
         GeometryError: It cannot be meshed.
         EnvironmentProblem: A package for meshing is missing.
     """
-    from app.soundness import cost, preview, unusual_input
+    from app.soundness import cost, plausibility, preview
 
-    size, notes = cost.estimated_size(case.config), unusual_input.warnings(case.config)
+    size, notes = cost.estimated_size(case.config), plausibility.warnings(case.config)
     if meshed:
         data = mesh(case)
         with stack_needed():
-            from app.soundness import case_on_mesh
+            from app.soundness import well_posedness
         with case.file.placing():
-            notes += case_on_mesh.judge(case.config, case_on_mesh.look(case.config, data))
+            notes += well_posedness.judge(case.config, well_posedness.look(case.config, data))
         size = cost.exact_size(case.config, data)
     return preview.CheckedCase(preview.describe(case.config, case.file.data), size, tuple(notes))
 
@@ -142,10 +142,10 @@ def mesh(case: LoadedCase) -> MeshData:
         EnvironmentProblem: A package for meshing is missing.
     """
     import meshes
-    from app.soundness import sizing
+    from app.soundness import memory
     from app.system import folders
 
-    sizing.check(case.file, case.config)
+    memory.check(case.file, case.config)
     with stack_needed(petsc=False):
         import gmsh  # noqa: F401  (only to tell early that it is missing)
     with case.file.placing():
@@ -190,11 +190,11 @@ def run(
         StoppedError: By a signal, ``walltime`` or a full disk; the state is saved in the folder.
         EnvironmentProblem: A package, a compiler or MPI is missing or unusable.
     """
-    from app.simulation import keep_finished
+    from app.simulation import finished_runs
     from app.system import ranks
 
     folder = Path(output) if output is not None else case.output
-    if not keep_finished.prepare(case, folder, force=force, keep=keep, restart=restart):
+    if not finished_runs.prepare(case, folder, force=force, keep=keep, restart=restart):
         ranks.keep_quiet()
         ranks.alone()
         with stack_needed():

@@ -84,10 +84,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _explain(error: Exception) -> EnvironmentProblem | None:
     """The machine's part in an error, if it has any."""
-    from app.soundness import sizing
+    from app.soundness import memory
     from app.system import form_cache
 
-    if (problem := sizing.explain(error) or form_cache.explain(error)) is not None:
+    if (problem := memory.explain(error) or form_cache.explain(error)) is not None:
         return problem
     if type(error).__name__ == "LinAlgError":
         from app.system import blas_check

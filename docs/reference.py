@@ -15,9 +15,9 @@ from itertools import pairwise
 from pathlib import Path
 
 from app import errors
+from app.case import keys
+from app.case.keys import prose
 from app.command_line.parser import parser
-from app.schema import reference
-from app.schema.reference import prose
 
 FOLDER = Path(__file__).resolve().parent / "reference"
 COMMAND = "./mantle shell -c 'python3 docs/reference.py'"
@@ -32,8 +32,8 @@ CODES = {
 def pages() -> dict[str, str]:
     """Text of every generated page, by file name."""
     return {
-        "case.md": f"{NOTE}\n{reference.case_page()}",
-        "campaigns.md": f"{NOTE}\n{reference.campaigns_page()}",
+        "case.md": f"{NOTE}\n{keys.case_page()}",
+        "campaigns.md": f"{NOTE}\n{keys.campaigns_page()}",
         "commands.md": commands_page(),
     }
 

@@ -119,7 +119,7 @@ def contact_law(
 
     Args:
         F: Multiplier (3,) [MPa]. The penalty method is the same law with F fixed at the friction
-            force of the last converged state, zero at first; `mechanics.jumps` also solves it
+            force of the last converged state, zero at first; `mechanics.contact` also solves it
             otherwise.
         jump: Displacement of the slave minus that of the master (3,) [mm].
         gap: Vector g with g . n the initial gap of each face (3,) [mm]; negative interferes.

@@ -34,7 +34,7 @@ from meshes.data import (
     region_facets,
     region_volumes,
 )
-from meshes.parts import coincident
+from meshes.pieces import coincident
 
 __all__ = ["MeshData", "build", "write_msh"]
 

@@ -50,7 +50,7 @@ class Lines:
 
 
 class Surfaces(Protocol):
-    """Nested surfaces as functions on the grid.
+    """CoarseModelStart surfaces as functions on the grid.
 
     Attributes:
         spokes: Number of lines around, a multiple of four.

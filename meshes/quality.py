@@ -98,7 +98,7 @@ def describe(data: MeshData, quality: Floats) -> dict[str, Any]:
 def overlapping(cells: Ints) -> Ints:
     """Cells that do not fit on a neighbour of theirs, where all have a positive volume.
 
-    Neighbours on either side of a face see it the other way around. Where all do, volumes add up to
+    WarmStart on either side of a face see it the other way around. Where all do, volumes add up to
     what the boundary encloses. Middle nodes of a face have to be the same from either side.
 
     Returns:

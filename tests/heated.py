@@ -13,7 +13,7 @@ from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.results.balance import Balance
-from app.results.quantities import Samples
+from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene.build import build_scene
 from app.scene.terms import Expansion, Scene
@@ -47,7 +47,9 @@ class Heated:
         T.interpolate(lambda x: field(x) if callable(field) else np.full(x.shape[1], field))
         return T
 
-    def solve(self, fields: Mapping[str, float | Field], time: float = 1.0) -> Samples | None:
+    def solve(
+        self, fields: Mapping[str, float | Field], time: float = 1.0
+    ) -> ContactSamples | None:
         """One step to given temperatures of the regions."""
         self.problem.set_time(time)
         self.problem.set_temperature({r: self.scalar(f) for r, f in fields.items()})
@@ -58,9 +60,9 @@ class Heated:
         scalars = (self.scalar(degree), self.scalar(strain))
         self.problem.set_cure(*({r: f for r in regions} for f in scalars))
 
-    def step(self) -> Samples | None:
+    def step(self) -> ContactSamples | None:
         """Solve, commit, balance."""
-        self.problem.restiffen()
+        self.problem.update_stiffness()
         outcome = self.solver.solve()
         assert outcome.converged, outcome.residuals
         u, q = self.solver.parts()
@@ -68,7 +70,7 @@ class Heated:
         self.problem.spread(u, q)
         self.problem.commit(trial)
         self.balance.update(u, trial)
-        return Samples(self.problem, trial) if trial is not None else None
+        return ContactSamples(self.problem, trial) if trial is not None else None
 
     def stress(self, region: str) -> Floats:
         """Stress at the points of a region (n, 3, 3) [MPa]."""

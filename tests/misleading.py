@@ -17,7 +17,14 @@ OPTIONS = {
 }
 # Named as mantle's, as libraries and as what Python starts with.
 MODULES = ("app.py", "argparse.py", "configs/__init__.py", "forms.py", "gmsh.py", "logging.py")
-MODULES += ("mantle.py", "meshes/__init__.py", "numpy.py", "sitecustomize.py", "snakemake.py", "socket.py")
+MODULES += (
+    "mantle.py",
+    "meshes/__init__.py",
+    "numpy.py",
+    "sitecustomize.py",
+    "snakemake.py",
+    "socket.py",
+)
 
 
 def mislead(folder: Path) -> None:

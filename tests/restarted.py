@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.schema import loaded_case
+from app.case import loaded_case
 from app.simulation import checkpoint
 from app.simulation.session import run
 from app.system.folders import saved

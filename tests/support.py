@@ -22,15 +22,15 @@ from ruamel.yaml import YAML
 
 import meshes
 from app.arrays import Floats
+from app.case.case import Case, load_case
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
-from app.results import quantities
+from app.results import interface_numbers
 from app.results.balance import Balance
-from app.results.quantities import Samples
+from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene.build import build_scene
-from app.schema import config
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
 from app.system import form_cache, ranks
@@ -79,17 +79,17 @@ class Solved:
         balances: Force, moment and energy balance after each step.
     """
 
-    case: config.Case
+    case: Case
     tagged: TaggedMesh
     problem: Problem
     solver: Solver
     steps: tuple[LoadStep, ...]
-    samples: tuple[Samples, ...]
+    samples: tuple[ContactSamples, ...]
     interfaces: dict[str, dict[str, Any]]
     balances: Floats
 
     @property
-    def last(self) -> Samples:
+    def last(self) -> ContactSamples:
         """The contact points after the last step."""
         return self.samples[-1]
 
@@ -107,7 +107,7 @@ class Solved:
         return x, function.x.array.reshape(-1, 3)[nodes]
 
 
-def case(text: str | Mapping[str, Any], *overrides: str) -> config.Case:
+def case(text: str | Mapping[str, Any], *overrides: str) -> Case:
     """A configuration from YAML text or from the same as a mapping.
 
     Args:
@@ -120,16 +120,16 @@ def case(text: str | Mapping[str, Any], *overrides: str) -> config.Case:
             path.write_text(text, encoding="utf-8")
         else:
             YAML().dump(dict(text), path)
-        return config.load(path, overrides)
+        return load_case(path, overrides)
 
 
-def mesh(case: config.Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
+def mesh(case: Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
     """The mesh of a case."""
     data = meshes.build(case.geometry, case.mesh, None) if comm.rank == 0 else None
     return distribute(data, comm)
 
 
-def assemble(case: config.Case, tagged: TaggedMesh | None = None) -> tuple[Problem, Solver]:
+def assemble(case: Case, tagged: TaggedMesh | None = None) -> tuple[Problem, Solver]:
     """Problem and solver of a case, at rest."""
     timing, options = Timing(), case.solver
     problem = Problem(build_scene(case), tagged or mesh(case), options.augmentation_factor, timing)
@@ -145,7 +145,7 @@ def assemble(case: config.Case, tagged: TaggedMesh | None = None) -> tuple[Probl
 
 
 def solve(
-    text: str | Mapping[str, Any] | config.Case,
+    text: str | Mapping[str, Any] | Case,
     *overrides: str,
     tagged: TaggedMesh | None = None,
     balances: bool = False,
@@ -161,24 +161,24 @@ def solve(
     Raises:
         MantleError: As the application does.
     """
-    this = text if isinstance(text, config.Case) else case(text, *overrides)
+    this = text if isinstance(text, Case) else case(text, *overrides)
     problem, solver = assemble(this, tagged)
     balance = Balance(problem, np.zeros(3)) if balances else None
     steps: list[LoadStep] = []
-    samples: list[Samples] = []
+    samples: list[ContactSamples] = []
     sums: list[tuple[float, float, float]] = []
 
     def on_step(step: LoadStep, trial: TrialState | None) -> None:
         steps.append(step)
         if trial is not None:
-            samples.append(Samples(problem, trial))
+            samples.append(ContactSamples(problem, trial))
         if balance is not None:
             balance.update(solver.parts()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
     run_stages(problem.scene.stages, (LoadStepper(problem, solver, on_step, print),), ())
     interfaces = {
-        c.name: quantities.interface(problem, samples[-1], i)
+        c.name: interface_numbers.interface(problem, samples[-1], i)
         for i, c in enumerate(problem.scene.contacts)
     }
     return Solved(

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from app.case import loaded_case, quantities
+from app.case.loaded_case import LoadedCase
 from app.errors import ConvergenceError, InputError
-from app.results.log import goal_said
-from app.results.output import DIVIDED
+from app.results.closing_lines import goal_said
 from app.results.reading import Results
-from app.schema import loaded_case, quantities
-from app.schema.loaded_case import LoadedCase
-from app.soundness import sizing
+from app.results.run_folder import DIVIDED
+from app.soundness import memory
 from app.system import layout
 from app.system.folders import csv_text, write_text
 from app.system.ranks import rank
@@ -76,7 +76,7 @@ def run(
         divided = f"mesh.divided={(folder / DIVIDED).resolve()}"
         case = loaded_case.load(case.path, [*case.overrides, divided])
         try:
-            sizing.check(case.file, case.config)
+            memory.check(case.file, case.config)
         except InputError as error:
             where = f"on this machine: {error}"
             raise ConvergenceError(_short(goal, part, to, where, folder)) from None

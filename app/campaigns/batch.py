@@ -44,10 +44,11 @@ from app.campaigns.runs import (
     status_of,
 )
 from app.campaigns.scheduler import MEGABYTE, execute
+from app.case.case import dump_case, plain
+from app.case.variation_options import split
 from app.errors import InputError, StoppedError
-from app.schema import case_file, config
-from app.schema.variation_options import split
-from app.soundness import sizing
+from app.schema import yaml_file
+from app.soundness import memory
 from app.system.folders import FAILED, write_json, write_text
 
 log = logging.getLogger("mantle")
@@ -186,7 +187,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(), *command])),
                 "threads": ranks if not cores else cores if alone else min(ranks, cores),
-                "memory": math.ceil(max(sizing.needed(r.case) for r in runs) / MEGABYTE),
+                "memory": math.ceil(max(memory.needed(r.case) for r in runs) / MEGABYTE),
             }
         write_json(folder / "jobs.json", jobs)
     except OSError as error:
@@ -197,15 +198,15 @@ def _text(runs: Sequence[BatchRun]) -> str:
     """The case file of a process: of its run, or with each of those it is shared by a variation."""
     first = runs[0]
     if first.process == first.id:
-        return config.dump(first.case)
-    data = config.plain(first.case)
+        return dump_case(first.case)
+    data = plain(first.case)
     _, base = split(data)
     variations = {}
     for r in runs:
-        _, own = split(config.plain(r.case))
+        _, own = split(plain(r.case))
         keys = [key for key in base | own if base.get(key) != own.get(key)]
         variations[r.id] = {key: own.get(key) for key in keys}
-    return case_file.written(data | {"variations": variations})
+    return yaml_file.written(data | {"variations": variations})
 
 
 def _environment() -> list[str]:

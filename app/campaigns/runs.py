@@ -14,10 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from app.case.case import Case, dump_case, load_case, plain
+from app.case.geometries import MeshFile
+from app.case.variation_options import CHANGED, split
 from app.errors import ConvergenceError, InputError, UnusableError
-from app.results.log import faults
-from app.schema import config
-from app.schema.variation_options import CHANGED, split
+from app.results.closing_lines import faults
 from app.system import identity
 from app.system.folders import FAILED
 
@@ -91,7 +92,7 @@ class BatchRun:
 
     id: str
     name: str
-    case: config.Case
+    case: Case
     ranks: int
     alone: bool
     process: str
@@ -112,7 +113,7 @@ class BatchRun:
             return None
 
 
-def resolve(jobs: Sequence[Job]) -> list[config.Case]:
+def resolve(jobs: Sequence[Job]) -> list[Case]:
     """Read the configuration of each job.
 
     Raises:
@@ -121,7 +122,7 @@ def resolve(jobs: Sequence[Job]) -> list[config.Case]:
     cases, messages = [], []
     for job in jobs:
         try:
-            case = config.load(job.case, job.overrides)
+            case = load_case(job.case, job.overrides)
             cases.append(case)
         except InputError as error:
             messages += [f"{job.name}: {m}" if m.startswith("--set") else m for m in error.messages]
@@ -133,7 +134,7 @@ def resolve(jobs: Sequence[Job]) -> list[config.Case]:
 
 
 def runs_of(
-    jobs: Sequence[Job], cases: Sequence[config.Case], folder: Path, cores: int | None
+    jobs: Sequence[Job], cases: Sequence[Case], folder: Path, cores: int | None
 ) -> list[BatchRun]:
     """The run of each job: one and the same for all jobs of the same content.
 
@@ -150,7 +151,7 @@ def runs_of(
     for job, case in zip(jobs, cases, strict=True):
         # The same case, made in two ways, may have two titles.
         own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
-        digests.append(_digest(case, (config.dump(own),), job.ranks))
+        digests.append(_digest(case, (dump_case(own),), job.ranks))
     processes = _processes(jobs, cases, digests, cores)
     found: dict[str, BatchRun] = {}
     for job, case, digest in zip(jobs, cases, digests, strict=True):
@@ -169,7 +170,7 @@ def runs_of(
 
 def _processes(
     jobs: Sequence[Job],
-    cases: Sequence[config.Case],
+    cases: Sequence[Case],
     digests: Sequence[str],
     cores: int | None,
 ) -> dict[str, str]:
@@ -209,15 +210,15 @@ def _named(path: Path) -> bool:
     return bool(RUN.fullmatch(run) and (above == "runs" or PROCESS.fullmatch(above)))
 
 
-def _shared(case: config.Case) -> str:
+def _shared(case: Case) -> str:
     """Part of a case shared by the runs of one process, as text."""
-    return json.dumps(split(config.plain(case))[0], sort_keys=True)
+    return json.dumps(split(plain(case))[0], sort_keys=True)
 
 
-def _digest(case: config.Case, text: Sequence[str], ranks: int) -> str:
+def _digest(case: Case, text: Sequence[str], ranks: int) -> str:
     """Hexadecimal digits of everything the result depends on."""
     parts = [*text, str(ranks), identity.text()]
-    if isinstance(case.geometry, config.MeshFile):
+    if isinstance(case.geometry, MeshFile):
         parts.append(case.geometry.content)
     if case.mesh.divided:
         parts.append(repr(case.mesh.passes))

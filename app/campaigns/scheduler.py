@@ -19,7 +19,7 @@ from typing import IO
 from app.campaigns import cluster
 from app.campaigns.runs import LOST, BatchRun, Job, file_of, result_of, status_of, tail
 from app.errors import EnvironmentProblem, StoppedError
-from app.soundness import sizing
+from app.soundness import memory
 from app.system.layout import duration
 
 log = logging.getLogger("mantle")
@@ -103,8 +103,8 @@ def _command(
     environ = dict(os.environ)
     if slurm is None:
         # As many at a time as there are cores for, and memory.
-        memory = int(sizing.available({}) / MEGABYTE)
-        command += ["--cores", str(cores), "--resources", f"memory={memory}"]
+        megabytes = int(memory.available({}) / MEGABYTE)
+        command += ["--cores", str(cores), "--resources", f"memory={megabytes}"]
     else:
         command += cluster.options(folder, slurm, any(r.alone for r in pending))
         environ = cluster.environment(environ)

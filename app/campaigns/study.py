@@ -15,11 +15,13 @@ from app.campaigns import work_precision as wp
 from app.campaigns.many import Options
 from app.campaigns.runs import Job, Result
 from app.campaigns.study_model import Measured, PlannedRun, Report, StudyRun, percent
+from app.case import quantities, study_file, study_options
+from app.case.case import Case, load_case
+from app.case.study_file import Source
+from app.case.study_options import Study
 from app.errors import InputError, gravest
-from app.schema import case_file, config, quantities, study_file, study_options
-from app.schema.case_file import CaseFile, Fault
-from app.schema.study_file import Source
-from app.schema.study_options import Study
+from app.schema import yaml_file
+from app.schema.yaml_file import CaseFile, Fault
 from app.system.layout import duration
 
 log = logging.getLogger("mantle")
@@ -123,17 +125,17 @@ def _job(point: PlannedRun, source: Source) -> Job:
     )
 
 
-def _resolve(points: Sequence[PlannedRun], source: Source) -> list[config.Case]:
+def _resolve(points: Sequence[PlannedRun], source: Source) -> list[Case]:
     """The configuration of each point.
 
     Raises:
         InputError: All that is wrong with any of them, each located at its value in the study.
     """
-    cases: list[config.Case] = []
+    cases: list[Case] = []
     problems: list[Fault] = []
     for point in points:
         try:
-            cases.append(config.load(source.case, _overrides(point, source.overrides)))
+            cases.append(load_case(source.case, _overrides(point, source.overrides)))
         except InputError as error:
             problems += [_located(point, message, source.file) for message in error.messages]
     condition = "solver.condition"
@@ -146,14 +148,14 @@ def _resolve(points: Sequence[PlannedRun], source: Source) -> list[config.Case]:
 
 def _located(point: PlannedRun, message: str, file: CaseFile) -> Fault:
     """A defect of a point, where its cause stands in the study."""
-    if found := case_file.located(message, {k: (*point.path, k) for k in point.changes}):
+    if found := yaml_file.located(message, {k: (*point.path, k) for k in point.changes}):
         item = (*found.path, point.index)
         return Fault(item, found.text) if item in file.places else found
     at = f"with {point.key} = {point.label}: " if point.key else ""
     return Fault(point.path, at + message)
 
 
-def _run(point: PlannedRun, case: config.Case, result: Result) -> StudyRun:
+def _run(point: PlannedRun, case: Case, result: Result) -> StudyRun:
     """Run of a point of the study, with its result and time."""
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")
@@ -163,7 +165,7 @@ def _run(point: PlannedRun, case: config.Case, result: Result) -> StudyRun:
     return StudyRun(**vars(point), x=x, unit=unit, time=time, tolerance=tolerance, result=result)
 
 
-def _number(case: config.Case, point: PlannedRun) -> tuple[float | None, str]:
+def _number(case: Case, point: PlannedRun) -> tuple[float | None, str]:
     """The value of the point's key as a positive number, if it is one, and its internal unit."""
     value: Any = point.changes if point.key == "ranks" else case.model_dump(mode="json")
     for item in re.sub(r"\[(\d+)\]", r".\1", point.key).split("."):

@@ -8,8 +8,8 @@ from typing import Any
 
 from app.campaigns.runs import Result
 from app.campaigns.work_precision import Effectivity, Point, ReferenceValue
-from app.schema.case_file import Path
-from app.schema.quantities import Quantity
+from app.case.quantities import Quantity
+from app.schema.yaml_file import Path
 
 # Exponents nearer to 0 say that the error does not depend on the key.
 FLAT = 0.05

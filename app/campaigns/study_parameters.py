@@ -9,7 +9,7 @@ from typing import Any
 
 from app.campaigns.study_model import Measured, Report, percent
 from app.campaigns.study_picture import MOST_PANELS, panels
-from app.schema.quantities import printed
+from app.case.quantities import printed
 from app.system import style
 
 # Largest over smallest value from which an axis is logarithmic.

@@ -10,9 +10,9 @@ from typing import Any
 from app.campaigns import study_parameters, study_picture
 from app.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
 from app.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
+from app.case.quantities import Quantity
+from app.case.study_file import Source
 from app.errors import StoppedError
-from app.schema.quantities import Quantity
-from app.schema.study_file import Source
 from app.system import layout, privacy
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.system.layout import duration

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from app.schema import quantities
+from app.case import quantities
 from app.system import layout
 
 # Fewer samples say nothing of a spread.

@@ -16,18 +16,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mantle
+from app.case import gmsh_header
+from app.case.shapes import STRAIGHT
 from app.command_line.parser import parser
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.errors import InputError, stack_needed
-from app.schema import gmsh_file
-from app.schema.shapes import STRAIGHT
 from app.system import privacy, ranks
 from app.system.progress import doing, during
 from app.system.ranks import rank
 
 if TYPE_CHECKING:
     from app.campaigns.many import Options
-    from app.schema.loaded_case import LoadedCase
+    from app.case.loaded_case import LoadedCase
 
 CHECK_FAILED = 1
 
@@ -48,7 +48,7 @@ def dispatch(arguments: list[str]) -> int:
             f"mantle {options.command}: -n {count}: only mantle run starts ranks{hint}"
         )
     if getattr(options, "allow_scripts", False):
-        os.environ[gmsh_file.ALLOWED] = "1"
+        os.environ[gmsh_header.ALLOWED] = "1"
     if petsc_options and options.command != "run":
         raise InputError(f"mantle {options.command}: this command takes no PETSc options after --")
     if options.command == "run":
@@ -77,7 +77,7 @@ def _run(
     options: argparse.Namespace, petsc_options: list[str], count: int | None, rest: list[str]
 ) -> int:
     """Solve a case, on several ranks if asked for."""
-    from app.simulation import keep_finished
+    from app.simulation import finished_runs
     from app.system import stopping
 
     size = ranks.world_size()
@@ -100,7 +100,7 @@ def _run(
     restart = options.restart or ""
     walltime = stopping.seconds(options.walltime) if options.walltime else None
     keep = options.keep or (restart == "auto" and not options.force)
-    if keep_finished.prepare(case, output, force=options.force, keep=keep, restart=restart):
+    if finished_runs.prepare(case, output, force=options.force, keep=keep, restart=restart):
         if rank() == 0:
             print(f"{output} is finished already")
         return 0
@@ -143,7 +143,7 @@ def _share(options: argparse.Namespace) -> float:
     Raises:
         InputError: It is none, or another option does not go with it.
     """
-    from app.schema.goals import share
+    from app.case.goals import share
 
     others = {
         "--error": options.error,
@@ -176,16 +176,16 @@ def _isolated(
 
 def _load(options: argparse.Namespace) -> LoadedCase:
     """The case that a command is about."""
-    from app.schema import loaded_case
+    from app.case import loaded_case
 
     return loaded_case.load(options.case, options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:
     """Write a case to start from, and tell what comes next."""
-    from app.schema import start
+    from app.case import new_case
 
-    path = start.write(options.name, options.kind, options.stem, options.mesh)
+    path = new_case.write(options.name, options.kind, options.stem, options.mesh)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     print(f"{path} is written; next:")
     print(f"  mantle check {name}")
@@ -215,9 +215,9 @@ def _mesh(options: argparse.Namespace) -> int:
     if options.pictures and not case.config.geometry.mantles:
         raise InputError("--pictures: needs a stem in a cement mantle; this case has none")
     import meshes
-    from app.soundness import cost, sizing
+    from app.soundness import cost, memory
 
-    sizing.check(case.file, case.config)
+    memory.check(case.file, case.config)
     path = _mesh_path(options.output, options.case.stem)
     configure_log("info", sys.stderr)
     with during("meshing"):
@@ -358,7 +358,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 def _library(options: argparse.Namespace) -> int:
     """Print what a library holds."""
-    from app.schema import library
+    from app.case import library
 
     path = options.file or library.SHIPPED
     print(library.described(options.name, path) if options.name else library.listed(path))
@@ -367,7 +367,7 @@ def _library(options: argparse.Namespace) -> int:
 
 def _explain(options: argparse.Namespace) -> int:
     """Print what a key means."""
-    from app.schema import explain
+    from app.case import explain
 
     print(explain.explained(options.key))
     return 0
@@ -377,12 +377,13 @@ def _schema(options: argparse.Namespace) -> int:
     """Print the schema, for programs or for people."""
     import json
 
-    from app.schema import config, reference
+    from app.case import keys
+    from app.case.case import case_schema
 
     if options.markdown:
-        print(reference.case_page())
+        print(keys.case_page())
         return 0
-    print(json.dumps(config.schema(), indent=2, ensure_ascii=False))
+    print(json.dumps(case_schema(), indent=2, ensure_ascii=False))
     return 0
 
 

@@ -23,14 +23,14 @@ from dolfinx import fem
 
 from app.arrays import Floats, Ints
 from app.errors import InputError
-from app.heat.assembly import HeatForms
 from app.heat.cure_heat import CureHeat
 from app.heat.evaluation import HeatEvaluation
-from app.heat.loads import FixedTemperatures, FrictionHeating, HeatLoads
+from app.heat.heat_forms import HeatForms
+from app.heat.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
 from app.heat.matrices import HeatMatrices
-from app.heat.monotone import Bounds, Extremes, Monotone
+from app.heat.maximum_principle import Bounds, Extremes, MaximumPrinciple
 from app.heat.temperature_jumps import TemperatureJumps, cut_off
-from app.numerics.state import State, keyed, node_keys
+from app.numerics.saved_state import State, keyed, node_keys
 from app.numerics.system import Measure
 from app.scene.bodies import Bodies, bodies_of
 from app.scene.terms import Scene
@@ -97,7 +97,7 @@ class Conduction:
             (FrictionHeating(self.forms.zeros(), heated),) if heated else ()
         )
         K = self.forms.conduction_by_body(scene.conductors)
-        self._monotone = Monotone(self.comm, K, self.capacity)
+        self._monotone = MaximumPrinciple(self.comm, K, self.capacity)
         data = [c.initial for c in scene.conductors] + [e.outside for e in self.loads.exchange]
         self._data = Extremes(
             self.comm, min(data), max(data), bool(scene.cures or scene.friction_heat)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.heat.assembly import HeatForms
 from app.heat.curing import Curing, Degrees
+from app.heat.heat_forms import HeatForms
 from app.scene.bodies import Bodies
 from app.scene.terms import Scene
 

@@ -132,10 +132,10 @@ def kinetics(comm: MPI.Comm, cure: CureTerm, nodes: int) -> Kinetics:
         case AutocatalyticCure():
             return _Autocatalytic(comm, cure.kinetics, nodes)
         case PrescribedCure():
-            return _Clock(cure.kinetics, cure.initial, nodes)
+            return PrescribedKinetics(cure.kinetics, cure.initial, nodes)
 
 
-class _Clock:
+class PrescribedKinetics:
     """Cure that follows a clock, whatever the temperature."""
 
     def __init__(self, terms: PrescribedCure, initial: float, nodes: int) -> None:

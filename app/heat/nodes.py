@@ -16,7 +16,7 @@ from dolfinx import fem
 
 from app.arrays import Floats, Ints
 from app.errors import InputError
-from app.heat.assembly import HeatForms
+from app.heat.heat_forms import HeatForms
 from app.scene.bodies import cell_tags
 from meshes.distribute import TaggedMesh
 

@@ -9,7 +9,7 @@ from petsc4py import PETSc
 from app.heat.conduction import Conduction
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
-from app.numerics.state import State
+from app.numerics.saved_state import State
 from app.numerics.system import Measure, System
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its

@@ -8,7 +8,7 @@ left out, and q the heat from master to slave per area,
 
 W the areas of the points. A large conductance makes jumps small and nothing else large that would
 have to cancel; without any the two sides are strangers. The rules where interfaces meet, or given
-temperatures hold one or both sides, are those of displacement (`meshes.interfaces`).
+temperatures hold one or both sides, are those of displacement (`meshes.contact_points`).
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.heat.assembly import HeatForms
+from app.heat.heat_forms import HeatForms
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.terms import Scene, ThermalContact
 from forms import interface_heat
 from meshes.contact_facets import InterfaceFacets, gather
+from meshes.contact_points import Holds, contact_points
 from meshes.distribute import TaggedMesh
-from meshes.interfaces import Holds, contact_points
 
 
 class TemperatureJumps:

@@ -31,9 +31,9 @@ from dolfinx import fem
 
 from app.arrays import Floats
 from app.errors import InputError
-from app.mechanics.assembly import Mechanics
+from app.mechanics.body_forms import BodyForms
 from app.numerics.pointwise import Pointwise
-from app.numerics.state import State, keyed
+from app.numerics.saved_state import State, keyed
 from app.scene.bodies import Bodies
 from app.scene.terms import CureTerm, Elastic, Scene
 from app.system.timing import Timing
@@ -54,7 +54,7 @@ class CuringStress:
         weights: Their weights (p,).
     """
 
-    def __init__(self, scene: Scene, mechanics: Mechanics, bodies: Bodies, timing: Timing) -> None:
+    def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies, timing: Timing) -> None:
         """Start free of stress; collective.
 
         Raises:

@@ -9,7 +9,7 @@ import numpy as np
 from app.errors import InputError
 from app.scene.bodies import Bodies
 from app.scene.terms import Scene, Support
-from meshes.interfaces import ContactPoints, Entries, Holds
+from meshes.contact_points import ContactPoints, Entries, Holds
 
 
 def refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:

@@ -8,13 +8,13 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Ints
-from app.mechanics.assembly import Mechanics
+from app.mechanics.body_forms import BodyForms
 from app.numerics.sparse import from_triplets
-from meshes.interfaces import Entries
+from meshes.contact_points import Entries
 
 
 def jump_moves(
-    mechanics: Mechanics, entries: Entries, place: Ints, points: int
+    mechanics: BodyForms, entries: Entries, place: Ints, points: int
 ) -> tuple[dict[int, PETSc.Mat], dict[int, fem.Form]]:
     """Displacement of bodies by jumps, and the stiffness of the cells that move; collective.
 

@@ -1,7 +1,7 @@
 """The discrete problem of a scene: residual and Jacobian of the coupled min-max problem.
 
 Unknowns are blocks: the continuous displacement, and the jumps where the scene has contact. The
-displacement block is assembled once; see `mechanics.jumps` for the equations of the jump block.
+displacement block is assembled once; see `mechanics.contact` for the equations of the jump block.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats, Ints
-from app.mechanics.assembly import Mechanics
+from app.mechanics.body_forms import BodyForms
+from app.mechanics.constraints import near_null_space, reduction_of
+from app.mechanics.contact import Jumps
+from app.mechanics.contact_law import PointForces
 from app.mechanics.curing_stress import CuringStress
-from app.mechanics.expansion import Expansions, ThermalStiffness
-from app.mechanics.first_order import inverse_of
-from app.mechanics.forces import Forces
-from app.mechanics.jumps import Jumps
-from app.mechanics.points import PointForces
-from app.mechanics.reduction import near_null_space, reduction_of
-from app.mechanics.supports import HeldRows
+from app.mechanics.external_forces import Forces
+from app.mechanics.held_rows import ConstrainedRows
+from app.mechanics.p_multigrid import inverse_of
+from app.mechanics.thermal_strain import ThermalStiffness, ThermalStrain
 from app.numerics.preconditioners import Inverse
-from app.numerics.state import State, keyed, node_keys
+from app.numerics.saved_state import State, keyed, node_keys
 from app.scene.bodies import bodies_of
 from app.scene.frames import frames_of
 from app.scene.terms import Scene, amplitude
@@ -88,7 +88,7 @@ class Problem:
         self.scene, self.tagged = scene, tagged
         self.comm = tagged.mesh.comm
         self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)
-        self.mechanics = Mechanics(scene, tagged, self.bodies, timing)
+        self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u
         self._owned = 3 * self.space.dofmap.index_map.size_local
@@ -116,8 +116,8 @@ class Problem:
             for b in j.moves
         }
         self.forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
-        self.expansions: tuple[Expansions, ...] = (
-            (Expansions(scene, self.mechanics, self.bodies),) if self.mechanics.swelling else ()
+        self.expansions: tuple[ThermalStrain, ...] = (
+            (ThermalStrain(scene, self.mechanics, self.bodies),) if self.mechanics.swelling else ()
         )
         self.set_time(0.0)
 
@@ -149,7 +149,7 @@ class Problem:
         """The stiffness with the supports of the current stage; these keep what they meet of it."""
         K = self.reduction.matrix(self.mechanics.matrix(self._stiffness))
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
-        self.supports = HeldRows(K, self.reduction)
+        self.supports = ConstrainedRows(K, self.reduction)
         self._diagonal = K.getDiagonal()
         return K
 
@@ -158,7 +158,7 @@ class Problem:
         K = self._constrained()
         K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         for j in self.jumps:
-            j.restiffen(self.mechanics, self.reduction)
+            j.update_stiffness(self.mechanics, self.reduction)
         self.supports.couple(self.jumps)
         self.version += 1
         self.set_time(self.time)
@@ -285,7 +285,7 @@ class Problem:
     def set_cure(
         self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]
     ) -> None:
-        """Say how far regions have set; takes effect at the next `restiffen`.
+        """Say how far regions have set; takes effect at the next `update_stiffness`.
 
         Args:
             degrees: For each region that sets, the degree of cure at the vertices [-].
@@ -294,7 +294,7 @@ class Problem:
         for s in self.setting:
             s.set(degrees, strains)
 
-    def restiffen(self) -> None:
+    def update_stiffness(self) -> None:
         """Take in the stiffness and the stress of what has set so far; before every solve.
 
         The matrices are assembled again, in place, only if a modulus has changed; then `version`

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.mechanics.coarse_space import SlidingMotions
-from app.mechanics.jumps import Jumps
+from app.mechanics.contact import Jumps
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
+from app.numerics.saved_state import State
 from app.numerics.sparse import block_diagonal, fill
-from app.numerics.state import State
 from app.numerics.system import Measure, System, size
 
 

@@ -16,7 +16,7 @@ KEPT, LONGEST = 12, 5
 
 
 @dataclass(frozen=True)
-class Restless:
+class OscillatingPoint:
     """A contact point that keeps changing its state.
 
     Attributes:
@@ -69,8 +69,8 @@ class ActiveSet:
                 return p if self._comm.allreduce(moves, MPI.LOR) else 0
         return 0
 
-    def restless(self) -> list[Restless]:
-        """Points of this rank that changed their state last, the most restless first."""
+    def oscillating(self) -> list[OscillatingPoint]:
+        """Points of this rank that changed their state last, the most oscillating first."""
         if len(self._known) < 2:
             return []
         states = np.array(self._known)
@@ -79,7 +79,7 @@ class ActiveSet:
         late = (states[-2:] != states[-3:-1]).any(axis=0) if len(states) > 2 else changes > 0
         rows = np.flatnonzero(late)
         return [
-            Restless(
+            OscillatingPoint(
                 int(k),
                 int(changes[k]),
                 len(states) - 1,

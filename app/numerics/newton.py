@@ -13,8 +13,8 @@ import numpy as np
 from app.arrays import Floats
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import Options
+from app.numerics.saved_state import State
 from app.numerics.snes import REASONS, Snes
-from app.numerics.state import State
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
 

@@ -25,7 +25,7 @@ from ufl.algorithms import extract_coefficients
 from ufl.core.expr import Expr
 
 from app.arrays import Floats, Ints
-from app.numerics import kernels
+from app.numerics import kernel_cache
 
 
 class Pointwise:
@@ -46,7 +46,7 @@ class Pointwise:
             n: Number of points of this rank.
             sizes: Inputs by name: 1 for a scalar, 3 for a vector.
             build: Gives the expressions, from the inputs by name.
-            note: Where it is noted what has been compiled of them (`numerics.kernels`); without,
+            note: Where it is noted what has been compiled of them (`kernel_cache`); without,
                 they are built at every start.
         """
         cells = max(n, 1)
@@ -65,10 +65,10 @@ class Pointwise:
         self._inputs = {name: fem.Function(spaces[size]) for name, size in sizes.items()}
         for function in self._inputs.values():
             function.x.array[:] = 1
-        found = kernels.find(comm, note)
+        found = kernel_cache.find(comm, note)
         if found is None:
             found = self._compile(comm, build)
-            kernels.keep(comm, note, found[0])
+            kernel_cache.keep(comm, note, found[0])
         kernel, symbol, self._module = found
         ffi = self._module.ffi
         self._expression = create_expression_float64(
@@ -82,7 +82,7 @@ class Pointwise:
 
     def _compile(
         self, comm: MPI.Comm, build: Callable[[dict[str, Expr]], Sequence[Expr]]
-    ) -> tuple[kernels.Kernel, Any, ModuleType]:
+    ) -> tuple[kernel_cache.Kernel, Any, ModuleType]:
         """One kernel for all expressions: what they have in common is evaluated once."""
         every = build(dict(self._inputs))
         together = ufl.as_vector([c for e in every for c in _components(e)])
@@ -90,7 +90,7 @@ class Pointwise:
         symbol, module, _ = jit.ffcx_jit(comm, (together, np.array([[0.5]])), options)
         used = extract_coefficients(together)
         names = {function: name for name, function in self._inputs.items()}
-        kernel = kernels.Kernel(
+        kernel = kernel_cache.Kernel(
             module=module.__name__,
             symbol=next(name for name in dir(module.lib) if name.startswith("expression_")),
             inputs=tuple(

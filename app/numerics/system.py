@@ -18,7 +18,7 @@ from app.arrays import Floats
 from app.numerics.active_set import ActiveSet
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import Inverse, Options
-from app.numerics.state import State
+from app.numerics.saved_state import State
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from app.case import quantities
 from app.errors import InputError, StoppedError
 from app.report import page, run_report, sweep_figures, viewer
 from app.report.page import Blocks, bullets, paragraph, table
 from app.report.sweep_results import Number, SweptCase
-from app.results.log import UNUSABLE, faults
-from app.schema import quantities
+from app.results.closing_lines import UNUSABLE, faults
 from app.system.folders import write_text
 from app.system.layout import plain
 

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from app.case.quantities import FACTORS, TABLE, printed
 from app.report import page
 from app.report.curves import Line, Panel
 from app.report.curves import draw as draw_panels
 from app.report.page import Blocks
 from app.report.sweep_results import Number
-from app.schema.quantities import FACTORS, TABLE, printed
 from app.system.style import COLOURS, MARKERS
 
 # What is drawn: by key in history.csv, title, unit for people.

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from app.arrays import Floats
+from app.case.case import geometry_of
+from app.case.geometries import Geometry
 from app.errors import MantleError
 from app.report.curves import Figure
 from app.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
@@ -16,7 +18,6 @@ from app.report.sweep_results import SweepResults, SweptCase
 from app.results import unrolled
 from app.results.reading import Run
 from app.results.unrolled import MapRow, Sheet
-from app.schema import config
 
 log = logging.getLogger("mantle")
 
@@ -87,8 +88,8 @@ def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
     return figures, missing
 
 
-def _geometry(case: SweptCase) -> config.Geometry:
-    geometry = config.geometry(case.data, case.folder)
+def _geometry(case: SweptCase) -> Geometry:
+    geometry = geometry_of(case.data, case.folder)
     if geometry is None:
         raise ValueError("its case.yaml has no geometry")
     return geometry

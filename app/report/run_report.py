@@ -14,25 +14,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from app.case import quantities
+from app.case.quantities import NECROSIS, TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
-from app.report import (
-    gruen,
-    history_curves,
-    maps,
-    page,
-    run_sentence,
-    stills,
-    sweep_figures,
-    viewer,
-)
+from app.report import gruen, history_curves, maps, page, sentence, stills, sweep_figures, viewer
 from app.report.curves import Figure
 from app.report.page import Blocks, bullets, heading, paragraph, table
 from app.report.sweep_results import CONVERGED, SweptCase
-from app.results import log as text
+from app.results import closing_lines as text
 from app.results.reading import Run
 from app.results.tables import TABLES
-from app.schema import quantities
-from app.schema.quantities import NECROSIS, TABLE, Quantity, in_print, printed
 from app.system import privacy
 from app.system.folders import write_bytes, write_text
 from app.system.layout import duration, noted, plain
@@ -158,7 +149,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
         title,
         sections,
         facts=_facts(folder, record),
-        lead=run_sentence.sentence(summary, case),
+        lead=sentence.sentence(summary, case),
         summary=[*_verdict(summary), *lacking],
         view=view,
     )
@@ -260,7 +251,7 @@ def _titled(title: str, content: Blocks) -> Blocks:
 def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
     """Dead bone by every criterion."""
     own = TABLE["thermal.regions"]
-    bone = {name: q for name, q in regions.items() if run_sentence.is_bone(q)}
+    bone = {name: q for name, q in regions.items() if sentence.is_bone(q)}
     head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
     rows = [
         [
@@ -360,7 +351,7 @@ def _variations(folder: Path, share: float) -> list[Path]:
     html = page.page(
         f"Variations: {folder.resolve().name}",
         sections,
-        lead=run_sentence.spread(cases, names),
+        lead=sentence.spread(cases, names),
         summary=[f"{done} of {len(cases)} variations converged", *bad],
     )
     write_text(folder / PAGE, html)

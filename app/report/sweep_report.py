@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.campaigns import uncertainty
+from app.case.quantities import printed
 from app.errors import StoppedError
 from app.report import gruen, page, sensitivity, sweep_figures
 from app.report import maps as report_maps
@@ -22,7 +23,6 @@ from app.report.paper.cases import Cases
 from app.report.paper.compare import ComparedNumber
 from app.report.paper.trends import VERDICTS, Trend
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, read
-from app.schema.quantities import printed
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.system.layout import duration, noted
 

@@ -14,9 +14,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from app.case import quantities
 from app.errors import InputError
-from app.results.log import UNUSABLE
-from app.schema import case_file, quantities
+from app.results.closing_lines import UNUSABLE
+from app.schema import yaml_file
 from app.schema.units import NUMBER
 
 CONVERGED = "converged"
@@ -90,7 +91,7 @@ class SweptCase:
     def data(self) -> dict[str, Any]:
         """The resolved configuration as plain data; empty if it cannot be read."""
         try:
-            return case_file.read(self.folder / "case.yaml").data
+            return yaml_file.read(self.folder / "case.yaml").data
         except InputError:
             return {}
 

@@ -14,7 +14,7 @@ from ufl.core.expr import Expr
 
 from app.arrays import Floats
 from app.mechanics.problem import Problem, TrialState
-from app.numerics.state import State
+from app.numerics.saved_state import State
 from app.scene.terms import Elastic, amplitude
 from forms import elasticity, loads
 

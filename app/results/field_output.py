@@ -20,11 +20,11 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.numerics.state import ENDS, Rows, State
-from app.results.heat_passed import W_PER_M2
+from app.numerics.saved_state import ENDS, Rows, State
+from app.results.interface_heat import W_PER_M2
+from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
-from app.results.quantities import Samples
-from app.results.thermal_quantities import Interfaces, ThermalRecord
+from app.results.thermal_record import Interfaces, ThermalRecord
 from app.results.vtkhdf import (
     QUADRATIC_NODES,
     QUADRATIC_TETRAHEDRON,
@@ -38,7 +38,7 @@ from meshes.distribute import TaggedMesh
 
 
 @dataclass(frozen=True)
-class Copies:
+class OutputNodes:
     """Nodes of the grid that this rank writes, as one layer sees them.
 
     Attributes:
@@ -60,7 +60,7 @@ class Layer(Protocol):
     bodies: Bodies
     space: fem.FunctionSpace
 
-    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
+    def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Floats]:
         """Values at the nodes of the grid (n,) or (n, components)."""
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -101,7 +101,8 @@ class Fields:
         comm = self._comm = tagged.mesh.comm
         mine, number = _owners(comm, keys)
         self._nodes = [
-            Copies(body[group[mine]], dof[mine], cell[mine], ENDS[local[mine]]) for body in bodies.T
+            OutputNodes(body[group[mine]], dof[mine], cell[mine], ENDS[local[mine]])
+            for body in bodies.T
         ]
         place = np.where(mine, np.cumsum(mine), mine.sum() + np.cumsum(~mine)) - 1
         cells = place[cells.reshape(dofs.shape)]
@@ -167,7 +168,7 @@ class Fields:
         """
         write_last_step(self._path, self._path.with_name("final.vtkhdf"))
 
-    def write(self, time: float, samples: Samples | None) -> None:
+    def write(self, time: float, samples: ContactSamples | None) -> None:
         """Append a step; collective."""
         point: dict[str, Floats] = {}
         cell: dict[str, Floats] = {}
@@ -220,7 +221,7 @@ class HeatFields:
         # On nodes of this rank, ghosts too.
         self._work = fem.Function(self.space)
 
-    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
+    def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Floats]:
         """By node.
 
         Temperature [degC]; in bone seconds at or above 47 degC, CEM43 [min] and Henriques-Moritz;
@@ -280,7 +281,7 @@ class HeatFields:
         self._work.x.scatter_forward()
         return self._work.x.array.copy()
 
-    def _at(self, nodes: Copies, values: Sequence[Floats]) -> Floats:
+    def _at(self, nodes: OutputNodes, values: Sequence[Floats]) -> Floats:
         """Values of the bodies at the nodes of the grid: linear along edges."""
         table = np.stack(values)
         dofs = self.space.dofmap.list[nodes.cell[:, None]][:, 0]

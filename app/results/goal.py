@@ -29,9 +29,10 @@ import numpy as np
 from dolfinx import la
 
 from app.arrays import Bools, Floats, Ints
+from app.case.case import Case
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
-from app.results.quantities import Facets, Samples
+from app.results.interface_numbers import ContactSamples, Facets
 from app.results.recovery import recovered
 from app.results.stem_motion import Gradient, corner_dofs, stem_gradient
 from app.results.stresses import COMPONENTS, Stresses
@@ -42,7 +43,6 @@ from app.results.vtkhdf import (
     GridFile,
 )
 from app.scene.bodies import FACET_VERTICES, cell_tags
-from app.schema.config import Case
 from forms.contact import OPEN
 from meshes.distribute import TaggedMesh
 
@@ -76,7 +76,7 @@ class Missing:
 
 
 def missing(
-    problem: Problem, solver: Solver, stresses: Stresses, case: Case, samples: Samples | None
+    problem: Problem, solver: Solver, stresses: Stresses, case: Case, samples: ContactSamples | None
 ) -> Missing:
     """Estimate what is missing of ``output.goal`` in the state last committed; collective."""
     x, iterations = adjoint(problem, solver, case, samples)
@@ -102,7 +102,7 @@ def adjoint(
     problem: Problem,
     solver: Solver,
     case: Case,
-    samples: Samples | None,
+    samples: ContactSamples | None,
     tolerance: float = TOLERANCE,
 ) -> tuple[PETSc.Vec, int]:
     """The adjoint displacement and jumps of ``output.goal``, and Krylov iterations; collective.
@@ -115,7 +115,7 @@ def adjoint(
 
 
 def _gradient(
-    problem: Problem, case: Case, samples: Samples | None, owner: str, key: str
+    problem: Problem, case: Case, samples: ContactSamples | None, owner: str, key: str
 ) -> tuple[Gradient, Floats | None]:
     """Derivatives of a number by the displacement of each body, and by own jumps (n, 3)."""
     if owner == "stem":
@@ -198,7 +198,7 @@ def _tensors(components: Floats) -> Floats:
 
 
 def _between(
-    problem: Problem, samples: Samples, z: PETSc.Vec, v: PETSc.Vec, cells: Floats
+    problem: Problem, samples: ContactSamples, z: PETSc.Vec, v: PETSc.Vec, cells: Floats
 ) -> float:
     """What jumps between closed points add; half of it goes to the cell on either side."""
     (j,) = problem.jumps

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.mechanics.problem import Problem
-from app.results.quantities import Samples
+from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ LEAST = 0.01
 
 
 def summary(
-    problem: Problem, stresses: Stresses, samples: Samples | None, zones: Zones
+    problem: Problem, stresses: Stresses, samples: ContactSamples | None, zones: Zones
 ) -> dict[str, Zone]:
     """The numbers of each zone, by its own; collective.
 
@@ -81,7 +81,7 @@ def _energy_and_volume(
     return energy, volume
 
 
-def _interface(s: Samples, at: NDArray[np.bool_]) -> dict[str, float]:
+def _interface(s: ContactSamples, at: NDArray[np.bool_]) -> dict[str, float]:
     """Motion and tractions of the marked points of an interface; means by area."""
     weight = s.weight[at]
     result: dict[str, float] = {}

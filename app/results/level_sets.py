@@ -14,7 +14,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.heat.assembly import HeatForms
+from app.heat.heat_forms import HeatForms
 
 _EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 _FACES = np.array([(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)])

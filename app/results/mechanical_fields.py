@@ -7,8 +7,8 @@ from dolfinx import la
 
 from app.arrays import Floats, Ints
 from app.mechanics.problem import Problem
-from app.results.field_output import Copies
-from app.results.quantities import Samples
+from app.results.field_output import OutputNodes
+from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses, extrapolated
 from forms.contact import OPEN, SLIP, STICK
 
@@ -24,7 +24,7 @@ class MechanicalFields:
         # Stress times volume, and volume, at the nodes of a body.
         self._sums = la.vector(index_map, len(COMPONENTS) + 1)
 
-    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Floats]:
+    def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Floats]:
         """Displacement [mm], and by interface gap, slip, motion [mm], tractions [MPa], status."""
         u = np.zeros((len(nodes.dof), 3))
         for b, function in enumerate(self._problem.displacements()):
@@ -44,7 +44,7 @@ class MechanicalFields:
             σ[own] = _components(self._stresses.mean(region))
         return _named(σ)
 
-    def _nodal_stress(self, nodes: Copies) -> Floats:
+    def _nodal_stress(self, nodes: OutputNodes) -> Floats:
         """Stress at the nodes (n, 6) [MPa]: the mean of the body's cells there, by volume.
 
         Within a cell it is the linear field that fits its stress best.
@@ -71,7 +71,7 @@ class MechanicalFields:
             found[at] = mean[:, :-1] / np.where(mean[:, -1:] > 0, mean[:, -1:], 1.0)
         return found
 
-    def _contact_rows(self, nodes: Copies) -> dict[int, Ints]:
+    def _contact_rows(self, nodes: OutputNodes) -> dict[int, Ints]:
         """For each interface, the contact points (n, 2) that nodes of the grid are or lie between.
 
         The point twice at a corner, the ends of an edge of the interface at its middle, -1
@@ -132,7 +132,7 @@ def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
     return np.where((on & (rows >= 0).all(axis=1))[:, None], rows, -1)
 
 
-def _interface(name: str, s: Samples, rows: Ints) -> dict[str, Floats]:
+def _interface(name: str, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
     """Fields of an interface at the grid's nodes: zero away from it, status -1.
 
     They are linear along edges. In the middle of one the status is the more mobile of its ends.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.mechanics.jumps import Jumps
+from app.mechanics.contact import Jumps
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 
 # Where a facet is looked at: corners, middles of edges, and between them (barycentric).

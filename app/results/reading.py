@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
+from app.case.case import geometry_of
 from app.errors import InputError
-from app.schema import case_file, config
+from app.schema import yaml_file
 
 # Vertices of the edges that carry the middle nodes of a quadratic tetrahedron, in VTK's order.
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
@@ -47,7 +48,7 @@ class Results:
     @cached_property
     def case(self) -> dict[str, Any]:
         """The case as it was solved: mappings, lists and scalars, in internal units."""
-        return case_file.read(self.folder / "case.yaml").data
+        return yaml_file.read(self.folder / "case.yaml").data
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -134,7 +135,7 @@ class Run(Results):
     @cached_property
     def regions(self) -> dict[str, int]:
         """Number of each region by its name, as `region` has it."""
-        geometry = config.geometry(self.case, self.folder)
+        geometry = geometry_of(self.case, self.folder)
         names = geometry.region_names if geometry else ()
         return {name: number for number, name in enumerate(names, 1)}
 

@@ -22,7 +22,7 @@ from app.arrays import Bools, Floats, Ints
 from app.heat import curves_in_time
 from app.heat.curves_in_time import bend, bend_after_kink, peak_between, raise_to
 from app.heat.nodes import ThermalNodes
-from app.numerics.state import Rows, State, keyed
+from app.numerics.saved_state import Rows, State, keyed
 from app.results.level_sets import RegionCells
 from app.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
+from app.case.case import Case
 from app.mechanics.problem import Problem
 from app.scene.bodies import (
     FACET_VERTICES,
@@ -20,7 +21,6 @@ from app.scene.bodies import (
     facet_coordinates,
     facets_between,
 )
-from app.schema.config import Case
 
 # Nodes at an end of the stem are within this part of its length [-].
 END = 1e-6

@@ -11,11 +11,11 @@ from dolfinx import fem
 from ufl import as_vector
 
 from app.arrays import Floats
+from app.case.quantities import computed
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
 from app.scene.fibres import Vector
 from app.scene.terms import Elastic
-from app.schema.quantities import computed
 from app.system.timing import Timing
 from forms import elasticity
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from app.schema.quantities import NECROSIS, TABLE, numbers_of
+from app.case.quantities import NECROSIS, TABLE, numbers_of
 
 Rows = Mapping[str, Mapping[str, Any]]
 

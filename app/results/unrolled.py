@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from app import figures
 from app.arrays import Floats, Ints
+from app.case.geometries import Sides
 from app.results.reading import EDGES, FACES, Run
-from app.schema.geometries import Sides
 
 # The angle runs from here by 360 degrees.
 SEAM = -90.0

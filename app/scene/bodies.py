@@ -1,8 +1,8 @@
 """Bodies of a scene on its mesh: which regions move together, and where they meet.
 
 A body is a set of regions that no contact interface separates. The functions here read the
-distributed mesh (regions, boundaries, facets between regions); `meshes.interfaces` then works on
-the gathered facets.
+distributed mesh (regions, boundaries, facets between regions); `meshes.contact_points` then works
+on the gathered facets.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from app.arrays import Ints
 from app.errors import InputError
 from app.scene.terms import ContactTerm, RigidBody, Support, ThermalContact
 from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
+from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
-from meshes.interfaces import Holds
 
 FACET_VERTICES = basix.topology(basix.CellType.tetrahedron)[2]
 FACET_EDGES = basix.cell.sub_entity_connectivity(basix.CellType.tetrahedron)[2]

@@ -11,6 +11,22 @@ from functools import singledispatch
 
 import numpy as np
 
+from app.case.case import Case
+from app.case.run_options import Stage
+from app.case.shapes import Sides
+from app.laws import loads as sections
+from app.laws.interface_laws import Bonded, Contact, InterfaceSection, Penalty
+from app.laws.loads import (
+    BodyForce,
+    Displacement,
+    Fixed,
+    Force,
+    Foundation,
+    LoadSection,
+    Pressure,
+    Roller,
+)
+from app.laws.materials import Eigenstrain, Isotropic, Region, Rigid, TransverselyIsotropic
 from app.scene.build_heat import fibre_of, field, heat
 from app.scene.laws import BondTerm, Coulomb, CoulombByPenalty, InterfaceLaw
 from app.scene.loads import BodyForceTerm, Field, ForceTerm, LoadTerm, PressureTerm
@@ -24,12 +40,10 @@ from app.scene.terms import (
     SceneStage,
     Support,
 )
-from app.schema import config
-from app.schema.shapes import Sides
 from forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
 
 
-def build_scene(case: config.Case) -> Scene:
+def build_scene(case: Case) -> Scene:
     """Choose the terms of a case."""
     stages = len(case.stages)
     elastic = tuple(term for name, r in case.regions.items() for term in _elastic(name, r, stages))
@@ -40,9 +54,7 @@ def build_scene(case: config.Case) -> Scene:
     return Scene(
         order=case.mesh.order,
         elastic=elastic,
-        rigid=tuple(
-            RigidBody(name) for name, r in case.regions.items() if isinstance(r, config.Rigid)
-        ),
+        rigid=tuple(RigidBody(name) for name, r in case.regions.items() if isinstance(r, Rigid)),
         foundations=tuple(f for s in case.supports.values() for f in _foundation(s)),
         supports=tuple(
             term for name, s in case.supports.items() for term in _support(name, s, case.stages)
@@ -75,9 +87,9 @@ def _history(values: tuple[float, ...] | None, stages: int) -> tuple[float, ...]
     return values if values is not None else (1.0,) * stages
 
 
-def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ...]:
+def _elastic(name: str, region: Region, stages: int) -> tuple[Elastic, ...]:
     match region:
-        case config.Isotropic():
+        case Isotropic():
             return (
                 Elastic(
                     name,
@@ -87,7 +99,7 @@ def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ..
                     _eigenstrains(region.eigenstrains, stages),
                 ),
             )
-        case config.TransverselyIsotropic():
+        case TransverselyIsotropic():
             return (
                 Elastic(
                     name,
@@ -107,32 +119,30 @@ def _elastic(name: str, region: config.Region, stages: int) -> tuple[Elastic, ..
             return ()
 
 
-def _eigenstrains(
-    strains: tuple[config.Eigenstrain, ...], stages: int
-) -> tuple[EigenstrainTerm, ...]:
+def _eigenstrains(strains: tuple[Eigenstrain, ...], stages: int) -> tuple[EigenstrainTerm, ...]:
     return tuple(EigenstrainTerm(s.strain, _history(s.history, stages)) for s in strains)
 
 
-def _foundation(support: config.Support) -> tuple[FoundationTerm, ...]:
+def _foundation(support: sections.Support) -> tuple[FoundationTerm, ...]:
     match support:
-        case config.Foundation():
+        case Foundation():
             return (FoundationTerm(support.boundary, support.stiffness),)
         case _:
             return ()
 
 
 def _support(
-    name: str, support: config.Support, stages: tuple[config.Stage, ...]
+    name: str, support: sections.Support, stages: tuple[Stage, ...]
 ) -> tuple[Support, ...]:
     normal: tuple[float, ...] | str = ()
     match support:
-        case config.Fixed():
+        case Fixed():
             given: tuple[float | str | None, ...] = (0.0, 0.0, 0.0)
             history = None
-        case config.Roller():
+        case Roller():
             given = tuple(0.0 if axis == support.axis else None for axis in "xyz")
             history, normal = None, support.normal or ()
-        case config.Displacement():
+        case Displacement():
             given, history = (support.x, support.y, support.z), support.history
         case _:
             return ()
@@ -146,7 +156,7 @@ def _support(
 
 @singledispatch
 def load_of(
-    section: config.LoadSection, name: str, regions: Sequence[str], history: tuple[float, ...]
+    section: LoadSection, name: str, regions: Sequence[str], history: tuple[float, ...]
 ) -> LoadTerm:
     """The load that a section of ``loads`` asks for. One from outside registers here.
 
@@ -160,18 +170,18 @@ def load_of(
 
 
 @load_of.register
-def _(section: config.Force, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
+def _(section: Force, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
     return ForceTerm(name, section.boundary, section.force, tuple(section.at or ()), history)
 
 
 @load_of.register
-def _(section: config.Pressure, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
+def _(section: Pressure, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
     return PressureTerm(name, section.boundary, section.pressure, history)
 
 
 @load_of.register
 def _(
-    section: config.BodyForce, name: str, regions: Sequence[str], history: tuple[float, ...]
+    section: BodyForce, name: str, regions: Sequence[str], history: tuple[float, ...]
 ) -> LoadTerm:
     chosen = tuple(regions) if section.regions is None else tuple(section.regions)
     density = {f"density[{i}]": value for i, value in enumerate(section.density)}
@@ -179,7 +189,7 @@ def _(
 
 
 @singledispatch
-def law_of(section: config.InterfaceSection) -> InterfaceLaw | None:
+def law_of(section: InterfaceSection) -> InterfaceLaw | None:
     """The law that a section of ``interfaces`` asks for; None where the sides are one continuum.
 
     A law from outside registers here what its own section asks for.
@@ -188,22 +198,22 @@ def law_of(section: config.InterfaceSection) -> InterfaceLaw | None:
 
 
 @law_of.register
-def _(section: config.Bonded) -> None:
+def _(section: Bonded) -> None:
     return None
 
 
 @law_of.register
-def _(section: config.Contact) -> InterfaceLaw:
+def _(section: Contact) -> InterfaceLaw:
     return Coulomb(section.friction_coefficient, section.augmentation or 0.0)
 
 
 @law_of.register
-def _(section: config.Penalty) -> InterfaceLaw:
+def _(section: Penalty) -> InterfaceLaw:
     return CoulombByPenalty(section.friction_coefficient, section.penalty)
 
 
 def _contact(
-    name: str, section: config.InterfaceSection, declared: Sides, moduli: Mapping[str, float]
+    name: str, section: InterfaceSection, declared: Sides, moduli: Mapping[str, float]
 ) -> tuple[ContactTerm, ...]:
     """A term between a master and a slave; a bonded interface is none at all."""
     law = law_of(section)
@@ -218,7 +228,7 @@ def _contact(
 
 
 def _bond(
-    name: str, section: config.InterfaceSection, sides: Sides, moduli: Mapping[str, float]
+    name: str, section: InterfaceSection, sides: Sides, moduli: Mapping[str, float]
 ) -> tuple[BondTerm, ...]:
     """A bonded interface, unless no side of it deforms."""
     if law_of(section) is not None or not np.isfinite(_stiffness(sides[1], moduli)):

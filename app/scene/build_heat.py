@@ -9,7 +9,25 @@ from typing import Any
 import numpy as np
 
 from app.arrays import Floats
+from app.case.case import Case
+from app.case.shapes import Sides
 from app.errors import InputError
+from app.laws import thermal as sections
+from app.laws.fibres import FibreDirection
+from app.laws.interface_laws import Interface
+from app.laws.materials import Region
+from app.laws.thermal import (
+    Autocatalytic,
+    Convection,
+    Cure,
+    FixedTemperature,
+    HeatFlux,
+    HeatSource,
+    Perfusion,
+    Prescribed,
+    PressureConductance,
+    Thermal,
+)
 from app.scene.fibres import Fibre
 from app.scene.loads import Field
 from app.scene.terms import (
@@ -29,12 +47,10 @@ from app.scene.terms import (
     ThermalContact,
     TimeStepping,
 )
-from app.schema import config
-from app.schema.fibres import FibreDirection
-from app.schema.shapes import Sides
+from app.schema.expressions import evaluate
 
 
-def heat(case: config.Case, sides: Mapping[str, Sides]) -> dict[str, Any]:
+def heat(case: Case, sides: Mapping[str, Sides]) -> dict[str, Any]:
     """The terms of heat by their names in `Scene`; none where nothing conducts.
 
     Args:
@@ -73,7 +89,7 @@ def heat(case: config.Case, sides: Mapping[str, Sides]) -> dict[str, Any]:
     }
 
 
-def _conductor(name: str, thermal: config.Thermal, region: config.Region) -> ConductorTerm:
+def _conductor(name: str, thermal: Thermal, region: Region) -> ConductorTerm:
     axial, transverse = thermal.axial_conductivity, thermal.transverse_conductivity
     if axial is None or transverse is None:
         conductivity: tuple[float, ...] = (thermal.conductivity or 0.0,)
@@ -99,31 +115,31 @@ def effusivity(conductor: ConductorTerm) -> float:
     return math.sqrt(mean * conductor.capacity)
 
 
-def _condition(name: str, condition: config.HeatCondition) -> HeatCondition:
+def _condition(name: str, condition: sections.HeatCondition) -> HeatCondition:
     key = f"heat.{name}"
     match condition:
-        case config.FixedTemperature(temperature=None):
+        case FixedTemperature(temperature=None):
             # A course of temperatures is that of 1 K with the temperatures as multipliers.
             one, course = field(key, 1.0), _course(condition.course)
             return FixedTemperatureTerm(
                 name, condition.boundary or "", condition.regions or (), one, course
             )
-        case config.FixedTemperature():
+        case FixedTemperature():
             given = _temperature(f"{key}.temperature", condition.temperature or 0.0)
             return FixedTemperatureTerm(
                 name, condition.boundary or "", condition.regions or (), given, ()
             )
-        case config.HeatFlux():
+        case HeatFlux():
             flux = field(f"{key}.flux", condition.flux)
             return HeatFluxTerm(name, condition.boundary, flux, _course(condition.course))
-        case config.Convection():
+        case Convection():
             return ConvectionTerm(
                 name, condition.boundary, condition.coefficient, condition.ambient
             )
-        case config.HeatSource():
+        case HeatSource():
             density = field(f"{key}.density", condition.density)
             return HeatSourceTerm(name, condition.regions, density, _course(condition.course))
-        case config.Perfusion():
+        case Perfusion():
             blood = condition.blood_density * condition.blood_specific_heat
             coefficient = condition.rate * blood
             return PerfusionTerm(name, condition.regions, coefficient, condition.temperature)
@@ -133,12 +149,12 @@ def _course(course: Sequence[tuple[float, float]] | None) -> Course:
     return tuple(course or ())
 
 
-def _contact(name: str, law: config.Interface, sides: Sides) -> tuple[ThermalContact, ...]:
+def _contact(name: str, law: Interface, sides: Sides) -> tuple[ThermalContact, ...]:
     """A temperature jump; none where the conductance is perfect."""
     match law.conductance:
         case None:
             return ()
-        case config.PressureConductance(open=least, per_pressure=slope, cap=cap):
+        case PressureConductance(open=least, per_pressure=slope, cap=cap):
             return (ThermalContact(name, *sides, least, slope, math.inf if cap is None else cap),)
         case constant:
             return (ThermalContact(name, *sides, constant, 0.0, math.inf),)
@@ -146,7 +162,7 @@ def _contact(name: str, law: config.Interface, sides: Sides) -> tuple[ThermalCon
 
 def _friction(
     name: str,
-    law: config.Interface,
+    law: Interface,
     given: Sides,
     sides: Mapping[str, Sides],
     effusivity: Mapping[str, float],
@@ -163,13 +179,13 @@ def _friction(
             return (FrictionHeat(name, e_s / (e_s + e_m)),)
 
 
-def _cure(name: str, cure: config.Cure) -> CureTerm:
+def _cure(name: str, cure: Cure) -> CureTerm:
     match cure.kinetics:
-        case config.Autocatalytic() as k:
+        case Autocatalytic() as k:
             kinetics: AutocatalyticCure | PrescribedCure = AutocatalyticCure(
                 k.rate_constant, k.activation_energy, k.m, k.n, tuple(k.limit or ())
             )
-        case config.Prescribed() as k:
+        case Prescribed() as k:
             kinetics = PrescribedCure(tuple(k.rate))
     return CureTerm(
         name,
@@ -190,7 +206,7 @@ def field(key: str, value: float | str) -> Field:
         if not isinstance(value, str):
             return np.full(len(x), value)
         try:
-            return config.evaluate(value, x)
+            return evaluate(value, x)
         except InputError as error:
             raise InputError(f"{key}: {error}") from error
 

@@ -25,8 +25,8 @@ from meshes.contact_facets import (
     nodal_normals,
     shape_functions,
 )
+from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
-from meshes.interfaces import Holds
 
 # Directions are one within about a milliradian: squares of sines below this are zero.
 ONE = 1e-6

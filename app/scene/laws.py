@@ -18,7 +18,7 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
 from app.arrays import Floats
-from app.schema.run_options import USUAL_AUGMENTATION
+from app.case.run_options import USUAL_AUGMENTATION
 from forms.contact import STICK, components, contact_law
 
 Shapes = Mapping[str, tuple[int, ...]]

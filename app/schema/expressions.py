@@ -16,7 +16,7 @@ from pydantic import GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from app.errors import InputError
-from app.schema.fields import Scalar, did_you_mean, fail
+from app.schema.section import Scalar, did_you_mean, fail
 from app.schema.units import NUMBER, Dimension
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from app.schema.fields import Scalar, did_you_mean, fail, show
+from app.schema.section import Scalar, did_you_mean, fail, show
 from app.schema.unit_conversion import conversion
 from app.schema.vectors import Triple
 

@@ -6,15 +6,15 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from app.schema.case_file import Fault
-from app.schema.fields import (
+from app.schema.json_schema import docstrings
+from app.schema.section import (
     TAG,
     Extensible,
     did_you_mean,
     kinds_of,
     show,
 )
-from app.schema.json_schema import docstrings
+from app.schema.yaml_file import Fault
 
 
 def problems(error: ValidationError, model: type[BaseModel]) -> list[Fault]:

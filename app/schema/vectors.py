@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
-from app.schema.fields import fail, show
+from app.schema.section import fail, show
 
 VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
 

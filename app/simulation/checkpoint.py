@@ -15,10 +15,10 @@ from mpi4py import MPI  # before h5py, which may be built for MPI
 
 import numpy as np
 
+from app.case.case import Case, plain
 from app.errors import InputError, agree, everywhere
-from app.numerics.state import Rows, State
-from app.results.output import on_root
-from app.schema import config
+from app.numerics.saved_state import Rows, State
+from app.results.run_folder import on_root
 from app.simulation.checkpoint_file import FORMAT, Checkpoint, DamagedError, read, write
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
@@ -40,7 +40,7 @@ def find(
     comm: MPI.Comm,
     wanted: str,
     folder: Path,
-    case: config.Case,
+    case: Case,
     force: bool,
     passed: Collection[Path] = (),
 ) -> Checkpoint | None:
@@ -62,7 +62,7 @@ def find(
 
 
 def _choose(
-    wanted: str, folder: Path, case: config.Case, force: bool, passed: Collection[Path]
+    wanted: str, folder: Path, case: Case, force: bool, passed: Collection[Path]
 ) -> Path | None:
     """Which file."""
     if wanted != "auto":
@@ -103,7 +103,7 @@ def _readable(path: Path) -> Checkpoint:
     raise InputError(f"--restart {path}: cannot be used: {why}")
 
 
-def _refuse_another(found: Checkpoint, case: config.Case, force: bool) -> None:
+def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
     """Refuse a checkpoint of another version or configuration.
 
     Raises:
@@ -132,9 +132,9 @@ def _refuse_another(found: Checkpoint, case: config.Case, force: bool) -> None:
     raise InputError([message, *said])
 
 
-def described(case: config.Case) -> dict[str, Any]:
+def described(case: Case) -> dict[str, Any]:
     """All of a case that its states depend on."""
-    data = config.plain(case)
+    data = plain(case)
     data.pop("title", None)
     data["output"] = {"probes": data.get("output", {}).get("probes", {})}
     # The mesh has a digest of its own, wherever it lies.
@@ -156,12 +156,12 @@ def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 # A run
 
 
-class Keeper:
+class CheckpointWriter:
     """Keeps the last state of a run where it may be taken up again, and saves it when it is due."""
 
     def __init__(
         self,
-        case: config.Case,
+        case: Case,
         model: Model,
         recorder: Recorder,
         folder: Path,

@@ -23,8 +23,8 @@ from mpi4py import MPI
 import numpy as np
 
 from app.errors import InputError
-from app.numerics.state import Array, Rows, State
-from app.soundness import sizing
+from app.numerics.saved_state import Array, Rows, State
+from app.soundness import memory
 from app.system.folders import write_bytes
 
 # Of the layout of the file.
@@ -160,7 +160,7 @@ def read(path: Path) -> Checkpoint:
         status = os.fstat(file.fileno())
         _need(stat.S_ISREG(status.st_mode), "it is not a file")
         large = f"its {status.st_size / 1e9:.3g} GB are more than this machine's memory"
-        _need(status.st_size < sizing.available({}), large)
+        _need(status.st_size < memory.available({}), large)
         content = memoryview(file.read())
     image = content[BLOCK:]
     digest = hashlib.sha256(image).hexdigest().encode()

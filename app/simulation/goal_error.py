@@ -8,10 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from app.case import divided_cells, quantities
+from app.case.case import Case
 from app.results import goal
-from app.results.output import DIVIDED, GOAL_MAP, on_root
-from app.results.quantities import Samples
-from app.schema import config, divided_cells, quantities
+from app.results.interface_numbers import ContactSamples
+from app.results.run_folder import DIVIDED, GOAL_MAP, on_root
 from app.simulation.model import Model
 from app.system.folders import write_text
 
@@ -19,9 +20,9 @@ log = logging.getLogger("mantle")
 
 
 def add(
-    case: config.Case,
+    case: Case,
     model: Model,
-    samples: Samples | None,
+    samples: ContactSamples | None,
     summary: dict[str, Any],
     folder: Path,
 ) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from app.mechanics.neighbours import Neighbours
 from app.mechanics.problem import Problem
+from app.mechanics.warm_start import WarmStart
 from app.numerics.newton import Solver
 from app.results.balance import Balance
 from app.results.bond_strength import Bond, bonds
@@ -31,7 +31,7 @@ class Mechanical:
         self.problem, self.solver = problem, solver
         self.stresses = Stresses(problem, timing, around_z)
         self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
-        self.neighbours = Neighbours(problem, solver)
+        self.neighbours = WarmStart(problem, solver)
         self._balance: list[Balance] = []
 
     def begin(self, build: Scene, augmentation_factor: float, tolerance: float) -> None:

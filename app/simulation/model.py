@@ -12,32 +12,32 @@ from mpi4py import MPI
 import numpy as np
 
 import meshes
+from app.case.case import Case
 from app.heat.conduction import Conduction
 from app.heat.system import HeatSystem
-from app.mechanics.prediction import Predictor
+from app.mechanics.predictors import Predictor
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import ContactSystem, mechanical
 from app.numerics.newton import Solver
-from app.numerics.state import State
+from app.numerics.saved_state import State
 from app.numerics.system import System
-from app.results import gruen, quantities
+from app.results import gruen, interface_numbers
 from app.results.field_output import HeatFields, Layer
+from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
-from app.results.output import on_root
-from app.results.quantities import Samples
+from app.results.run_folder import on_root
 from app.results.stem_motion import stem_motion
 from app.scene.build import build_scene
 from app.scene.terms import Scene, SceneStage
-from app.schema import config
-from app.simulation import related
+from app.simulation import coarser_case
 from app.simulation.mechanical_model import Mechanical
 from app.simulation.thermal_model import ThermalModel
-from app.soundness import case_on_mesh, cost
+from app.soundness import cost, well_posedness
+from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.contact_heat import ContactHeat
-from app.stepping.coupling import CoupledSystem
+from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_steps import HeatState, HeatStep
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
-from app.stepping.nested_start import Nested
 from app.stepping.stages import (
     HeatStepper,
     MechanicsBesideHeat,
@@ -51,7 +51,7 @@ from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
 from meshes.distribute import TaggedMesh, distribute
-from meshes.parts import Parts
+from meshes.pieces import Parts
 
 log = logging.getLogger("mantle")
 
@@ -70,7 +70,7 @@ class Model:
 
     def __init__(
         self,
-        case: config.Case,
+        case: Case,
         comm: MPI.Comm,
         options: dict[str, str],
         timing: Timing,
@@ -112,7 +112,7 @@ class Model:
             lambda: meshes.build(case.geometry, case.mesh, folders.cache("meshes")),
             share=False,
         )
-        found = case_on_mesh.look(case, data) if data is not None else None
+        found = well_posedness.look(case, data) if data is not None else None
         digest = comm.bcast(_mesh_hash(data) if data is not None else "")
         return distribute(data, comm), digest, found
 
@@ -125,13 +125,13 @@ class Model:
         found = self.parts
         notes = on_root(
             self.tagged.mesh.comm,
-            lambda: case_on_mesh.judge(self._case, found) if found is not None else [],
+            lambda: well_posedness.judge(self._case, found) if found is not None else [],
         )
         return notes or []
 
-    def deforms_like(self, case: config.Case) -> bool:
+    def deforms_like(self, case: Case) -> bool:
         """Whether a case has the matrices of this one, its contacts, and loads in its places."""
-        return related.matrices(self._case) == related.matrices(case)
+        return coarser_case.matrices(self._case) == coarser_case.matrices(case)
 
     def _solver(self, system: System) -> Solver:
         chosen = self._case.solver
@@ -157,7 +157,7 @@ class Model:
                 (m,) = model.mechanics
                 m.begin(self.scene, factor, self._case.solver.tolerance)
                 return (m,)
-            if related.stiffness(model._case) == related.stiffness(self._case):
+            if coarser_case.stiffness(model._case) == coarser_case.stiffness(self._case):
                 like += [m.problem for m in model.mechanics]
         if any(support.active for support in self.scene.supports):
             like.clear()
@@ -276,14 +276,18 @@ class Model:
         for p, found in zip(motion, state["motion"], strict=True):
             p.resume(found)
 
-    def _nested(self, m: Mechanical) -> tuple[Nested, ...]:
+    def _nested(self, m: Mechanical) -> tuple[CoarseModelStart, ...]:
         """A start from a cheaper model, if that pays."""
         if not m.problem.jumps or self.scene.conductors:
             return ()
-        case = related.cheaper(self._case, sum(m.solver.block_sizes.values()))
-        return () if case is None else (Nested(m.problem, m.solver, lambda: self._cheaper(case)),)
+        case = coarser_case.cheaper(self._case, sum(m.solver.block_sizes.values()))
+        return (
+            ()
+            if case is None
+            else (CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case)),)
+        )
 
-    def _cheaper(self, case: config.Case) -> LoadStepper:
+    def _cheaper(self, case: Case) -> LoadStepper:
         """The mechanics of a cheaper model on their way; collective."""
         comm, timing = self.tagged.mesh.comm, self._timing.of("cheaper model")
         other = Model(case, comm, self.options, timing, self.stop, self._kin)
@@ -303,7 +307,7 @@ class Model:
 
     # What is published of the state last committed
 
-    def numbers(self, samples: Samples | None) -> dict[str, Any]:
+    def numbers(self, samples: ContactSamples | None) -> dict[str, Any]:
         """All numbers; collective.
 
         Args:
@@ -323,7 +327,7 @@ class Model:
                 numbers["cure"] = cure.summary()
         return numbers
 
-    def places(self, samples: Samples | None) -> dict[str, Any]:
+    def places(self, samples: ContactSamples | None) -> dict[str, Any]:
         """Numbers that only some geometries have: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
@@ -335,25 +339,25 @@ class Model:
                 found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
         return found
 
-    def interfaces(self, samples: Samples | None) -> dict[str, dict[str, Any]]:
+    def interfaces(self, samples: ContactSamples | None) -> dict[str, dict[str, Any]]:
         """Published numbers of the contact interfaces, by name; collective."""
         if samples is None:
             return {}
         (m,) = self.mechanics
         return {
-            c.name: quantities.interface(m.problem, samples, i)
+            c.name: interface_numbers.interface(m.problem, samples, i)
             for i, c in enumerate(self.scene.contacts)
         }
 
-    def relative(self, case: config.Case) -> dict[str, Any]:
+    def relative(self, case: Case) -> dict[str, Any]:
         """Solve another case in the same way; collective."""
         comm, timing = self.tagged.mesh.comm, Timing("estimating errors")
         other = Model(case, comm, self.options, timing, self.stop, self._kin)
-        last: list[Samples | None] = [None]
+        last: list[ContactSamples | None] = [None]
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             if step.time == len(other.scene.stages) and trial is not None:
-                last[0] = Samples(other.mechanics[0].problem, trial)
+                last[0] = ContactSamples(other.mechanics[0].problem, trial)
 
         def trouble(text: str) -> None:
             log.debug("     %s", text)

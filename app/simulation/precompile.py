@@ -25,10 +25,11 @@ import numpy as np
 
 import configs
 import meshes
-from app.mechanics.points import PointLaw
+from app.case.case import Case, load_case
+from app.case.femurs import BONE, Femur, IntactFemur
+from app.case.geometries import Blocks
+from app.mechanics.contact_law import PointLaw
 from app.scene.laws import Coulomb
-from app.schema import config
-from app.schema.femurs import BONE, Femur, IntactFemur
 from app.simulation.model import Model
 from app.system import form_cache
 from app.system.timing import Timing
@@ -53,12 +54,12 @@ class Tiny(Model):
         return tagged, digest, None
 
 
-def stacked(case: config.Case) -> MeshData:
+def stacked(case: Case) -> MeshData:
     """The bodies of a femur as blocks, one upon the other; its bone is of two halves."""
     femur = case.geometry
     size = f"[{EDGE}, {EDGE}, {EDGE}] mm"
     names = [*(name for name in femur.region_names if name not in BONE), "bone"]
-    blocks = config.Blocks.model_validate({"blocks": [{"name": n, "size": size} for n in names]})
+    blocks = Blocks.model_validate({"blocks": [{"name": n, "size": size} for n in names]})
     data = meshes.build(blocks, case.mesh.model_copy(update={"size": EDGE / 2, "far_size": None}))
     tags = number(femur.region_names)
     middle = data.points[data.cells[:, :4], 0].mean(axis=1)
@@ -77,11 +78,11 @@ def stacked(case: config.Case) -> MeshData:
 
 def warm(path: Path, order: int) -> None:
     """Set a case up on a coarse mesh with elements of an order."""
-    mesh = config.load(path).mesh
+    mesh = load_case(path).mesh
     sizes = {"size": mesh.size, "far_size": mesh.far_size}
     overrides = [f"mesh.order={order}", "output.error=false", "output.probes={}"]
     overrides += [f"mesh.{name}={COARSER * size} mm" for name, size in sizes.items() if size]
-    case = config.load(path, overrides)
+    case = load_case(path, overrides)
     form_cache.share()
     model = Tiny(case, MPI.COMM_SELF, {}, Timing(), str)
     for m in model.mechanics:

@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from app.case.case import Case
+from app.case.quantities import TABLE
 from app.errors import StoppedError
 from app.heat.nodes import ProbedPoint
 from app.mechanics.problem import TrialState
-from app.numerics.state import State
-from app.results import log as text
+from app.numerics.saved_state import State
+from app.results import closing_lines as text
 from app.results.balance import Balance
-from app.results.displacement_probes import DisplacementProbes
-from app.results.output import UNITS, Writer
-from app.results.quantities import Samples
+from app.results.interface_numbers import ContactSamples
+from app.results.probes import DisplacementProbes
+from app.results.run_folder import UNITS, Writer
 from app.scene.terms import SceneStage
-from app.schema import config
-from app.schema.quantities import TABLE
 from app.simulation.mechanical_model import Mechanical
 from app.simulation.model import Model
 from app.soundness import uniqueness
@@ -69,7 +69,7 @@ class Recorder:
 
     def __init__(
         self,
-        case: config.Case,
+        case: Case,
         model: Model,
         writer: Writer,
         timing: Timing,
@@ -96,7 +96,7 @@ class Recorder:
         probes = case.output.probes
         points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
         self._probes = [DisplacementProbes(m.problem, points) for m in model.mechanics]
-        self.samples: Samples | None = None
+        self.samples: ContactSamples | None = None
         self._trials: tuple[TrialState, ...] = ()
         self._time = 0.0
         self._rows = self._written = self._frames = 0
@@ -143,7 +143,7 @@ class Recorder:
                 pressures, status = (law[k].of(j.mine) for k in ("pressures", "status"))
                 then = replace(trial.law, pressures=pressures, status=status.ravel())
                 self._trials = (replace(trial, law=then),)
-                self.samples = Samples(m.problem, *self._trials)
+                self.samples = ContactSamples(m.problem, *self._trials)
         if not self._writer.resume(state["writer"]):
             self._written = 0
         self._begin -= state["seconds"]
@@ -161,7 +161,7 @@ class Recorder:
             (m,), (balance,) = self._model.mechanics, self._balances
             balance.update(m.solver.parts()[0], trial)
             self._trials = (trial,) if trial is not None else ()
-            self.samples = Samples(m.problem, trial) if trial is not None else None
+            self.samples = ContactSamples(m.problem, trial) if trial is not None else None
             self._total.count(step.outcome)
             self._mechanical = self._row_of(step, balance)
             # The steps of heat, which come more often, have the rows of stages that take time.

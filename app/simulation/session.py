@@ -14,6 +14,8 @@ from typing import Any
 
 from mpi4py import MPI
 
+from app.case.case import Case, plain
+from app.case.loaded_case import LoadedCase
 from app.errors import (
     ConvergenceError,
     EnvironmentProblem,
@@ -24,21 +26,15 @@ from app.errors import (
 )
 from app.numerics.condition import condition_number
 from app.numerics.snes import raw_options
-from app.results import error
-from app.results import log as text
-from app.results.output import Writer, on_root, provenance
-from app.schema import case_file, config
-from app.schema.loaded_case import LoadedCase
-from app.simulation import (
-    checkpoint,
-    checkpoint_file,
-    keep_finished,
-    variations,
-)
-from app.simulation.checkpoint import Keeper
+from app.results import closing_lines as text
+from app.results import error_estimate
+from app.results.run_folder import Writer, on_root, provenance
+from app.schema import yaml_file
+from app.simulation import checkpoint, checkpoint_file, finished_runs, variations
+from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
-from app.soundness import case_on_mesh, unusual_input
+from app.soundness import plausibility, well_posedness
 from app.system import blas_check, form_cache, privacy, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.timing import Timing
@@ -104,7 +100,7 @@ def run(
         restart == "auto",
         progress,
     )
-    session.note(unusual_input.warnings(case.config))
+    session.note(plausibility.warnings(case.config))
     with case.file.placing(), _claimed(comm, output):
         if not case.config.variations:
             summary = session.solve(case.config, (), output)
@@ -177,7 +173,7 @@ class Session:
         solved: dict[Path, dict[str, Any]] = {}
         failed: dict[str, str] = {}
         if keep:
-            finished = on_root(self._comm, lambda: keep_finished.summaries(output, varied)) or {}
+            finished = on_root(self._comm, lambda: finished_runs.summaries(output, varied)) or {}
             for i, old in finished.items():
                 solved[output / varied[i].name] = old
                 rows[i] = variations.row(varied[i], old, old["status"], old["timing"]["total"])
@@ -217,7 +213,7 @@ class Session:
         on_root(self._comm, partial(write_text, mark, ""), share=False)
         text.check_usable(solved)
 
-    def solve(self, case: config.Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
+    def solve(self, case: Case, changes: Sequence[str], output: Path) -> dict[str, Any]:
         """Solve a case and write its run directory; collective.
 
         Args:
@@ -247,7 +243,7 @@ class Session:
 
     def _solve(
         self,
-        case: config.Case,
+        case: Case,
         changes: Sequence[str],
         output: Path,
         found: checkpoint_file.Checkpoint | None,
@@ -255,7 +251,7 @@ class Session:
         """Solve a case from a checkpoint, if there is one; collective."""
         comm, timing = self._comm, self._timing
         model = Model(case, comm, self._options, timing, self._stop, self._models)
-        notes = [*unusual_input.warnings(case), *model.judge()]
+        notes = [*plausibility.warnings(case), *model.judge()]
         self.note(notes)
         log.info(
             "%s: %d cells, unknowns %s, %d rank(s)",
@@ -269,7 +265,7 @@ class Session:
             model.tagged,
             model.layers(),
             output,
-            case_file.written(privacy.told(config.plain(case))),
+            yaml_file.written(privacy.told(plain(case))),
             case.output.fields,
             lambda: provenance(
                 comm.size,
@@ -281,7 +277,7 @@ class Session:
             found is not None,
         )
         recorder = Recorder(case, model, writer, timing, self._begin, self._progress)
-        keeper = Keeper(case, model, recorder, output, found)
+        keeper = CheckpointWriter(case, model, recorder, output, found)
         try:
             total = model.go(
                 recorder.step,
@@ -306,7 +302,7 @@ class Session:
         with timing.phase("output"):
             recorder.flush()
             summary = recorder.summary("converged", total)
-        summary["notes"] = [*notes, *case_on_mesh.doubts(case, summary["regions"])]
+        summary["notes"] = [*notes, *well_posedness.doubts(case, summary["regions"])]
         summary["notes"] += [note for t in model.thermal for note in t.heating.notes]
         if text.faults(summary):
             summary["status"] = text.UNUSABLE
@@ -320,7 +316,7 @@ class Session:
 
             with timing.phase("error"):
                 goal_error.add(case, model, recorder.samples, summary, output)
-        if companions := error.companions(case):
+        if companions := error_estimate.companions(case):
             # The numbers are safe before their errors are looked for.
             writer.finish(summary, done=False)
             try:
@@ -352,7 +348,7 @@ def _claimed(comm: MPI.Comm, output: Path) -> Iterator[None]:
             os.close(held)
 
 
-def _saved(keeper: Keeper) -> str:
+def _saved(keeper: CheckpointWriter) -> str:
     """Save the state; where it is, as the end of a message; collective."""
     path = keeper.save()
     return f"\nstate saved in {path}: --restart auto goes on from there" if path else ""
@@ -369,7 +365,10 @@ def _prepare(folder: Path) -> None:
 
 
 def _errors(
-    companions: Sequence[error.Companion], model: Model, summary: dict[str, Any], case: config.Case
+    companions: Sequence[error_estimate.Companion],
+    model: Model,
+    summary: dict[str, Any],
+    case: Case,
 ) -> dict[str, Any]:
     """Solve the companions of a run and put the errors of its numbers into its summary."""
     solved, failed = [], []
@@ -391,7 +390,7 @@ def _errors(
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
-        "of": error.of_what([c for c, _ in solved]),
+        "of": error_estimate.of_what([c for c, _ in solved]),
         "failed": failed,
-        "unsettled": error.estimate(summary, case, solved),
+        "unsettled": error_estimate.estimate(summary, case, solved),
     }

@@ -6,15 +6,15 @@ import numpy as np
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app.heat.first_contact import FirstContact
+from app.case.case import Case
 from app.heat.flows import stored, through
+from app.heat.initial_jump import InitialJump
 from app.heat.nodes import ProbedPoint
-from app.numerics.state import State
-from app.results.cure_quantities import CureRecord
+from app.numerics.saved_state import State
+from app.results.cure_record import CureRecord
 from app.results.heat_balance import HeatBalance
-from app.results.heat_passed import exchange
-from app.results.thermal_quantities import ThermalRecord
-from app.schema import config
+from app.results.interface_heat import exchange
+from app.results.thermal_record import ThermalRecord
 from app.stepping.heat_steps import HeatState, HeatStep
 
 # Heat below so many times what rounding leaves of it in a step is none.
@@ -34,7 +34,7 @@ class ThermalModel:
             interfaces of finite conductance from the first side to the second [mW].
     """
 
-    def __init__(self, case: config.Case, heating: HeatState) -> None:
+    def __init__(self, case: Case, heating: HeatState) -> None:
         """Begin with the initial state; collective."""
         conduction = heating.conduction
         self.conduction, self.heating = conduction, heating
@@ -50,7 +50,7 @@ class ThermalModel:
             case.of_tissue("bone"),
             [ProbedPoint(name, p.at, p.region or "") for name, p in case.output.probes.items()],
         )
-        self._first_contact = FirstContact(conduction)
+        self._first_contact = InitialJump(conduction)
         # Once a steady state has been reached the first instants are over.
         self._settled = False
         self.record.start(self._reported(0.0))

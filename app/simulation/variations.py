@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from app.schema import quantities
-from app.schema.config import Case, Varied
+from app.case import quantities
+from app.case.case import Case, Varied
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 

@@ -6,9 +6,9 @@ import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from app.schema.config import Case
-from app.schema.materials import Conductor, TransverselyIsotropic
-from app.schema.variation_options import expand
+from app.case.case import Case
+from app.case.variation_options import expand
+from app.laws.materials import Conductor, TransverselyIsotropic
 from app.system.layout import count, duration, plain
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import numpy as np
 from app.arrays import Floats
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.rigid_motions import DIRECTIONS, add_relative, rigid_modes
-from app.soundness.diagnosis import held_bodies
+from app.soundness.failure import held_bodies
 from forms.contact import OPEN
-from meshes.interfaces import ContactPoints
+from meshes.contact_points import ContactPoints
 
 # A motion that contact resists by less than this part of what the spread of normals would give at
 # random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists).

@@ -6,16 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Floats
-from app.schema import config
-from app.schema.fibres import Circumferential
-from app.soundness.free_motions import place
-from meshes.parts import Parts
+from app.case.case import Case
+from app.laws.fibres import Circumferential
+from app.soundness.loose_bodies import place
+from meshes.pieces import Parts
 
 # An axis this close to a cell, in parts of its size, touches it.
 CLOSE = 1e-6
 
 
-def on_axis(case: config.Case, found: Parts) -> list[str]:
+def on_axis(case: Case, found: Parts) -> list[str]:
     """What is wrong with the axes: where one meets a cell, its fibres have no direction."""
     errors = []
     for name, region in case.regions.items():

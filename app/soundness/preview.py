@@ -7,10 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from app.schema.config import Case, Stage
-from app.schema.fields import Section
-from app.schema.materials import Rigid
-from app.schema.variation_options import expand
+from app.case.case import Case
+from app.case.run_options import Stage
+from app.case.variation_options import expand
+from app.laws.materials import Rigid
+from app.schema.section import Section
 from app.soundness.cost import solid
 from app.system.layout import plain
 

@@ -51,7 +51,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import Reason
-from app.mechanics.jumps import Jumps
+from app.mechanics.contact import Jumps
 from app.mechanics.problem import Problem
 
 log = logging.getLogger("mantle")

@@ -28,7 +28,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.heat.conduction import Conduction
-from app.mechanics.points import PointForces
+from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import ROUNDING, Problem, TrialState
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets

@@ -1,7 +1,7 @@
 """Heat on its way through time: the state, a time step of it, what it has released so far.
 
 A time step is that of `numerics.integrator`; each of its stages is one solve of the system of heat,
-or of heat and mechanics together where heat depends on contact (`stepping.coupling`).
+or of heat and mechanics together where heat depends on contact (`stepping.coupled_system`).
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from app.heat.flows import flows
 from app.numerics import integrator
 from app.numerics.integrator import METHODS, Method, State
 from app.numerics.newton import NewtonResult
-from app.numerics.state import State as SavedState
+from app.numerics.saved_state import State as SavedState
 from app.scene.terms import Scene
 from app.stepping import stability
-from app.stepping.coupling import CoupledSystem
+from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
 from app.stepping.staggered import Staggered
-from app.stepping.thermal_loading import ThermalLoading, Warmth
+from app.stepping.thermal_loading import ThermalLoading, ThermalState
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
 FIRST = 1e-3
@@ -229,7 +229,7 @@ class HeatState:
         A step that may not be shorter is done by backward Euler then.
 
         A step that leaves the extremes of the data is done again: where the mesh makes it, with the
-        edges that do (`heat.monotone`), else by backward Euler.
+        edges that do (`heat.maximum_principle`), else by backward Euler.
         """
         state, slope = (self._with_others(part) for part in (self.state, self._slope))
         for name in dict.fromkeys((self.method.name, "backward_euler")):
@@ -351,6 +351,6 @@ class HeatState:
             v.array[:] = values
         return self.conduction.nodal(x)
 
-    def warmth(self) -> Warmth:
+    def warmth(self) -> ThermalState:
         """Input of the mechanics at the current state; collective."""
         return self.loading.at(self._nodal(self.state), self.state[len(self.vectors()) :])

@@ -12,13 +12,13 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
 from app.errors import ConvergenceError, Reason
-from app.mechanics.prediction import Extrapolation, Predictor, same
+from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.newton import NewtonResult, Solver
-from app.numerics.state import State
+from app.numerics.saved_state import State
 from app.scene.terms import SceneStage
-from app.soundness.diagnosis import explain, runaway
 from app.soundness.facet_support import held_by_facets
+from app.soundness.failure import explain, runaway
 from app.system.progress import during
 
 EASY_ITERATIONS = 8
@@ -180,7 +180,7 @@ class LoadStepper:
             halved: list[float] = []
             while True:
                 place(reach)
-                problem.restiffen()
+                problem.update_stiffness()
                 with during("looking for a start of the step"):
                     for p in predictors:
                         p.predict(begin + reach * (end - begin))

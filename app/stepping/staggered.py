@@ -9,7 +9,7 @@ from petsc4py import PETSc
 from app.heat.conduction import Conduction
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
-from app.numerics.state import State
+from app.numerics.saved_state import State
 from app.stepping.contact_heat import ContactHeat
 
 # Turns of heat and mechanics before giving up.

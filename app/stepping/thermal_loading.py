@@ -15,7 +15,7 @@ from app.arrays import Floats
 from app.heat.conduction import Conduction
 from app.heat.curing import FreeStrain, since_gelation
 from app.mechanics.problem import Problem
-from app.numerics.state import Rows, State, keyed
+from app.numerics.saved_state import Rows, State, keyed
 from app.scene.terms import Expansion, Scene
 
 # Parts of a way are whole up to this.
@@ -23,7 +23,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Warmth:
+class ThermalState:
     """Input of the mechanics from a state of the heat.
 
     Attributes:
@@ -79,11 +79,13 @@ class ThermalLoading:
         function.x.array[: self._conduction.owned] = own
         function.x.scatter_forward()
 
-    def pack(self, warmth: Warmth) -> State:
+    def pack(self, warmth: ThermalState) -> State:
         """The input of the mechanics as rows to be saved."""
-        return {f.name: [self._rows(v) for v in getattr(warmth, f.name)] for f in fields(Warmth)}
+        return {
+            f.name: [self._rows(v) for v in getattr(warmth, f.name)] for f in fields(ThermalState)
+        }
 
-    def unpack(self, found: State) -> Warmth:
+    def unpack(self, found: State) -> ThermalState:
         """Return the input of the mechanics that a saved state holds; collective."""
         function = fem.Function(self._conduction.space)
         parts: dict[str, list[Floats]] = {name: [] for name in found}
@@ -91,7 +93,7 @@ class ThermalLoading:
             for values in several:
                 self._put(function, values.of(self._conduction.nodes))
                 parts[name].append(function.x.array.copy())
-        return Warmth(**parts)
+        return ThermalState(**parts)
 
     # In time
 
@@ -114,7 +116,7 @@ class ThermalLoading:
             )
             self._strains[k].x.scatter_forward()
 
-    def at(self, T: Sequence[Floats], degrees: Sequence[Floats]) -> Warmth:
+    def at(self, T: Sequence[Floats], degrees: Sequence[Floats]) -> ThermalState:
         """Input of the mechanics at a state, with the free strains of now; collective.
 
         Args:
@@ -126,14 +128,14 @@ class ThermalLoading:
         for function, c, values in zip(self._degrees, self._curing, degrees, strict=True):
             function.x.array[c.dof] = values
             function.x.scatter_forward()
-        return Warmth(
+        return ThermalState(
             *(
                 [f.x.array.copy() for f in functions]
                 for functions in (self._temperatures, self._degrees, self._strains)
             )
         )
 
-    def distance(self, a: Warmth, b: Warmth) -> float:
+    def distance(self, a: ThermalState, b: ThermalState) -> float:
         """Largest difference [K], of cure as the temperature it releases; collective."""
         sizes = [
             float(np.abs(s - t).max()) for s, t in zip(a.temperatures, b.temperatures, strict=True)
@@ -144,11 +146,11 @@ class ThermalLoading:
         ]
         return float(self._conduction.comm.allreduce(max(sizes), MPI.MAX))
 
-    def followed(self, a: Warmth, b: Warmth) -> float:
+    def followed(self, a: ThermalState, b: ThermalState) -> float:
         """Largest step of the mechanics between two states, as a part of the way; collective."""
         return 1.0 / max(math.ceil(self.distance(a, b) / self._step - SAME), 1)
 
-    def interpolate(self, problem: Problem, a: Warmth, b: Warmth, s: float) -> None:
+    def interpolate(self, problem: Problem, a: ThermalState, b: ThermalState, s: float) -> None:
         """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.
 
         Free strain grows from gelation on, temperature and cure all the way.

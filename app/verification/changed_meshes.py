@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import meshes
-from app.schema import config
+from app.case.case import Case
 from app.system import folders
 from meshes.data import MeshData
 from meshes.quality import BAD, sicn
@@ -96,7 +96,7 @@ CHANGES: dict[str, Callable[[MeshData], MeshData]] = {
 }
 
 
-def change(case: config.Case, name: str, folder: Path) -> tuple[str, ...]:
+def change(case: Case, name: str, folder: Path) -> tuple[str, ...]:
     """Write the changed mesh of a case.
 
     Args:

@@ -141,9 +141,9 @@ def _worst(errors: Mapping[str, float]) -> Sample:
 
 def _friction(run: Run, name: str) -> float:
     """Friction coefficient of an interface."""
-    from app.schema import config
+    from app.case.case import load_case
 
-    return config.load(run.folder / "case.yaml").interfaces[name].friction
+    return load_case(run.folder / "case.yaml").interfaces[name].friction
 
 
 def _beyond(run: Run) -> str:

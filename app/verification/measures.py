@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from app.arrays import Floats, Ints
+from app.case import quantities
 from app.results.reading import Run
-from app.schema import quantities
 from app.verification import closed_forms as exact
 from app.verification.check import Sample
 

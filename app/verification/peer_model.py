@@ -16,9 +16,12 @@ import numpy as np
 
 import meshes
 from app.arrays import Bools, Floats, Ints
+from app.case.case import Case, load_case
 from app.errors import InputError
+from app.laws.interface_laws import Bonded, Contact
+from app.laws.loads import Fixed, Force
+from app.laws.materials import Isotropic
 from app.results.percentiles import SurfaceField
-from app.schema import config
 from app.system import folders
 from meshes.data import (
     MeshData,
@@ -114,12 +117,12 @@ def build(path: Path, overrides: tuple[str, ...] = ()) -> PeerModel:
         InputError: The case is wrong, or has something that other programs are not given.
         GeometryError: It cannot be meshed.
     """
-    case = config.load(path, overrides)
+    case = load_case(path, overrides)
     refuse(case)
     data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     tags = np.array([data.regions[name] for name in case.regions])
     region = np.argmax(data.cell_tags[:, None] == tags, axis=1)
-    contacts = {n: law for n, law in case.interfaces.items() if isinstance(law, config.Contact)}
+    contacts = {n: law for n, law in case.interfaces.items() if isinstance(law, Contact)}
     names = list(data.regions)
     own = np.array([names.index(name) for name in case.regions])
     body = _bodies(data, contacts)[own][region]
@@ -163,7 +166,7 @@ def build(path: Path, overrides: tuple[str, ...] = ()) -> PeerModel:
     )
 
 
-def refuse(case: config.Case) -> None:
+def refuse(case: Case) -> None:
     """Refuse what other programs are not given.
 
     Raises:
@@ -175,19 +178,19 @@ def refuse(case: config.Case) -> None:
     if case.heat or case.conducts or len(case.stages) != 1:
         faults.append("stages: other programs are given one stage without heat")
     for name, region in case.regions.items():
-        if not isinstance(region, config.Isotropic) or region.eigenstrains:
+        if not isinstance(region, Isotropic) or region.eigenstrains:
             faults.append(f"regions.{name}: expected kind: isotropic, without eigenstrains")
     for name, law in case.interfaces.items():
-        plain = isinstance(law, config.Contact) and not law.gap
-        if not (plain or isinstance(law, config.Bonded)):
+        plain = isinstance(law, Contact) and not law.gap
+        if not (plain or isinstance(law, Bonded)):
             faults.append(f"interfaces.{name}: expected kind: contact without a gap, or bonded")
     for name, support in case.supports.items():
-        if not isinstance(support, config.Fixed):
+        if not isinstance(support, Fixed):
             faults.append(f"supports.{name}: expected kind: fixed")
     for name, load in case.loads.items():
-        if not isinstance(load, config.Force) or load.at is not None or load.history:
+        if not isinstance(load, Force) or load.at is not None or load.history:
             faults.append(f"loads.{name}: expected kind: force, without at and history")
-    if not any(isinstance(law, config.Contact) for law in case.interfaces.values()):
+    if not any(isinstance(law, Contact) for law in case.interfaces.values()):
         faults.append("interfaces: none of kind: contact")
     if faults:
         raise InputError(faults)

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from app.arrays import Floats
+from app.case.case import Case, dump_case
 from app.errors import InputError
 from app.results.reading import Run
-from app.schema import config
 from app.verification import calculix
 from app.verification.peer_model import PeerModel
 
@@ -100,7 +100,7 @@ class Program(ABC):
         return ""
 
     @abstractmethod
-    def command(self, model: PeerModel, case: config.Case, folder: Path) -> list[str]:
+    def command(self, model: PeerModel, case: Case, folder: Path) -> list[str]:
         """Write its input into a folder; the command that solves it there."""
 
     @abstractmethod
@@ -119,9 +119,9 @@ class MantleItself(Program):
     name, key = "mantle", "mantle"
     times = 3  # of which the first may compile
 
-    def command(self, model: PeerModel, case: config.Case, folder: Path) -> list[str]:
+    def command(self, model: PeerModel, case: Case, folder: Path) -> list[str]:
         """The case, as it was understood."""
-        (folder / "case.yaml").write_text(config.dump(case), encoding="utf-8")
+        (folder / "case.yaml").write_text(dump_case(case), encoding="utf-8")
         return [sys.executable, "-m", "mantle", "run", "case.yaml", "-o", "run", "--force"]
 
     def displacement(self, model: PeerModel, folder: Path) -> Floats:
@@ -140,7 +140,7 @@ class GetFem(Program):
         found = importlib.util.find_spec("getfem")
         return "" if found else "not installed (Debian: python3-getfem)"
 
-    def command(self, model: PeerModel, case: config.Case, folder: Path) -> list[str]:
+    def command(self, model: PeerModel, case: Case, folder: Path) -> list[str]:
         """The arrays in a file."""
         np.savez(folder / MODEL, **arrays(model))  # type: ignore[arg-type]
         script = Path(__file__).with_name("getfem_peer.py")
@@ -170,7 +170,7 @@ class CalculiX(Program):
             return ""
         return "not installed (no ccx on the PATH, and none that MANTLE_CCX names)"
 
-    def command(self, model: PeerModel, case: config.Case, folder: Path) -> list[str]:
+    def command(self, model: PeerModel, case: Case, folder: Path) -> list[str]:
         """An input file."""
         text = calculix.input_text(model, self.penalty, self.slope)
         (folder / "peer.inp").write_text(text, encoding="ascii")

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from app import figures
 from app.campaigns.many import Options
+from app.case.case import Case, dump_case, load_case
 from app.errors import InputError
-from app.schema import config
 from app.system import layout, style
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.verification.benchmarks import STEM
@@ -116,7 +116,7 @@ def run(options: Options) -> bool:
     rows: list[PeerRow] = []
     for size in SIZES[options.tier]:
         overrides = _sized(size)
-        model, case = build(CONFIGS / STEM, overrides), config.load(CONFIGS / STEM, overrides)
+        model, case = build(CONFIGS / STEM, overrides), load_case(CONFIGS / STEM, overrides)
         own: float | None = None
         for program in there:
             folder = options.folder / "peers" / f"{program.key}-{size:g}"
@@ -156,9 +156,9 @@ def _reference(size: float, folder: Path) -> SlipReference:
     place = folder / "peers" / f"reference-{size:g}"
     place.mkdir(parents=True, exist_ok=True)
     overrides = _sized(size)
-    case = config.load(CONFIGS / STEM, (*overrides, "mesh.order=2"))
+    case = load_case(CONFIGS / STEM, (*overrides, "mesh.order=2"))
     program, model = MantleItself(), build(CONFIGS / STEM, overrides)
-    known, text = place / "case.yaml", config.dump(case)
+    known, text = place / "case.yaml", dump_case(case)
     same = known.exists() and known.read_text(encoding="utf-8") == text
     if not (same and (place / "run" / "DONE").exists()):
         log.info("reference: second order at %g mm", size)
@@ -173,7 +173,7 @@ def _reference(size: float, folder: Path) -> SlipReference:
 def measure(
     program: Program,
     model: PeerModel,
-    case: config.Case,
+    case: Case,
     size: float,
     folder: Path,
     reference: SlipReference,

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from app.verification.benchmarks import benchmarks
 from app.verification.check import Check
+from app.verification.extreme_cases import extremes
 from app.verification.heat_problems import heat_problems
+from app.verification.invariance_cases import invariants
 from app.verification.problems import problems
-from app.verification.rows_of_extremes import extremes
-from app.verification.rows_of_invariants import invariants
 
 
 def rows() -> list[Check]:

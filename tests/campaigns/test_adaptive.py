@@ -10,12 +10,12 @@ import pytest
 
 import mantle
 from app.campaigns import adaptive
+from app.case import divided_cells, loaded_case
+from app.case.case import Case
+from app.case.goals import share
 from app.errors import ConvergenceError, InputError
-from app.schema import divided_cells, loaded_case
-from app.schema.case_file import CaseFile
-from app.schema.config import Case
-from app.schema.goals import share
-from app.soundness import sizing
+from app.schema.yaml_file import CaseFile
+from app.soundness import memory
 from tests.results.test_goal import STACK
 
 GOAL = "stem.top_displacement.x"
@@ -65,7 +65,7 @@ def test_too_little_memory_for_the_next_mesh_is_told(
         if case.mesh.divided:
             raise InputError("2 GB; there are 1 GB")
 
-    monkeypatch.setattr(sizing, "check", check)
+    monkeypatch.setattr(memory, "check", check)
     with pytest.raises(ConvergenceError, match=r"known to .* %, not to 0\.01 %.*1 GB"):
         solved(tmp_path, 1e-4)
     assert (tmp_path / "out" / "pass-0" / "divided.csv").exists()

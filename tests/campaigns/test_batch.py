@@ -24,8 +24,9 @@ import pytest
 import meshes
 from app.campaigns import batch, cluster, scheduler
 from app.campaigns.runs import Job, Result
+from app.case.case import load_case
+from app.case.geometries import MeshFile
 from app.errors import EnvironmentProblem, InputError, StoppedError
-from app.schema import config
 from app.system import identity, layout
 from tests import support
 
@@ -191,13 +192,13 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
 
 def test_a_changed_mesh_file_runs_again(bench: Bench) -> None:
     mesh = bench.folder / "box.msh"
-    case = config.load(bench.case)
+    case = load_case(bench.case)
     meshes.write_msh(meshes.build(case.geometry, case.mesh), mesh)
     text = re.sub(r"geometry:\n.*\n.*\n", "geometry: {kind: file, path: box.msh}\n", CASE)
     bench.case.write_text(text)
     (first,) = bench.run(bench.job(1.0))
-    saved = config.load(next((bench.out / "cases").iterdir()))
-    assert isinstance(saved.geometry, config.MeshFile) and saved.geometry.path == mesh
+    saved = load_case(next((bench.out / "cases").iterdir()))
+    assert isinstance(saved.geometry, MeshFile) and saved.geometry.path == mesh
     os.utime(mesh)
     assert bench.run(bench.job(1.0)) == [first] and len(bench.calls()) == 1
     mesh.write_text(mesh.read_text() + "\n")
@@ -535,8 +536,8 @@ def test_names_values_and_folders_are_never_commands(bench: Bench, words: list[s
     assert len(bench.calls()) == len(jobs)
     for word, result in zip(words, results, strict=True):
         assert result.folder.parent == bench.out / "runs"
-        case = config.load(bench.out / "cases" / f"{result.folder.name}.yaml")
-        assert case.title == config.load(bench.case, jobs[words.index(word)].overrides).title
+        case = load_case(bench.out / "cases" / f"{result.folder.name}.yaml")
+        assert case.title == load_case(bench.case, jobs[words.index(word)].overrides).title
         assert case.title.split() == word.split()
     everything = [*bench.folder.rglob("*"), *bench.folder.parent.glob("*")]
     assert not [p for p in everything if p.name == "PWNED"]

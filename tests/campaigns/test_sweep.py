@@ -31,10 +31,12 @@ from hypothesis import strategies as st
 from app.campaigns import batch, scheduler, sweep, uncertainty
 from app.campaigns.many import Options
 from app.campaigns.runs import Job, finished
+from app.case import sweep_file, sweep_options
+from app.case.case import dump_case, load_case, plain, variations_of
 from app.cli import main
 from app.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
 from app.report import sweep_results
-from app.schema import case_file, config, sweep_file, sweep_options
+from app.schema import yaml_file
 from app.soundness import cost
 from tests import support
 
@@ -69,11 +71,14 @@ FRICTION = "interfaces.lower_upper.friction_coefficient"
 
 STAND_IN = """\
 import json, pathlib, sys, time
-from app.schema import config
+from app.case.case import dump_case
+from app.case.case import load_case
+from app.case.case import plain
+from app.case.case import variations_of
 from app.system.folders import FAILED
 here, path, output = pathlib.Path(__file__).parent, *map(pathlib.Path, (sys.argv[1], sys.argv[3]))
-case = config.load(path)
-many = [(v.name, v.case) for v in config.variations(path)] or [("", case)]
+case = load_case(path)
+many = [(v.name, v.case) for v in variations_of(path)] or [("", case)]
 code = 0
 for name, case in many:
     folder = output / name
@@ -269,7 +274,7 @@ def test_cases_that_share_a_stiffness_share_a_process(bench: Bench) -> None:
     groups = sorted((bench.out / "cases").iterdir())
     assert len(groups) == 2 and all(g.name.startswith("shared-") for g in groups)
     for group in groups:
-        varied = config.variations(group)
+        varied = variations_of(group)
         assert {
             (v.case.interfaces["lower_upper"].friction_coefficient, v.case.loads["press"].pressure)
             for v in varied
@@ -277,10 +282,10 @@ def test_cases_that_share_a_stiffness_share_a_process(bench: Bench) -> None:
         assert {v.case.regions["upper"].poisson_ratio for v in varied} == {0.25}
     # Each is the case that its own overrides make.
     planned = {p.point.name: p.case for p in sweep_file.read(bench.sweep)[1]}
-    found = {v.name: v.case for g in groups for v in config.variations(g)}
+    found = {v.name: v.case for g in groups for v in variations_of(g)}
     for row in bench.cases():
         case = found.pop(Path(row["folder"]).name)
-        assert config.plain(case) == config.plain(planned[row["name"]])
+        assert plain(case) == plain(planned[row["name"]])
     assert not found
 
 
@@ -375,7 +380,7 @@ def test_overrides_hold_for_every_case(bench: Bench) -> None:
     for case in record["cases"]:
         assert case["overrides"]["regions.upper.poisson_ratio"] == 0.4
         assert case["overrides"]["ranks"] == case["ranks"] == 2
-        resolved = config.load(next((bench.out / "cases").glob(f"{case['folder'].split('/')[1]}*")))
+        resolved = load_case(next((bench.out / "cases").glob(f"{case['folder'].split('/')[1]}*")))
         assert resolved.regions["upper"].poisson_ratio == 0.4
     _, planned = sweep_file.read(bench.sweep, ["ranks=3"])
     assert {p.ranks for p in planned} == {3}
@@ -535,7 +540,7 @@ def test_the_sweep_file_is_read_once(bench: Bench, monkeypatch: pytest.MonkeyPat
     bench.run()
     assert {c["status"] for c in bench.cases()} == {"converged"}
     bench.sweep.write_text(SWEEP)
-    assert case_file.read(bench.out / "sweep.yaml").data == case_file.read(bench.sweep).data
+    assert yaml_file.read(bench.out / "sweep.yaml").data == yaml_file.read(bench.sweep).data
 
 
 @pytest.mark.parametrize(
@@ -545,7 +550,7 @@ def test_the_sweep_file_is_read_once(bench: Bench, monkeypatch: pytest.MonkeyPat
 def test_a_group_keeps_all_cores_busy(
     bench: Bench, cores: int, ranks: int, sizes: list[int]
 ) -> None:
-    """Samples of friction share their matrices; what has begun stays where its state is."""
+    """ContactSamples of friction share their matrices; what has begun stays where its state is."""
     jobs = [
         Job(f"{i}", bench.folder / "case.yaml", (f"{FRICTION}={i}",), ranks, share=True)
         for i in range(20)
@@ -644,7 +649,7 @@ def kill_again_and_again(path: Path, out: Path, times: int, longest: float) -> N
     def marks() -> dict[str, int]:
         return {str(p): p.stat().st_mtime_ns for p in finished(out)}
 
-    every = len({config.dump(p.case) for p in sweep_file.read(path)[1]})
+    every = len({dump_case(p.case) for p in sweep_file.read(path)[1]})
     random.seed(times)
     done: dict[str, int] = {}
     for k in range(times):

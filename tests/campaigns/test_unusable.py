@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 import mantle
+from app.case import loaded_case
 from app.cli import main
 from app.errors import UnusableError
-from app.results.log import UNUSABLE, faults
-from app.schema import loaded_case
+from app.results.closing_lines import UNUSABLE, faults
 
 # A block drawn over another by so many mm; the facets between them are about 2 mm wide.
 DRAWN = """

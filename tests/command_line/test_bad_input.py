@@ -17,9 +17,10 @@ import pytest
 from pydantic import ValidationError
 
 from app import cli
+from app.case.case import load_case
+from app.case.femurs import Femur
 from app.cli import main
 from app.errors import InputError
-from app.schema import config
 from app.system import ranks
 
 GOOD = """\
@@ -1085,16 +1086,16 @@ def edit(edits: list[tuple[str, str]], text: str = GOOD) -> str:
 
 def complaints(path: Path, overrides: list[str] | None = None) -> list[str]:
     with pytest.raises(InputError) as caught:
-        config.load(path, overrides or [])
+        load_case(path, overrides or [])
     return caught.value.messages
 
 
 def test_good_file_is_good(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(GOOD)
-    assert config.load(path).title == "press"
+    assert load_case(path).title == "press"
     path.write_text(HOT)
-    assert config.load(path).conducts
+    assert load_case(path).conducts
 
 
 @pytest.mark.parametrize("name", [*TABLE, *HOT_TABLE])
@@ -1256,10 +1257,10 @@ def test_sections_of_the_stem_at_all_levels_that_are_used(
     """Straight lines through the sections at -118 mm and at ``stem_section_z``."""
     given = {key: f"{value} mm" for key, value in edits.items()}
     if not words:
-        config.Femur.model_validate(given)
+        Femur.model_validate(given)
         return
     with pytest.raises(ValidationError) as caught:
-        config.Femur.model_validate(given)
+        Femur.model_validate(given)
     (entry,) = caught.value.errors(include_url=False)
     assert f"{entry['ctx']['at'][0]}: {entry['msg']}".startswith(words)
 

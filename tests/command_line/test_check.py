@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from app import cli
+from app.case.case import load_case
 from app.cli import main
 from app.errors import ConvergenceError
-from app.schema import config
-from app.soundness import unusual_input
+from app.soundness import plausibility
 from app.system import folders, ranks
 from app.version import __version__
 
@@ -168,8 +168,8 @@ def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixt
 )
 def test_data_that_no_material_has_are_asked_about(change: str, place: str) -> None:
     cure = CONFIGS / "cure.yaml"
-    assert unusual_input.warnings(config.load(cure)) == []
-    (note,) = unusual_input.warnings(config.load(cure, [change]))
+    assert plausibility.warnings(load_case(cure)) == []
+    (note,) = plausibility.warnings(load_case(cure, [change]))
     assert note.startswith(f"{place} is ")
     assert note.endswith(": a wrong unit?")
 
@@ -208,11 +208,11 @@ BONE = (
 )
 def test_locking_is_told(region: str, locks: bool) -> None:
     changes = [f"regions.cement={region}", "interfaces={}"]
-    told = unusual_input.warnings(config.load(CONFIGS / "blocks.yaml", changes))
+    told = plausibility.warnings(load_case(CONFIGS / "blocks.yaml", changes))
     assert [m.split(" is ")[0] for m in told] == (["regions.cement"] if locks else [])
     assert all("lock" in m and "mesh.order: 2" in m for m in told)
-    second = config.load(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"])
-    assert unusual_input.warnings(second) == []
+    second = load_case(CONFIGS / "blocks.yaml", [*changes, "mesh.order=2"])
+    assert plausibility.warnings(second) == []
 
 
 def test_check_mesh_counts(capsys: pytest.CaptureFixture[str]) -> None:
@@ -273,8 +273,8 @@ def test_a_press_fit_acts_by_penalty_too() -> None:
         "supports.push={kind: roller, boundary: stem_top, axis: z}",
     ]
     for value, told in (("0 mm", True), ("-0.01 mm", False), ("-0.01 * z", False)):
-        case = config.load(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"])
-        assert any("nothing acts" in note for note in unusual_input.warnings(case)) == told
+        case = load_case(CONFIGS / "cylinders.yaml", [*still, f"{gap}{value}}}"])
+        assert any("nothing acts" in note for note in plausibility.warnings(case)) == told
 
 
 def test_mesh_says_where_it_cannot_write(
@@ -406,7 +406,7 @@ def test_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_states_that_depend_on_the_start_are_told() -> None:
     """Bars between heated walls have three: with a gap closed by expansion, and without."""
     walls = CONFIGS / "verification" / "heated_walls.yaml"
-    (note,) = unusual_input.warnings(config.load(walls))
+    (note,) = plausibility.warnings(load_case(walls))
     assert "interfaces.metal_cement" in note and "initial temperatures decide" in note
     stiff = ["interfaces.metal_cement.conductance=10 W/(m^2 K)"]
-    assert unusual_input.warnings(config.load(walls, stiff)) == []
+    assert plausibility.warnings(load_case(walls, stiff)) == []

@@ -11,12 +11,14 @@ from pathlib import Path
 import pytest
 
 import meshes
+from app.case import study_file, sweep_file
+from app.case.case import load_case, resolve
+from app.case.gmsh_header import ALLOWED
 from app.cli import main
 from app.errors import GeometryError, InputError
-from app.schema import case_file, config, study_file, sweep_file, yaml_text
-from app.schema.gmsh_file import ALLOWED
+from app.schema import yaml_file, yaml_text
 from app.schema.units import LONGEST_VALUE
-from app.soundness import cost, sizing
+from app.soundness import cost, memory
 from tests.support import CONFIGS, environment
 
 BLOCKS = CONFIGS / "blocks.yaml"
@@ -45,7 +47,7 @@ COMMANDS = (
 def complaint(path: Path, *overrides: str) -> str:
     """What is said of a file with one thing wrong in it."""
     with pytest.raises(InputError) as caught:
-        config.load(path, overrides)
+        load_case(path, overrides)
     (message,) = caught.value.messages
     assert message.isprintable()
     return message
@@ -145,22 +147,22 @@ def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
 
 
 def test_the_size_that_would_do_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sizing, "available", lambda: 8e9)
-    file = case_file.read(BLOCKS, ["mesh.size=1e-3 mm"])
+    monkeypatch.setattr(memory, "available", lambda: 8e9)
+    file = yaml_file.read(BLOCKS, ["mesh.size=1e-3 mm"])
     with pytest.raises(InputError) as caught:
-        sizing.check(file, config.resolve(file, BLOCKS.parent))
+        memory.check(file, resolve(file, BLOCKS.parent))
     size = str(caught.value).split("; ")[-1].removesuffix(" would do")
-    case = config.load(BLOCKS, [f"mesh.size={size}"])
-    assert 0.5 * 8e9 < sizing.needed(case) <= 8e9
+    case = load_case(BLOCKS, [f"mesh.size={size}"])
+    assert 0.5 * 8e9 < memory.needed(case) <= 8e9
     assert cost.unknowns(case) > 1e5
 
 
 def test_a_geometry_too_large_for_any_mesh_has_no_size_that_would_do() -> None:
-    file = case_file.read(
+    file = yaml_file.read(
         CONFIGS / "cylinders.yaml", ["geometry.length=1e10 mm", "geometry.taper=0 deg"]
     )
     with pytest.raises(InputError, match=r"mesh.size: 2 mm makes about .* GB$"):
-        sizing.check(file, config.resolve(file, CONFIGS))
+        memory.check(file, resolve(file, CONFIGS))
 
 
 @pytest.mark.parametrize("environ", [{"SLURM_NNODES": "4"}, {"OMPI_COMM_WORLD_SIZE": "8"}])
@@ -168,7 +170,7 @@ def test_several_machines_have_more_memory(environ: dict[str, str]) -> None:
     more = (
         {**environ, "OMPI_COMM_WORLD_LOCAL_SIZE": "2"} if "SLURM_NNODES" not in environ else environ
     )
-    assert sizing.available(more) == 4 * sizing.available({})
+    assert memory.available(more) == 4 * memory.available({})
 
 
 # What /proc/self/cgroup holds, and the limits below /sys/fs/cgroup, as systemd, Slurm and Docker
@@ -201,9 +203,9 @@ def test_memory_is_what_the_group_of_the_process_may_use(
     for file, limit in limits.items():
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file).write_text(limit if limit == "max" else f"{float(limit):.0f}\n")
-    monkeypatch.setattr(sizing, "OWN_GROUPS", tmp_path / "cgroup")
-    monkeypatch.setattr(sizing, "GROUPS", tmp_path)
-    assert sizing.available({}) == 2e9
+    monkeypatch.setattr(memory, "OWN_GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr(memory, "GROUPS", tmp_path)
+    assert memory.available({}) == 2e9
 
 
 # --------------------------------------------------------------------------------- scripts
@@ -259,7 +261,7 @@ def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
 def test_scripts_of_mantle_itself_are_run(tmp_path: Path) -> None:
     """By their place: a link to another is none of them."""
     case = CONFIGS / "verification" / "cook.yaml"
-    assert config.load(case).geometry.region_names
+    assert load_case(case).geometry.region_names
     scripted(tmp_path, SCRIPT)
     copy = tmp_path / "configs" / "verification"
     copy.mkdir(parents=True)
@@ -273,7 +275,7 @@ def test_options_beside_a_mesh_are_not_run(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv(ALLOWED, "1")
     path = scripted(tmp_path, SCRIPT)
     (tmp_path / "script.geo.opt").write_text('Error("the options were run");')
-    case = config.load(path)
+    case = load_case(path)
     assert len(meshes.build(case.geometry, case.mesh).cells)
 
 
@@ -289,7 +291,7 @@ def test_a_script_is_not_meshed_by_the_nanometre(
     import meshes
 
     monkeypatch.setenv(ALLOWED, "1")
-    case = config.load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])
+    case = load_case(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"])
     with pytest.raises(GeometryError, match=r"mesh\.size: 1e-06 mm: .* 2e\+06 cells long"):
         meshes.build(case.geometry, case.mesh, None)
 
@@ -307,5 +309,5 @@ def test_names_that_become_folders_or_columns_lead_nowhere_else(name: str, tmp_p
         f"{BLOCKS.read_text()}\noutput: {{probes: {{'{quoted}': {{at: [0, 0, 0]}}}}}}\n"
     )
     with pytest.raises(InputError) as caught:
-        config.load(path)
+        load_case(path)
     assert any("is not a name" in m for m in caught.value.messages)

@@ -20,8 +20,9 @@ import numpy as np
 import pytest
 
 import meshes
-from app.schema import config
-from app.simulation import keep_finished
+from app.case.case import dump_case, load_case
+from app.laws.loads import Force
+from app.simulation import finished_runs
 from app.system import identity
 from meshes import femur_bone
 from tests import support
@@ -217,8 +218,8 @@ def test_provenance_and_resolved_case(done: tuple[Path, Path, str]) -> None:
     assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]
     assert record["packages"]["fenics-dolfinx"].startswith("0.9")
     assert record["ranks"] == 1 and record["case"].endswith("small.yaml")
-    resolved = config.load(output / "case.yaml")
-    assert resolved == config.load(case, record["overrides"])
+    resolved = load_case(output / "case.yaml")
+    assert resolved == load_case(case, record["overrides"])
 
 
 def test_terminal_has_a_line_per_step_and_a_verdict(done: tuple[Path, Path, str]) -> None:
@@ -371,26 +372,26 @@ def test_results_of_an_older_mesh_file_are_not_finished(tmp_path: Path) -> None:
 """
     tissues = [f"regions.{name}.tissue=other" for name in ("lower", "upper")]
     case = support.case(geometry + SLIDING[SLIDING.index("mesh:") :], *tissues)
-    (tmp_path / "case.yaml").write_text(config.dump(case))
+    (tmp_path / "case.yaml").write_text(dump_case(case))
     record = json.dumps({"identity": identity.parts()})
     (tmp_path / "provenance.json").write_text(record)
-    assert not keep_finished.finished(tmp_path, case)
+    assert not finished_runs.finished(tmp_path, case)
     (tmp_path / "DONE").write_text("")
-    assert keep_finished.finished(tmp_path, case)
+    assert finished_runs.finished(tmp_path, case)
     later = (tmp_path / "DONE").stat().st_mtime + 1
     os.utime(mesh, (later, later))
-    assert not keep_finished.finished(tmp_path, case)
+    assert not finished_runs.finished(tmp_path, case)
 
 
 def test_results_of_another_stack_are_not_finished(tmp_path: Path) -> None:
     case = support.case(SLIDING)
-    (tmp_path / "case.yaml").write_text(config.dump(case))
+    (tmp_path / "case.yaml").write_text(dump_case(case))
     (tmp_path / "DONE").write_text("")
     for name in identity.parts():
         for value, finished in (("0.1", False), (identity.parts()[name], True)):
             record = {"identity": identity.parts() | {name: value}}
             (tmp_path / "provenance.json").write_text(json.dumps(record))
-            assert keep_finished.finished(tmp_path, case) == finished, name
+            assert finished_runs.finished(tmp_path, case) == finished, name
 
 
 def test_petsc_options_reach_the_solver(tmp_path: Path) -> None:
@@ -643,11 +644,11 @@ def _beam(area: float) -> float:
     Args:
         area: That of the cortex [mm2].
     """
-    case = config.load(support.CONFIGS / "intact.yaml")
+    case = load_case(support.CONFIGS / "intact.yaml")
     insertions = femur_bone.insertions(femur_bone.outer(-200.0))
     force, moment, at = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, -128.0])
     for load in case.loads.values():
-        assert isinstance(load, config.Force)
+        assert isinstance(load, Force)
         place = insertions.get(load.boundary, np.array(load.at or 0.0))
         force += load.force
         moment += np.cross(place - at, load.force)

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 import mantle
+from app.case import explain, keys, new_case
+from app.case.case import Case, load_case
 from app.cli import main
 from app.errors import InputError
-from app.schema import config, explain, reference, start
 from tests.support import CONFIGS
 
 MSH = """\
@@ -57,16 +58,16 @@ def test_what_init_writes_is_short_and_right(
 
 
 def test_the_femur_of_init_stands_on_one_leg(tmp_path: Path) -> None:
-    case = config.load(start.write(tmp_path / "femur", "femur", "cocr"))
-    stance = config.load(CONFIGS / "stance_cocr.yaml")
+    case = load_case(new_case.write(tmp_path / "femur", "femur", "cocr"))
+    stance = load_case(CONFIGS / "stance_cocr.yaml")
     for part in ("loads", "regions", "interfaces", "supports", "stages"):
         assert getattr(case, part) == getattr(stance, part)
 
 
 def test_a_stem_is_of_what_is_asked_for(tmp_path: Path) -> None:
     moduli = []
-    for stem in start.STEMS:
-        case = config.load(start.write(tmp_path / stem, "cylinders", stem))
+    for stem in new_case.STEMS:
+        case = load_case(new_case.write(tmp_path / stem, "cylinders", stem))
         moduli.append(case.regions["stem"].youngs_modulus)  # type: ignore[union-attr]
     assert moduli == [110e3, 200e3, 193e3]
 
@@ -98,7 +99,7 @@ def test_init_refuses(
 
 def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
     (tmp_path / "bone.msh").write_text(MSH, encoding="utf-8")
-    path = start.write(tmp_path / "own", "file", mesh=tmp_path / "bone.msh")
+    path = new_case.write(tmp_path / "own", "file", mesh=tmp_path / "bone.msh")
     text = path.read_text(encoding="utf-8")
     for line in (
         "  path: bone.msh # relative to this file",
@@ -109,24 +110,24 @@ def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
     ):
         assert line in text.splitlines()
     with pytest.raises(InputError, match="'top end' is not a name"):
-        config.load(path)  # names of gmsh that are none here are told, not hidden
+        load_case(path)  # names of gmsh that are none here are told, not hidden
     path.write_text(text.replace("boundary: top end", "boundary: foot"), encoding="utf-8")
-    assert list(config.load(path).regions) == ["shaft", "marrow"]
+    assert list(load_case(path).regions) == ["shaft", "marrow"]
 
 
 def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
-    path = start.write(tmp_path / "own", "file")
+    path = new_case.write(tmp_path / "own", "file")
     text = path.read_text(encoding="utf-8")
     assert "NAME_OF_A_REGION" in text and "It is not there yet" in text
     with pytest.raises(InputError) as caught:
-        config.load(path)
+        load_case(path)
     (message,) = caught.value.messages
     assert message == f"{path}:9:3: geometry.path: no such file: {path.parent}/own.msh"
 
 
 def test_a_case_with_a_base_is_run_and_run_again_from_what_it_leaves(tmp_path: Path) -> None:
-    start.write(tmp_path / "blocks", "blocks")
-    start.write(tmp_path / "cylinders", "cylinders")
+    new_case.write(tmp_path / "blocks", "blocks")
+    new_case.write(tmp_path / "cylinders", "cylinders")
     over = tmp_path / "over.yaml"
     over.write_text("base: blocks.yaml\nregions: {metal: {material: CoCrMo}}\n", encoding="utf-8")
     first = mantle.run(mantle.load(over), tmp_path / "first")
@@ -187,7 +188,7 @@ def test_a_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_every_key_is_explained_by_its_own_words() -> None:
-    for path, model in reference.places("", config.Case, set()):
+    for path, model in keys.places("", Case, set()):
         for key in model.model_fields:
             text = explain.explained(f"{path}.{key}" if path else key)
             assert "`" not in text and "  value " in text and "](#" not in text

@@ -23,8 +23,8 @@ from scipy.optimize import nnls
 from ufl.algorithms import expand_derivatives, strip_variables
 
 from app.arrays import Floats
-from app.mechanics import points
-from app.mechanics.points import PointLaw, gap_vectors
+from app.mechanics import contact_law as point_law
+from app.mechanics.contact_law import PointLaw, gap_vectors
 from app.scene.laws import Coulomb
 from forms.contact import OPEN, SLIP, STICK, contact_law
 
@@ -156,7 +156,7 @@ def law_of(p: Points, friction: bool) -> PointLaw:
     return PointLaw(MPI.COMM_SELF, normals, faces, laws, np.arange(n))
 
 
-def force_of(law: PointLaw, p: Points, F: Floats | None = None) -> points.PointForces:
+def force_of(law: PointLaw, p: Points, F: Floats | None = None) -> point_law.PointForces:
     return law.evaluate(p.F if F is None else F, p.jump, p.gap, p.old, p.r)
 
 
@@ -280,7 +280,7 @@ class Broken:
     jammed: NDArray[np.bool_]
 
 
-def conditions(p: Points, friction: bool, out: points.PointForces) -> Broken:
+def conditions(p: Points, friction: bool, out: point_law.PointForces) -> Broken:
     P, faces = out.force, p.faces
     size = np.linalg.norm(p.S, axis=1) + np.linalg.norm(p.dS, axis=1)
     gap = np.einsum("nki,ni->nk", p.normals, p.S - P)  # times r

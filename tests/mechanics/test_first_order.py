@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.mechanics.first_order import FirstOrder
+from app.mechanics.p_multigrid import CoarseOrder
 from app.mechanics.problem import Problem
 from app.numerics.preconditioners import Inverse, stiffness_options
 from tests import support
@@ -27,12 +27,12 @@ def problem(size: float = 3.0) -> Problem:
 
 def test_first_order_gives_all_linear_displacements() -> None:
     fine = problem()
-    lower = FirstOrder(fine.space, lambda: np.zeros_like(fine.held))
+    lower = CoarseOrder(fine.space, lambda: np.zeros_like(fine.held))
     P, below = lower.prolongation(), lower.space.tabulate_dof_coordinates()
     coarse, found = P.createVecs()
     x = fine.space.tabulate_dof_coordinates()
     slope = np.random.default_rng(1).normal(size=(3, 3))
-    below = FirstOrder(fine.space, lambda: fine.held).space.tabulate_dof_coordinates()
+    below = CoarseOrder(fine.space, lambda: fine.held).space.tabulate_dof_coordinates()
     coarse.array[:] = (below @ slope).ravel()
     P.mult(coarse, found)
     np.testing.assert_allclose(found.array, (x @ slope).ravel(), atol=1e-12)
@@ -40,7 +40,7 @@ def test_first_order_gives_all_linear_displacements() -> None:
 
 def test_held_and_free_unknowns_do_not_mix() -> None:
     fine = problem()
-    lower = FirstOrder(fine.space, lambda: fine.held)
+    lower = CoarseOrder(fine.space, lambda: fine.held)
     P = lower.prolongation()
     assert P.getSize() == (len(fine.held), lower.size)
     coarse, found = P.createVecs()
@@ -60,7 +60,7 @@ def test_iterations_do_not_grow_with_the_mesh(factored_below: bool) -> None:
     counts = []
     for size in (4.0, 2.0):
         fine = problem(size)
-        lower = FirstOrder(fine.space, lambda held=fine.held: held)
+        lower = CoarseOrder(fine.space, lambda held=fine.held: held)
         if not factored_below:
             lower.size = 1_000_000
         options = stiffness_options("multigrid", fine.K, 2, lower)
@@ -78,7 +78,7 @@ def test_iterations_do_not_grow_with_the_mesh(factored_below: bool) -> None:
 
 def test_it_follows_a_changed_stiffness() -> None:
     fine, version = problem(), [0]
-    lower = FirstOrder(fine.space, lambda: fine.held)
+    lower = CoarseOrder(fine.space, lambda: fine.held)
     inverse = Inverse(
         fine.K, lambda: version[0], stiffness_options("multigrid", fine.K, 2, lower), lower
     )

@@ -10,10 +10,11 @@ import pytest
 
 import meshes
 from app.arrays import Floats
+from app.case.case import Case, dump_case
 from app.errors import InputError
+from app.laws.loads import Roller
 from app.results.balance import Balance
-from app.schema import config
-from app.soundness.case_on_mesh import judge, look
+from app.soundness.well_posedness import judge, look
 from app.verification.changed_meshes import ROTATION, turned
 from meshes.distribute import TaggedMesh, distribute
 from tests import support
@@ -58,13 +59,13 @@ def vector(values: Any, unit: str = "") -> str:
     return "[" + ", ".join(f"{v:.17g}{unit}" for v in values) + "]"
 
 
-def turn(text: str, *overrides: str, face: bool = False) -> tuple[config.Case, TaggedMesh]:
+def turn(text: str, *overrides: str, face: bool = False) -> tuple[Case, TaggedMesh]:
     """A case and its mesh, both turned: rollers along axes become oblique ones."""
     straight = support.case(text, *overrides)
     data = turned(meshes.build(straight.geometry, straight.mesh, None))
     changes = [*overrides]
     for name, s in straight.supports.items():
-        if isinstance(s, config.Roller) and s.axis:
+        if isinstance(s, Roller) and s.axis:
             normal = "face" if face else vector(3 * ROTATION[:, "xyz".index(s.axis)])
             stages = f", stages: [{', '.join(s.stages)}]" if s.stages else ""
             support_ = f"kind: roller, boundary: {s.boundary}, normal: {normal}{stages}"
@@ -237,7 +238,7 @@ def test_a_direction_is_normalised_and_reads_back() -> None:
     )
     this = support.case(BLOCK, *(f"supports.{s}" for s in supports))
     assert this.supports["x"].normal == (0.0, -1.0, 0.0)
-    again = support.case(config.dump(this))
+    again = support.case(dump_case(this))
     assert again.supports == this.supports
 
 
@@ -267,7 +268,7 @@ def test_what_cannot_hold(changes: tuple[str, ...], expected: str) -> None:
     )
     supports = dict(this.supports)
     if "walls" in changes[-1]:
-        supports["y"] = config.Roller(boundary="walls", normal="face")
+        supports["y"] = Roller(boundary="walls", normal="face")
     with pytest.raises(InputError, match=expected):
         support.solve(this.model_copy(update={"supports": supports}), tagged=tagged)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import ufl
 
-from app.heat import assembly, temperature_jumps
-from app.mechanics import assembly as mechanics_assembly
-from app.mechanics import points
+from app.heat import heat_forms, temperature_jumps
+from app.mechanics import body_forms as mechanics_assembly
+from app.mechanics import contact_law
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 from app.simulation import model
@@ -59,7 +59,7 @@ def cost(monkeypatch: pytest.MonkeyPatch, interfaces: str, *overrides: str) -> C
     """Assemble a scene and note every contact law and every form that it compiles."""
     laws: list[tuple[int, bool]] = []
     forms: list[Any] = []
-    law = points._compile
+    law = contact_law._compile
 
     def compile_law(comm: Any, normals: Any, of: Any) -> Any:
         laws.append((normals.shape[1], of.frictional))
@@ -74,7 +74,7 @@ def cost(monkeypatch: pytest.MonkeyPatch, interfaces: str, *overrides: str) -> C
 
         return noted
 
-    monkeypatch.setattr(points, "_compile", compile_law)
+    monkeypatch.setattr(contact_law, "_compile", compile_law)
     for name in COMPILERS:
         monkeypatch.setattr(mechanics_assembly.fem, name, compiled(name))
     problem, solver = support.assemble(
@@ -254,11 +254,11 @@ def bill(
         return Solver(system, *arguments)
 
     with monkeypatch.context() as patch:
-        count(points, "_compile", "laws")
+        count(contact_law, "_compile", "laws")
         count(temperature_jumps.interface_heat, "flux_and_derivatives", "heat_laws")
         for name in COMPILERS:
             count(mechanics_assembly.fem, name, "forms", "integrals")
-        count(assembly.HeatForms, "_form", "heat_forms")
+        count(heat_forms.HeatForms, "_form", "heat_forms")
         patch.setattr(model, "Solver", solver)
         for name, absent in (("Problem", not elastic), ("Conduction", not heated)):
             if absent:

@@ -7,8 +7,8 @@ import pytest
 
 import meshes
 from app.arrays import Bools
+from app.case.geometries import Cylinders, MeshOptions
 from app.errors import GeometryError
-from app.schema.geometries import Cylinders, MeshOptions
 from meshes import quality
 from meshes.bisect import centres, divide, divided
 from meshes.data import (

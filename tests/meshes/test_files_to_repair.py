@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import meshes
+from app.case.geometries import Block, Blocks, MeshFile, MeshOptions
 from app.errors import GeometryError, InputError
-from app.schema.geometries import Block, Blocks, MeshFile, MeshOptions
-from app.soundness import case_on_mesh
+from app.soundness import well_posedness
 from meshes.data import MeshData, region_volumes
 from tests import support
 
@@ -90,7 +90,7 @@ def test_cells_listed_inside_out_are_turned_and_told(
     back = read(tmp_path, replace(data, cells=cells))
     assert region_volumes(back) == pytest.approx({"cube": 1000.0})
     case = support.case(CASE.format(path=tmp_path / "a.msh"))
-    (note,) = case_on_mesh.judge(case, case_on_mesh.look(case, back))
+    (note,) = well_posedness.judge(case, well_posedness.look(case, back))
     assert f"{turned.sum()} of {len(cells)} cells of the file list their nodes inside out" in note
     assert read(tmp_path, data).notes["told"] == []
 
@@ -137,7 +137,7 @@ def test_a_volume_without_cells_is_ignored_and_told(
     assert case.geometry.region_names == ("cube",)
     back = meshes.build(case.geometry, case.mesh)
     assert region_volumes(back) == pytest.approx({"cube": 1000.0})
-    assert case_on_mesh.judge(case, case_on_mesh.look(case, back)) == [
+    assert well_posedness.judge(case, well_posedness.look(case, back)) == [
         "geometry: the physical volume 'void' of the file has no cells: it is ignored"
     ]
     with pytest.raises(InputError, match="void"):

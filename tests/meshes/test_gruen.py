@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import ufl
 
+from app.case.femurs import Femur, IntactFemur
+from app.case.geometries import Blocks, Cylinders
 from app.results.stresses import Stresses
-from app.schema.femurs import Femur, IntactFemur
-from app.schema.geometries import Blocks, Cylinders
 from app.system.timing import Timing
 from meshes import femur_bone, femur_stem
 from meshes.gruen import BELOW, Zones

@@ -17,9 +17,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import meshes
+from app.case.geometries import MeshFile
+from app.case.gmsh_header import ALLOWED
+from app.case.shapes import MeshOptions
 from app.errors import GeometryError
-from app.schema import config
-from app.schema.gmsh_file import ALLOWED
 from meshes import gmsh_process
 
 SHAPE = """\
@@ -116,8 +117,8 @@ def mesh(folder: Path, text: str) -> None:
     (folder / "a.geo").write_text(text)
     if not (folder / "link.geo").is_symlink():
         (folder / "link.geo").symlink_to("../canaries/hook.geo")
-    geometry = config.MeshFile(path=folder / "a.geo")
-    meshes.build(geometry, config.MeshOptions(size="0.5 mm"))
+    geometry = MeshFile(path=folder / "a.geo")
+    meshes.build(geometry, MeshOptions(size="0.5 mm"))
 
 
 def laid(attempt: str, place: str, canaries: Path) -> str:

@@ -1,4 +1,4 @@
-"""Rules of ``meshes.interfaces``: normals, edges, bodies that meet on a line, held components."""
+"""Rules of ``meshes.contact_points``: normals, edges, bodies that meet on a line, held parts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from app.arrays import Floats
 from app.campaigns.work_precision import fitted_order
 from meshes.contact_facets import InterfaceFacets, sorted_facets
-from meshes.interfaces import ContactPoints, Entries, Holds, contact_points
+from meshes.contact_points import ContactPoints, Entries, Holds, contact_points
 from tests import support
 
 NOTHING_HELD = Holds(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3), np.int64))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.schema.geometries import Blocks, Cylinders, MeshOptions
+from app.case.geometries import Blocks, Cylinders, MeshOptions
 from app.soundness import cost
 from meshes import mantle, mantle_picture
 from meshes.data import MeshData

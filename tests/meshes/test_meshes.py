@@ -17,8 +17,8 @@ import pytest
 
 import meshes
 from app.campaigns.work_precision import fitted_order
+from app.case.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
 from app.errors import GeometryError
-from app.schema.geometries import Block, Blocks, Cylinders, MeshFile, MeshOptions
 from meshes import cache, quality
 from meshes.data import (
     MeshData,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import meshes
+from app.case.geometries import Femur, MeshOptions
 from app.errors import GeometryError
-from app.schema.geometries import Femur, MeshOptions
 from meshes import femur_bone, femur_stem, mantle
 
 GEOMETRY = Femur()

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 import meshes
+from app.case.case import load_case
+from app.case.geometries import MeshFile
+from app.case.gmsh_header import ALLOWED, physical_names
+from app.case.shapes import MeshOptions
 from app.errors import GeometryError, InputError
-from app.schema import config
-from app.schema.gmsh_file import ALLOWED, physical_names
 from meshes import cache
 from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
 from meshes.session import session
@@ -76,8 +78,8 @@ def script(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def options(**values: object) -> config.MeshOptions:
-    return config.MeshOptions.model_validate(values)
+def options(**values: object) -> MeshOptions:
+    return MeshOptions.model_validate(values)
 
 
 def test_names_are_read_from_the_text(tmp_path: Path) -> None:
@@ -88,9 +90,7 @@ def test_names_are_read_from_the_text(tmp_path: Path) -> None:
 
 
 def test_layers_are_meshed_with_the_sizes_of_the_case(tmp_path: Path) -> None:
-    geometry = config.MeshFile(
-        path=script(tmp_path, LAYERS), interfaces={"joint": (("low",), ("high",))}
-    )
+    geometry = MeshFile(path=script(tmp_path, LAYERS), interfaces={"joint": (("low",), ("high",))})
     cells = {}
     for size, far in ((1.0, 1.0), (0.5, 0.5), (0.5, 1.0)):
         data = meshes.build(geometry, options(size=f"{size} mm", far_size=f"{far} mm"))
@@ -109,7 +109,7 @@ def test_sizes_are_told_in_the_unit_of_the_script(tmp_path: Path) -> None:
     """The same script in cm with ten times the size is the same mesh, ten times as large."""
     path = script(tmp_path, PIN)
     millimetres, centimetres = (
-        config.MeshFile(path=path, unit=unit, interfaces=HOLE) for unit in ("mm", "cm")
+        MeshFile(path=path, unit=unit, interfaces=HOLE) for unit in ("mm", "cm")
     )
     small = meshes.build(millimetres, options(size="1 mm"))
     large = meshes.build(centimetres, options(size="1 cm"))
@@ -118,7 +118,7 @@ def test_sizes_are_told_in_the_unit_of_the_script(tmp_path: Path) -> None:
 
 
 def test_curved_cells_follow_the_script(tmp_path: Path) -> None:
-    geometry = config.MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
+    geometry = MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
     straight, curved = (
         meshes.build(geometry, options(size="1.5 mm", curved=curved)) for curved in (False, True)
     )
@@ -142,7 +142,7 @@ def test_cells_of_second_order_are_curved_where_the_script_is(
         if text == PIN
         else CASE.replace("order: 1", "order: 2")
     )
-    case = config.load(tmp_path / "case.yaml")
+    case = load_case(tmp_path / "case.yaml")
     data = meshes.build(case.geometry, case.mesh)
     assert data.curved == curved
     expected = {"pin": np.pi * 2**2 * 5} if curved else {"low": 6.0, "high": 12.0}
@@ -157,8 +157,8 @@ def test_cached_by_what_the_mesh_depends_on(tmp_path: Path) -> None:
     path = script(folder, PIN + 'Merge "parts/pin.geo"; Merge "../foreign.step";\n')
     coarse = options(size="1 mm")
 
-    def key(mesh: config.MeshOptions = coarse) -> str:
-        return cache.key(config.MeshFile(path=path), mesh)
+    def key(mesh: MeshOptions = coarse) -> str:
+        return cache.key(MeshFile(path=path), mesh)
 
     keys = [key(), key(options(size="2 mm")), key(options(size="1 mm", curved=True))]
     for name, text in (
@@ -191,13 +191,13 @@ def test_a_script_uses_what_it_names_in_its_folder(tmp_path: Path) -> None:
         "DefineConstant[ size = 1 ]; Merge 'parts/pin.geo'; Physical Volume(\"pin\") = {1};\n"
         "MeshSize { PointsOf { Volume{:}; } } = size;\n",
     )
-    data = meshes.build(config.MeshFile(path=path), options(size="0.7 mm", curved=True))
+    data = meshes.build(MeshFile(path=path), options(size="0.7 mm", curved=True))
     assert region_volumes(data)["pin"] == pytest.approx(np.pi * 2**2 * 5, rel=2e-3)
 
 
 def test_a_file_that_changes_after_the_case_was_read_is_refused(tmp_path: Path) -> None:
     """What is meshed is what the cache and the provenance name."""
-    geometry = config.MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
+    geometry = MeshFile(path=script(tmp_path, PIN), interfaces=HOLE)
     assert geometry.content
     script(tmp_path, PIN.replace("5, 2}", "5, 3}"))
     with pytest.raises(GeometryError, match="has changed since it was looked at"):
@@ -208,13 +208,13 @@ def test_layers_are_solved(tmp_path: Path) -> None:
     """Pressed evenly without Poisson's effect: u_z = -p z / E, across the joint too."""
     script(tmp_path, LAYERS)
     (tmp_path / "case.yaml").write_text(CASE)
-    case = config.load(tmp_path / "case.yaml")
+    case = load_case(tmp_path / "case.yaml")
     solved = support.solve(case)
     for name in ("low", "high"):
         x, u = solved.displacement(name)
         assert np.abs(u[:, 2] + x[:, 2] / 100).max() < 1e-10
     with pytest.raises(InputError, match="'between' is no part of the surface"):
-        support.solve(config.load(tmp_path / "case.yaml", ["supports.base.boundary=between"]))
+        support.solve(load_case(tmp_path / "case.yaml", ["supports.base.boundary=between"]))
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_scripts_that_are_refused_unread(text: str, expected: str, tmp_path: Pat
     script(tmp_path, text)
     (tmp_path / "case.yaml").write_text(CASE)
     with pytest.raises(InputError, match=rf"case\.yaml:1:24: geometry\.path: .*{expected}"):
-        config.load(tmp_path / "case.yaml")
+        load_case(tmp_path / "case.yaml")
 
 
 @pytest.mark.parametrize(

@@ -13,18 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.case.geometries import Femur, IntactFemur, MeshOptions
 from app.errors import GeometryError
-from app.schema.geometries import Femur, IntactFemur, MeshOptions
-from meshes import (
-    femur,
-    femur_bone,
-    femur_intact,
-    femur_stem,
-    layers,
-    mantle,
-    quality,
-    swept,
-)
+from meshes import femur, femur_bone, femur_intact, femur_stem, layers, mantle, quality, swept
 from meshes.data import (
     MeshData,
     cell_volumes,

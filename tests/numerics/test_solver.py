@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.errors import ConvergenceError
-from app.mechanics.prediction import take_better
+from app.mechanics.predictors import take_better
 from app.numerics.condition import condition_number
 from app.numerics.system import Measure
 from meshes.distribute import TaggedMesh

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from petsc4py import PETSc
 
-from app.results import quantities
+from app.results import interface_numbers
 from app.results.bond_strength import bonds
 from app.scene.terms import CureTerm, Expansion, PrescribedCure, Scene
 from tests.heated import Heated
@@ -70,7 +70,7 @@ def main(output: Path) -> None:
     identity.shift(1.0)
     G = problem.thermal_stiffness({"bone": identity})
     found = {
-        "interface": quantities.interface(problem, samples, 0),
+        "interface": interface_numbers.interface(problem, samples, 0),
         "cement": model.stresses.region("cement"),
         "bond": {b.name: b.numbers() for b in bonds(problem, model.stresses)},
         "balance": [model.balance.force, model.balance.moment, model.balance.energy],

@@ -10,18 +10,18 @@ from unittest.mock import patch
 
 from mpi4py import MPI
 
-from app.simulation import related
-from app.stepping import nested_start
+from app.simulation import coarser_case
+from app.stepping import coarse_start
 from tests.simulation import test_nested
 
 if __name__ == "__main__":
     comm = MPI.COMM_WORLD
     found = []
     for settings in ({}, test_nested.ALWAYS):
-        with patch.multiple(related, **settings) if settings else nullcontext():
+        with patch.multiple(coarser_case, **settings) if settings else nullcontext():
             model, steps = test_nested.go()
         (j,) = model.mechanics[0].problem.jumps
-        found.append((nested_start.replicated(j), steps[0].outcome.residuals[0]))
+        found.append((coarse_start.replicated(j), steps[0].outcome.residuals[0]))
     (cold, first), (warm, then) = found
     if comm.rank == 0:
         numbers = {"difference": abs(warm - cold).max() / abs(cold).max(), "start": then / first}

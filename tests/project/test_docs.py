@@ -18,11 +18,12 @@ import pytest
 from ruamel.yaml import YAML
 
 import mantle
+from app.case import new_case
+from app.case.case import Case, load_case
+from app.case.quantities import TABLE
+from app.case.study_options import StudyFile
+from app.case.sweep_options import Sweep
 from app.command_line.parser import parser
-from app.schema import config, start
-from app.schema.quantities import TABLE
-from app.schema.study_options import StudyFile
-from app.schema.sweep_options import Sweep
 from app.system import ranks
 from app.verification.suites import SUITES
 
@@ -140,15 +141,15 @@ def test_yaml_blocks_are_cases_or_parts_of_them(page: Path, text: str, tmp_path:
     data = YAML(typ="safe", pure=True).load(text)
     if CASE_KEYS <= data.keys():
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
-        assert config.load(tmp_path / "case.yaml").geometry
+        assert load_case(tmp_path / "case.yaml").geometry
     elif "base" in data and data.keys() & CASE_KEYS:
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
-        start.write(tmp_path / "hip", "femur")
-        assert config.load(tmp_path / "case.yaml").loads
+        new_case.write(tmp_path / "hip", "femur")
+        assert load_case(tmp_path / "case.yaml").loads
     elif "base" in data:
         assert (StudyFile if "study" in data else Sweep).model_validate(data)
     else:
-        assert data.keys() <= config.Case.model_fields.keys()
+        assert data.keys() <= Case.model_fields.keys()
 
 
 def test_the_case_of_the_tutorial_is_what_init_writes() -> None:

@@ -24,6 +24,8 @@ LAYERS = ("app", "forms", "meshes")
 ROWS = (
     ("configs", "forms", "meshes", "system"),
     ("schema", "numerics"),
+    ("laws",),
+    ("case",),
     ("scene",),
     ("mechanics", "heat"),
     ("soundness",),
@@ -41,6 +43,7 @@ PRINTING = ("app/cli.py", "app/command_line/commands.py")
 HIDDEN = {
     "schema": {"forms", "meshes"},
     "numerics": {"configs", "forms", "meshes"},
+    "case": {"forms", "meshes", "numerics"},
 }
 STACK = {"dolfinx", "petsc4py", "ufl", "mpi4py", "basix", "ffcx", "gmsh", "h5py"}
 
@@ -206,33 +209,25 @@ def test_only_the_command_line_prints(path: Path) -> None:
     assert not calls or named(path) in PRINTING
 
 
-def config_patterns(path: Path) -> list[str]:
+def law_patterns(path: Path) -> list[str]:
     """Names in patterns of `match` statements that belong to the configuration."""
-    found = []
-    for node in ast.walk(tree(path)):
-        if isinstance(node, ast.MatchClass):
-            name = ast.unparse(node.cls)
-            if name.startswith("config."):
-                found.append(name)
-    return found
+    laws = {
+        alias.asname or alias.name
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("app.laws")
+        for alias in node.names
+    }
+    names = (ast.unparse(n.cls) for n in ast.walk(tree(path)) if isinstance(n, ast.MatchClass))
+    return [name for name in names if top(name) in laws]
 
 
 @all_of("app")
 def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
     """Interfaces, supports, loads and materials become terms in one place."""
     if named(path) in ("app/scene/build.py", "app/scene/build_heat.py"):
-        assert len(config_patterns(path)) > 5
+        assert len(law_patterns(path)) > 5
         return
-    assert config_patterns(path) == []
-    chosen = {
-        "Bonded",
-        "Contact",
-        "Penalty",
-        "Isotropic",
-        "TransverselyIsotropic",
-        "Roller",
-        "Fixed",
-    }
+    assert law_patterns(path) == []
     # The solver's side of the program does not even see the configuration's classes.
     solving = {"numerics", "mechanics", "heat", "stepping"}
     if package_of(module(path)) in solving or module(path) in (
@@ -240,24 +235,22 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
         "app.scene.bodies",
         "app.results.balance",
         "app.results.heat_balance",
-        "app.results.heat_passed",
-        "app.results.quantities",
+        "app.results.interface_heat",
+        "app.results.interface_numbers",
         "app.results.region_temperatures",
-        "app.results.thermal_quantities",
-        "app.soundness.diagnosis",
+        "app.results.thermal_record",
+        "app.soundness.failure",
     ):
-        seen = {m for m in imported(path) if m.startswith("app.schema.")}
+        seen = {m for m in imported(path) if package_of(m) in ("schema", "laws", "case")}
         # A default value, and the table of numbers.
-        known = {"app.schema.run_options"} if path.stem == "jumps" else set()
-        known |= {"app.schema.quantities"} if path.stem == "quantities" else set()
+        known = {"app.case.run_options"} if path.stem == "contact" else set()
+        known |= {"app.case.quantities"} if path.stem == "interface_numbers" else set()
         assert seen <= known
-        text = ast.unparse(tree(path))
-        assert not {c for c in chosen - {"Contact"} if f"config.{c}" in text}
 
 
 @all_of("app")
 def test_only_the_configuration_knows_yaml(path: Path) -> None:
-    allowed = {f"app/schema/{name}.py" for name in ("config", "case_file", "yaml_text")}
+    allowed = {f"app/schema/{name}.py" for name in ("yaml_file", "yaml_text")}
     if any(top(m) == "ruamel" for m in imported(path)):
         assert named(path) in allowed
 

@@ -37,7 +37,11 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 
 from app.arrays import Floats, Ints
-from app.schema import config
+from app.case.case import Case
+from app.laws.interface_laws import Contact
+from app.laws.loads import BodyForce, Displacement, Fixed, Force, Pressure, Roller
+from app.laws.materials import Isotropic
+from app.schema.expressions import evaluate
 from meshes.distribute import TaggedMesh
 
 VERTEX_RULE = {"quadrature_rule": "vertex", "quadrature_degree": 1}
@@ -138,7 +142,7 @@ class Interface:
 
 
 def solve(
-    case: config.Case, tagged: TaggedMesh, times: Sequence[float], r_factor: float = 0.3
+    case: Case, tagged: TaggedMesh, times: Sequence[float], r_factor: float = 0.3
 ) -> list[State]:
     """Solve the case at each of the given times, one Newton solve each.
 
@@ -193,10 +197,10 @@ def _amplitude(history: tuple[float, ...] | None, time: float) -> float:
     return (1 - s) * values[k] + s * values[k + 1]
 
 
-def _isotropic(case: config.Case, region: str) -> tuple[float, float]:
+def _isotropic(case: Case, region: str) -> tuple[float, float]:
     """Young's modulus [MPa] and Poisson's ratio of a region."""
     material = case.regions[region]
-    assert isinstance(material, config.Isotropic) and not material.eigenstrains
+    assert isinstance(material, Isotropic) and not material.eigenstrains
     return material.youngs_modulus, material.poisson_ratio
 
 
@@ -223,7 +227,7 @@ def _body(tagged: TaggedMesh, region: str) -> Part:
 
 
 def _interface(
-    case: config.Case,
+    case: Case,
     tagged: TaggedMesh,
     bodies: dict[str, Part],
     name: str,
@@ -232,7 +236,7 @@ def _interface(
     """Facets between two regions, the stiffer one's cells first."""
     mesh = tagged.mesh
     law, sides = case.interfaces[name], tagged.interfaces[name]
-    assert isinstance(law, config.Contact)
+    assert isinstance(law, Contact)
     ((first,), (second,)) = sides
     modulus = {region: _isotropic(case, region)[0] for region in (first, second)}
     master, slave = (first, second) if modulus[first] >= modulus[second] else (second, first)
@@ -266,7 +270,7 @@ def _interface(
     gap = fem.Function(scalars)
     at = scalars.tabulate_dof_coordinates()
     if isinstance(law.gap, str):
-        full_gap = np.asarray(config.evaluate(law.gap, at), dtype=np.float64)
+        full_gap = np.asarray(evaluate(law.gap, at), dtype=np.float64)
     else:
         full_gap = np.full(len(at), law.gap)
     return Interface(
@@ -318,17 +322,17 @@ def _nodal_normal(
 Held = dict[int, tuple[float, tuple[float, ...] | None]]
 
 
-def _supports(case: config.Case, tagged: TaggedMesh, bodies: dict[str, Part]) -> list[Held]:
+def _supports(case: Case, tagged: TaggedMesh, bodies: dict[str, Part]) -> list[Held]:
     """For each body: unrolled dof -> (value at full amplitude, history)."""
     held: list[Held] = [{} for _ in bodies]
     for support in case.supports.values():
         match support:
-            case config.Fixed():
+            case Fixed():
                 values: dict[int, float] = {0: 0.0, 1: 0.0, 2: 0.0}
                 history = None
-            case config.Roller():
+            case Roller():
                 values, history = {"xyz".index(support.axis): 0.0}, None
-            case config.Displacement():
+            case Displacement():
                 given = (support.x, support.y, support.z)
                 values = {c: v for c, v in enumerate(given) if isinstance(v, float)}
                 history = support.history
@@ -389,7 +393,7 @@ def _take_out(normal: fem.Function, components: list[int]) -> None:
 
 
 def _residual(
-    case: config.Case,
+    case: Case,
     tagged: TaggedMesh,
     bodies: dict[str, Part],
     interfaces: list[Interface],
@@ -417,7 +421,7 @@ def _residual(
     for key, load in case.loads.items():
         a = fem.Constant(mesh, default_scalar_type(0))
         amplitudes.append((a, load.history))
-        assert not isinstance(load, config.BodyForce)
+        assert not isinstance(load, BodyForce)
         t = _traction(tagged, load, [ds(k) for k in patches[key].values()])
         for name, k in patches[key].items():
             F -= a * ufl.inner(t, v[name]) * ds(k)
@@ -452,13 +456,13 @@ def _projected(S_n: Any, S_T: Any, μ: Any, n: Any) -> Any:
 
 
 def _patches(
-    case: config.Case, tagged: TaggedMesh, bodies: dict[str, Part]
+    case: Case, tagged: TaggedMesh, bodies: dict[str, Part]
 ) -> tuple[Any, dict[str, dict[str, int]]]:
     """Surface measure, and for each load the bodies it acts on with their subdomain number."""
     data: list[tuple[int, NDArray[np.int32]]] = []
     patches: dict[str, dict[str, int]] = {}
     for key, load in case.loads.items():
-        assert not isinstance(load, config.BodyForce)
+        assert not isinstance(load, BodyForce)
         patches[key] = {}
         for name, part in bodies.items():
             facets = _boundary_facets(tagged, part, load.boundary)
@@ -471,14 +475,14 @@ def _patches(
     return ufl.Measure("ds", domain=tagged.mesh, subdomain_data=data), patches
 
 
-def _traction(tagged: TaggedMesh, load: config.Force | config.Pressure, patches: list[Any]) -> Any:
+def _traction(tagged: TaggedMesh, load: Force | Pressure, patches: list[Any]) -> Any:
     """Traction of a load at full amplitude on its patches [MPa]."""
     match load:
-        case config.Force(at=None):
+        case Force(at=None):
             one = fem.Constant(tagged.mesh, default_scalar_type(1))
             area = sum(float(fem.assemble_scalar(fem.form(one * ds))) for ds in patches)
             return fem.Constant(tagged.mesh, np.array(load.force) / area)
-        case config.Pressure():
+        case Pressure():
             p = fem.Constant(tagged.mesh, default_scalar_type(load.pressure))
             return -p * ufl.FacetNormal(tagged.mesh)
         case _:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from app.case.case import dump_case, load_case
 from app.cli import main
 from app.errors import InputError
 from app.report import gruen, sensitivity, sweep_figures, sweep_report
@@ -23,7 +24,7 @@ from app.report.paper import trends as rt
 from app.report.paper.cases import PERCENTILES
 from app.report.paper.trends import CONFIRMED, NOT_CONFIRMED, UNDECIDED
 from app.report.sweep_results import Number
-from app.schema import case_file, config
+from app.schema import yaml_file
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODULI = {"titanium": 110, "CoCr": 200}
@@ -31,14 +32,14 @@ MODULI = {"titanium": 110, "CoCr": 200}
 
 @cache
 def resolved(name: str) -> str:
-    return config.dump(config.load(CONFIGS / f"{name}.yaml"))
+    return dump_case(load_case(CONFIGS / f"{name}.yaml"))
 
 
 def data_of(tmp_path: Path, name: str) -> dict[str, Any]:
     """A shipped case as a run directory has it."""
     path = tmp_path / f"{name}.yaml"
     path.write_text(resolved(name))
-    return copy.deepcopy(case_file.read(path).data)
+    return copy.deepcopy(yaml_file.read(path).data)
 
 
 class Maker:
@@ -53,7 +54,7 @@ class Maker:
     ) -> Path:
         run = self.folder / "runs" / f"r{len(self.cases)}"
         run.mkdir(parents=True)
-        (run / "case.yaml").write_text(case_file.written(data))
+        (run / "case.yaml").write_text(yaml_file.written(data))
         if summary is not None:
             (run / "summary.json").write_text(json.dumps(summary))
         entry = {"name": name, "part": "all", "overrides": {}, "status": "converged"}

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 import mantle
+from app.case.quantities import TABLE
 from app.cli import main
-from app.report import history_curves, maps, run_report, run_sentence, viewer
-from app.schema.quantities import TABLE
+from app.report import history_curves, maps, run_report, sentence, viewer
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
@@ -191,8 +191,8 @@ def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
     case = run_report.opened(done)
     case.__dict__["data"] = {"loads": {"hip": {"force": ["0 N", "0 N", "-900 N"]}}}
     numbers = summary(done)
-    assert run_sentence.sentence(numbers, case).startswith("Under 900 N the stem")
-    stopped = run_sentence.sentence(numbers | {"status": "stopped"}, case)
+    assert sentence.sentence(numbers, case).startswith("Under 900 N the stem")
+    stopped = sentence.sentence(numbers | {"status": "stopped"}, case)
     assert stopped.startswith("The stem slides")
 
 
@@ -213,7 +213,7 @@ def test_heat_is_told(tmp_path: Path) -> None:
     numbers["thermal"]["regions"] = {"bone": bone}
     numbers["cure"] = {"cement": {"degree_min": 0.99996}}
     case = run_report.opened(tmp_path)
-    assert run_sentence.sentence(numbers, case) == (
+    assert sentence.sentence(numbers, case) == (
         "Bone gets as hot as 54.2 ± 0.5 °C, for up to 174 s above 47 °C, 116 s above 50 °C; "
         "2,583 mm³ of bone dies by the rule of 47 °C for 1 min, 0 to 4,000 mm³ by others; "
         "cement has set to 99.9 % or more; "

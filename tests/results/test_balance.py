@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.results.log import BALANCES
+from app.results.closing_lines import BALANCES
 from tests import support
 
 # A stem pressed in and let go: friction holds it, and reactions vanish.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from app.results import log
+from app.results import closing_lines
 
 CHANGE = "peaks that still change with the mesh"
 
@@ -33,7 +33,7 @@ def summary(**changes: Any) -> dict[str, Any]:
 
 def told(found: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """By what it is about: the words and the tone of each line but the first."""
-    first, *rest = (*log.verdict(found), *log.peaks(found))
+    first, *rest = (*closing_lines.verdict(found), *closing_lines.peaks(found))
     assert first.text.startswith("converged: 974 unknowns") and not first.tone
     parts = [(*clause.text.split(": ", 1), clause.tone) for clause in rest]
     return {about: (words, tone) for about, words, tone in parts}

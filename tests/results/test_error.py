@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from app.results import error
-from app.schema import config, quantities
+from app.case import quantities
+from app.case.case import Case
+from app.results import error_estimate
 from tests import support
 
 STACK = """
@@ -32,7 +33,7 @@ output: {error: true}
 """
 
 
-def case(*overrides: str) -> config.Case:
+def case(*overrides: str) -> Case:
     return support.case(STACK, *overrides)
 
 
@@ -57,11 +58,11 @@ def numbers(size: float, increments: float, order: float, step: float = 0.02) ->
 
 
 def test_nothing_is_solved_that_nobody_asked_for() -> None:
-    assert error.companions(case("output.error=false")) == ()
+    assert error_estimate.companions(case("output.error=false")) == ()
 
 
 def test_companions_are_coarser_and_take_half_the_steps() -> None:
-    three = error.companions(case("stages.0.increments=9"))
+    three = error_estimate.companions(case("stages.0.increments=9"))
     assert [c.case.mesh.size for c in three] == [2, 3, 3]
     assert [c.case.mesh.far for c in three] == [8, 12, 12]
     assert [c.case.stages[0].increments for c in three] == [4, 4, 9]
@@ -70,7 +71,7 @@ def test_companions_are_coarser_and_take_half_the_steps() -> None:
 def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
     text = (support.CONFIGS / "stance.yaml").read_text(encoding="utf-8")
     femur = support.case(text, "mesh.size=8 mm")
-    sizes = [c.case.mesh.size for c in error.companions(femur)]
+    sizes = [c.case.mesh.size for c in error_estimate.companions(femur)]
     assert sizes == [16, 20, 20] and femur.geometry.coarsest_size == 20
 
 
@@ -84,18 +85,18 @@ def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
 )
 def test_an_error_is_of_what_was_compared(text: str, coarsening: float, what: str) -> None:
     alone = support.case(HEAT) if text else case()
-    assert error.of_what([error.Companion(alone, coarsening, 0.5)]) == what
+    assert error_estimate.of_what([error_estimate.Companion(alone, coarsening, 0.5)]) == what
 
 
 def test_one_increment_is_compared_with_two() -> None:
-    *_, steps = error.companions(case())
+    *_, steps = error_estimate.companions(case())
     assert steps.case.stages[0].increments == 2
     assert steps.steps == 2
 
 
 def test_without_friction_the_path_does_not_matter() -> None:
     frictionless = case("interfaces.lower_upper.friction_coefficient=0")
-    assert [c.steps for c in error.companions(frictionless)] == [1]
+    assert [c.steps for c in error_estimate.companions(frictionless)] == [1]
 
 
 HEAT = """
@@ -119,7 +120,9 @@ output: {error: true}
 @pytest.mark.parametrize(("method", "power"), [("sdirk4", 1), ("backward_euler", 2)])
 def test_companions_in_time_have_a_larger_tolerance(method: str, power: int) -> None:
     """Of order p with an estimate of order q, error goes with tolerance^(p / q): 4/4 and 1/2."""
-    found = error.companions(support.case(HEAT, f"time.method={method}", "time.tolerance=3e-4 K"))
+    found = error_estimate.companions(
+        support.case(HEAT, f"time.method={method}", "time.tolerance=3e-4 K")
+    )
     assert [c.case.mesh.size for c in found] == [2, 3, 3]
     larger = 3e-4 * 2**power
     assert [c.case.time.tolerance for c in found] == pytest.approx([larger, larger, 3e-4])  # type: ignore[union-attr]
@@ -127,7 +130,7 @@ def test_companions_in_time_have_a_larger_tolerance(method: str, power: int) -> 
 
 def test_a_steady_state_has_no_time_steps() -> None:
     steady = support.case(HEAT, "stages=[{name: cool, steady: true}]")
-    assert [c.steps for c in error.companions(steady)] == [1]
+    assert [c.steps for c in error_estimate.companions(steady)] == [1]
 
 
 @pytest.mark.parametrize(("increments", "step"), [(1, 0.02), (8, 0.02), (9, 0.02)])
@@ -136,10 +139,10 @@ def test_the_estimate_is_exact_for_its_model(increments: int, step: float) -> No
     p = quantities.MOTION[1]
     solved = [
         (c, numbers(c.case.mesh.size, c.case.stages[0].increments, p, step))
-        for c in error.companions(this)
+        for c in error_estimate.companions(this)
     ]
     run = numbers(1.0, increments, p, step)
-    unsettled = error.estimate(run, this, solved)
+    unsettled = error_estimate.estimate(run, this, solved)
     q = run["interfaces"]["lower_upper"]
     assert q["slip_p99_error"] == pytest.approx(q["slip_p99"] - 1)
     assert q["force_error"] == pytest.approx(q["force"])
@@ -165,7 +168,9 @@ def test_peaks_that_do_not_converge_have_their_values_on_every_mesh() -> None:
         peaks(4.0, 0.030, 11.0, 1.0),  # on 3 h, half the steps
         peaks(4.5, 0.035, 12.0, 1.5),  # on 3 h, all steps
     )
-    unsettled = error.estimate(run, this, list(zip(error.companions(this), others, strict=True)))
+    unsettled = error_estimate.estimate(
+        run, this, list(zip(error_estimate.companions(this), others, strict=True))
+    )
     # Slip and shear stress change by 2 and 7 %, from the finest mesh to the next.
     assert list(unsettled.items()) == [
         ("lower_upper.pressure_max", [[1.0, 9.3], [2.0, 6.2], [3.0, 4.5]]),
@@ -178,28 +183,28 @@ def test_peaks_that_do_not_converge_have_their_values_on_every_mesh() -> None:
 def test_peaks_are_compared_on_the_meshes_that_were_solved() -> None:
     """A companion has failed, another has no such number, and steps alone say nothing."""
     this = case("stages.0.increments=8")
-    finer, coarser, _ = error.companions(this)
+    finer, coarser, _ = error_estimate.companions(this)
     run = {"interfaces": {"lower_upper": {"pressure_max": 9.0}}}
 
     def on(value: float | None) -> dict[str, Any]:
         return {"interfaces": {"lower_upper": {"pressure_max": value}}}
 
     found = {"lower_upper.pressure_max": [[1.0, 9.0], [3.0, 4.0]]}
-    assert error.estimate(run, this, [(coarser, on(4.0))]) == found
-    assert error.estimate(run, this, [(finer, on(None)), (coarser, on(4.0))]) == found
-    assert error.estimate(run, this, [(finer, {}), (coarser, on(4.0))]) == found
-    steps = error.Companion(this, 1.0, 0.5)
-    assert error.estimate(run, this, [(steps, on(4.0))]) == {}
+    assert error_estimate.estimate(run, this, [(coarser, on(4.0))]) == found
+    assert error_estimate.estimate(run, this, [(finer, on(None)), (coarser, on(4.0))]) == found
+    assert error_estimate.estimate(run, this, [(finer, {}), (coarser, on(4.0))]) == found
+    steps = error_estimate.Companion(this, 1.0, 0.5)
+    assert error_estimate.estimate(run, this, [(steps, on(4.0))]) == {}
 
 
 def test_an_error_that_is_small_by_chance_is_raised() -> None:
     """To half the median of its interface, relative to the numbers; a peak has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
-    (companion,) = error.companions(this)
+    (companion,) = error_estimate.companions(this)
     values = {"slip_p99": 2.0, "slip_p95": 1.0, "slip_mean": 0.5, "gap_p99": 4.0}
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
     run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
-    error.estimate(run, this, [(companion, {"interfaces": {"lower_upper": other}})])
+    error_estimate.estimate(run, this, [(companion, {"interfaces": {"lower_upper": other}})])
     part = 0.1 / (2 ** quantities.MOTION[1] - 1)
     assert values["slip_p99_error"] == pytest.approx(2.0 * part)
     assert values["gap_p99_error"] == pytest.approx(4.0 * part / 2)
@@ -208,7 +213,7 @@ def test_an_error_that_is_small_by_chance_is_raised() -> None:
 def test_gruen_zones_have_errors() -> None:
     """Means of interfaces and strain energy; what a coarser mesh has nothing of has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
-    (companion,) = error.companions(this)
+    (companion,) = error_estimate.companions(this)
 
     def zone(by: float, *regions: str) -> dict[str, Any]:
         interface = {"gap_mean": 2.0 * by, "gap_max": 3.0, "area": 5.0}
@@ -217,7 +222,7 @@ def test_gruen_zones_have_errors() -> None:
 
     run = {"interfaces": {}, "gruen": {"1": zone(1.0, "cortex", "spongiosa"), "2": zone(1.0)}}
     other = {"interfaces": {}, "gruen": {"1": zone(1.1, "cortex")}}
-    error.estimate(run, this, [(companion, other)])
+    error_estimate.estimate(run, this, [(companion, other)])
     first, second = run["gruen"]["1"], run["gruen"]["2"]
     assert first["interfaces"]["a_b"] == pytest.approx(
         {"gap_mean": 2, "gap_max": 3, "area": 5}
@@ -230,16 +235,16 @@ def test_gruen_zones_have_errors() -> None:
 
 def test_on_one_coarser_mesh_half_the_steps_show() -> None:
     this = case("stages.0.increments=8")
-    first = error.companions(this)[0]
-    half = error.Companion(first.case, 5 / 3, 0.5)
+    first = error_estimate.companions(this)[0]
+    half = error_estimate.Companion(first.case, 5 / 3, 0.5)
     run = numbers(1e-9, 8, 2)
-    error.estimate(run, this, [(half, numbers(1e-9, 4, 2))])
+    error_estimate.estimate(run, this, [(half, numbers(1e-9, 4, 2))])
     assert 0.5 < run["interfaces"]["lower_upper"]["slip_p99_error"] / (0.02 / 8) < 3
 
 
 def test_no_companion_no_error() -> None:
     run = numbers(1.0, 1, 1.8)
-    assert error.estimate(run, case(), []) == {}
+    assert error_estimate.estimate(run, case(), []) == {}
     assert "slip_p99_error" not in run["interfaces"]["lower_upper"]
 
 
@@ -263,10 +268,11 @@ def heated(size: float, increments: float, dead: float = 2.0) -> dict[str, Any]:
 def test_numbers_of_heat_converge_as_temperature_does() -> None:
     this = case("stages.0.increments=8")
     solved = [
-        (c, heated(c.case.mesh.size, c.case.stages[0].increments)) for c in error.companions(this)
+        (c, heated(c.case.mesh.size, c.case.stages[0].increments))
+        for c in error_estimate.companions(this)
     ]
     run = heated(1.0, 8)
-    error.estimate(run, this, solved)
+    error_estimate.estimate(run, this, solved)
     wrong = 0.01 + 0.02 / 8
     lower = run["thermal"]["regions"]["lower"]
     assert lower["temperature_max_error"] == pytest.approx(10 * wrong)
@@ -285,7 +291,7 @@ def test_what_was_not_reached_has_no_error() -> None:
     this = case("stages.0.increments=8")
     for mine, theirs in ((2.0, 0.0), (0.0, 2.0), (0.0, 0.0)):
         run = heated(1.0, 8, mine)
-        others = [(c, heated(c.case.mesh.size, 8, theirs)) for c in error.companions(this)]
-        error.estimate(run, this, others)
+        others = [(c, heated(c.case.mesh.size, 8, theirs)) for c in error_estimate.companions(this)]
+        error_estimate.estimate(run, this, others)
         assert "time_90_error" not in run["cure"]["lower"]
         assert "time_50_error" in run["cure"]["lower"]

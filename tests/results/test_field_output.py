@@ -15,10 +15,10 @@ import pytest
 from dolfinx import fem
 
 from app.heat.conduction import Conduction
-from app.results.field_output import Copies, Fields, HeatFields
-from app.results.quantities import Samples
+from app.results.field_output import Fields, HeatFields, OutputNodes
+from app.results.interface_numbers import ContactSamples
 from app.results.reading import shape_functions
-from app.results.thermal_quantities import ThermalRecord
+from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
 from app.scene.terms import ConductorTerm, Scene, ThermalContact
 from app.system.timing import Timing
@@ -36,7 +36,7 @@ class Motion:
         self.bodies: Bodies = bodies_of(tagged, (), ())
         self.space = fem.functionspace(tagged.mesh, ("Lagrange", 2, (3,)))
 
-    def point(self, nodes: Copies, samples: Samples | None) -> dict[str, Any]:
+    def point(self, nodes: OutputNodes, samples: ContactSamples | None) -> dict[str, Any]:
         return {"place": self.space.tabulate_dof_coordinates()[nodes.dof]}
 
     def cell(self, cells: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Mechanics that follow the heat: as closely as asked, through cure too, and judged rightly."""
+"""BodyForms that follow the heat: as closely as asked, through cure too, and judged rightly."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from app.results import log
-from app.schema import loaded_case
+from app.case import loaded_case
+from app.results import closing_lines
 from app.simulation.session import run
 
 # A ring that sets around a rigid core that it is smooth on, all at body temperature.
@@ -75,7 +75,7 @@ def test_cement_that_shrinks_on_a_core_as_it_stiffens(solve: Callable[..., Any])
     for step in (10, 2.5):
         found = solve(*SET, BATH, f"time={{mechanical_step: {step} K}}")
         errors.append(abs(pressure(found) / exact - 1))
-        assert all(found["balance"][k] < limit for k, limit in log.BALANCES.items())
+        assert all(found["balance"][k] < limit for k, limit in closing_lines.BALANCES.items())
     # The warmth of half a unit of cure, 30 K, in some 3 and 12 steps; second order.
     assert errors[-1] < 5e-3
     assert errors[0] / errors[-1] > 8
@@ -85,4 +85,4 @@ def test_heat_that_is_lost_to_rounding_alone_is_balanced(solve: Callable[..., An
     """A cure that begins at 0 begins with a step of 1e-7 s, which warms by 1e-8 K."""
     found = solve(*SET, "interfaces.stem_cement.conductance=0 W/(m^2 K)", "stages.0.duration=1 s")
     assert found["balance"]["heat"] < 1e-7
-    assert all(clause.tone != "bad" for clause in log.verdict(found))
+    assert all(clause.tone != "bad" for clause in closing_lines.verdict(found))

@@ -13,14 +13,14 @@ import pytest
 import mantle
 import meshes
 from app.arrays import Floats
+from app.case import divided_cells, quantities
+from app.case.goals import OF_INTERFACE, OF_STEM
 from app.results import goal
+from app.results.interface_numbers import ContactSamples
 from app.results.percentiles import SurfaceField
-from app.results.quantities import Samples
 from app.results.recovery import recovered
 from app.results.stem_motion import stem_motion
 from app.results.stresses import Stresses
-from app.schema import divided_cells, quantities
-from app.schema.goals import OF_INTERFACE, OF_STEM
 from app.system.timing import Timing
 from meshes.bisect import centres
 from tests import support
@@ -57,7 +57,7 @@ def adjoint_work(solved: support.Solved, name: str) -> float:
     """Work of the loads in the adjoint displacement of a number."""
     output = solved.case.output.model_copy(update={"goal": name})
     case = solved.case.model_copy(update={"output": output})
-    samples: Samples | None = solved.samples[-1] if solved.samples else None
+    samples: ContactSamples | None = solved.samples[-1] if solved.samples else None
     trial = getattr(solved.solver._system, "trial", None)
     x, _ = goal.adjoint(solved.problem, solved.solver, case, samples, 1e-8)
     if trial is not None:

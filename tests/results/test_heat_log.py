@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from app.results import log, tables
+from app.results import closing_lines, tables
 
 
 def summary() -> dict[str, Any]:
@@ -64,11 +64,11 @@ def test_a_run_without_heat_has_none() -> None:
 
 
 def test_a_run_of_heat_alone_says_nothing_of_forces() -> None:
-    told = log.closing_table(summary())
+    told = closing_lines.closing_table(summary())
     assert "von Mises" not in told and "contact" not in told
-    assert told.endswith("balance of heat 3.0e-12") and log.Clause(
+    assert told.endswith("balance of heat 3.0e-12") and closing_lines.Verdict(
         "heat: none is lost", "good"
-    ) in log.verdict(summary())
+    ) in closing_lines.verdict(summary())
     lost = summary()
     lost["balance"]["heat"] = 2e-6
-    assert any(clause.tone == "bad" for clause in log.verdict(lost))
+    assert any(clause.tone == "bad" for clause in closing_lines.verdict(lost))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from app.results import heat_picture
+from app.results import temperature_section
 from tests.results.test_thermal_quantities import BODIES, ZERO, two_blocks
 
 
@@ -19,9 +19,9 @@ def test_a_section_is_whole_and_outlined() -> None:
     space = fem.functionspace(tagged.mesh, ("Lagrange", 1))
     z = space.tabulate_dof_coordinates()[:, 2]
     T = [ZERO + 40 + z, ZERO + 80 - z]
-    corners, tags = heat_picture._corners(tagged, space.dofmap.list, BODIES.of_region, T)
-    piece = heat_picture._cut(corners, tags, 1, 1.7)
-    triangles, outline = heat_picture._join([piece])
+    corners, tags = temperature_section._corners(tagged, space.dofmap.list, BODIES.of_region, T)
+    piece = temperature_section._cut(corners, tags, 1, 1.7)
+    triangles, outline = temperature_section._join([piece])
     x, t = triangles[:, :, :3], triangles[:, :, 3]
     area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
     assert area.sum() == pytest.approx(16)
@@ -40,12 +40,12 @@ def test_pictures_are_written(tmp_path: Path) -> None:
     path = tmp_path / "section.png"
     where = (path, tagged, space.dofmap.list, BODIES.of_region, [T, T])
     for z in (0.0, 2.0, 4.0):
-        heat_picture.section(*where, 12.0, (1.0, 1.0, z))
+        temperature_section.section(*where, 12.0, (1.0, 1.0, z))
         assert path.read_bytes().startswith(b"\x89PNG")
         path.unlink()
     times = np.geomspace(1e-3, 1e3, 20)
     curves = {"cement": 100 - times / 20, "probe tip": 37 + times / 100}
     for seconds in ([0.0, *times], [0.0, *np.linspace(1, 20, 20)]):
         values = {k: np.array([v[0], *v]) for k, v in curves.items()}
-        heat_picture.history(tmp_path / "temperature.png", seconds, values)
+        temperature_section.history(tmp_path / "temperature.png", seconds, values)
         assert (tmp_path / "temperature.png").stat().st_size > 10000

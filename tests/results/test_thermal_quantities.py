@@ -17,12 +17,12 @@ from dolfinx import fem, mesh
 from scipy.integrate import quad
 
 from app.errors import InputError
-from app.heat.assembly import HeatForms
+from app.heat.heat_forms import HeatForms
 from app.heat.nodes import ProbedPoint
 from app.results import tables
-from app.results.cure_quantities import CureRecord
-from app.results.heat_passed import HeatPassed
-from app.results.thermal_quantities import ThermalRecord
+from app.results.cure_record import CureRecord
+from app.results.interface_heat import HeatPassed
+from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh

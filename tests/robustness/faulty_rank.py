@@ -13,7 +13,7 @@ from app import cli
 from app.errors import ConvergenceError, StoppedError
 from app.mechanics import problem
 from app.numerics import snes
-from app.results.output import Writer
+from app.results.run_folder import Writer
 from app.simulation import checkpoint
 from meshes import distribute
 

@@ -25,10 +25,12 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from app.case import gmsh_header, overlay, study_file, sweep_file
+from app.case.case import dump_case, resolve
 from app.errors import InputError
-from app.schema import case_file, config, gmsh_file, layers, study_file, sweep_file
+from app.schema import yaml_file
 from app.schema.unit_conversion import registry
-from app.soundness import cost, preview, unusual_input
+from app.soundness import cost, plausibility, preview
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SECONDS = 2.0
@@ -245,16 +247,16 @@ def options(rng: RANDOM, text: str) -> list[str]:
 
 def read(path: Path, overrides: list[str]) -> None:
     """Read a file as the commands do."""
-    data = case_file.read(path).data
+    data = yaml_file.read(path).data
     if path.parent.name == "sweeps" or "parts" in data or "grid" in data:
         sweep_file.read(path, overrides)
-    elif layers.is_study(data) or path.parent.name == "studies":
+    elif overlay.is_study(data) or path.parent.name == "studies":
         study_file.read(path, overrides)
     else:
-        file = layers.read(path, overrides)
-        case = config.resolve(file, path.parent)
+        file = overlay.read(path, overrides)
+        case = resolve(file, path.parent)
         text = preview.describe(case, file.data) + cost.estimated_size(case)
-        text += "".join(unusual_input.warnings(case)) + config.dump(case) + str(cost.seconds(case))
+        text += "".join(plausibility.warnings(case)) + dump_case(case) + str(cost.seconds(case))
         text.encode()
 
 
@@ -306,7 +308,7 @@ def main(seed: str, first: int, last: int, folder: Path) -> None:
     cases = (p.relative_to(CONFIGS) for p in CONFIGS.rglob("*.yaml"))
     shipped = sorted(p for p in cases if p.parent.name != "library")
     registry()
-    os.environ[gmsh_file.ALLOWED] = "1"  # scripts are read here, never run
+    os.environ[gmsh_header.ALLOWED] = "1"  # scripts are read here, never run
     for name in shipped:  # imports, and the conversions of units
         read(folder / "configs" / name, [])
     guard((folder.resolve(),))

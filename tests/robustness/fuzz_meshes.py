@@ -17,8 +17,8 @@ import traceback
 from pathlib import Path
 
 import meshes
+from app.case.case import load_case
 from app.errors import GeometryError, InputError
-from app.schema import config
 from meshes.session import session
 
 MEMORY = 4 << 30
@@ -111,7 +111,7 @@ def damaged(rng: random.Random, raw: bytes) -> bytes:
 def read(path: Path) -> str:
     """Mesh a case whose file is damaged: what is wrong with the way it ends."""
     try:
-        case = config.load(path)
+        case = load_case(path)
         meshes.build(case.geometry, case.mesh, None)
     except (InputError, GeometryError) as error:
         return "" if str(error).strip() else "says nothing"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from app import cli
 from app.simulation import model, session
-from app.soundness import sizing
+from app.soundness import memory
 
 
 def limit(more: float) -> None:
@@ -22,7 +22,7 @@ def limit(more: float) -> None:
 
 if __name__ == "__main__":
     assert model and session  # loaded
-    sizing.available = lambda environ=os.environ: 1e12
+    memory.available = lambda environ=os.environ: 1e12
     usual = session.Session.solve
 
     def solve(*arguments: object) -> object:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from app.errors import EnvironmentProblem
-from app.soundness import sizing
+from app.soundness import memory
 from app.system import blas_check, form_cache
 from tests import support
 from tests.robustness import shims
@@ -75,7 +75,7 @@ def test_only_records_are_by_the_clock_of_the_wall() -> None:
     # Provenance of a run, of a checkpoint; and how old files are, which is by that clock.
     assert used == {
         "app/simulation/session.py",
-        "app/results/output.py",
+        "app/results/run_folder.py",
         "app/simulation/checkpoint.py",
         "app/system/form_cache.py",
     }
@@ -130,7 +130,7 @@ def test_errors_for_want_of_memory_are_told_as_such() -> None:
         OSError(12, "Cannot allocate memory"),
         Exception("std::bad_alloc"),
     ):
-        found = sizing.explain(error)
+        found = memory.explain(error)
         assert isinstance(found, EnvironmentProblem) and "not enough memory" in str(found)
     try:
         try:
@@ -138,10 +138,10 @@ def test_errors_for_want_of_memory_are_told_as_such() -> None:
         except MemoryError as error:
             raise ValueError("else") from error
     except ValueError as error:
-        assert "the factors of 10 unknowns" in str(sizing.explain(error))
+        assert "the factors of 10 unknowns" in str(memory.explain(error))
     own = ValueError("x")
     own.__cause__ = own
-    assert sizing.explain(own) is None
+    assert memory.explain(own) is None
 
 
 def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:

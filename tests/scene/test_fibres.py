@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
+from app.case.case import Case, load_case
 from app.errors import InputError
 from app.results.stresses import Stresses
 from app.scene.fibres import Fibre
-from app.schema import config
 from app.simulation.model import Model
-from app.soundness import case_on_mesh
+from app.soundness import well_posedness
 from app.system.timing import Timing
 from app.verification import closed_forms as exact
 from meshes.distribute import TaggedMesh
@@ -33,8 +33,8 @@ LAYS = pytest.mark.parametrize("lay", ["circumferential", "radial"])
 FREE = "{strain: [2e-3, 1e-3, 3e-3, 0, 0, 1e-3]}"
 
 
-def ring(lay: str, *overrides: str) -> config.Case:
-    return config.load(RING, (f"regions.ring.fibre.kind={lay}", *overrides))
+def ring(lay: str, *overrides: str) -> Case:
+    return load_case(RING, (f"regions.ring.fibre.kind={lay}", *overrides))
 
 
 def error(solved: support.Solved, lay: str) -> float:
@@ -184,12 +184,12 @@ def test_the_axis_runs_outside_the_region(
     key = "regions.ring.thermal.fibre" if of_heat else "regions.ring.fibre"
     changes = (f"{key}.through={through}", f"{key}.axis={axis}", "mesh.size=2 mm")
     case = support.case(HOT, *changes) if of_heat else ring("radial", *changes)
-    found = case_on_mesh.look(case, build(case))
+    found = well_posedness.look(case, build(case))
     if not refused:
-        case_on_mesh.judge(case, found)
+        well_posedness.judge(case, found)
         return
     with pytest.raises(InputError, match=rf"^{key}: its axis meets the region, e.g. at \(.*axis o"):
-        case_on_mesh.judge(case, found)
+        well_posedness.judge(case, found)
 
 
 @pytest.mark.parametrize("command", [["check", "--mesh"], ["run", "--force", "-o"]])

@@ -10,8 +10,15 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from app.case.case import Case, case_schema, dump_case, load_case
+from app.case.femurs import Femur
+from app.case.geometries import Cylinders
+from app.case.run_options import Stage
 from app.errors import InputError
-from app.schema import config
+from app.laws.interface_laws import Bonded
+from app.laws.loads import Force
+from app.laws.materials import Isotropic
+from app.schema.expressions import evaluate
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = sorted(CONFIGS.glob("*.yaml"))
@@ -31,18 +38,18 @@ supports:
 """
 
 
-def load(tmp_path: Path, text: str, *overrides: str) -> config.Case:
+def load(tmp_path: Path, text: str, *overrides: str) -> Case:
     path = tmp_path / "case.yaml"
     path.write_text(text)
-    return config.load(path, overrides)
+    return load_case(path, overrides)
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
 def test_shipped_case_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
-    case = config.load(path)
-    text = config.dump(case)
+    case = load_case(path)
+    text = dump_case(case)
     assert load(tmp_path, text) == case.model_copy(update={"study": None, "variations": {}})
-    assert config.dump(load(tmp_path, text)) == text
+    assert dump_case(load(tmp_path, text)) == text
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
@@ -53,15 +60,15 @@ def test_shipped_case_names_an_existing_schema(path: Path) -> None:
 
 def test_schema_for_editors_is_current() -> None:
     """``mantle schema > configs/schema.json`` renews it."""
-    assert json.loads((CONFIGS / "schema.json").read_text()) == config.schema()
+    assert json.loads((CONFIGS / "schema.json").read_text()) == case_schema()
 
 
 def test_stance_is_the_case_of_the_paper() -> None:
-    case = config.load(CONFIGS / "stance.yaml")
-    assert isinstance(case.geometry, config.Femur)
+    case = load_case(CONFIGS / "stance.yaml")
+    assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
     hip = case.loads["hip"]
-    assert isinstance(hip, config.Force)
+    assert isinstance(hip, Force)
     assert math.hypot(*hip.force) == pytest.approx(1800.0, abs=0.1)
     assert hip.at == case.geometry.head_centre
     assert [law.friction_coefficient for law in case.interfaces.values()] == [0.4, 1.0]  # type: ignore[union-attr]
@@ -71,7 +78,7 @@ def test_stance_is_the_case_of_the_paper() -> None:
 
 
 def test_the_two_stance_cases_differ_in_the_stem_alone() -> None:
-    titanium, cobalt = (config.load(CONFIGS / f"{n}.yaml") for n in ("stance", "stance_cocr"))
+    titanium, cobalt = (load_case(CONFIGS / f"{n}.yaml") for n in ("stance", "stance_cocr"))
     stems = titanium.regions["stem"], cobalt.regions["stem"]
     assert [stem.youngs_modulus for stem in stems] == [110e3, 200e3]  # type: ignore[union-attr]
     regions = {**cobalt.regions, "stem": stems[0]}
@@ -81,7 +88,7 @@ def test_the_two_stance_cases_differ_in_the_stem_alone() -> None:
 
 def test_defaults_are_filled_in(tmp_path: Path) -> None:
     case = load(tmp_path, MINIMAL)
-    assert case.interfaces == {"lower_upper": config.Bonded()}
+    assert case.interfaces == {"lower_upper": Bonded()}
     assert [stage.name for stage in case.stages] == ["load"]
     assert case.mesh.far == 8.0
     assert case.loads == {}
@@ -105,7 +112,7 @@ def test_overrides_reach_everything(tmp_path: Path) -> None:
         "stages.0.increments=3",
     )
     assert case.mesh.size == 3.0
-    assert case.stages == (config.Stage(name="only", increments=3),)
+    assert case.stages == (Stage(name="only", increments=3),)
     assert case.geometry.region_names == ("lower", "top_one")
     assert case.loads["push"].force == (0.0, 0.0, -1000.0)  # type: ignore[union-attr]
     assert case.solver.petsc == {"ksp_monitor": True}
@@ -135,7 +142,7 @@ def test_merged_keys_and_anchors(tmp_path: Path) -> None:
         "lower: {youngs", "lower: &lower {youngs"
     )
     upper = load(tmp_path, text).regions["upper"]
-    assert isinstance(upper, config.Isotropic)
+    assert isinstance(upper, Isotropic)
     assert (upper.youngs_modulus, upper.poisson_ratio) == (2200.0, 0.1)
 
 
@@ -161,7 +168,7 @@ def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
     )
     other = tmp_path / "elsewhere"
     other.mkdir()
-    assert load(other, config.dump(case)) == case
+    assert load(other, dump_case(case)) == case
 
 
 @pytest.mark.parametrize(
@@ -169,7 +176,7 @@ def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
     [("full", set()), ("half", {"symmetry_y"}), ("quarter", {"symmetry_x", "symmetry_y"})],
 )
 def test_planes_of_symmetry(sector: str, planes: set[str]) -> None:
-    cylinders = config.Cylinders.model_validate(
+    cylinders = Cylinders.model_validate(
         {
             "stem_radius": "7 mm",
             "cement_thickness": "4 mm",
@@ -202,7 +209,7 @@ POINTS = np.random.default_rng(1).uniform(0.5, 2.0, (7, 3))
     ],
 )  # fmt: skip
 def test_expression(expression: str, expected: object) -> None:
-    values = config.evaluate(expression, POINTS)
+    values = evaluate(expression, POINTS)
     assert values.shape == (7,)
     np.testing.assert_allclose(values, expected(*POINTS.T), rtol=1e-14)  # type: ignore[operator]
 
@@ -232,12 +239,12 @@ def test_expression(expression: str, expected: object) -> None:
 )
 def test_refused_expression(expression: str, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
-        config.evaluate(expression, POINTS)
+        evaluate(expression, POINTS)
 
 
 def test_a_large_power_is_no_large_integer() -> None:
     with pytest.raises(InputError, match="not finite"):
-        config.evaluate("9**9**9**9", POINTS)
+        evaluate("9**9**9**9", POINTS)
 
 
 @pytest.mark.parametrize(
@@ -246,11 +253,11 @@ def test_a_large_power_is_no_large_integer() -> None:
 def test_any_title_survives(title: str, tmp_path: Path) -> None:
     case = load(tmp_path, MINIMAL).model_copy(update={"title": title})
     path = tmp_path / "dumped.yaml"
-    path.write_text(config.dump(case), encoding="utf-8", newline="")
-    assert config.load(path) == case
+    path.write_text(dump_case(case), encoding="utf-8", newline="")
+    assert load_case(path) == case
 
 
 def test_a_byte_order_mark_and_windows_lines_are_no_trouble(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
-    assert config.load(path) == load(tmp_path, MINIMAL)
+    assert load_case(path) == load(tmp_path, MINIMAL)

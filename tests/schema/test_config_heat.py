@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from app.case.case import load_case
+from app.case.femurs import Femur
 from app.errors import InputError
 from app.scene import terms
 from app.scene.build import build_scene
 from app.scene.fibres import Fibre
 from app.scene.terms import multiplier
-from app.schema import config, units
+from app.schema import units
 from tests import support
 
 CASE = """
@@ -306,7 +308,7 @@ COLD = [
 
 @pytest.mark.parametrize("path", COLD, ids=lambda p: p.stem)
 def test_a_scene_without_heat_has_none_of_its_terms(path: Path) -> None:
-    case = config.load(path)
+    case = load_case(path)
     found = build_scene(case)
     heat = (*found.conductors, *found.heat, *found.thermal_contacts, *found.friction_heat)
     assert heat + found.expansions + found.cures + found.time == ()
@@ -318,8 +320,8 @@ def test_a_scene_without_heat_has_none_of_its_terms(path: Path) -> None:
 
 
 def test_the_hot_case_is_that_of_the_paper() -> None:
-    case = config.load(support.CONFIGS / "thermal_100C.yaml")
-    assert isinstance(case.geometry, config.Femur)
+    case = load_case(support.CONFIGS / "thermal_100C.yaml")
+    assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
     initial = {n: r.thermal.initial_temperature - 273.15 for n, r in case.regions.items()}  # type: ignore[union-attr]
     assert initial == pytest.approx(
@@ -329,14 +331,14 @@ def test_the_hot_case_is_that_of_the_paper() -> None:
     assert {c.law.friction for c in found.contacts} == {1.0}
     assert [c.open for c in found.thermal_contacts] == [0.3, 0.3]
     assert found.time[0].mechanical_step > 0
-    modulus = config.load(support.CONFIGS / "stance_cocr.yaml").regions["stem"]
+    modulus = load_case(support.CONFIGS / "stance_cocr.yaml").regions["stem"]
     assert case.regions["stem"].model_copy(update={"thermal": None}) == modulus
 
 
 def test_cases_of_cure_agree_on_their_materials() -> None:
     """And with the reference values of verification: an adiabatic rise of 89.0805 K."""
     cure, residual, hot = (
-        build_scene(config.load(support.CONFIGS / f"{n}.yaml"))
+        build_scene(load_case(support.CONFIGS / f"{n}.yaml"))
         for n in ("cure", "residual", "thermal_100C")
     )
     for found in (cure, residual):
@@ -351,7 +353,7 @@ def test_cases_of_cure_agree_on_their_materials() -> None:
 
 
 def test_residual_ends_in_the_stance_of_the_paper() -> None:
-    residual, stance = (config.load(support.CONFIGS / f"{n}.yaml") for n in ("residual", "stance"))
+    residual, stance = (load_case(support.CONFIGS / f"{n}.yaml") for n in ("residual", "stance"))
     assert residual.loads.keys() == stance.loads.keys()
     for name, load in residual.loads.items():
         assert load.history == (0, 0, 1)

@@ -14,8 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
+from app.case.case import dump_case, load_case, resolve
+from app.case.geometries import Blocks
 from app.errors import InputError
-from app.schema import case_file, config
+from app.laws.materials import Isotropic, TransverselyIsotropic
+from app.schema import yaml_file
 from app.schema.units import Length, Modulus, Stiffness, Temperature
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
@@ -60,7 +63,7 @@ def test_internal_unit_changes_nothing(value: float) -> None:
 @given(st.floats(-math.pi, math.pi))
 @settings(deadline=None)
 def test_angles_survive_writing(value: float) -> None:
-    adapter = TypeAdapter(config.Blocks.model_fields["tilt"].rebuild_annotation())
+    adapter = TypeAdapter(Blocks.model_fields["tilt"].rebuild_annotation())
     assert adapter.validate_python(adapter.dump_python(value, mode="json")) == value
 
 
@@ -130,10 +133,10 @@ def test_transversely_isotropic_is_accepted_iff_positive_definite(
         "axial_shear_modulus": f"{mu_l!r} GPa",
     }
     if eigenvalues.min() > 0.0:
-        config.TransverselyIsotropic.model_validate(values)
+        TransverselyIsotropic.model_validate(values)
     else:
         with pytest.raises(ValidationError, match="not positive definite"):
-            config.TransverselyIsotropic.model_validate(values)
+            TransverselyIsotropic.model_validate(values)
 
 
 @given(st.floats(-10.0, 10.0), st.floats(-2.0, 2.0))
@@ -141,10 +144,10 @@ def test_transversely_isotropic_is_accepted_iff_positive_definite(
 def test_isotropic_is_accepted_iff_positive_definite(modulus: float, ratio: float) -> None:
     values = {"youngs_modulus": f"{modulus!r} GPa", "poisson_ratio": ratio}
     if modulus * 1000.0 > 0.0 and -1.0 < ratio < 0.5:
-        config.Isotropic.model_validate(values)
+        Isotropic.model_validate(values)
     else:
         with pytest.raises(ValidationError, match="not positive definite"):
-            config.Isotropic.model_validate(values)
+            Isotropic.model_validate(values)
 
 
 @given(st.tuples(finite, finite, finite))
@@ -160,11 +163,11 @@ def test_fibres_are_of_unit_length(fibre: tuple[float, float, float]) -> None:
     }
     if not any(fibre):
         with pytest.raises(ValidationError, match="zero vector"):
-            config.TransverselyIsotropic.model_validate(values)
+            TransverselyIsotropic.model_validate(values)
         return
-    material = config.TransverselyIsotropic.model_validate(values)
+    material = TransverselyIsotropic.model_validate(values)
     assert math.hypot(*material.fibre) == pytest.approx(1.0, abs=1e-12)
-    again = config.TransverselyIsotropic.model_validate(values | {"fibre": list(material.fibre)})
+    again = TransverselyIsotropic.model_validate(values | {"fibre": list(material.fibre)})
     assert again.fibre == material.fibre
 
 
@@ -427,14 +430,14 @@ def hot_cases(draw: st.DrawFn) -> dict[str, Any]:
 @given(cases() | hot_cases())
 def test_dump_and_load_give_an_equal_case(tmp_path_factory: Any, data: dict[str, Any]) -> None:
     try:
-        case = config.resolve(case_file.CaseFile("case.yaml", data), Path())
+        case = resolve(yaml_file.CaseFile("case.yaml", data), Path())
     except InputError as error:
         # Random block names can make two interfaces of the same name.
         assert "same name" in str(error)
         return
     path = tmp_path_factory.mktemp("case") / "case.yaml"
-    path.write_text(config.dump(case), encoding="utf-8", newline="")
-    assert config.load(path) == case
+    path.write_text(dump_case(case), encoding="utf-8", newline="")
+    assert load_case(path) == case
 
 
 @given(temperatures)
@@ -455,7 +458,7 @@ def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str 
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     path.write_bytes(raw)
     with pytest.raises(InputError) as caught:
-        config.load(path)
+        load_case(path)
     assert all(line.startswith(str(path)) for line in caught.value.messages)
 
 
@@ -463,6 +466,6 @@ def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str 
 def test_any_override_is_applied_or_told(text: str) -> None:
     path = Path(__file__).parents[2] / "configs" / "blocks.yaml"
     try:
-        config.load(path, [text])
+        load_case(path, [text])
     except InputError as error:
         assert all(line.startswith("--set ") for line in error.messages)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from app.schema import gmsh_file
-from app.schema.gmsh_cells import with_cells
+from app.case import gmsh_header
+from app.case.gmsh_cells import with_cells
 
 HEAD = b"$MeshFormat\n2.2 1 8\n$EndMeshFormat\n$Elements\n1000\n"
 
@@ -21,7 +21,7 @@ def test_a_block_that_leads_back_to_itself_is_not_followed(block: tuple[int, int
 
 def test_an_open_comment_lasts_to_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As in gmsh; to look for its end anew from each took time by the square of their number."""
-    monkeypatch.setenv(gmsh_file.ALLOWED, "1")
+    monkeypatch.setenv(gmsh_header.ALLOWED, "1")
     script = tmp_path / "open.geo"
     script.write_text("size = 1;\n" + "/* open " * 20_000 + '\nPhysical Volume("x") = {1};')
-    assert gmsh_file.physical_names(script, 3) == ()
+    assert gmsh_header.physical_names(script, 3) == ()

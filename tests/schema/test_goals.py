@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from app.case import divided_cells
 from app.errors import InputError
-from app.schema import divided_cells
 from tests import support
 from tests.results.test_goal import STACK
 

@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
+from app.case import library, loaded_case, overlay, study_file, sweep_file
+from app.case.case import Case, dump_case, load_case, variations_of
 from app.errors import InputError
-from app.schema import case_file, config, layers, library, loaded_case, study_file, sweep_file
+from app.schema import yaml_file
 from tests.support import CONFIGS
 
 BLOCKS = """\
@@ -50,12 +52,12 @@ def write(folder: Path, **texts: str) -> Path:
 
 
 def load(folder: Path, text: str, *overrides: str, below: str = BLOCKS) -> Any:
-    return config.load(write(folder, blocks=below, case=text), overrides)
+    return load_case(write(folder, blocks=below, case=text), overrides)
 
 
 def messages(path: Path, *overrides: str) -> tuple[str, ...]:
     with pytest.raises(InputError) as caught:
-        config.load(path, overrides)
+        load_case(path, overrides)
     return tuple(m.replace(f"{path.parent}/", "") for m in caught.value.messages)
 
 
@@ -90,7 +92,7 @@ def test_a_base_alone_is_the_base(tmp_path: Path) -> None:
 
 def test_shipped_cases_are_bases_by_their_names(tmp_path: Path) -> None:
     case = load(tmp_path, "base: stance\nregions: {stem: {material: CoCrMo}}\ntitle: x\n")
-    other = config.load(CONFIGS / "stance_cocr.yaml")
+    other = load_case(CONFIGS / "stance_cocr.yaml")
     changes = {"title": "x", "study": case.study}
     assert case == other.model_copy(update=changes)
 
@@ -105,7 +107,7 @@ def test_a_chain_of_bases_reads_paths_where_they_stand(tmp_path: Path) -> None:
     path = write(tmp_path, top="base: middle/middle.yaml\ntitle: top\n")
     with pytest.MonkeyPatch.context() as context:
         context.setenv("MANTLE_ALLOW_SCRIPTS", "1")
-        case: Any = config.load(path)
+        case: Any = load_case(path)
     assert (case.title, case.mesh.order) == ("top", 1)
     assert case.geometry.path == (deep / "patch.geo").resolve()
 
@@ -184,7 +186,7 @@ def test_bad_bases_are_refused(text: str, message: str, tmp_path: Path) -> None:
 
 
 def test_a_study_and_a_case_are_told_apart_by_all_keys_of_a_case() -> None:
-    assert config.Case.model_fields.keys() - {"base", "study"} == layers.SECTIONS
+    assert Case.model_fields.keys() - {"base", "study"} == overlay.SECTIONS
 
 
 def test_options_cannot_change_what_a_case_builds_upon(tmp_path: Path) -> None:
@@ -201,7 +203,7 @@ def test_sweeps_studies_and_variations_take_cases_with_a_base(tmp_path: Path) ->
     _, planned = sweep_file.read(sweep)
     assert [p.case.loads["push"].force for p in planned] == [(0.6, 0, -0.8), (6, 0, -8)]  # type: ignore[union-attr]
     assert {p.case.mesh.size for p in planned} == {2.0}
-    found = config.variations(tmp_path / "case.yaml")
+    found = variations_of(tmp_path / "case.yaml")
     assert [v.case.loads["push"].force for v in found] == [(3, 0, -4), (6, 0, -8)]  # type: ignore[union-attr]
     study = write(
         tmp_path,
@@ -217,7 +219,7 @@ def test_a_resolved_case_stands_alone(tmp_path: Path) -> None:
     path = write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nregions: {upper: "
                  "{material: 316L}}\nloads: {push: {force: 10 N}}\n")  # fmt: skip
     case = loaded_case.load(path)
-    text = config.dump(case.config)
+    text = dump_case(case.config)
     assert not any(word in text for word in ("base: b", "material", "library"))
     assert load(tmp_path / "other", text) == case.config
     assert case.file.others == [str(tmp_path / "blocks.yaml"), str(library.SHIPPED)]
@@ -281,7 +283,7 @@ def test_every_entry_of_the_library_has_a_source_and_is_valid(tmp_path: Path) ->
         cold, hot = HEATED.replace("PMMA", name), HEATED.replace("60 degC", "37 degC")
         body = load(tmp_path, hot.replace("PMMA", name)).regions["body"]
         assert body.thermal.conductivity and body.thermal.thermal_expansion, cold
-    stance = config.load(CONFIGS / "stance.yaml")
+    stance = load_case(CONFIGS / "stance.yaml")
     for name, entry in shipped["loads"].items():
         assert len(entry["source"]) > 20 and entry["about"]
         case: Any = load(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
@@ -313,7 +315,7 @@ loads:
   extra: {kind: pressure, boundary: head, pressure: 1 MPa}
 """
     path = write(tmp_path, case=text.replace("boundary: head", "boundary: resection"))
-    case: Any = config.load(path)
+    case: Any = load_case(path)
     stem = case.regions["stem"]
     assert (stem.youngs_modulus, stem.poisson_ratio, stem.thermal) == (193e3, 0.31, None)
     assert math.hypot(*case.loads["hip"].force) == pytest.approx(2000.0, rel=1e-12)
@@ -330,8 +332,8 @@ def test_a_material_replaces_the_constants_below_it_and_nothing_else(tmp_path: P
     bone = load(tmp_path, HEATED, "regions.body.material=cortical_bone").regions["body"]
     assert (bone.kind, bone.thermal.initial_temperature) == ("transversely_isotropic", 333.15)
     cure = load(tmp_path, "base: cure\nregions: {cement: {material: PMMA}}\n")
-    assert cure == config.load(CONFIGS / "cure.yaml")
-    hot = config.load(CONFIGS / "thermal_100C.yaml")
+    assert cure == load_case(CONFIGS / "cure.yaml")
+    hot = load_case(CONFIGS / "thermal_100C.yaml")
     names = "stem: {material: CoCrMo}, cement: {material: PMMA}"
     bones = "cortical_bone: {material: cortical_bone}, cancellous_bone: {material: cancellous_bone}"
     assert load(tmp_path, f"base: thermal_100C\nregions: {{{names}, {bones}}}\n") == hot
@@ -419,9 +421,9 @@ def test_reading_many_layers_of_many_values_takes_no_longer_than_reading(tmp_pat
     names = "".join(f"  n{i}: {{material: PMMA, tissue: bone}}\n" for i in range(1500))
     path = write(tmp_path, blocks=BLOCKS, case=f"base: blocks.yaml\nregions:\n{names}")
     begin = time.process_time()
-    file = layers.read(path)
+    file = overlay.read(path)
     spent = time.process_time() - begin
     begin = time.process_time()
-    case_file.read(path)
+    yaml_file.read(path)
     assert spent < 5 * (time.process_time() - begin) + 1.0
     assert len(file.data["regions"]) == 1502

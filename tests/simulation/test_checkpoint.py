@@ -17,10 +17,10 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
+from app.case.case import load_case
 from app.cli import main
 from app.errors import InputError
-from app.numerics.state import Rows
-from app.schema import config
+from app.numerics.saved_state import Rows
 from app.simulation import checkpoint, checkpoint_file
 from app.simulation.checkpoint_file import DamagedError
 from app.system import stopping
@@ -97,7 +97,7 @@ def copied(folder: Path, to: Path) -> Path:
 
 
 def choose(out: Path, folder: Path, wanted: str = "auto", force: bool = False) -> Path | None:
-    case = config.load(folder / "case.yaml", [FIELDS])
+    case = load_case(folder / "case.yaml", [FIELDS])
     found = checkpoint.find(COMM, wanted, out, case, force)
     return found and found.path
 

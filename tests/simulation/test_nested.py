@@ -13,9 +13,9 @@ import pytest
 from app.errors import GeometryError, MantleError, StoppedError
 from app.mechanics.problem import TrialState
 from app.numerics.newton import NewtonResult
-from app.simulation import related
+from app.simulation import coarser_case
 from app.simulation.model import Model
-from app.stepping import nested_start
+from app.stepping import coarse_start
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
 from tests import support
@@ -78,7 +78,7 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start from a cheaper model although this one is small."""
     for name, value in ALWAYS.items():
-        monkeypatch.setattr(related, name, value)
+        monkeypatch.setattr(coarser_case, name, value)
 
 
 def jumps(model: Model) -> Any:
@@ -135,7 +135,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
     is not to be coarser.
     """
     if AT_FIRST[0] in overrides:
-        monkeypatch.setattr(related, "COARSER", 1e3)
+        monkeypatch.setattr(coarser_case, "COARSER", 1e3)
     cold, first = go(*overrides)
     always(monkeypatch)
     warm, then = go(*overrides)
@@ -147,7 +147,7 @@ def test_a_nested_start_changes_the_way_and_not_the_answer(
 def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.MonkeyPatch) -> None:
     """A companion of the cheaper model's mesh goes on from its states, to its own tolerance."""
     always(monkeypatch)
-    monkeypatch.setattr(related, "TOLERANCE", 1e-2)
+    monkeypatch.setattr(coarser_case, "TOLERANCE", 1e-2)
     model, _ = go()
     companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
     coarse = next(m for m in model._kin if m._case.mesh.size == 5.0)
@@ -223,11 +223,11 @@ def test_what_is_cheaper(
 ) -> None:
     text = support.CONFIGS.joinpath("stance.yaml").read_text()
     case = support.case(text, f"mesh.size={size} mm", f"mesh.order={order}")
-    other = related.cheaper(case, unknowns)
+    other = coarser_case.cheaper(case, unknowns)
     assert (other and (other.mesh.size, other.mesh.order)) == found
     if other is not None:
         assert other.mesh.far / other.mesh.size == pytest.approx(case.mesh.far / case.mesh.size)
-        assert other.geometry == case.geometry and other.solver.tolerance == related.TOLERANCE
+        assert other.geometry == case.geometry and other.solver.tolerance == coarser_case.TOLERANCE
 
 
 @pytest.mark.parametrize("error", [GeometryError("no such mesh"), StoppedError("stopped")])
@@ -257,7 +257,7 @@ def test_interpolation_is_exact_for_linear_jumps() -> None:
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].jumps[0]
         for size in ("3.1", "1.3")
     )
-    weights = nested_start.interpolation(coarse.points, fine.points, fine.mine)
+    weights = coarse_start.interpolation(coarse.points, fine.points, fine.mine)
     slope = np.random.default_rng(5).normal(size=(3, 3))
     found = weights @ (coarse.points.x @ slope + 1.0)
     assert len(fine.mine) > 2 * len(coarse.mine)
@@ -267,15 +267,15 @@ def test_interpolation_is_exact_for_linear_jumps() -> None:
 def test_between_the_last_two() -> None:
     """A fine step that was cut asks for a time that the coarse model has passed."""
     known = [(1.0, np.zeros((2, 3))), (2.0, np.ones((2, 3)))]
-    assert nested_start.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
-    assert nested_start.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
+    assert coarse_start.between(known, 1.25) == pytest.approx(np.full((2, 3), 0.25))
+    assert coarse_start.between(known, 2.0) == pytest.approx(np.ones((2, 3)))
 
 
 def test_the_nearest_point_of_a_triangle() -> None:
     """No point of a fine grid on any of the triangles is nearer, beside a corner or an edge too."""
     random = np.random.default_rng(1)
     corners, x = random.normal(size=(5, 3, 3)), 2 * random.normal(size=(200, 3))
-    triangle, weights = nested_start._nearest(corners, x)
+    triangle, weights = coarse_start._nearest(corners, x)
     assert weights.min() >= 0 and np.allclose(weights.sum(axis=1), 1)
     off = np.linalg.norm(np.einsum("nc,nci->ni", weights, corners[triangle]) - x, axis=1)
     n = 60

@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 
 import meshes
+from app.case.case import Case, load_case
 from app.cli import main
 from app.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.active_set import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
-from app.schema import config
-from app.soundness import case_on_mesh, unusual_input
-from app.soundness.free_motions import gaps_of, groups_of
+from app.soundness import plausibility, well_posedness
+from app.soundness.loose_bodies import gaps_of, groups_of
 from app.system import folders
 from meshes.data import MeshData, components, face_neighbours
-from meshes.parts import coincident
+from meshes.pieces import coincident
 from tests import support
 from tests.support import CONFIGS
 
@@ -65,17 +65,17 @@ loads:
 """
 
 
-def build(case: config.Case) -> MeshData:
+def build(case: Case) -> MeshData:
     return meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
 
 
 def judged(text: str, *overrides: str) -> list[str]:
     """What is noted of a case on its mesh."""
     case = support.case(text, *overrides)
-    return case_on_mesh.judge(case, case_on_mesh.look(case, build(case)))
+    return well_posedness.judge(case, well_posedness.look(case, build(case)))
 
 
-def torn(data: MeshData, case: config.Case, name: str, share: float = 1.0) -> MeshData:
+def torn(data: MeshData, case: Case, name: str, share: float = 1.0) -> MeshData:
     """The mesh with its first facets of an interface, by x, cut open."""
     upper = case.geometry.interface_sides[name][1]
     tags = [data.regions[r] for r in upper]
@@ -124,11 +124,11 @@ SHIPPED = sorted(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
-    case = config.load(CONFIGS / f"{name}.yaml")
+    case = load_case(CONFIGS / f"{name}.yaml")
     # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
-    notes = unusual_input.warnings(case)
-    notes += [] if large else case_on_mesh.judge(case, case_on_mesh.look(case, build(case)))
+    notes = plausibility.warnings(case)
+    notes += [] if large else well_posedness.judge(case, well_posedness.look(case, build(case)))
     for note in notes:
         assert any(words in note for words in EXPECTED.get(name, ())), note
     if not large:
@@ -181,12 +181,12 @@ def test_a_smooth_pin_may_turn_and_a_smooth_taper_slide(order: int) -> None:
 def test_a_body_that_nothing_holds_is_refused() -> None:
     """A block that a crack parts from the one below, though its interface is bonded."""
     case = support.case(TWO, "interfaces={}")
-    found = case_on_mesh.look(case, build(case))
+    found = well_posedness.look(case, build(case))
     assert len(groups_of(case, found)) == 1
-    cracked = case_on_mesh.look(case, torn(build(case), case, "bone_metal"))
+    cracked = well_posedness.look(case, torn(build(case), case, "bone_metal"))
     assert len(groups_of(case, cracked)) == 2
     with pytest.raises(InputError) as caught:
-        case_on_mesh.judge(case, cracked)
+        well_posedness.judge(case, cracked)
     error, crack = caught.value.messages
     assert error.startswith(
         "supports: nothing holds body 'metal': it is free to move along x, y, z and to turn about "
@@ -199,14 +199,14 @@ def test_a_turn_that_supports_leave_is_refused() -> None:
     """Nodes on one edge hold all axes and leave a turn about the edge."""
     case = support.case(TWO, "interfaces={}")
     data = build(case)
-    found = case_on_mesh.look(case, data)
+    found = well_posedness.look(case, data)
     bottom = found.boundaries["bottom"]
     ((piece, nodes),) = bottom.items()
     edge = nodes[data.points[nodes, 1] < 1e-9]
     assert len(edge) >= 2
     held = replace(found, boundaries={**found.boundaries, "bottom": {piece: edge}})
     with pytest.raises(InputError, match="it is free to turn about an axis along x, by a support"):
-        case_on_mesh.judge(case, held)
+        well_posedness.judge(case, held)
 
 
 def test_a_piece_of_a_region_that_hangs_on_nothing_is_named() -> None:
@@ -220,13 +220,13 @@ def test_a_piece_of_a_region_that_hangs_on_nothing_is_named() -> None:
         cell_tags=np.append(data.cell_tags, data.regions["metal"]).astype(np.int32),
     )
     with pytest.raises(InputError, match=r"body 'metal' \(the piece of 1 cells at \(4"):
-        case_on_mesh.judge(case, case_on_mesh.look(case, far))
+        well_posedness.judge(case, well_posedness.look(case, far))
 
 
 def test_holes_in_an_interface_are_told() -> None:
     case = support.case(TWO)
-    (note,) = case_on_mesh.judge(
-        case, case_on_mesh.look(case, torn(build(case), case, "bone_metal", 0.4))
+    (note,) = well_posedness.judge(
+        case, well_posedness.look(case, torn(build(case), case, "bone_metal", 0.4))
     )
     assert "regions 'bone' and 'metal'" in note and "crack" in note
 
@@ -362,7 +362,7 @@ def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
     ],
 )
 def test_moduli_a_thousand_times_off_are_asked_about(override: str, place: str) -> None:
-    (note,) = unusual_input.warnings(support.case(TWO, override))
+    (note,) = plausibility.warnings(support.case(TWO, override))
     assert note.startswith(f"{place} is ") and note.endswith("a wrong unit?")
 
 
@@ -370,10 +370,10 @@ def test_moduli_a_thousand_times_off_are_asked_about(override: str, place: str) 
 def test_hip_forces_a_thousand_times_off_are_asked_about(force: str) -> None:
     path = CONFIGS / "stance.yaml"
     value, unit = force.split()
-    names = config.load(path).loads
+    names = load_case(path).loads
     changes = [f"loads.{n}.history=[0]" for n in names if n != "hip"]
     change = f"loads.hip.force=[0 N, 0 N, -{value} {unit}]"
-    (note,) = unusual_input.warnings(config.load(path, [*changes, change]))
+    (note,) = plausibility.warnings(load_case(path, [*changes, change]))
     assert "on a hip: a wrong unit?" in note
 
 
@@ -394,7 +394,7 @@ def test_a_mesh_in_metres_read_as_millimetres_is_asked_about(tmp_path: Path) -> 
 def test_strains_that_are_not_small_are_told() -> None:
     case = support.case(TWO)
     numbers = {"bone": {"von_mises_p99": 1200.0}, "metal": {"von_mises_p99": 1200.0}}
-    (note,) = case_on_mesh.doubts(case, numbers)
+    (note,) = well_posedness.doubts(case, numbers)
     assert note.startswith("region 'bone' is strained by 7.1 %")
 
 
@@ -428,14 +428,14 @@ def test_states_that_come_back_are_a_cycle() -> None:
     for k in range(7):
         active.add(np.array([k % 2, 1 + (k + 1) % 2, int(k > 1), 1]))
     assert active.flips() == 2 and active.period() == 2
-    assert [(r.row, r.changes, r.looks, r.states) for r in active.restless()] == [
+    assert [(r.row, r.changes, r.looks, r.states) for r in active.oscillating()] == [
         (0, 6, 6, (0, 1)),
         (1, 6, 6, (1, 2)),
     ]
     active.add(np.array([2, 2, 1, 1]))
     assert active.period() == 0
     active.forget()
-    assert active.flips() == active.period() == 0 and active.restless() == []
+    assert active.flips() == active.period() == 0 and active.oscillating() == []
 
 
 def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCaptureFixture) -> None:
@@ -463,7 +463,7 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
 def test_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)
-    found = case_on_mesh.look(case, build(case))
+    found = well_posedness.look(case, build(case))
     law = SimpleNamespace(can_open=True, initial_gap=(0.1, None))
     opens = case.model_copy(update={"interfaces": {"bone_metal": law}})
     assert len(groups_of(opens, found)) == 2

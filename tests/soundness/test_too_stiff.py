@@ -13,7 +13,7 @@ import pytest
 
 import meshes
 from app.cli import main
-from app.soundness import case_on_mesh
+from app.soundness import well_posedness
 from tests import support
 
 # A cantilever of E = 1 GPa and nu = 0, pushed down at its end by 1 N.
@@ -28,7 +28,9 @@ loads: {{tip: {{kind: force, boundary: x_max, force: [0 N, 0 N, -1 N]}}}}
 
 def noted(text: str) -> list[str]:
     case = support.case(text)
-    return case_on_mesh.judge(case, case_on_mesh.look(case, meshes.build(case.geometry, case.mesh)))
+    return well_posedness.judge(
+        case, well_posedness.look(case, meshes.build(case.geometry, case.mesh))
+    )
 
 
 @pytest.mark.parametrize(

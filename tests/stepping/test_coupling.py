@@ -134,7 +134,7 @@ def test_turns_of_heat_and_mechanics_lead_to_the_same_state(
 def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """Mechanics that follow the heat, step by step, and the same in one system with it."""
+    """BodyForms that follow the heat, step by step, and the same in one system with it."""
     steps = (f"time.method={method}", "time.mechanical_step=1000 K")
     one = coupled.solve(monkeypatch, *steps, ONE_WAY)
     assert one.model.scene.coupling == ()

@@ -19,7 +19,7 @@ import meshes
 from app import files
 from app.cli import main
 from app.errors import EnvironmentProblem
-from app.numerics import kernels
+from app.numerics import kernel_cache
 from app.schema import unit_conversion
 from app.system import folders, form_cache
 from tests import support
@@ -225,7 +225,7 @@ def test_a_note_names_a_module_of_the_cache(home: Path, change: dict[str, object
     note = folder / "law-0.json"
     right = {"module": f"libffcx_expressions_{'0' * 40}", "symbol": f"expression_{'0' * 40}"}
     folders.write_sealed(note, right | {"inputs": [], "shapes": []} | change)
-    assert kernels.find(support.MPI.COMM_SELF, note) is None
+    assert kernel_cache.find(support.MPI.COMM_SELF, note) is None
 
 
 @pytest.mark.parametrize("name", [form_cache.LOCK, form_cache.COMPILING])

@@ -18,9 +18,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import meshes
-from app.numerics import kernels, pointwise
+from app.case.case import load_case
+from app.numerics import kernel_cache, pointwise
 from app.numerics.sparse import from_triplets
-from app.schema import config, unit_conversion
+from app.schema import unit_conversion
 from app.system import folders
 from meshes.contact_faces import _connected, distinct_rows
 from tests import support
@@ -29,7 +30,7 @@ from tests import support
 def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_path: Path) -> None:
     """Each costs a tenth of a second and more, in a run that could take two."""
     path = support.CONFIGS / "blocks.yaml"
-    case = config.load(path)
+    case = load_case(path)
     meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     script = (
         "import sys; from app.cli import main; "
@@ -165,7 +166,7 @@ def test_a_law_has_another_note_when_its_text_changes(tmp_path: Path) -> None:
     notes = set()
     for text in ("1", "2"):
         Path(source.__file__).write_text(text)
-        notes |= {kernels.note_of(law, [source]) for law in ("plain", "corner")}
+        notes |= {kernel_cache.note_of(law, [source]) for law in ("plain", "corner")}
     assert len(notes) == 4
 
 

@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
-from app.schema import config
+from app.case.case import dump_case, load_case
+from app.case.geometries import Cylinders
+from app.laws.interface_laws import Bonded, Contact
 from app.verification import benchmarks
 from app.verification.benchmarks import INTERFACES, RUNGS, growth, later_steps, spread
 from app.verification.check import CONFIGS, Check, within
@@ -131,21 +133,21 @@ def test_every_goal_runs_cases_that_are_right() -> None:
     for check in benchmarks.benchmarks():
         assert check.timed and check.runs
         for run in check.runs:
-            case = config.load(CONFIGS / run.case, run.overrides)
+            case = load_case(CONFIGS / run.case, run.overrides)
             second = check.name.startswith(("cylinders", "order_2"))
             first = any(o == "mesh.order=1" for o in run.overrides) or "stem" in run.case
             assert case.mesh.order == (1 if first or not second else 2), check.name
             if "bonded" in check.name:
                 bonded = any("kind: bonded" in o for o in run.overrides)
                 kinds = {type(i) for i in case.interfaces.values()}
-                assert kinds == {config.Bonded if bonded else config.Contact}, check.name
+                assert kinds == {Bonded if bonded else Contact}, check.name
             if run.case == "stance.yaml":
                 assert not case.output.error
     twelve = goal("variations_12").runs[1:]
     assert len(twelve) == 12 and all(run.share for run in twelve)
-    assert len({config.dump(config.load(CONFIGS / r.case, r.overrides)) for r in twelve}) == 12
+    assert len({dump_case(load_case(CONFIGS / r.case, r.overrides)) for r in twelve}) == 12
     (steps,) = goal("later_load_steps").runs
-    assert [s.increments for s in config.load(CONFIGS / steps.case, steps.overrides).stages] == [
+    assert [s.increments for s in load_case(CONFIGS / steps.case, steps.overrides).stages] == [
         *(1, 3)
     ]
 
@@ -160,9 +162,9 @@ def test_the_million_is_of_the_long_tier() -> None:
 
 
 def test_the_stem_is_as_described() -> None:
-    case = config.load(CONFIGS / "bench" / "stem.yaml")
+    case = load_case(CONFIGS / "bench" / "stem.yaml")
     g = case.geometry
-    assert isinstance(g, config.Cylinders)
+    assert isinstance(g, Cylinders)
     radii = (8.0, 12.0, 18.0)
     assert g.stem_radius == radii[0]
     assert g.stem_radius + g.cement_thickness == radii[1]

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from app.case.case import Case, load_case
 from app.errors import ConvergenceError
 from app.scene.terms import gap_at
-from app.schema import config
 from app.verification import closed_forms as exact
 from app.verification.measures import CEMENT
 from forms.contact import STICK
@@ -20,8 +20,8 @@ from tests import support
 CASES = support.CONFIGS / "verification"
 
 
-def case(name: str, *overrides: str) -> config.Case:
-    return config.load(CASES / f"{name}.yaml", ("mesh.order=1", *overrides))
+def case(name: str, *overrides: str) -> Case:
+    return load_case(CASES / f"{name}.yaml", ("mesh.order=1", *overrides))
 
 
 def test_gap_over_the_stages() -> None:

@@ -15,12 +15,13 @@ import pytest
 
 import meshes
 from app.arrays import Floats, Ints
-from app.mechanics.jumps import Jumps
+from app.case.case import Case, load_case
+from app.laws.interface_laws import Contact
+from app.mechanics.contact import Jumps
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.scene.build import build_scene
-from app.schema import config
 from app.stepping.load_steps import LoadStep, LoadStepper
 from app.stepping.stages import run_stages
 from app.system.timing import Timing
@@ -159,7 +160,7 @@ CLAMPED_STEM = HALF_STEM.replace(
 )
 
 
-def solve_a(case: config.Case, tagged: TaggedMesh) -> tuple[list[float], list[State], Jumps]:
+def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], Jumps]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
     terms = build_scene(case)
     options, timing = case.solver, Timing()
@@ -256,11 +257,11 @@ def smallest(state: State) -> float:
     return 1e-6 * max(float(np.abs(values).max()) for _, values in state.displacement.values())
 
 
-def load(text: str, folder: Path) -> tuple[config.Case, TaggedMesh]:
+def load(text: str, folder: Path) -> tuple[Case, TaggedMesh]:
     """Case and mesh of a YAML text."""
     path = folder / "case.yaml"
     path.write_text(text)
-    case = config.load(path)
+    case = load_case(path)
     return case, distribute(meshes.build(case.geometry, case.mesh, None), MPI.COMM_WORLD)
 
 
@@ -294,7 +295,7 @@ def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
     friction = {
         name: i.friction_coefficient
         for name, i in case.interfaces.items()
-        if isinstance(i, config.Contact)
+        if isinstance(i, Contact)
     }
     times, a, jumps = solve_a(case, tagged)
     assert len(times) == steps

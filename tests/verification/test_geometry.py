@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.schema.geometries import Femur, IntactFemur, MeshOptions
+from app.case.geometries import Femur, IntactFemur, MeshOptions
 from meshes import femur_bone, femur_intact, femur_stem, mantle
 from meshes.data import (
     MeshData,
@@ -220,7 +220,7 @@ if comm.rank == 0:
 @pytest.mark.parallel
 @pytest.mark.parametrize("kind", ["straight", "curved", "femur"])
 def test_distributed_volumes_and_areas_are_the_serial_ones(tmp_path: Path, kind: str) -> None:
-    from app.schema.geometries import Cylinders
+    from app.case.geometries import Cylinders
     from meshes import cache as stored
 
     if kind == "femur":

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Literal
 from app.scene.build import law_of
 from app.scene.laws import Traction
-from app.schema.interfaces import InterfaceSection
+from app.laws.interface_laws import InterfaceSection
 from app.schema.units import PositiveStiffness
 
 
@@ -102,7 +102,7 @@ from typing import Literal
 from ufl import dot, max_value
 from app.scene.build import law_of
 from app.scene.laws import Traction
-from app.schema.interfaces import InterfaceSection
+from app.laws.interface_laws import InterfaceSection
 from app.schema.units import Length, PositiveStiffness
 
 
@@ -157,7 +157,7 @@ from typing import Literal
 from ufl import dot
 from app.scene.build import load_of
 from app.scene.loads import LoadTerm
-from app.schema.conditions import LoadSection
+from app.laws.loads import LoadSection
 from app.schema.units import Stress
 
 

@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from app.case.case import load_case
 from app.errors import InputError
-from app.mechanics.reduction import _held_motions
+from app.mechanics.constraints import _held_motions
 from app.numerics.rigid_motions import rigid_modes
-from app.schema import config
 from tests import support
 
 CYLINDERS = """
@@ -277,7 +277,7 @@ def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
 @pytest.mark.parametrize("size", [8, 6])
 def test_loads_of_the_stance_do_not_depend_on_the_facets_of_the_mesh(size: int) -> None:
     """Hip and muscles act through points of the femur, whatever facets the mesh has there."""
-    case = config.load(
+    case = load_case(
         support.CONFIGS / "stance.yaml", [f"mesh.size={size} mm", "mesh.order=1", "interfaces={}"]
     )
     solved = support.solve(case)

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from app.schema import quantities
+from app.case import quantities
 from tests import support
 
 # All that it takes: what each is, and how it is computed.
 OWN = '''
 import numpy as np
 from mpi4py import MPI
-from app.schema.quantities import STRESS, Quantity, add
+from app.case.quantities import STRESS, Quantity, add_quantity
 
 
 def area_over(level):
@@ -30,7 +30,7 @@ def strain_energy(stresses, region):
     return MPI.COMM_WORLD.allreduce(np.sum(stresses.energy_density(region) * volumes))
 
 
-add(
+add_quantity(
     Quantity(
         "interfaces", "area_over_1MPa", "mm^2", digits=1, label="over 1 MPa",
         order=STRESS, history=True, compute=area_over(1.0),
@@ -106,6 +106,6 @@ def test_a_study_measures_a_quantity_from_outside(tmp_path: Path) -> None:
 
 def test_a_quantity_is_added_once_and_has_a_unit() -> None:
     with pytest.raises(ValueError, match="already"):
-        quantities.add(quantities.TABLE["interfaces"]["gap_max"])
+        quantities.add_quantity(quantities.TABLE["interfaces"]["gap_max"])
     with pytest.raises(ValueError, match="unit"):
-        quantities.add(quantities.Quantity("interfaces", "length", "furlong"))
+        quantities.add_quantity(quantities.Quantity("interfaces", "length", "furlong"))

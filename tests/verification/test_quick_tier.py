@@ -11,7 +11,7 @@ import pytest
 
 import mantle
 from app.campaigns.runs import Job, Result
-from app.schema import loaded_case
+from app.case import loaded_case
 from app.verification import engine
 from app.verification.check import CONFIGS
 from app.verification.problems import QUICK, problems

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.case import loaded_case
 from app.errors import StoppedError
 from app.results.reading import Run
-from app.schema import loaded_case
-from app.simulation import related
+from app.simulation import coarser_case
 from app.simulation import session as running
 from app.simulation.session import run
 from app.system.folders import saved
@@ -61,7 +61,7 @@ def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
 
 def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in test_nested.ALWAYS.items():
-        monkeypatch.setattr(related, name, value)
+        monkeypatch.setattr(coarser_case, name, value)
     options = (FIELDS, *test_nested.TURNS)
     case, files = restarted.whole(test_nested.STEM, tmp_path, *options)
     # Before the turn, which is where a cheaper model is asked.

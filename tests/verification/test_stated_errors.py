@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.schema.quantities import TABLE
+from app.case.quantities import TABLE
 from tests import support
 
 COARSE = ("--set", "stages.0.increments=1", "--set", "output.fields=false")

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from app.campaigns.many import Options
+from app.case.case import load_case
 from app.results.reading import Run
-from app.schema import config
 from app.verification import changed_meshes, engine, judges
 from app.verification.check import CONFIGS, within
 from app.verification.suites import SUITES
@@ -54,7 +54,7 @@ def test_the_plan() -> None:
 
 
 def blocks(*overrides: str) -> Any:
-    case = config.load(CONFIGS / "blocks.yaml", ["mesh.size=4 mm", *overrides])
+    case = load_case(CONFIGS / "blocks.yaml", ["mesh.size=4 mm", *overrides])
     return build(case.geometry, case.mesh, None)
 
 
@@ -84,7 +84,7 @@ def test_bad_cells_are_bad_and_fill_the_blocks() -> None:
 
 
 def test_a_quarter_mirrored_is_the_whole() -> None:
-    case = config.load(
+    case = load_case(
         CONFIGS / "cylinders.yaml", ["mesh.size=6 mm", "mesh.far_size=8 mm", "mesh.order=1"]
     )
     quarter = build(case.geometry, case.mesh, None)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from app.case import quantities
 from app.report.sweep_results import Number, SweepResults, SweptCase, magnitude
-from app.schema import quantities
 
 INTERFACES = ("cement_bone", "stem_cement")
 STEMS = {110e3: "titanium", 200e3: "CoCr"}  # Young's modulus [MPa]

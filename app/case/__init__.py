@@ -1,0 +1,1 @@
+"""The case: its parts, what it is laid over, checks of one part against another, many from one."""

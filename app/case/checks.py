@@ -1,0 +1,230 @@
+"""Checks of one part of a case against another: names, lengths of histories, what holds the model.
+
+They work on the parts that are valid by themselves, so that an error in one section does not hide
+those of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from app.case import thermal_checks
+from app.case.case_parts import CaseParts
+from app.case.femurs import Femur, IntactFemur
+from app.case.quantities import of_run
+from app.case.shapes import STRAIGHT
+from app.errors import Reason
+from app.laws.materials import Conductor, Rigid
+from app.schema.section import did_you_mean
+from app.schema.yaml_file import Fault, Path
+
+
+def cross_check(parts: CaseParts) -> list[Fault]:
+    """Every contradiction between the parts."""
+    return [
+        *_names(parts),
+        *_too_small(parts),
+        *_histories(parts),
+        *_stage_names(parts),
+        *_support_stages(parts),
+        *_rigid(parts),
+        *_held(parts),
+        *_side(parts),
+        *_goal(parts),
+        *thermal_checks.cross_check(parts),
+        *thermal_checks.probe_regions(parts),
+        *quantities(parts.geometry, parts.study),
+    ]
+
+
+def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Fault:
+    known = tuple(known)
+    allowed = f"it has {', '.join(known)}" if known else "it has none"
+    return Fault(
+        path, f"the geometry ({owner}) has no {what} '{name}'; {allowed}{did_you_mean(name, known)}"
+    )
+
+
+def _names(parts: CaseParts) -> Iterable[Fault]:
+    """Names that the geometry does not have, and regions without material."""
+    geometry = parts.geometry
+    if geometry is None:
+        return
+    kind = geometry.kind
+    regions, boundaries = geometry.region_names, geometry.boundary_names
+    if parts.regions is not None:
+        for name in parts.regions:
+            if name not in regions:
+                yield _unknown(("regions", name), "region", name, regions, kind)
+        if missing := [name for name in regions if name not in parts.regions]:
+            yield Fault(
+                ("regions",), f"no material for {', '.join(missing)}; every region needs one"
+            )
+        for name, region in parts.regions.items():
+            unsaid = name in regions and name not in geometry.tissues
+            if region is not None and region.tissue is None and unsaid:
+                text = "'tissue' is missing; expected bone, cement, implant or other"
+                yield Fault(("regions", name), text)
+    for name in parts.interfaces:
+        if name not in geometry.interface_sides:
+            yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
+    for section in ("supports", "loads", "heat"):
+        for name, entry in (getattr(parts, section) or {}).items():
+            boundary = getattr(entry, "boundary", None)
+            if boundary is not None and boundary not in boundaries:
+                yield _unknown((section, name, "boundary"), "boundary", boundary, boundaries, kind)
+            for i, region in enumerate(getattr(entry, "regions", None) or ()):
+                if region not in regions:
+                    yield _unknown((section, name, "regions", i), "region", region, regions, kind)
+
+
+def _too_small(parts: CaseParts) -> Iterable[Fault]:
+    """Lengths that cells of the mesh's size do not go with."""
+    if parts.geometry is None or parts.mesh is None:
+        return
+    size = parts.mesh.size
+    for key, (length, most) in parts.geometry.spans.items():
+        if size > most * length:
+            text = f"cannot be meshed with edges of {size:g} mm (mesh.size)"
+            expected = f"at least {size / most:.3g} mm, or a mesh.size of at most"
+            yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
+
+
+def _histories(parts: CaseParts) -> Iterable[Fault]:
+    """Histories of another length than the stages."""
+    if parts.stages is None:
+        return
+    number = len(parts.stages)
+
+    def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Fault]:
+        if history is not None and len(history) != number:
+            names = ", ".join(s.name for s in parts.stages)
+            wanted = f"{number}, one for the end of each stage ({names})"
+            yield Fault(path, f"has {len(history)} values; expected {wanted}")
+
+    for section in ("interfaces", "supports", "loads"):
+        for name, entry in (getattr(parts, section) or {}).items():
+            for key in ("history", "gap_history"):
+                yield from check((section, name, key), getattr(entry, key, None))
+    for name, region in (parts.regions or {}).items():
+        for i, eigenstrain in enumerate(getattr(region, "eigenstrains", ())):
+            yield from check(("regions", name, "eigenstrains", i, "history"), eigenstrain.history)
+
+
+def _stage_names(parts: CaseParts) -> Iterable[Fault]:
+    """No stages, or two of the same name."""
+    if parts.stages is None:
+        return
+    if not parts.stages:
+        yield Fault(("stages",), "is empty; expected at least one stage")
+    names = [s.name for s in parts.stages]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            yield Fault(
+                ("stages", i, "name"),
+                f"'{name}' is the name of an earlier stage too; expected another",
+            )
+
+
+def _support_stages(parts: CaseParts) -> Iterable[Fault]:
+    """Supports that hold in stages that there are not."""
+    if parts.stages is None:
+        return
+    known = [stage.name for stage in parts.stages]
+    for name, support in (parts.supports or {}).items():
+        for i, stage in enumerate(getattr(support, "stages", None) or ()):
+            if stage not in known:
+                text = f"'{stage}' is not one of {', '.join(known)}{did_you_mean(stage, known)}"
+                yield Fault(("supports", name, "stages", i), text)
+
+
+def _rigid(parts: CaseParts) -> Iterable[Fault]:
+    """Rigid regions in contact with each other, and models without any elastic region."""
+    if parts.geometry is None or not parts.regions:
+        return
+    rigid = {name for name, region in parts.regions.items() if isinstance(region, Rigid)}
+    if rigid.issuperset(parts.geometry.region_names):
+        yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
+        return
+    for name, law in parts.interfaces.items():
+        sides = parts.geometry.interface_sides.get(name)
+        if sides is None or law is None or not law.can_part:
+            continue
+        if all(rigid & set(side) for side in sides):
+            regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
+            text = f"contact between rigid regions ({regions}); one side has to be elastic"
+            text += f" [{Reason.RIGID_CONTACT}]"
+            yield Fault(("interfaces", name), text)
+
+
+def _held(parts: CaseParts) -> Iterable[Fault]:
+    """Directions in which nothing keeps the whole model from moving."""
+    if parts.supports is None or any(support is None for support in parts.supports.values()):
+        return
+    if parts.regions and all(isinstance(r, Conductor) for r in parts.regions.values()):
+        return
+    limited = any(getattr(support, "stages", None) for support in parts.supports.values())
+    for stage in [s.name for s in parts.stages or ()] if limited else [""]:
+        held = {
+            axis
+            for support in parts.supports.values()
+            for axis in getattr(support, "felt_axes", support.held_axes)
+            if not (stages := getattr(support, "stages", None)) or stage in stages
+        }
+        when = f" in stage '{stage}'" if stage else ""
+        if free := [axis for axis in "xyz" if axis not in held]:
+            along = "" if len(free) == 3 else f" along {' and '.join(free)}"
+            allowed = "expected a support: fixed, roller, displacement or foundation"
+            text = f"nothing holds the model{along}{when}; {allowed} [{Reason.LOOSE_BODY}]"
+            yield Fault(("supports",), text)
+
+
+def _side(parts: CaseParts) -> Iterable[Fault]:
+    """Femurs that are made here are left ones."""
+    if parts.side == "right" and isinstance(parts.geometry, Femur | IntactFemur):
+        text = (
+            f"the geometry ({parts.geometry.kind}) is a left femur; expected left, whose numbers "
+            "are those of the mirrored right one"
+        )
+        yield Fault(("side",), text)
+
+
+def _goal(parts: CaseParts) -> Iterable[Fault]:
+    """A goal of what there is not or where heat acts, and companions of a mesh that is divided."""
+    output = parts.output
+    if output is None or parts.geometry is None:
+        return
+    if output.error and parts.mesh is not None and parts.mesh.divided:
+        text = "no coarser companion has a mesh that is divided; expected output.goal instead"
+        yield Fault(("output", "error"), text)
+    if parts.mesh is not None and parts.mesh.divided and parts.geometry.has_curved_surfaces:
+        if parts.mesh.curved is False or parts.mesh.order == 1:
+            yield Fault(("mesh", "divided"), STRAIGHT)
+    if output.goal is None or parts.regions is None:
+        return
+    path, owner = ("output", "goal"), output.goal.partition(".")[0]
+    regions = {name: region for name, region in parts.regions.items() if region is not None}
+    if any(getattr(region, "thermal", None) is not None for region in regions.values()):
+        yield Fault(path, "needs mechanics alone; this case has heat")
+    if owner == "stem":
+        default = parts.geometry.tissues
+        tissues = {region.tissue or default.get(name) for name, region in regions.items()}
+        if missing := {"implant", "bone"} - tissues:
+            yield Fault(path, f"no region is of the tissue {' or '.join(sorted(missing))}")
+        return
+    parting = [name for name, law in parts.interfaces.items() if law is not None and law.can_part]
+    if owner not in parting:
+        yield _unknown(path, "interface in contact", owner, parting, parts.geometry.kind)
+
+
+def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
+    """Quantities of interfaces or regions that the geometry does not have."""
+    if geometry is None or study is None:
+        return
+    known = (*geometry.interface_sides, *geometry.region_names)
+    for i, quantity in enumerate(study.quantities):
+        name = quantity.partition(".")[0]
+        if name not in known and quantity not in of_run():
+            path = ("study", "quantities", i)
+            yield _unknown(path, "interface or region", name, known, geometry.kind)

@@ -1,0 +1,357 @@
+"""The parametric femur, with a cemented stem and before the operation."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import model_validator
+
+from app.case.divided_cells import Point3
+from app.case.shapes import Mantle, MeshOptions, Shape, Sides
+from app.schema.section import fail
+from app.schema.units import Angle, Dimension, Length, PositiveLength
+
+BONE = ("cortical_bone", "cancellous_bone")
+# Where the middle of each muscle's insertion lies on the bone (mm); as in `meshes.femur_bone`.
+MUSCLES: dict[str, Point3] = {
+    "gluteus_medius": (-25.395, -15.237, 28.0),
+    "gluteus_minimus": (-30.723, 4.727, 27.0),
+    "gluteus_maximus": (-5.795, -13.038, -49.0),
+    "psoas": (21.035, -1.503, -7.0),
+    "vastus_lateralis": (-15.067, 4.018, -25.0),
+}
+
+# Meshes of this size and below are refinements of one that is coarser (mm); as in `meshes.swept`.
+COARSEST = 5.0
+# Part of the lines along which the mantle fills the canal, beside and below the stem, by the
+# thickness that is asked for less what the canal is widened (mm).
+FILLED = (0.0, 0.13, 0.45, 0.72, 0.78, 0.83, 0.87, 0.92)
+FILLED_BELOW = (0.0, 0.0, 0.0, 0.75, 1.0)
+# Part of the stem that is in the bone at least; angles of a neck with its shaft (deg).
+INSIDE, NECK_ANGLES = 2.0 / 3.0, (100.0, 145.0)
+
+
+def _between(at: float, values: tuple[float, ...]) -> float:
+    """Linear interpolation of values at 0, 1, 2, ..., constant beyond."""
+    at = min(max(at, 0.0), len(values) - 1.0)
+    low = min(int(at), len(values) - 2)
+    return values[low] + (at - low) * (values[low + 1] - values[low])
+
+
+class _Femur(Shape):
+    """A proximal femur, the operation and the implant."""
+
+    kind: str
+    cement_thickness: Annotated[
+        float, Dimension("mm", "a length", "4 mm", at_least=1.0, at_most=8.0)
+    ] = 4.0
+    """Thickness of the mantle where the canal has room for it, 1 to 8 mm."""
+    canal_widening: Annotated[
+        float, Dimension("mm", "a length", "1 mm", at_least=0.0, at_most=5.0)
+    ] = 0.0
+    """Reaming: distance by which the endosteal surface is moved outwards, 0 to 5 mm."""
+    stem_length: PositiveLength = 147.0
+    """From the shoulder to the tip; two thirds of it at least are below the neck cut."""
+    stem_tip_z: Length = -118.0
+    """Level of the tip."""
+    stem_tip_half_width: PositiveLength = 3.0
+    """Half the medio-lateral width at the tip."""
+    stem_tip_half_depth: PositiveLength = 3.0
+    """Half the antero-posterior depth at the tip."""
+    stem_tip_corner_radius: PositiveLength = 2.1
+    """Radius of the section's corners at the tip."""
+    stem_section_z: Length = 15.0
+    """Level of the proximal section that the next three describe."""
+    stem_half_width: PositiveLength = 8.5
+    """Half the medio-lateral width there."""
+    stem_half_depth: PositiveLength = 5.0
+    """Half the antero-posterior depth there."""
+    stem_corner_radius: PositiveLength = 3.0
+    """Radius of the section's corners there."""
+    neck_diameter: Annotated[float, Dimension("mm", "a length", "10 mm", at_least=5.0)] = 9.8
+    """Diameter of the neck where it leaves the body: at least 5 mm, at most the body's width."""
+    trunnion_diameter: Annotated[
+        float, Dimension("mm", "a length", "12 mm", at_least=5.0, at_most=22.0)
+    ] = 12.0
+    """Diameter of the neck's end, which carries the head, 5 to 22 mm."""
+    head_offset: Annotated[
+        float, Dimension("mm", "a length", "43 mm", at_least=20.0, at_most=80.0)
+    ] = 43.0
+    """Medial distance of the head's centre from the shaft axis, 20 to 80 mm."""
+    head_height: Annotated[
+        float, Dimension("mm", "a length", "54 mm", at_least=20.0, at_most=100.0)
+    ] = 54.0
+    """Height of the head's centre above mid lesser trochanter, 20 to 100 mm; no part of the stem's
+    body is higher."""
+    neck_angle: Angle = math.radians(130.0)
+    """Angle between neck and shaft (rad), 100 to 145 deg."""
+    resection_height: Length = 5.0
+    """Height above mid lesser trochanter at which the cut leaves the medial cortex."""
+    resection_angle: Angle = math.radians(38.0)
+    """Angle of the cut to the transverse plane (rad)."""
+    plug_length: PositiveLength = 10.0
+    """Length of cement below the tip."""
+    distal_cut_z: Annotated[float, Dimension("mm", "a length", "-200 mm", at_least=-350.0)] = -200.0
+    """Level at which the shaft is cut and held: below the plug, at least -350 mm."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> _Femur:
+        plug = self.stem_tip_z - self.plug_length
+        if self.distal_cut_z >= plug:
+            fail(f"is not below the cement plug; expected below {plug:g} mm", at=("distal_cut_z",))
+        if not NECK_ANGLES[0] <= math.degrees(self.neck_angle) <= NECK_ANGLES[1]:
+            fail("is not between {:g} and {:g} deg".format(*NECK_ANGLES), at=("neck_angle",))
+        if not 0.0 <= self.resection_angle < math.pi / 2:
+            fail("is not between 0 and 90 deg", at=("resection_angle",))
+        for end in ("stem", "stem_tip"):
+            radius = getattr(self, f"{end}_corner_radius")
+            half = min(getattr(self, f"{end}_half_width"), getattr(self, f"{end}_half_depth"))
+            if radius >= half:
+                fail(
+                    f"is not below the half-width and half-depth, {half:g} mm",
+                    at=(f"{end}_corner_radius",),
+                )
+        shoulder = self.stem_tip_z + self.stem_length
+        inside = (self._cut - self.stem_tip_z) / INSIDE
+        if self.stem_length > min(inside, longest := self.head_height - self.stem_tip_z):
+            where = "out of the bone" if inside < longest else "above the head's centre"
+            fail(
+                f"{self.stem_length:g} mm puts the shoulder at z = {shoulder:g} mm, too far "
+                f"{where}; expected at most {min(inside, longest):.3g} mm",
+                at=("stem_length",),
+            )
+        if not self.stem_tip_z < self.stem_section_z < shoulder:
+            fail("is not between the stem's tip and shoulder", at=("stem_section_z",))
+        width = 2.0 * self._check_section(shoulder, "the shoulder", 0.0)
+        self._check_section(plug, "the end of the plug", self.cement_thickness)
+        if self.neck_diameter > width:
+            text = f"is wider than the stem's shoulder; expected at most {width:.3g} mm"
+            fail(text, at=("neck_diameter",))
+        return self
+
+    def _check_section(self, z: float, where: str, offset: float) -> float:
+        """Half-width of a section that the two given ones, continued to a level, make there (mm).
+
+        One that has no shape is refused.
+
+        Args:
+            z: The level (mm).
+            where: The same in words.
+            offset: What is added around it (mm).
+        """
+        part = (z - self.stem_tip_z) / (self.stem_section_z - self.stem_tip_z)
+        sizes = {}
+        for name in ("half_width", "half_depth", "corner_radius"):
+            tip, top = getattr(self, f"stem_tip_{name}"), getattr(self, f"stem_{name}")
+            slope = (top - tip) / (self.stem_section_z - self.stem_tip_z)
+            grown = offset * (1.0 if name == "corner_radius" else math.hypot(1.0, slope))
+            sizes[name] = tip + part * (top - tip) + grown
+        radius = sizes["corner_radius"]
+        for name, size in sizes.items():
+            if size <= 0.0 or (name != "corner_radius" and size <= radius):
+                text = f"at {where}, z = {z:g} mm, it has become {size:.3g} mm"
+                least = "positive" if size <= 0.0 else f"above the corner radius, {radius:.3g} mm,"
+                fail(f"{text}; expected sections that stay {least} there", at=(f"stem_{name}",))
+        return sizes["half_width"]
+
+    @property
+    def head_centre(self) -> Point3:
+        """Centre of the femoral head in the model's axes (mm)."""
+        return (self.head_offset, 0.0, self.head_height)
+
+    @property
+    def points(self) -> dict[str, Point3]:
+        """Centre of the head and muscles' insertions (mm)."""
+        return {"head_centre": self.head_centre, **MUSCLES}
+
+    @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """Bone is one body."""
+        return (BONE,)
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """All of its surfaces are."""
+        return True
+
+    @property
+    def is_around_z(self) -> bool:
+        """The stem is along the shaft."""
+        return True
+
+    @property
+    def has_gruen_zones(self) -> bool:
+        """Bone around the stem, or where it will be."""
+        return True
+
+    def _spokes(self, size: float) -> int:
+        """Number of lines around the stem."""
+        # Half-way through the mantle, half-way from the tip to the neck cut.
+        middle = 0.5 * (self._cut - self.stem_tip_z)
+        part = middle / (self.stem_section_z - self.stem_tip_z)
+        half, depth, corner = (
+            (1.0 - part) * getattr(self, f"stem_tip_{name}") + part * getattr(self, f"stem_{name}")
+            for name in ("half_width", "half_depth", "corner_radius")
+        )
+        around = 4.0 * (half + depth - 2.0 * corner)
+        around += 2.0 * math.pi * (corner + 0.5 * self.cement_thickness)
+        least = 8 if size <= 2.0 * COARSEST else 4
+        return max(least, 4 * round(around / (4.0 * size)))
+
+    @property
+    def _cut(self) -> float:
+        """Height at which the neck cut meets the shaft's axis, about (mm)."""
+        return self.resection_height + 24.747 * math.tan(self.resection_angle)
+
+    def _core_cells(self, size: float) -> int:
+        """Tetrahedra in a step of the innermost layer, one cell long."""
+        half = self._spokes(size) // 2
+        return 3 * (4 * half - 4 * math.ceil(half / 3))
+
+    def _shaft_cells(self, mesh: MeshOptions) -> tuple[float, float]:
+        """Size of the coarsest mesh (mm), and its cells below the neck cut.
+
+        Three layers around the core, six tetrahedra a spoke each; where the mantle fills the canal
+        there are but two, as far around as in meshes that were counted.
+        """
+        size = _coarsest(mesh.size)
+        plug = self.stem_tip_z - self.plug_length
+        stem = _steps(self._cut - self.stem_tip_z, size) + _steps(self.plug_length, size)
+        # Steps below the plug grow: s = size + d / 4, up to a longest one.
+        length, longest = plug - self.distal_cut_z, min(mesh.far * size / mesh.size, 2.5 * size)
+        below, at, step = 0, 0.0, size
+        while at < length and step < longest:
+            step = min(size + 0.25 * at, longest)
+            at += step
+            below += 1
+        below += max(0, round((length - at) / longest))
+        filled = self.cement_thickness - self.canal_widening
+        spokes = self._spokes(size)
+        along = _between(filled, FILLED)
+        under = _between(filled, FILLED_BELOW)
+        layers = stem * (18.0 - 6.0 * along) + below * (18.0 - 6.0 * under)
+        return size, (stem + below) * self._core_cells(size) + spokes * layers
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length (mm): a few cells along the stem."""
+        return 20.0
+
+
+class Femur(_Femur):
+    """A proximal femur with a straight tapered collarless stem in a cement mantle.
+
+    Axes: z along the shaft, proximal positive, 0 at mid lesser trochanter; x medial; y anterior.
+    The table of bone sections belongs to the mesher; the parameters here are those of the operation
+    and the implant. Defaults: an Exeter-class 150 mm stem in an average femur.
+    """
+
+    kind: Literal["femur"] = "femur"
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Implant, mantle and the two kinds of bone."""
+        return ("stem", "cement", *BONE)
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """Tissue of each region."""
+        return {"stem": "implant", "cement": "cement", **dict.fromkeys(BONE, "bone")}
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """The distal cut, the bone with its muscle patches, the trunnion and the resection."""
+        return ("distal_cut", "bone_surface", "stem_trunnion", *MUSCLES, "resection")
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """``stem_cement`` and ``cement_bone``."""
+        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), BONE)}
+
+    @property
+    def mantles(self) -> tuple[Mantle, ...]:
+        """That around the stem, with a plug below its tip."""
+        return (Mantle(self.cement_thickness, self.stem_tip_z),)
+
+    @property
+    def interface_area(self) -> float:
+        """Area of both interfaces (mm2), about: the stem's flanks and their offset."""
+        width = self.stem_half_width + self.stem_tip_half_width
+        depth = self.stem_half_depth + self.stem_tip_half_depth
+        flanks = 2.0 * (width + depth) * self.stem_length
+        return 2.0 * flanks + 2.0 * math.pi * self.cement_thickness * self.stem_length
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra, to 10 %."""
+        size, cells = self._shaft_cells(mesh)
+        length = self.head_offset / math.sin(self.neck_angle)
+        above = _steps(0.4 * length, size) + _steps(0.6 * length, size)
+        return round((cells + above * self._core_cells(size)) * _refined(mesh.size))
+
+
+class IntactFemur(_Femur):
+    """The same femur before the operation: bone alone, with its head and neck.
+
+    The operation and the implant are those that are planned: they do not change the bone, but say
+    which of it will be left, and that is what Gruen zones are of. So their strain energy can be
+    compared with that of a femur of the same numbers.
+    """
+
+    kind: Literal["intact_femur"] = "intact_femur"
+    head_radius: Annotated[
+        float, Dimension("mm", "a length", "23 mm", at_least=18.0, at_most=30.0)
+    ] = 23.0
+    """Radius of the femoral head, 18 to 30 mm; the neck has about two thirds of it."""
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """The two kinds of bone."""
+        return BONE
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """Tissue of each region."""
+        return dict.fromkeys(BONE, "bone")
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """The distal cut, and the bone's surface with its muscle patches and the head."""
+        return ("distal_cut", "bone_surface", "head", *MUSCLES)
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """None."""
+        return {}
+
+    @property
+    def interface_area(self) -> float:
+        """None."""
+        return 0.0
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra, to 10 %."""
+        size, cells = self._shaft_cells(mesh)
+        length = self.head_offset / math.sin(self.neck_angle)
+        # Neck, five steps of the head, and its lid without the outermost layer.
+        above = _steps(length - 1.07 * self.head_radius, size) + 5
+        layers = self._core_cells(size) + self._spokes(size) * 18
+        lid = layers - self._spokes(size) * 6
+        return round((cells + above * layers + lid) * _refined(mesh.size))
+
+
+def _steps(length: float, size: float) -> int:
+    """Number of steps of about a size into which a length is divided."""
+    return max(1, round(length / size))
+
+
+def _coarsest(size: float) -> float:
+    """Mesh size of the coarsest mesh that is refined to meshes of a size (mm)."""
+    while size <= COARSEST:
+        size *= 2.0
+    return size
+
+
+def _refined(size: float) -> float:
+    """Cells of a mesh for each of the coarsest one."""
+    return (_coarsest(size) / size) ** 3

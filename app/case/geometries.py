@@ -1,0 +1,342 @@
+"""The geometries a case can have: their parameters, and the names of what they consist of.
+
+No mesh is made here: each class knows its regions, boundaries and interfaces by name, so that the
+rest of a case can be checked against them without a mesher.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from app.case.femurs import Femur, IntactFemur
+from app.case.gmsh_header import (
+    content,
+    counts,
+    empty_volumes,
+    is_script,
+    physical_names,
+)
+from app.case.shapes import Mantle, MeshOptions, Shape, Sides, graded_cells
+from app.schema.section import ITEMS, MAPPING, Kinds, Name, Section, Word, fail, one_of, show
+from app.schema.units import Angle, PositiveLength, SizeVector
+
+__all__ = ["Block", "Blocks", "Cylinders", "Femur", "Geometry", "IntactFemur", "MeshFile"]
+__all__ += ["MeshOptions", "Sides"]
+
+# How long edges of cells may be: in radii, in thicknesses of rings and of blocks (measured: beyond
+# it gmsh fails or its cells are flat; rings of 20 and blocks of 25 are solved in `mantle stress`).
+ROUND, THIN, FLAT = 2.0, 20.0, 25.0
+
+
+class Block(Section):
+    """One block of a stack."""
+
+    name: Name
+    """Name of its region."""
+    size: SizeVector
+    """Edge lengths along x, y, z."""
+
+
+class Blocks(Shape):
+    """Rectangular blocks stacked along z, corner at the origin; the scene of patch tests."""
+
+    kind: Literal["blocks"] = "blocks"
+    blocks: Annotated[tuple[Block, ...], ITEMS]
+    """The blocks from bottom to top, all with the same x and y edges."""
+    tilt: Angle = 0.0
+    """Angle (rad) by which every interface is tilted about y, through the axis of the stack."""
+
+    @model_validator(mode="after")
+    def _stackable(self) -> Blocks:
+        if not self.blocks:
+            fail("is empty; expected at least one block", at=("blocks",))
+        for i, block in enumerate(self.blocks):
+            if block.name in self.region_names[:i]:
+                fail(
+                    f"'{block.name}' is the name of an earlier block too", at=("blocks", i, "name")
+                )
+            if block.size[:2] != self.blocks[0].size[:2]:
+                fail("has other x and y edges than the first block", at=("blocks", i, "size"))
+        names = [*self.region_names, *self.interface_sides]
+        if len(set(names)) < len(names):
+            fail(
+                "two interfaces would have the same name, <block>_<block>; rename a block",
+                at=("blocks",),
+            )
+        rise = 0.5 * self.blocks[0].size[0] * math.tan(abs(self.tilt))
+        if abs(self.tilt) >= math.pi / 4 or rise >= 0.5 * min(b.size[2] for b in self.blocks):
+            fail("tilts an interface through its neighbour; expected a smaller angle", at=("tilt",))
+        return self
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Names of the blocks."""
+        return tuple(b.name for b in self.blocks)
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """The six sides of the stack, and the four of each block."""
+        sides = ("x_min", "x_max", "y_min", "y_max")
+        each = tuple(f"{name}_{side}" for name in self.region_names for side in sides)
+        return (*sides, "bottom", "top", *each)
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """Every block is of material that is neither of the body nor put into it."""
+        return dict.fromkeys(self.region_names, "other")
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """``<lower>_<upper>`` for each pair of neighbours."""
+        names = self.region_names
+        return {f"{a}_{b}": ((a,), (b,)) for a, b in itertools.pairwise(names)}
+
+    @property
+    def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
+        """The edges of each block."""
+        return {("blocks", i, "size"): (min(b.size), FLAT) for i, b in enumerate(self.blocks)}
+
+    @property
+    def interface_area(self) -> float:
+        """Area of all interfaces (mm2)."""
+        lx, ly, _ = self.blocks[0].size
+        return (len(self.blocks) - 1) * lx * ly / math.cos(self.tilt)
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        lx, ly, _ = self.blocks[0].size
+        volume = lx * ly * sum(b.size[2] for b in self.blocks)
+        return graded_cells(self.interface_area, volume, mesh)
+
+
+class Cylinders(Shape):
+    """A stem in a cement mantle in a bone, concentric about z; distal end at z = 0.
+
+    With a taper the interfaces are cones that narrow towards z = 0 and have the given radii at mid
+    length. ``sector: half`` keeps y >= 0, ``quarter`` keeps x >= 0 and y >= 0.
+    """
+
+    kind: Literal["cylinders"] = "cylinders"
+    stem_radius: PositiveLength
+    """Radius of the stem at mid length."""
+    cement_thickness: PositiveLength
+    """Radial thickness of the cement mantle."""
+    bone_thickness: PositiveLength
+    """Radial thickness of the bone at mid length."""
+    length: PositiveLength
+    """Length along z."""
+    taper: Angle = 0.0
+    """Half-angle of the cones (rad)."""
+    sector: Annotated[Literal["full", "half", "quarter"], Word()] = "full"
+    """How much of the full circle is modelled."""
+
+    @model_validator(mode="after")
+    def _solid(self) -> Cylinders:
+        if abs(self.taper) >= math.pi / 4:
+            fail("is not a half-angle below 45 deg", at=("taper",))
+        rise = 0.5 * self.length * math.tan(abs(self.taper))
+        if rise >= self.stem_radius:
+            fail("makes the stem vanish at an end; expected a smaller angle", at=("taper",))
+        if rise >= self.bone_thickness:
+            fail("makes the bone vanish at an end; expected a smaller angle", at=("taper",))
+        return self
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """From inside to outside."""
+        return ("stem", "cement", "bone")
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """Tissue of each region."""
+        return {"stem": "implant", "cement": "cement", "bone": "bone"}
+
+    @property
+    def is_around_z(self) -> bool:
+        """The layers are."""
+        return True
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """Ends by region and together, the outer surface, and the planes of symmetry."""
+        ends = tuple(f"{r}_{end}" for r in self.region_names for end in ("top", "bottom"))
+        planes = {"full": (), "half": ("symmetry_y",), "quarter": ("symmetry_x", "symmetry_y")}
+        return (*ends, "top", "bottom", "bone_surface", *planes[self.sector])
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """``stem_cement`` and ``cement_bone``."""
+        return {"stem_cement": (("stem",), ("cement",)), "cement_bone": (("cement",), ("bone",))}
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Its interfaces are cones."""
+        return True
+
+    @property
+    def fraction(self) -> float:
+        """Modelled part of the full circle."""
+        return {"full": 1.0, "half": 0.5, "quarter": 0.25}[self.sector]
+
+    @property
+    def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
+        """The radius of the stem, the thickness of the others, where they are least; the length."""
+        rise = 0.5 * self.length * math.tan(abs(self.taper))
+        return {
+            ("stem_radius",): (self.stem_radius - rise, ROUND),
+            ("cement_thickness",): (self.cement_thickness, THIN),
+            ("bone_thickness",): (self.bone_thickness - rise, THIN),
+            ("length",): (self.length, FLAT),
+        }
+
+    @property
+    def mantles(self) -> tuple[Mantle, ...]:
+        """That between stem and bone, from end to end."""
+        return (Mantle(self.cement_thickness, -math.inf),)
+
+    @property
+    def interface_area(self) -> float:
+        """Area of both interfaces (mm2)."""
+        radii = 2.0 * self.stem_radius + self.cement_thickness
+        return self.fraction * 2.0 * math.pi * radii * self.length / math.cos(self.taper)
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Estimated number of tetrahedra."""
+        outer = self.stem_radius + self.cement_thickness + self.bone_thickness
+        volume = self.fraction * math.pi * outer**2 * self.length
+        return graded_cells(self.interface_area, volume, mesh)
+
+
+class MeshFile(Shape):
+    """A gmsh file; its named physical volumes are regions, its surfaces boundaries.
+
+    A ``.msh`` file is taken as it is. A ``.geo`` script is meshed: it declares
+    ``DefineConstant[ size = 1 ];``, and ``far_size`` if it likes, which are set from the mesh
+    section (in the script's unit).
+    """
+
+    kind: Literal["file"] = "file"
+    path: Path
+    """The file; relative to the case file."""
+    unit: Annotated[Literal["mm", "cm", "m", "um", "inch"], Word()] = "mm"
+    """Unit of the file's coordinates."""
+    interfaces: Annotated[dict[Name, tuple[tuple[str, ...], tuple[str, ...]]], MAPPING] = Field(
+        default_factory=dict
+    )
+    """For each interface, the regions on its two sides (a name or a list of names each)."""
+
+    @field_validator("path", mode="before")
+    @classmethod
+    def _find(cls, value: object, info: ValidationInfo) -> Path:
+        if not isinstance(value, str | Path):
+            fail("is not a path; expected text")
+        try:
+            path = (info.context or {}).get("folder", Path()) / Path(value).expanduser()
+            found = path.is_file()
+            regions = physical_names(path, 3) if found else ()
+        except OSError as error:
+            fail(f"{show(str(value))} cannot be read: {error.strerror}")
+        except (RuntimeError, ValueError) as error:  # a user that there is not; a bad file
+            fail(f"{show(str(value))}: {error}")
+        if not found:
+            fail(f"no such file: {path}")
+        if not regions:
+            fail(f"{path} names no region: it has no physical volume with a name and cells")
+        return path.resolve()
+
+    @field_validator("interfaces", mode="before")
+    @classmethod
+    def _listed(cls, value: object) -> object:
+        if not isinstance(value, dict):
+            return value
+        return {k: _sides(v, k) for k, v in value.items()}
+
+    @model_validator(mode="after")
+    def _known(self) -> MeshFile:
+        for name, sides in self.interfaces.items():
+            for i, side in enumerate(sides):
+                for region in side:
+                    try:
+                        one_of(region, self.region_names)
+                    except ValueError as error:
+                        fail(str(error), at=("interfaces", name, i))
+            if set(sides[0]) & set(sides[1]):
+                fail("has the same region on both sides", at=("interfaces", name))
+        return self
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether it may have them: a script's cells get straight where nothing bends."""
+        return self.is_script
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length (mm): a ``.msh`` file is as it is."""
+        return 0.0 if self.path.suffix == ".msh" else math.inf
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Names of the physical volumes that have cells."""
+        return physical_names(self.path, 3)
+
+    @property
+    def empty_volumes(self) -> tuple[str, ...]:
+        """Names of the physical volumes of a ``.msh`` file without cells: they are no regions."""
+        return empty_volumes(self.path)
+
+    @property
+    def boundary_names(self) -> tuple[str, ...]:
+        """Names of the physical surfaces."""
+        return physical_names(self.path, 2)
+
+    @property
+    def interface_sides(self) -> dict[str, Sides]:
+        """The declared interfaces."""
+        return dict(self.interfaces)
+
+    @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """Regions on one side of an interface are one body."""
+        return tuple(side for sides in self.interfaces.values() for side in sides)
+
+    @property
+    def interface_area(self) -> float:
+        """Unknown without the mesh: 0."""
+        return 0.0
+
+    def estimate_cells(self, mesh: MeshOptions) -> int:
+        """Number of elements of any dimension in the file, an upper bound; 0 for a script."""
+        return counts(self.path)
+
+    @property
+    def is_script(self) -> bool:
+        """Whether the file is still to be meshed."""
+        return is_script(self.path)
+
+    @cached_property
+    def content(self) -> str:
+        """Hash of what the file held when this was asked first."""
+        return content(self.path)
+
+    def copy_files(self, folder: Path) -> str:
+        """Copy the file, and what a script names, to a folder; their hash."""
+        return content(self.path, folder)
+
+
+def _sides(value: object, name: object) -> object:
+    """``[stem, [a, b]]`` as ``(("stem",), ("a", "b"))``."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        fail(
+            "expected two sides, e.g. [stem, cement] or [cement, [cortical, cancellous]]",
+            at=(str(name),),
+        )
+    return tuple((side,) if isinstance(side, str) else side for side in value)
+
+
+Geometry = Annotated[Blocks | Cylinders | Femur | IntactFemur | MeshFile, Kinds()]

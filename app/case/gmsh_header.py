@@ -1,0 +1,143 @@
+"""Names in the header of a gmsh ``.msh`` file or in a ``.geo`` script, read without gmsh."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import struct
+from functools import lru_cache
+from pathlib import Path
+
+import configs
+from app.case.gmsh_cells import with_cells
+
+ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
+# The sections before the nodes are short; a file without names is not read to its end.
+HEADER = 4 << 20
+# Scripts: comments go, text in quotes stays.
+COMMENT = re.compile(r"""("[^"\n]*"|'[^'\n]*')|//[^\n]*|/\*.*?(?:\*/|\Z)""", re.DOTALL)
+QUOTED = re.compile(r"""\"([^"\n]*)"|'([^'\n]*)'""")
+GROUP = re.compile(r'\bPhysical\s+(Volume|Surface)\s*\(\s*"([^"\n]*)"')
+DIMENSIONS = {"Volume": 3, "Surface": 2}
+# Set for this process and all that it starts: the user trusts the scripts of this command.
+ALLOWED = "MANTLE_ALLOW_SCRIPTS"
+
+
+def is_script(path: Path) -> bool:
+    """Whether a file is a ``.geo`` script, still to be meshed."""
+    return path.suffix == ".geo"
+
+
+def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
+    """Names of the physical groups of one dimension.
+
+    Args:
+        path: A ``.msh`` file of format 2.2 or 4.1, ASCII or binary, or a ``.geo`` script.
+        dimension: 3 for volumes, 2 for surfaces.
+
+    Returns:
+        The names, in the order of the file; volumes without cells are left out.
+
+    Raises:
+        ValueError: The file is not of this format; the script does not use its parameter, or is
+            not allowed to run.
+    """
+    groups = _names(path, path.stat().st_mtime_ns)
+    return tuple(name for d, name, has_cells in groups if d == dimension and has_cells)
+
+
+def empty_volumes(path: Path) -> tuple[str, ...]:
+    """Names of the physical volumes of a ``.msh`` file that have no cells."""
+    return tuple(name for _, name, cells in _names(path, path.stat().st_mtime_ns) if not cells)
+
+
+@lru_cache(maxsize=8)
+def _names(path: Path, modified: int) -> tuple[tuple[int, str, bool], ...]:
+    """(dimension, name, not an empty volume) of every physical group; `modified` renews it."""
+    if path.suffix not in (".msh", ".geo"):
+        raise ValueError("is neither a .msh file nor a .geo script")
+    if is_script(path):
+        return _groups(path)
+    with path.open("rb") as file:
+        header = file.read(HEADER)
+    if not header.startswith(b"$MeshFormat"):
+        raise ValueError("not a gmsh .msh file (it does not start with $MeshFormat)")
+    version = header.split(b"\n", 2)[1].split()[:1]
+    if version not in ([b"2.2"], [b"4.1"]):
+        raise ValueError("not of .msh format 2.2 or 4.1; save it again with gmsh")
+    _, begins, rest = header.partition(b"$PhysicalNames")
+    if not begins:
+        return ()
+    section = rest.partition(b"$EndPhysicalNames")[0]
+    matches = [m for line in section.split(b"\n") if (m := ENTRY.fullmatch(line))]
+    found = [(int(m[1]), int(m[2]), m[3].decode("utf-8", "replace")) for m in matches]
+    full = with_cells(path.read_bytes(), [tag for d, tag, _ in found if d == 3])
+    named = {name for d, tag, name in found if d == 3 and tag in full}
+    return tuple(dict.fromkeys((d, name, d != 3 or name in named) for d, _, name in found))
+
+
+def _groups(path: Path) -> tuple[tuple[int, str, bool], ...]:
+    """(dimension, name, true) of the groups that a script names."""
+    if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
+        raise ValueError(
+            "a gmsh script is a program; --allow-scripts runs it, in a process that is confined"
+        )
+    text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
+    if not re.search(r"\bsize\b", text):
+        raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
+    return tuple(dict.fromkeys((DIMENSIONS[m[1]], m[2], True) for m in GROUP.finditer(text)))
+
+
+def content(path: Path, copies: Path | None = None) -> str:
+    """Hash of a file and of the files that a script names; they are copied on demand.
+
+    Args:
+        path: The file.
+        copies: Folder for copies, which lie to each other as the files do.
+    """
+    digest = hashlib.sha256()
+    for name in _files(path):
+        raw = (path.parent / name).read_bytes()
+        digest.update(f"{len(raw)} {name if name != path.name else ''}\0".encode() + raw)
+        if copies:
+            copy = copies / name
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_bytes(raw)
+    return digest.hexdigest()
+
+
+def _files(path: Path) -> list[str]:
+    """A file, and those below its folder that a script or a script which it names has in quotes."""
+    folder, found = path.parent.resolve(), [path.name]
+    for name in found:  # it grows
+        if not is_script(Path(name)):
+            continue
+        text = (folder / name).read_text("utf-8", "replace")
+        for quoted in QUOTED.finditer(text):
+            other = os.path.normpath(Path(name).parent / (quoted[1] or quoted[2] or "."))
+            try:
+                inside = (folder / other).resolve().is_relative_to(folder)
+                if inside and other not in found and (folder / other).is_file():
+                    found.append(other)
+            except (OSError, ValueError):  # no name of a file
+                continue
+    return found
+
+
+def counts(path: Path) -> int:
+    """Number of elements of all dimensions that the file announces, or 0 if that is unknown."""
+    if is_script(path):
+        return 0
+    data = path.read_bytes()
+    _, found, rest = data.partition(b"$Elements\n")
+    try:
+        version, binary = data.split(b"\n", 2)[1].split()[:2]
+        if version == b"4.1" and binary == b"1":
+            return int(struct.unpack_from("<QQ", rest)[1]) if found else 0
+        fields = rest.split(b"\n", 1)[0].split()
+        announced = int(fields[1] if version == b"4.1" else fields[0]) if found else 0
+    except (ValueError, IndexError, struct.error):
+        return 0
+    # Nothing takes less than a byte: what announces more is damaged.
+    return min(max(announced, 0), len(data))

@@ -1,0 +1,115 @@
+"""The text of a new case, short and complete: what ``mantle init`` writes."""
+
+from __future__ import annotations
+
+import json
+import re
+import textwrap
+from pathlib import Path
+
+import configs
+from app.case import gmsh_header
+from app.errors import InputError
+
+FOLDER = configs.FOLDER / "start"
+KINDS = ("femur", "cylinders", "blocks", "file")
+STEMS = {"titanium": "Ti-6Al-4V", "cocr": "CoCrMo", "steel": "316L"}
+SCHEMA = f"# yaml-language-server: $schema={configs.FOLDER / 'schema.json'}\n"
+MISSING = """\
+  # It is not there yet. Name its physical volumes under `regions`, two physical surfaces as
+  # `boundary` below; once it is there `mantle check` tells those it has.
+"""
+OWN = """\
+# A mesh of gmsh with materials, a support and a load. `mantle explain KEY` tells what a key means,
+# `mantle library` which materials have names.
+
+title: {title}
+
+geometry:
+  kind: file
+  path: {path} # relative to this file
+{about}  # unit: mm # of its coordinates
+  # interfaces: {{a_b: [a, b]}} # regions that may part; give each a law under `interfaces` below
+
+mesh:
+  size: 3 mm # that of a .geo script; a .msh file is taken as it is
+
+regions: # say what each is made of; tissue: bone, cement, implant or other
+{regions}
+supports:
+  hold: {{kind: fixed, boundary: {first}}}
+
+loads:
+  push: {{kind: force, boundary: {last}, force: "[0, 0, -100] N"}}
+"""
+
+
+def write(path: Path, kind: str, stem: str = "", mesh: Path | None = None) -> Path:
+    """Write a new case that runs as it is.
+
+    Args:
+        path: The file; ``.yaml`` is added.
+        kind: Of its geometry.
+        stem: What a stem is made of, if the kind has one.
+        mesh: The mesh of kind ``file``.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: It is there already or cannot be written; an option has no meaning.
+    """
+    if stem and kind not in ("femur", "cylinders"):
+        raise InputError(f"--stem {stem}: of kind {kind} there is no stem")
+    if mesh and kind != "file":
+        raise InputError(f"--mesh {mesh}: only --kind file has a mesh of its own")
+    path = path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
+    if kind == "file":
+        text = _own(path, mesh or path.with_suffix(".msh"))
+    else:
+        text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
+        text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(SCHEMA + text)
+    except FileExistsError:
+        raise InputError(f"{path}: is there already; nothing is written") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be written: {error}") from error
+    return path
+
+
+def _own(case: Path, mesh: Path) -> str:
+    """A case on a mesh, with the regions and boundaries of the file if it is there."""
+    regions: tuple[str, ...] = ("NAME_OF_A_REGION",)
+    boundaries: tuple[str, ...] = ("NAME_OF_A_SURFACE", "NAME_OF_ANOTHER")
+    about = MISSING
+    if mesh.is_file():
+        try:
+            regions, surfaces = (gmsh_header.physical_names(mesh, d) for d in (3, 2))
+        except (OSError, ValueError) as error:
+            raise InputError(f"--mesh {mesh}: {error}") from error
+        if not regions:
+            raise InputError(f"--mesh {mesh}: names no region: no physical volume with cells")
+        names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
+        about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
+        boundaries = surfaces or boundaries
+    try:
+        near = mesh.resolve().relative_to(case.resolve().parent)
+    except ValueError:
+        near = mesh.resolve()
+    return OWN.format(
+        title=_word(case.stem),
+        path=_word(str(near)),
+        about=about,
+        regions="".join(
+            f"  {_word(name)}: {{material: cortical_bone, tissue: bone}}\n" for name in regions
+        ),
+        first=_word(boundaries[0]),
+        last=_word(boundaries[-1]),
+    )
+
+
+def _word(text: str) -> str:
+    """Text as YAML takes it, in quotes if need be."""
+    return text if re.fullmatch(r"[A-Za-z_/.][\w/. -]*", text) else json.dumps(text)

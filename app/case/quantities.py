@@ -1,0 +1,306 @@
+"""The numbers that a run publishes: one table, and a slot for more.
+
+A quantity stands in a section of ``summary.json`` below the name of its interface or region. Its
+row here serves the summary, history.csv, the closing tables, the estimate of errors, studies and
+reports. Another package adds one of an interface or a region with `add` and a function that
+computes it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial, reduce
+from typing import Any
+
+from app.schema.section import did_you_mean, fail, show
+from app.schema.units import Dimension, Plain, TemperatureDifference
+
+# Orders of convergence of P1 and P2 that give the best estimates of errors (docs/verification.md):
+# of what goes with the displacement, of tractions, of stress, of temperature.
+MOTION, TRACTION, STRESS, HEAT = (0.8, 1.3), (0.8, 0.8), (0.8, 1.0), (1.5, 1.5)
+# By unit in summary.json: what it is the unit of, and how a value of it is read.
+UNITS: dict[str, tuple[str, Dimension | Plain]] = {
+    "mm": ("length", Dimension("mm", "a length", "0.05 mm")),
+    "mm^2": ("area", Dimension("mm^2", "an area", "20 mm^2")),
+    "mm^3": ("volume", Dimension("mm^3", "a volume", "500 mm^3")),
+    "N": ("force", Dimension("N", "a force", "1800 N")),
+    "MPa": ("stress", Dimension("MPa", "a pressure", "2 MPa")),
+    "N mm": ("energy", Dimension("N*mm", "an energy", "2 N*mm")),
+    "deg": ("angle", Dimension("deg", "an angle", "0.1 deg")),
+    "s": ("time", Dimension("s", "a time", "600 s")),
+    "degC": ("temperature", Dimension("degC", "a temperature", "50 degC")),
+    "K": ("temperature difference", TemperatureDifference()),
+    "W/m^2": ("heat flux", Dimension("W/m^2", "a power per area", "200 W/m^2")),
+    "W/(m^2 K)": (
+        "entropy production",
+        Dimension("W/(m^2*K)", "an entropy production", "1 W/(m^2 K)"),
+    ),
+    "min": ("thermal dose", Dimension("min", "a time", "60 min")),
+    "1/s": ("rate", Dimension("1/s", "a rate", "0.1 1/s")),
+    "-": ("", Plain()),
+}
+# Units for people, in terms of those of summary.json, and as they are printed.
+FACTORS = {"um": 1e3, "%": 100.0}
+PRINTED = {"um": "µm", "degC": "°C", "deg": "°", "^2": "²", "^3": "³"}
+# What heat has done to bone, by criterion.
+NECROSIS = {
+    "47C_1min": "47 degC for 1 min",
+    "cem43_16": "CEM43 of 16 min",
+    "cem43_60": "CEM43 of 60 min",
+    "cem43_240": "CEM43 of 240 min",
+    "henriques_moritz": "Henriques-Moritz",
+}
+
+
+def printed(unit: str) -> str:
+    """A unit as it is printed: µm, °C, mm², empty for a plain number."""
+    signs = PRINTED.items()
+    return reduce(lambda text, sign: text.replace(*sign), signs, unit.removesuffix("-"))
+
+
+def in_print(text: str) -> str:
+    """A text of the terminal with the units behind its numbers as they are printed."""
+    return re.sub(r"(?<=\d )(um|degC|deg|mm\^[23])\b", lambda m: printed(m[0]), text)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A published number.
+
+    Attributes:
+        section: Of summary.json, e.g. ``interfaces`` or ``thermal.regions``.
+        key: Its key there; with ``_error`` behind it that of its estimated error.
+        unit: Its unit in summary.json and history.csv, one of `UNITS`.
+        shown: Its unit in tables and figures for people; the same by default.
+        digits: Decimals in the terminal, in that unit.
+        label: Its name for people; by default its key.
+        order: Orders of convergence of P1 and P2; None: its error is not estimated.
+        peak: Whether it is a maximum, which may grow with refinement without end.
+        exact: Whether it approximates nothing: counts, run times, penetrations.
+        vector: Whether it has three components, ``.x`` .. in a study.
+        history: Whether history.csv has it; of interfaces alone.
+        headline: Whether runs are compared by it in sweeps and variations.
+        compute: Of one that is added: its value in `unit`. Of an interface it takes the contact
+            points (`ContactSamples`) and which of them are the interface's (n,), and gives the same
+            on every rank; of a region the stresses (`results.stresses.Stresses`) and the name of
+            the region, collectively.
+    """
+
+    section: str
+    key: str
+    unit: str
+    shown: str = ""
+    digits: int = 2
+    label: str = ""
+    order: tuple[float, float] | None = None
+    peak: bool = False
+    exact: bool = False
+    vector: bool = False
+    history: bool = False
+    headline: bool = False
+    compute: Callable[[Any, Any], float] | None = None
+
+    def __post_init__(self) -> None:
+        """Fill in the defaults."""
+        object.__setattr__(self, "shown", self.shown or self.unit)
+        object.__setattr__(self, "label", self.label or self.key.replace("_", " "))
+
+    @property
+    def factor(self) -> float:
+        """From its unit to that for people."""
+        return 1.0 if self.shown == self.unit else FACTORS[self.shown]
+
+    @property
+    def names(self) -> list[str]:
+        """Name in a study, behind that of the interface or region."""
+        return [f"{self.key}.{axis}" for axis in "xyz"] if self.vector else [self.key]
+
+    def text(self, numbers: Mapping[str, Any]) -> str:
+        """The number for people, ``41.3 ± 1.8`` where its error is known, a dash without one."""
+        known = (numbers.get(self.key), numbers.get(f"{self.key}_error"))
+        texts = [f"{self.factor * v:.{self.digits}f}" for v in known if v is not None]
+        return " ± ".join(texts) or "-"
+
+
+# Sections that are numbers themselves; others have such a mapping for each interface or region.
+RUN = ("solver", "balance", "timing")
+WHOLE = ("stem", *RUN)
+# By section and key, in the order in which they are shown.
+TABLE: dict[str, dict[str, Quantity]] = {
+    **{name: {} for name in ("interfaces", "regions", "stem", "bonds", "thermal.regions")},
+    **{name: {} for name in ("thermal.interfaces", "cure", *RUN)},
+}
+
+
+def add_quantity(*quantities: Quantity) -> None:
+    """Publish quantities.
+
+    Raises:
+        KeyError: There is no such section.
+        ValueError: It has such a key already, the unit is unknown, or nothing computes it.
+    """
+    for q in quantities:
+        if q.key in TABLE[q.section] or q.unit not in UNITS:
+            raise ValueError(f"{q.section}.{q.key} is there already, or has no known unit")
+        if q.compute and q.section not in ("interfaces", "regions"):
+            raise ValueError(f"nothing computes {q.section}.{q.key}")
+        TABLE[q.section][q.key] = q
+
+
+_interface, _region = partial(Quantity, "interfaces"), partial(Quantity, "regions")
+for _key, _word, _unit, _shown, _digits, _order in (
+    ("gap", "debonding", "mm", "um", 1, MOTION),
+    ("slip", "slip", "mm", "um", 1, MOTION),
+    ("slip_path", "path of slip", "mm", "um", 1, MOTION),
+    ("motion", "motion", "mm", "um", 1, MOTION),
+    ("pressure", "pressure", "MPa", "", 2, TRACTION),
+    ("shear", "shear stress", "MPa", "", 2, TRACTION),
+):
+    _how = partial(_interface, unit=_unit, shown=_shown, digits=_digits)
+    # One per cent of a stem's surface is its tip, where tractions grow with refinement.
+    _main = "p95" if _order is TRACTION else "p99"
+    add_quantity(
+        _how(f"{_key}_max", label=f"{_word}, max", peak=True, history=_key != "slip_path"),
+        *(
+            _how(
+                f"{_key}_{part}",
+                label=f"{_word}, {part}",
+                order=_order,
+                history=part == _main and _key != "slip_path",
+                headline=part == _main and _key != "slip_path",
+            )
+            for part in ("p95", "p99")
+        ),
+        _how(f"{_key}_mean", label=f"{_word}, mean", order=MOTION),
+    )
+add_quantity(
+    _interface("penetration_max", "mm", "um", exact=True, history=True, headline=True),
+    _interface("penetration_sampled", "mm", "um", exact=True),
+    _interface("penetration_mean", "mm", "um", exact=True),
+    _interface("open_fraction", "-", "%", 0, history=True, headline=True),
+    _interface("stick_fraction", "-", "%", 0, history=True),
+    _interface("slip_fraction", "-", "%", 0, history=True, headline=True),
+    *(
+        _interface(f"area_{key}_over_30um", "mm^2", label=f"area of {word} over 30 µm")
+        for key, word in (("gap", "debonding"), ("slip", "slip"), ("motion", "motion"))
+    ),
+    _interface("force", "N", order=MOTION, vector=True),
+    _interface("dissipation", "N mm", order=MOTION, history=True),
+    _interface("dissipation_min", "N mm", history=True),
+    _interface("contact_work", "N mm", history=True),
+    _region("von_mises_max", "MPa", label="von Mises max", peak=True),
+    _region("von_mises_p99", "MPa", label="von Mises p99", order=STRESS, headline=True),
+    _region("hoop_p99", "MPa", order=STRESS),
+    _region("principal_max", "MPa", peak=True),
+    _region("principal_p99", "MPa", order=STRESS),
+    _region("principal_min", "MPa", peak=True),
+    *(_region(f"mean_stress_{end}", "MPa") for end in ("min", "max")),
+    Quantity("stem", "subsidence", "mm", "um", 1, order=MOTION, headline=True),
+    Quantity("stem", "retroversion", "deg", digits=3, order=MOTION, headline=True),
+    Quantity("stem", "varus", "deg", digits=3, order=MOTION, headline=True),
+    *(
+        Quantity("stem", f"{end}_displacement", "mm", "um", 1, order=MOTION, vector=True)
+        for end in ("tip", "top")
+    ),
+    Quantity("bonds", "strength_fraction", "-", "%", 0),
+    *(Quantity("bonds", f"normal_{how}", "MPa") for how in ("mean", "max")),
+    *(Quantity("bonds", f"shear_{how}", "MPa") for how in ("mean", "max")),
+)
+_heated = partial(Quantity, "thermal.regions", order=HEAT, digits=1)
+_between = partial(Quantity, "thermal.interfaces", order=HEAT, digits=1)
+_cure = partial(Quantity, "cure", order=HEAT, digits=4)
+add_quantity(
+    _heated("temperature_max", "degC", headline=True),
+    *(_heated(f"temperature_{what}", "degC") for what in ("min", "mean", "end_max")),
+    _heated("temperature_max_time", "s"),
+    *(_heated(f"seconds_over_{level}", "s") for level in (47, 50, 56)),
+    *(_heated(f"volume_over_{level}", "mm^3") for level in (47, 50, 56)),
+    _heated("cem43_max", "min"),
+    _heated("henriques_moritz_max", "-"),
+    *(_heated(f"necrosis_{rule}_volume", "mm^3") for rule in NECROSIS),
+    *(_heated(f"necrosis_{rule}_depth", "mm", digits=2) for rule in NECROSIS),
+    *(_between(f"temperature_max_{s}", "degC", headline=True) for s in ("first", "second")),
+    *(_between(f"temperature_max_{side}_time", "s") for side in ("first", "second")),
+    _between("temperature_jump_max", "K"),
+    _between("heat_flux_max", "W/m^2", digits=0),
+    *(_between(f"entropy_production_{end}", "W/(m^2 K)", order=None) for end in ("min", "max")),
+    *(_cure(f"degree_{end}", "-") for end in ("min", "max")),
+    *(_cure(f"time_{part}", "s", digits=1) for part in (50, 90)),
+    _cure("rate_max", "1/s"),
+    *(Quantity("solver", f"{of}_iterations", "-", exact=True) for of in ("newton", "linear")),
+    Quantity("solver", "condition", "-", exact=True),
+    *(Quantity("balance", key, "-", exact=True) for key in ("heat", "heat_quadrature")),
+    *(Quantity("timing", key, "s", exact=True) for key in ("solve", "total")),
+)
+
+
+def of_run() -> list[str]:
+    """Whole names of what a run costs and how well it balances."""
+    return [f"{section}.{key}" for section in RUN for key in TABLE[section]]
+
+
+def _tables(owner: str) -> Iterator[dict[str, Quantity]]:
+    """Where the quantities of an interface, a region, the stem or the run are."""
+    return (own for section, own in TABLE.items() if section not in WHOLE or section == owner)
+
+
+def get(name: str) -> Quantity | None:
+    """A quantity by its whole name.
+
+    Args:
+        name: ``<interface or region>.<key>``, ``stem.<key>`` or one of `of_run`; of a vector with
+            ``.x`` .. behind it.
+    """
+    owner, _, key = name.partition(".")
+    return next((q for own in _tables(owner) for q in own.values() if key in q.names), None)
+
+
+def find(name: str) -> Quantity:
+    """A quantity as in `get`.
+
+    Raises:
+        PydanticCustomError: There is no such key.
+    """
+    if (q := get(name)) is not None:
+        return q
+    owner, _, key = name.partition(".")
+    if owner in RUN:
+        fail(f"{show(name)} is not one of {', '.join(of_run())}")
+    known = dict.fromkeys(n for own in _tables(owner) for q in own.values() for n in q.names)
+    hint = did_you_mean(key, tuple(known)) or f"; one of {', '.join(known)}"
+    fail(f"{show(name)} is not <interface>.<key>, <region>.<key> or stem.<key>{hint}")
+
+
+def numbers_of(summary: Mapping[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Every mapping of numbers in a summary, with its section and what it is of."""
+    for section in TABLE:
+        found: Any = reduce(lambda part, key: part.get(key, {}), section.split("."), summary)
+        named: dict[str, Any] = {section: found} if section in WHOLE else found
+        yield from ((section, name, numbers) for name, numbers in named.items() if numbers)
+
+
+def read(summary: Mapping[str, Any], name: str, suffix: str = "") -> float | None:
+    """A number of ``summary.json`` in its unit; None if it is not there.
+
+    Args:
+        summary: Its content; may be empty.
+        name: As in `get`.
+        suffix: Of the key, e.g. ``_error``.
+    """
+    owner, _, key = name.partition(".")
+    key, _, axis = key.partition(".")
+    for _, found, numbers in numbers_of(summary):
+        value = numbers.get(key + suffix) if found == owner else None
+        if axis and isinstance(value, list):
+            value = value["xyz".index(axis)]
+        if isinstance(value, int | float):
+            return float(value)
+    return None
+
+
+def computed(section: str, state: Any, of: Any) -> dict[str, float]:
+    """Numbers that other packages publish of an interface or a region (`Quantity.compute`)."""
+    added = (q for q in TABLE[section].values() if q.compute)
+    return {q.key: float(q.compute(state, of)) for q in added if q.compute}

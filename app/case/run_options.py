@@ -1,0 +1,144 @@
+"""How a case is run: stages, solver, what is written."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    model_validator,
+)
+from pydantic_core import core_schema
+
+from app.case.goals import Goal
+from app.laws.loads import Point
+from app.schema.section import MAPPING, Name, Section, Truth, Word, fail, show
+from app.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
+
+USUAL_AUGMENTATION = 0.2
+
+
+class Stage(Section):
+    """A part of the loading history, from multiplier to multiplier."""
+
+    name: Name
+    """Name in the results."""
+    increments: PositiveInteger = 1
+    """Number of load steps, before any is halved."""
+    adaptive: Truth = True
+    """Whether a step that does not converge is halved, and grows again when it is easy."""
+    max_cut_backs: NonNegativeInteger = 6
+    """How often in a row a step may be halved."""
+    duration: PositiveTime | None = None
+    """Time that the stage takes; by default none, and temperatures stay as they are."""
+    steady: Truth = False
+    """Whether the stage goes to the steady state of the temperature."""
+
+    @model_validator(mode="after")
+    def _one_end(self) -> Stage:
+        if self.steady and self.duration is not None:
+            fail("a steady stage takes no `duration`", at=("duration",))
+        return self
+
+    @property
+    def takes_time(self) -> bool:
+        """Whether heat flows in it."""
+        return self.steady or self.duration is not None
+
+
+def _petsc(value: object) -> object:
+    """Raw options: names without the leading dash, single values."""
+    if not isinstance(value, dict):
+        fail(f"{show(value)} is not a mapping of PETSc options to values")
+    for name, entry in value.items():
+        if name.startswith("-"):
+            fail(f"write the option without the dash: {name.lstrip('-')}", at=(name,))
+        if name.split() != [name]:
+            fail(f"{show(name)} is not the name of an option", at=(name,))
+        if not isinstance(entry, str | int | float | bool):
+            fail(f"{show(entry)} is not a single value", at=(name,))
+    return value
+
+
+class SolverOptions(Section):
+    """How the equations are solved."""
+
+    tolerance: PositiveNumber = 1e-10
+    """Residual relative to the scale of the forces at which a step has converged."""
+    max_iterations: PositiveInteger = 40
+    """Largest number of Newton iterations in a step."""
+    linear: Annotated[Literal["auto", "direct", "multigrid"], Word()] = "auto"
+    """Linear solver; `auto` is direct for small models."""
+    petsc: Annotated[dict[str, str | int | float | bool], BeforeValidator(_petsc)] = Field(
+        default_factory=dict
+    )
+    """Raw PETSc options, without the leading dash."""
+    augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
+    """Augmentation r over the stiffness per area that a point meets, where r is not given."""
+    coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
+    """How heat and mechanics that depend on each other are solved: as one system, or in turn."""
+
+
+class Probe(Section):
+    """A point whose displacement and temperature are recorded."""
+
+    at: Point
+    """Position."""
+    region: Name | None = None
+    """Region it belongs to, where two meet."""
+
+
+class _PointAlone:
+    """Lets a point alone stand for a probe."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Make a probe of it first."""
+
+        def probe(value: object) -> object:
+            return value if isinstance(value, dict | Probe) else {"at": value}
+
+        return core_schema.no_info_before_validator_function(probe, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Either."""
+        return {"anyOf": [handler(schema), {"type": ["array", "string"]}]}
+
+
+class CheckpointOptions(Section):
+    """When the state of a run is saved; at a signal and at `--walltime` it always is."""
+
+    steps: PositiveInteger | None = None
+    """Number of steps between two checkpoints."""
+    minutes: PositiveNumber | None = None
+    """Minutes between two checkpoints; saved after the step that passes them."""
+
+
+class OutputOptions(Section):
+    """Results that are written."""
+
+    fields: Truth = True
+    """Whether field files are written."""
+    every: PositiveInteger = 1
+    """Steps between two field outputs; the last step is always written."""
+    condition: Truth = False
+    """Whether the condition number of the last Jacobian is estimated, which factorizes it."""
+    error: Truth = False
+    """Whether the error of each number is estimated, by coarser companions of the run."""
+    goal: Goal | None = None
+    """A motion, such as `stem_cement.slip_p99`, of which an adjoint solution estimates the error
+    and shows where in the mesh it comes from."""
+    report: Truth = True
+    """Whether `report.html` is written at the end: the results as a page."""
+    checkpoint: CheckpointOptions = CheckpointOptions()
+    """When the state is saved for `--restart`."""
+    probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(
+        default_factory=dict
+    )
+    """Points whose displacement and temperature are recorded over time."""

@@ -1,0 +1,150 @@
+"""Shared parts of the geometries: mesh options, estimates, the cement mantle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import ValidationInfo, field_validator, model_validator
+
+from app.case import divided_cells
+from app.case.divided_cells import Point3
+from app.schema.section import Section, Truth, fail, show
+from app.schema.units import Plain, PositiveLength
+
+Sides = tuple[tuple[str, ...], tuple[str, ...]]
+
+# The least size of a cell (mm), whose powers are numbers too; and more cells than can be.
+LEAST, COUNTLESS = 1e-8, 1e40
+STRAIGHT = "pieces of straight cells do not follow curved surfaces; expected mesh.order: 2"
+
+
+@dataclass(frozen=True)
+class Mantle:
+    """The cement between interfaces ``stem_cement`` and ``cement_bone``.
+
+    Attributes:
+        thickness: What it is meant to be (mm).
+        tip: Level of the stem's end (mm); the cement below is a plug, of no thickness. Minus
+            infinity where there is none.
+    """
+
+    thickness: float
+    tip: float
+
+
+class Shape(Section):
+    """Base of the geometries: what only some of them have."""
+
+    @property
+    def has_curved_surfaces(self) -> bool:
+        """Whether curved cells follow it better than straight ones; not unless it says so."""
+        return False
+
+    @property
+    def spans(self) -> dict[tuple[str | int, ...], tuple[float, float]]:
+        """Lengths (mm) that limit the edges of cells, and how many times as long those may be."""
+        return {}
+
+    @property
+    def coarsest_size(self) -> float:
+        """Largest edge length that it can be meshed with (mm)."""
+        return min((most * length for length, most in self.spans.values()), default=math.inf)
+
+    @property
+    def mantles(self) -> tuple[Mantle, ...]:
+        """Its mantle of cement; none unless it says so."""
+        return ()
+
+    @property
+    def is_around_z(self) -> bool:
+        """Whether the z axis is that of a stem, or where one will be."""
+        return False
+
+    @property
+    def has_gruen_zones(self) -> bool:
+        """Whether it has the bone around a stem, or where one will be (`meshes.gruen`)."""
+        return False
+
+    @property
+    def joined(self) -> tuple[tuple[str, ...], ...]:
+        """Regions that are one body wherever they meet; none unless it says so."""
+        return ()
+
+    @property
+    def points(self) -> dict[str, Point3]:
+        """Points (mm) that loads can name; none unless it says so."""
+        return {}
+
+    @property
+    def tissues(self) -> dict[str, str]:
+        """Default tissue of each region, where it is known."""
+        return {}
+
+
+class MeshOptions(Section):
+    """How fine the mesh is and what the displacement is approximated by."""
+
+    size: PositiveLength
+    """Edge length at the interfaces."""
+    far_size: PositiveLength | None = None
+    """Edge length far from them; four times `size` by default."""
+    order: Annotated[int, Plain(integer=True, at_least=1, at_most=2)] = 2
+    """Polynomial degree of the displacement."""
+    curved: Truth | None = None
+    """Whether the cells are curved (second order) to follow the geometry; by default where it is
+    curved and `order` is 2."""
+    divided: Path | None = None
+    """File of cells that are divided, by their centres, pass after pass (`pass,x_mm,y_mm,z_mm`),
+    relative to this one; `mantle run --adapt` writes it."""
+
+    @field_validator("divided", mode="before")
+    @classmethod
+    def _find(cls, value: object, info: ValidationInfo) -> Path | None:
+        if value is None:
+            return None
+        if not isinstance(value, str | Path):
+            fail("is not a path; expected text")
+        path = (info.context or {}).get("folder", Path()) / Path(value)
+        try:
+            divided_cells.read(path)
+        except (OSError, ValueError) as error:
+            fail(f"{show(str(value))}: {getattr(error, 'strerror', None) or error}")
+        return path.resolve()
+
+    @property
+    def passes(self) -> tuple[tuple[Point3, ...], ...]:
+        """Centres of the cells that are divided (mm), by pass."""
+        return () if self.divided is None else divided_cells.read(self.divided)
+
+    @property
+    def far(self) -> float:
+        """Edge length far from the interfaces (mm)."""
+        return 4.0 * self.size if self.far_size is None else self.far_size
+
+    @model_validator(mode="after")
+    def _ordered(self) -> MeshOptions:
+        if self.size < LEAST:
+            fail(f"{self.size:g} mm is less than an atom", at=("size",))
+        if self.far < self.size:
+            fail(f"{self.far:g} mm is finer than size, {self.size:g} mm", at=("far_size",))
+        return self
+
+
+def graded_cells(area: float, volume: float, mesh: MeshOptions) -> int:
+    """Estimated number of tetrahedra of a mesh that is fine at its interfaces.
+
+    Args:
+        area: Area of all interfaces (mm2).
+        volume: Volume of all regions (mm3).
+        mesh: The sizes.
+
+    Returns:
+        ``a A / h^2 + b V / H^3`` with the constants fitted to measured meshes of the femur; at
+        most the number of cells of a uniform mesh.
+    """
+    uniform = 8.5 * volume / mesh.size**3
+    graded = 8.0 * area / mesh.size**2 + 8.5 * volume / mesh.far**3
+    return max(6, round(min(uniform, graded, COUNTLESS)))

@@ -1,0 +1,189 @@
+"""Heat sources and prescribed temperatures of a scene at its nodes, body by body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.heat.heat_forms import HeatForms
+from app.heat.temperature_jumps import TemperatureJumps
+from app.scene.bodies import Bodies
+from app.scene.loads import Field
+from app.scene.terms import (
+    ConvectionTerm,
+    Course,
+    FixedTemperatureTerm,
+    HeatFluxTerm,
+    HeatSourceTerm,
+    PerfusionTerm,
+    Scene,
+    multiplier,
+)
+
+
+@dataclass(frozen=True)
+class HeatInput:
+    """Heat that comes in whatever the temperature: into own nodes of bodies [N mm/s]."""
+
+    name: str
+    course: Course
+    nodal: dict[int, Floats]
+
+
+@dataclass(frozen=True)
+class SurfaceExchange:
+    """Exchange with surroundings at a temperature [K]: of own nodes of bodies [N mm/(s K)]."""
+
+    name: str
+    outside: float
+    per_kelvin: dict[int, Floats]
+
+
+@dataclass
+class FrictionHeating:
+    """Heat of friction, set from outside.
+
+    Attributes:
+        nodal: Heat into own nodes of each body [N mm/s].
+        flows: Heat of each interface by its name in the balance, over all ranks [N mm/s].
+    """
+
+    nodal: list[Floats]
+    flows: dict[str, float]
+
+
+class HeatLoads:
+    """Fluxes, sources, convection and perfusion of a scene.
+
+    Attributes:
+        heating: Fluxes and sources.
+        exchange: Convection and perfusion.
+    """
+
+    def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
+        """Assemble them; collective.
+
+        Raises:
+            InputError: A boundary is not there, or a field cannot be evaluated.
+        """
+        self._forms = forms
+        self.heating: list[HeatInput] = []
+        self.exchange: list[SurfaceExchange] = []
+        for c in scene.heat:
+            match c:
+                case HeatFluxTerm():
+                    self._heat(c.name, c.course, c.flux, list(forms.areas(c.boundary).items()))
+                case HeatSourceTerm():
+                    parts = [(bodies.of_region[r], forms.volumes(r)) for r in c.regions]
+                    self._heat(c.name, c.course, c.density, parts)
+                case ConvectionTerm():
+                    self.exchange.append(SurfaceExchange(c.name, c.ambient, forms.exchange(c)))
+                case PerfusionTerm():
+                    self.exchange.append(SurfaceExchange(c.name, c.temperature, forms.exchange(c)))
+
+    def _heat(
+        self, name: str, course: Course, density: Field, shares: list[tuple[int, Floats]]
+    ) -> None:
+        """Note a density times what nodes stand for."""
+        nodal: dict[int, Floats] = {}
+        for b, share in shares:
+            heat = share * self._forms.values(density, np.flatnonzero(share > 0))
+            nodal[b] = nodal.get(b, 0.0) + heat
+        self.heating.append(HeatInput(name, course, nodal))
+
+    def heats(self, seconds: float) -> list[Floats]:
+        """Heat into own nodes of each body at a time [N mm/s]."""
+        total = self._forms.zeros()
+        for h in self.heating:
+            for b, nodal in h.nodal.items():
+                total[b] += multiplier(h.course, seconds) * nodal
+        return total
+
+    def exchanges(self, reference: float) -> tuple[list[Floats], list[Floats]]:
+        """Exchange of own nodes of each body, and the heat it brings in at a reference [K]."""
+        per_kelvin, heat = self._forms.zeros(), self._forms.zeros()
+        for e in self.exchange:
+            for b, nodal in e.per_kelvin.items():
+                per_kelvin[b] += nodal
+                heat[b] += nodal * (e.outside - reference)
+        return per_kelvin, heat
+
+
+class FixedTemperatures:
+    """Given temperatures at own nodes.
+
+    Where given temperatures hold several bodies at a node, the body of lowest number is the base:
+    the continuous temperature is its own (`meshes.contact_points`). Of two on one body the later
+    one in the case holds.
+
+    Attributes:
+        conditions: The conditions.
+        of_body: For each body held anywhere, which condition holds each own node, else -1.
+        base: The same of the continuous temperature.
+    """
+
+    def __init__(self, scene: Scene, forms: HeatForms) -> None:
+        """Find the nodes; collective.
+
+        Raises:
+            InputError: A boundary is not there, or a field cannot be evaluated.
+        """
+        self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperatureTerm)]
+        self.of_body: dict[int, Ints] = {}
+        self._values: list[Floats] = []
+        for s, c in enumerate(self.conditions):
+            held = np.zeros(forms.owned, dtype=bool)
+            for b, nodes in forms.held_nodes(c).items():
+                condition = self.of_body.setdefault(b, np.full(forms.owned, -1, dtype=np.int64))
+                condition[nodes] = s
+                held[nodes] = True
+            self._values.append(forms.values(c.temperature, np.flatnonzero(held)))
+        self.base: Ints = np.full(forms.owned, -1, dtype=np.int64)
+        for b in sorted(self.of_body, reverse=True):
+            self.base = np.where(self.of_body[b] >= 0, self.of_body[b], self.base)
+
+    def join(self, jumps: TemperatureJumps) -> None:
+        """Note bodies that nothing holds but whose jumps to held ones are given."""
+        for p in np.flatnonzero(jumps.held):
+            for k in (0, 1):
+                none = np.full(len(self.base), -1, dtype=np.int64)
+                condition = self.of_body.setdefault(int(jumps.bodies[p, k]), none)
+                if condition[jumps.dof[p]] < 0:
+                    condition[jumps.dof[p]] = jumps.given[p, k]
+
+    def values(self, seconds: float) -> list[Floats]:
+        """Given temperature of each condition at own nodes at a time [K], zero elsewhere."""
+        return [
+            multiplier(c.course, seconds) * v
+            for c, v in zip(self.conditions, self._values, strict=True)
+        ]
+
+    def extremes(self, values: list[Floats]) -> tuple[float, float]:
+        """Least and largest given temperature at own nodes [K]."""
+        given = [
+            values[s][condition == s]
+            for condition in self.of_body.values()
+            for s in range(len(values))
+        ]
+        every = np.concatenate([np.zeros(0), *given])
+        return float(every.min(initial=np.inf)), float(every.max(initial=-np.inf))
+
+    def continuous(self, values: list[Floats]) -> Floats:
+        """The continuous temperature where it is given (owned,) [K], else zero."""
+        given: Floats = np.zeros(len(self.base))
+        for s, value in enumerate(values):
+            given = np.where(self.base == s, value, given)
+        return given
+
+    @staticmethod
+    def jumps(values: list[Floats], jumps: TemperatureJumps) -> Floats:
+        """Jumps that are given (n,) [K], else zero."""
+        given = np.zeros(len(jumps.dof))
+        for s, value in enumerate(values):
+            at = value[jumps.dof]
+            given += np.where(jumps.given[:, 1] == s, at, 0) - np.where(
+                jumps.given[:, 0] == s, at, 0
+            )
+        return given

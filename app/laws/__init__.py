@@ -1,0 +1,1 @@
+"""One class for each thing that physics knows: its keys in YAML and its formula."""

@@ -1,0 +1,393 @@
+r"""From nodal displacements to independent unknowns: supports, and regions that move rigidly.
+
+The displacement of all nodes is U = P ũ. Mostly P is the identity. The nodes of a rigid region move
+by :math:`t + ω × (x - c)`; its six parameters are rotated so that those its supports determine come
+first, and then they are held like any supported component. Nodes that supports hold along other
+directions than x, y, z have unknowns along axes of their own (`scene.frames`).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, Self
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+
+from app.arrays import Bools, Floats, Ints
+from app.errors import InputError, everywhere
+from app.numerics.rigid_motions import rigid_modes
+from app.numerics.saved_state import State, keyed
+from app.scene.bodies import Bodies, boundary_facets, cell_tags
+from app.scene.frames import Frames
+from app.scene.terms import Scene
+from meshes.contact_facets import gather
+from meshes.distribute import TaggedMesh
+
+# A motion of a rigid region counts as held when its supports resist it by more than this fraction
+# of the motion they resist most.
+_HELD = 1e-9
+
+
+class Reduction(Protocol):
+    """Interface between the problem and a reduction of its unknowns.
+
+    Attributes:
+        held: Own unknowns that supports hold (n,).
+        unit: For each support the values of the own unknowns at full amplitude (n,).
+        reacting: Own nodal components through which supports act (3 own nodes,).
+        modes: The six rigid modes of the whole model in own unknowns (6, n).
+    """
+
+    held: Bools
+    unit: list[Floats]
+    reacting: Bools
+    modes: Floats
+
+    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
+        """P^T K P."""
+
+    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
+        """P^T C."""
+
+    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
+        """P^T f."""
+
+    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
+        """P ũ."""
+
+    def carry(self, u: PETSc.Vec, old: Self) -> None:
+        """Express unknowns of the same scene with other supports as those of this one."""
+
+    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
+        """Own unknowns, given the keys of own nodes."""
+
+    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
+        """Fill u with the saved own unknowns."""
+
+
+def _support_of_dofs(
+    scene: Scene,
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    stage: int,
+    frames: Frames | None,
+) -> Ints:
+    """Support that holds each own component in a stage, -1 where none does (3 per node).
+
+    Components are along the axes of the node. Where supports on several bodies hold a node, the
+    body of lowest number wins: it is the base of that node (see `meshes.contact_points`).
+    """
+    index_map = space.dofmap.index_map
+    support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
+    rows, places = frames.own(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
+    own = support[rows]
+    holding = [s for s, term in enumerate(scene.supports) if term.holds(stage)]
+    tags = cell_tags(tagged)
+    patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
+    for body in reversed(range(len(bodies.names))):
+        for s in holding:
+            f = patches[s]
+            mine = f.facets[bodies.of_tag[tags[f.cells]] == body]
+            nodes = fem.locate_dofs_topological(space, 2, mine.astype(np.int32))
+            for c in np.flatnonzero(scene.supports[s].components):
+                support[nodes, c] = s
+        if frames:
+            mine = frames.support(places, body, holding)
+            own = np.where(mine >= 0, mine, own)
+    support[rows] = own
+    return support[: index_map.size_local].ravel()
+
+
+def _given_values(
+    scene: Scene, space: fem.FunctionSpace, support_of: Ints, axes: Floats | None
+) -> list[Floats]:
+    """Displacement of own nodes by each support at full amplitude (n, 3) [mm]; collective.
+
+    Args:
+        scene: The scene.
+        space: Of the displacement.
+        support_of: Support that holds each own component (3 n,).
+        axes: Axes of own nodes that components are along (n, 3, 3); None: x, y, z.
+    """
+    own = support_of.reshape(-1, 3)
+    x = space.tabulate_dof_coordinates()[: len(own)]
+
+    def values() -> list[Floats]:
+        result: list[Floats] = []
+        for s, term in enumerate(scene.supports):
+            rows = np.flatnonzero((own == s).any(axis=1))
+            given = np.zeros((len(x), 3))
+            values = term.values(x[rows])
+            if axes is not None:
+                values = np.einsum("nic,ni->nc", axes[rows], values)
+            given[rows] = np.where(own[rows] == s, values, 0.0)
+            result.append(given)
+        return result
+
+    return everywhere(space.mesh.comm, values)
+
+
+class AllFree:
+    """The unknowns are the nodal displacements along x, y, z."""
+
+    def __init__(self, scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> None:
+        """Read off what supports hold."""
+        self.held: Bools = support_of >= 0
+        self.unit: list[Floats] = [g.ravel() for g in _given_values(scene, space, support_of, None)]
+        self.reacting: Bools = self.held
+        x = space.tabulate_dof_coordinates()[: len(support_of) // 3]
+        self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
+
+    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
+        """K itself."""
+        return K
+
+    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
+        """C itself."""
+        return C
+
+    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
+        """A copy of f."""
+        return f.copy()
+
+    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
+        """A copy of u."""
+        return u.copy()
+
+    def carry(self, u: PETSc.Vec, old: Self) -> None:
+        """Nothing to do: nodal displacements they stay."""
+
+    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
+        """Nodal displacements."""
+        return {"nodes": keyed(nodes, u.array_r)}
+
+    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
+        """Fill u with the saved nodal displacements."""
+        u.array[:] = state["nodes"].of(nodes).ravel()
+
+
+class ByMatrix:
+    """P as a matrix: axes of nodes, and rigid regions.
+
+    A rigid region has six unknowns on rank 0 in place of its nodes.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        space: fem.FunctionSpace,
+        support_of: Ints,
+        frames: Frames | None,
+    ) -> None:
+        """Build P; collective.
+
+        Raises:
+            InputError: Supports of a rigid region contradict each other.
+        """
+        comm = tagged.mesh.comm
+        nodes = space.dofmap.index_map.size_local
+        x = space.tabulate_dof_coordinates()[:nodes]
+        region = _region_of_nodes(scene, tagged, space)[:nodes]
+        free = self._free = np.flatnonzero(region < 0)
+        axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
+        turned = np.zeros(nodes, dtype=bool)
+        if frames:
+            mine, places = frames.own(space.dofmap.index_map)
+            axes[mine], turned[mine] = frames.axes[places], region[mine] < 0
+        n_rigid = len(scene.rigid)
+        n = 3 * len(free) + (6 * n_rigid if comm.rank == 0 else 0)
+        start = comm.exscan(n) or 0
+        tail = comm.bcast(3 * len(free))
+        self.held: Bools = np.zeros(n, dtype=bool)
+        self.unit: list[Floats] = [np.zeros(n) for _ in scene.supports]
+        own = support_of.reshape(-1, 3)
+        self.held[: 3 * len(free)] = (own[free] >= 0).ravel()
+        given = _given_values(scene, space, support_of, axes)
+        for unit, values in zip(self.unit, given, strict=True):
+            unit[: 3 * len(free)] = values[free].ravel()
+        reacting = (own >= 0) & (region < 0)[:, None]
+        reacting[turned] = reacting[turned].any(axis=1, keepdims=True)
+        self.modes: Floats = np.zeros((6, n))
+        modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
+        self.modes[:, : 3 * len(free)] = modes.reshape(-1, 6).T
+        columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
+        entries = np.zeros((nodes, 3, 6))
+        columns[free, :, 0] = start + np.arange(3 * len(free)).reshape(-1, 3)
+        entries[free, :, 0] = 1
+        columns[turned, :, :3] = columns[turned, :, 0][:, None]
+        entries[turned, :, :3] = axes[turned]
+        self._bases: dict[int, Floats] = {}
+        for k, body in enumerate(scene.rigid):
+            here = np.flatnonzero(region == k)
+            (nodes_of,) = gather(comm, x[here])
+            centre = nodes_of.mean(axis=0)
+            scale = np.ptp(nodes_of, axis=0).max() or 1.0
+            local = rigid_modes((x[here] - centre) / scale)
+            held = own[here] >= 0
+            along = axes[here].swapaxes(1, 2) @ local
+            rows, *wanted = gather(comm, along[held], *(values[here][held] for values in given))
+            basis, rank, amounts = _held_motions(scene, body.region, rows, wanted)
+            place = tail + 6 * k
+            columns[here] = place + np.arange(6)
+            entries[here] = local @ basis
+            reacting[here] |= rank > 0
+            if comm.rank == 0:
+                self._bases[place] = basis
+                self.held[place : place + rank] = True
+                for s, amount in enumerate(amounts):
+                    self.unit[s][place : place + rank] = amount[:rank]
+                # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
+                whole = np.eye(6)
+                whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
+                whole[3:] *= scale
+                self.modes[:, place : place + 6] = (basis.T @ whole).T
+        self.reacting: Bools = reacting.ravel()
+        keep = columns.reshape(-1, 6) >= 0
+        pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
+        self._P = PETSc.Mat().createAIJ(
+            ((3 * nodes, None), (n, None)),
+            csr=(
+                pointer.astype(PETSc.IntType),
+                columns.reshape(-1, 6)[keep].astype(PETSc.IntType),
+                entries.reshape(-1, 6)[keep],
+            ),
+            comm=comm,
+        )
+        self._P.assemble()
+
+    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
+        """P^T K P."""
+        return K.ptap(self._P)
+
+    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
+        """P^T C."""
+        return self._P.transposeMatMult(C)
+
+    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
+        """P^T f."""
+        out = self._P.createVecRight()
+        self._P.multTranspose(f, out)
+        return out
+
+    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
+        """P ũ."""
+        out = self._P.createVecLeft()
+        self._P.mult(u, out)
+        return out
+
+    def carry(self, u: PETSc.Vec, old: Self) -> None:
+        """Turn the motions of rigid regions from the old axes to these."""
+        for place, basis in self._bases.items():
+            own = slice(place, place + 6)
+            u.array[own] = basis.T @ old._bases[place] @ u.array[own]
+
+    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
+        """Displacements of free nodes, motions of rigid regions and the axes that they are in."""
+        free = 3 * len(self._free)
+        nodal = self.expand(u).array_r.reshape(-1, 3)
+        regions = np.arange(len(self._bases))
+        axes = np.array(list(self._bases.values())).reshape(-1, 36)
+        return {
+            "nodes": keyed(nodes[self._free], nodal[self._free].ravel()),
+            "rigid": keyed(regions, u.array_r[free:].reshape(-1, 6)),
+            "axes": keyed(regions, axes),
+        }
+
+    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
+        """Fill u with saved displacements and motions; other ranks may have chosen other axes."""
+        nodal = np.zeros((len(nodes), 3))
+        nodal[self._free] = state["nodes"].of(nodes[self._free]).reshape(-1, 3)
+        found = self._P.createVecLeft()
+        found.array[:] = nodal.ravel()
+        u.array[:] = self.vector(found).array
+        regions = np.arange(len(self._bases))
+        motions, axes = (state[name].of(regions) for name in ("rigid", "axes"))
+        for (place, basis), motion, old in zip(self._bases.items(), motions, axes, strict=True):
+            same = np.array_equal(basis.ravel(), old)
+            u.array[place : place + 6] = motion if same else basis.T @ old.reshape(6, 6) @ motion
+
+
+def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace) -> Ints:
+    """Number of the rigid region of each local node, -1 in elastic regions only; collective."""
+    tags = cell_tags(tagged)
+    owned = tagged.mesh.topology.index_map(3).size_local
+    mark = fem.Function(fem.functionspace(tagged.mesh, ("Lagrange", scene.order)))
+    result = np.full(len(mark.x.array), -1, dtype=np.int64)
+    dofs = mark.function_space.dofmap.list
+    for k, body in enumerate(scene.rigid):
+        mark.x.array[:] = 0
+        cells = np.flatnonzero(tags[:owned] == tagged.regions[body.region])
+        mark.x.array[np.unique(dofs[cells])] = 1
+        mark.x.petsc_vec.ghostUpdate(PETSc.InsertMode.ADD, PETSc.ScatterMode.REVERSE)
+        mark.x.scatter_forward()
+        result[mark.x.array > 0] = k
+    return result
+
+
+def _held_motions(
+    scene: Scene, region: str, rows: Floats, wanted: list[Floats]
+) -> tuple[Floats, int, list[Floats]]:
+    """Basis (6, 6) of a body's motions, held ones first, their number, and their amounts.
+
+    Args:
+        scene: The scene.
+        region: Name of the rigid region.
+        rows: Displacement of each held component by the six motions (m, 6).
+        wanted: What each support wants of it at full amplitude (m,).
+
+    Raises:
+        InputError: What they want is no rigid motion.
+    """
+    if not len(rows):
+        return np.eye(6), 0, [np.zeros(6) for _ in scene.supports]
+    _, singular, vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    rank = int((singular > _HELD * singular[0]).sum())
+    basis = vt.T
+    inverse = np.linalg.pinv(rows, rcond=_HELD)
+    amounts: list[Floats] = [np.zeros(6) for _ in scene.supports]
+    # Supports that change alike are one: only together do they have to be a rigid motion.
+    for history in dict.fromkeys(s.history for s in scene.supports):
+        alike = [s for s, term in enumerate(scene.supports) if term.history == history]
+        whole = np.sum([wanted[s] for s in alike], axis=0)
+        motion = inverse @ whole
+        if np.abs(rows @ motion - whole).max() > 1e-9 * max(np.abs(whole).max(), 1.0):
+            names = ", ".join(scene.supports[s].name for s in alike if wanted[s].any())
+            raise InputError(
+                f"supports.{names}: a rigid region ('{region}') cannot take on these values "
+                "together with the other supports on it; allowed: a rigid motion"
+            )
+        amounts[alike[0]] = basis.T @ motion
+    return basis, rank, amounts
+
+
+def reduction_of(
+    scene: Scene,
+    tagged: TaggedMesh,
+    bodies: Bodies,
+    space: fem.FunctionSpace,
+    stage: int,
+    frames: Frames | None,
+) -> Reduction:
+    """The reduction a scene needs in a stage; collective."""
+    support_of = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
+    if scene.rigid or frames:
+        return ByMatrix(scene, tagged, space, support_of, frames)
+    return AllFree(scene, space, support_of)
+
+
+def near_null_space(comm: MPI.Comm, K: PETSc.Mat, modes: Floats) -> PETSc.NullSpace:
+    """The six rigid modes, orthonormal, for algebraic multigrid."""
+    vectors: list[PETSc.Vec] = []
+    for values in modes:
+        vector = K.createVecLeft()
+        vector.array[:] = values
+        for other in vectors:
+            vector.axpy(-vector.dot(other), other)
+        vector.normalize()
+        vectors.append(vector)
+    return PETSc.NullSpace().create(vectors=vectors, comm=comm)

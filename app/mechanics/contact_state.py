@@ -1,0 +1,39 @@
+"""What contact points remember: the converged state of their jumps and forces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from app.arrays import Floats
+
+
+@dataclass
+class ContactState:
+    """Converged state of the contact points of this rank: committed, never half-updated.
+
+    Attributes:
+        jump: Jump (n, 3) [mm].
+        force: Interface force per area, conjugate to the jump (n, 3) [MPa].
+        friction: Its part that friction carries (n, 3) [MPa].
+        opening: Jump with the initial gap (n, 3) [mm].
+        slip: Net sliding while in contact (n, 3) [mm].
+        path: Length of its path (n,) [mm].
+        dissipation: Dissipated by friction so far (n,) [N mm].
+        least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening so far (n,) [N mm].
+        work: Work of the whole interface force in the jump so far (n,) [N mm].
+        own: What the laws of the interfaces remember, by name: (n, ...).
+    """
+
+    jump: Floats
+    force: Floats
+    friction: Floats
+    opening: Floats
+    slip: Floats
+    path: Floats
+    dissipation: Floats
+    least: Floats
+    contact_work: Floats
+    work: Floats
+    own: Mapping[str, Floats]

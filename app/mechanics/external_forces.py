@@ -1,0 +1,148 @@
+"""External forces on the bodies of a scene: nodal forces, and forces on the jumps.
+
+Loads and eigenstrains are assembled once at full amplitude; the forces of free strains (heat, cure)
+are handed in as they change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+import ufl
+
+from app.arrays import Floats
+from app.mechanics.body_forms import BodyForms
+from app.mechanics.contact import Jumps
+from app.scene.bodies import Bodies
+from app.scene.loads import LoadTerm
+from app.scene.terms import Elastic, Scene, amplitude
+
+
+@dataclass(frozen=True)
+class Action:
+    """Forces: on own nodes and on own jumps [N]."""
+
+    nodal: PETSc.Vec
+    jump: Floats
+
+
+class Forces:
+    """Loads, eigenstrains and free strains of a scene."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        mechanics: BodyForms,
+        bodies: Bodies,
+        jumps: Sequence[Jumps],
+        known: Forces | None = None,
+    ) -> None:
+        """Assemble loads and eigenstrains at full amplitude; collective.
+
+        Args:
+            scene: The scene.
+            mechanics: Its forms.
+            bodies: Its bodies.
+            jumps: Its jumps, if any.
+            known: Forces of the same problem: what it has too is not assembled again.
+        """
+        self._mechanics, self._bodies, self._jumps = mechanics, bodies, jumps
+        self.comm = mechanics.comm
+        self._owned = 3 * mechanics.space.dofmap.index_map.size_local
+        self._full: dict[LoadTerm, Action] = {} if known is None else known._full
+        self._full = {load: self._load(load) for load in map(_at_full, scene.loads)}
+        self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
+        self._eigenstrains: list[tuple[tuple[float, ...], Action]] = (
+            known._eigenstrains
+            if known is not None
+            else [
+                (s.history, self._eigenstrain(e, k))
+                for e in scene.elastic
+                for k, s in enumerate(e.eigenstrains)
+            ]
+        )
+        self._free: dict[str, Action] = {}
+
+    def _load(self, load: LoadTerm) -> Action:
+        if load in self._full:
+            return self._full[load]
+        v = ufl.TestFunction(self._mechanics.space)
+        parts = {}
+        for b in range(len(self._bodies.names)):
+            work = self._mechanics.load_work(load, b, v)
+            if work != 0:
+                parts[b] = self._mechanics.assemble(work)
+        return self.action(parts)
+
+    def _eigenstrain(self, e: Elastic, k: int) -> Action:
+        """An eigenstrain, as the load it is equivalent to."""
+        mechanics, v = self._mechanics, ufl.TestFunction(self._mechanics.space)
+        mechanics.set_amplitudes({(e.region, k): 1.0})
+        body = self._bodies.of_region[e.region]
+        energy = mechanics.body_energy(body, mechanics.u, mechanics.cells())
+        part = mechanics.assemble(ufl.derivative(energy, mechanics.u, v))
+        part.scale(-1)
+        return self.action({body: part})
+
+    def action(self, parts: Mapping[int, PETSc.Vec]) -> Action:
+        """Sum nodal forces on each body, for the displacement and for the jumps."""
+        total, jump = self._nothing()
+        for body, part in parts.items():
+            own = total.duplicate()
+            own.array[:] = part.array[: self._owned]
+            total.axpy(1.0, own)
+            for j in self._jumps:
+                if body in j.moves:
+                    moved = j.moves[body].createVecRight()
+                    j.moves[body].multTranspose(own, moved)
+                    jump += moved.array
+        return Action(total, jump)
+
+    def _nothing(self) -> tuple[PETSc.Vec, Floats]:
+        nodal = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
+        return nodal, np.zeros(sum(3 * len(j.mine) for j in self._jumps))
+
+    def set_free(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
+        """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
+        self._free[cause] = self.action(parts)
+
+    def at(self, time: float) -> Action:
+        """All forces at a time [N]."""
+        nodal, jump = self._nothing()
+        acting = [(amplitude(h, time), a) for h, a in (*self._loads, *self._eigenstrains)]
+        for factor, action in (*acting, *((1.0, a) for a in self._free.values())):
+            nodal.axpy(factor, action.nodal)
+            jump += factor * action.jump
+        return Action(nodal, jump)
+
+    def applied(self, time: float) -> tuple[Floats, Floats]:
+        """Loads alone, on own nodes and jumps [N]."""
+        nodal, jump = self._nothing()
+        for history, action in self._loads:
+            nodal.axpy(amplitude(history, time), action.nodal)
+            jump += amplitude(history, time) * action.jump
+        return nodal.array.copy(), jump
+
+    def resultants(self, time: float) -> list[Floats]:
+        """Resultant of each load [N]; collective."""
+        return [
+            self.comm.allreduce(action.nodal.array.reshape(-1, 3).sum(axis=0), MPI.SUM)
+            * amplitude(history, time)
+            for history, action in self._loads
+        ]
+
+    def free_work(self, nodal: PETSc.Vec) -> float:
+        """Half the work of the free strains' forces in a nodal displacement [N mm]; collective."""
+        return sum(float(action.nodal.dot(nodal)) / 2 for action in self._free.values())
+
+
+def _at_full(load: LoadTerm) -> LoadTerm:
+    """A load whatever its history and its name."""
+    record: Any = load
+    return replace(record, history=(), name="")

@@ -1,0 +1,64 @@
+"""What supports do to the stiffness: they hold unknowns, move them, and bear forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from app.arrays import Floats
+from app.mechanics.constraints import Reduction
+from app.mechanics.contact import Jumps
+
+
+class ConstrainedRows:
+    """The rows of the stiffness that the supports of a stage hold.
+
+    Attributes:
+        rows: Their global numbers, of this rank.
+        typical: Mean diagonal of the stiffness: what held rows get, so that scales stay alike.
+    """
+
+    def __init__(self, K: PETSc.Mat, reduction: Reduction) -> None:
+        """Take from K what supports meet, then leave held rows their diagonal alone; collective."""
+        first, _ = K.getOwnershipRange()
+        self.rows = (first + np.flatnonzero(reduction.held)).astype(np.int32)
+        self._unit = reduction.unit
+        self._lifts = [_lift(K, unit) for unit in self._unit]
+        self._index = PETSc.IS().createGeneral(self.rows, comm=K.comm)
+        self._by_displacement = K.createSubMatrix(self._index)
+        self._by_jumps: list[PETSc.Mat] = []
+        diagonal = K.getDiagonal()
+        self.typical = float(diagonal.sum()) / diagonal.getSize()
+        K.zeroRowsColumns(self.rows, diag=self.typical)
+
+    def couple(self, jumps: Sequence[Jumps]) -> None:
+        """Take what the supports meet of the coupling to the jumps."""
+        self._by_jumps = [j.C.createSubMatrix(self._index) for j in jumps]
+
+    def move(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
+        """Displacements that supports give at amplitudes (n,); add what these bring to f [N]."""
+        given = np.zeros(len(f.array_r))
+        for a, unit, lift in zip(amplitudes, self._unit, self._lifts, strict=True):
+            given += a * unit
+            f.axpy(a, lift)
+        return given
+
+    def forces(self, u: PETSc.Vec, q: PETSc.Vec | None) -> PETSc.Vec:
+        """Forces of a state through the supports, loads aside [N]."""
+        found = self._by_displacement.createVecLeft()
+        self._by_displacement.mult(u, found)
+        for C in self._by_jumps:
+            C.multAdd(q, found, found)
+        return found
+
+
+def _lift(K: PETSc.Mat, unit: Floats) -> PETSc.Vec:
+    """Minus the forces of a support's displacements at full amplitude."""
+    given, forces = K.createVecRight(), K.createVecLeft()
+    given.array[:] = unit
+    K.mult(given, forces)
+    forces.scale(-1)
+    return forces

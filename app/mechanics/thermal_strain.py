@@ -1,0 +1,125 @@
+r"""Thermal expansion: what temperatures do to the bodies, as forces.
+
+A region swells by :math:`e = α (θ - θ_{ref})`, linear between the vertices. Its elastic strain is
+ε(u) - e I (the paper's energy, eq. 51, leaves the second term out), so that with constant moduli
+the forces are G e with a matrix G for each region, assembled once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+from numpy.typing import NDArray
+
+from app.mechanics.body_forms import BodyForms
+from app.mechanics.constraints import Reduction
+from app.mechanics.contact import Jumps
+from app.scene.bodies import Bodies
+from app.scene.terms import Expansion, Scene
+
+
+@dataclass(frozen=True)
+class ThermalStiffness:
+    """Forces on displacement and jumps by temperatures and by temperature jumps [N/K].
+
+    A matrix is None where the scene has no such unknowns.
+    """
+
+    u_θ: PETSc.Mat | None
+    u_τ: PETSc.Mat | None
+    q_θ: PETSc.Mat | None
+    q_τ: PETSc.Mat | None
+
+
+class ThermalStrain:
+    """Thermal expansion of the elastic regions of a scene."""
+
+    def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies) -> None:
+        """Assemble the forces of each region; collective."""
+        self._mechanics = mechanics
+        self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
+        self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
+        elastic = {e.region: e for e in scene.elastic}
+        self._forces = {x.region: mechanics.swelling_forces(elastic[x.region]) for x in self._terms}
+
+    def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
+        """Swell to temperatures.
+
+        Args:
+            temperatures: For each region that expands, values at the vertices [K], ghosts included.
+
+        Returns:
+            Nodal forces on each body [N].
+        """
+        parts: dict[int, PETSc.Vec] = {}
+        for x in self._terms:
+            e = self._mechanics.swelling[x.region]
+            e.x.array[:] = x.coefficient * (temperatures[x.region].x.array - x.reference)
+            G, body = self._forces[x.region], self.body[x.region]
+            nodal = G.createVecRight()
+            nodal.array[:] = e.x.array[: nodal.getLocalSize()]
+            parts.setdefault(body, G.createVecLeft())
+            G.multAdd(nodal, parts[body], parts[body])
+        return parts
+
+    def stiffness(
+        self,
+        moves: Mapping[str, PETSc.Mat],
+        reduction: Reduction,
+        jumps: Sequence[Jumps],
+        supported: NDArray[np.int32],
+    ) -> ThermalStiffness:
+        """How the forces change with temperature.
+
+        Args:
+            moves: For each region whose temperatures jumps move, what they add to those.
+            reduction: From nodal displacements to unknowns.
+            jumps: The jumps of the displacement, if any.
+            supported: Rows of the displacement that supports hold: zero.
+        """
+        by_θ = _sums((self.body[x.region], self._scaled(x)) for x in self._terms)
+        by_τ = _sums(
+            (self.body[x.region], self._scaled(x).matMult(moves[x.region]))
+            for x in self._terms
+            if x.region in moves
+        )
+
+        def on_u(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
+            if not parts:
+                return None
+            rows = reduction.rows(reduce(add, parts.values()))
+            rows.zeroRows(supported, diag=0.0)
+            return rows
+
+        def on_q(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
+            moved = [
+                B.transposeMatMult(parts[b])
+                for j in jumps
+                for b, B in j.moves.items()
+                if b in parts
+            ]
+            return reduce(add, moved) if moved else None
+
+        # First the jumps: without rigid regions the rows of the displacement are the parts.
+        q_θ, q_τ = on_q(by_θ), on_q(by_τ)
+        return ThermalStiffness(u_θ=on_u(by_θ), u_τ=on_u(by_τ), q_θ=q_θ, q_τ=q_τ)
+
+    def _scaled(self, x: Expansion) -> PETSc.Mat:
+        forces = self._forces[x.region].copy()
+        forces.scale(x.coefficient)
+        return forces
+
+
+def _sums(parts: Iterable[tuple[int, PETSc.Mat]]) -> dict[int, PETSc.Mat]:
+    """Sum of the matrices of each body."""
+    sums: dict[int, PETSc.Mat] = {}
+    for body, part in parts:
+        sums[body] = sums[body] + part if body in sums else part
+    return sums

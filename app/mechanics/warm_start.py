@@ -1,0 +1,129 @@
+"""Where a solve starts from when others like it have been done: variations of a case.
+
+Every variation goes its own way from rest, for friction remembers; what it takes from others is
+where each of its solves starts. Contact with friction is homogeneous of degree one: where loads and
+gaps change by a common factor the scaled state is the answer itself. Where anything else changes
+the nearest scaled state is near it, in the distance of forces, gaps and the logarithm of friction,
+and what it and the next nearest span holds a nearer one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from app.arrays import Floats
+from app.mechanics.predictors import mixture, same, take_better
+from app.mechanics.problem import Problem
+from app.numerics.newton import Solver
+
+# Runs whose states are kept; one that is a multiple of another is not.
+KEPT = 6
+# Nearest states that are mixed.
+MIXED = 5
+# Friction below which there is as good as none.
+LITTLE = 1e-3
+
+
+@dataclass(frozen=True)
+class Neighbour:
+    """A converged state and what it belongs to, on this rank.
+
+    Attributes:
+        x: Unknowns.
+        forces: Nodal forces of loads, supports and free strains [N].
+        gaps: Initial gaps at the contact points [mm].
+        friction: Logarithm of the friction coefficient of each interface, on rank 0 alone.
+    """
+
+    x: PETSc.Vec
+    forces: Floats
+    gaps: Floats
+    friction: Floats
+
+
+class WarmStart:
+    """States of other runs on the same unknowns as starts of this one."""
+
+    def __init__(self, problem: Problem, solver: Solver) -> None:
+        """Begin with nothing known."""
+        self._problem, self._solver = problem, solver
+        self._past: list[dict[float, Neighbour]] = []
+        self._now: dict[float, Neighbour] = {}
+        self._start: PETSc.Vec | None = None
+        self._new = False
+
+    def begin(self) -> None:
+        """Another run begins."""
+        if self._new:
+            self._past = [*self._past, self._now][-KEPT:]
+        self._now, self._new = {}, False
+
+    def predict(self, time: float) -> None:
+        """Start from the nearest state of another run, or from it and others, if that is better."""
+        self._start = None
+        here = self._state()
+        sizes = [self._product(p, p) or 1.0 for p in (here.forces, here.gaps)] + [1.0]
+        # One in other steps knows other times.
+        known = [
+            state
+            for states in self._past
+            for state in ([states[time]] if time in states else states.values())
+        ]
+        scaled = [_scaled(state, self._factor(state, here, sizes)) for state in known]
+        if not scaled:
+            return
+        scaled.sort(key=lambda state: self._distance(state, here, sizes))
+        nearest, *others = (state.x for state in scaled[:MIXED])
+        for x in (nearest, mixture(self._solver, nearest, others) if others else nearest):
+            if take_better(self._solver, x):
+                self._start = x.copy()
+
+    def commit(self, time: float) -> None:
+        """Remember the state."""
+        state = self._state()
+        self._now[time] = state
+        self._new = self._new or self._start is None or not same(self._start, state.x)
+
+    def _state(self) -> Neighbour:
+        """Current solution, with the loads, gaps and friction that it belongs to."""
+        problem = self._problem
+        gaps = [j.gap.ravel() for j in problem.jumps]
+        contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
+        friction = [math.log(max(c.law.friction, LITTLE)) for c in contacts]
+        return Neighbour(
+            self._solver.x.copy(),
+            problem.f.array.copy(),
+            np.concatenate([np.zeros(0), *gaps]),
+            np.array(friction),
+        )
+
+    def _factor(self, state: Neighbour, here: Neighbour, sizes: list[float]) -> float:
+        """By what loads and gaps of a state come nearest to those here."""
+
+        def product(other: Neighbour) -> float:
+            forces = self._product(state.forces, other.forces) / sizes[0]
+            return forces + self._product(state.gaps, other.gaps) / sizes[1]
+
+        own, towards = product(state), product(here)
+        return towards / own if own > 0 and towards > 0 else 1.0
+
+    def _distance(self, a: Neighbour, b: Neighbour, sizes: list[float]) -> float:
+        pairs = ((a.forces, b.forces), (a.gaps, b.gaps), (a.friction, b.friction))
+        parts = [self._product(p - q, p - q) / s for (p, q), s in zip(pairs, sizes, strict=True)]
+        return float(np.sqrt(sum(parts)))
+
+    def _product(self, a: Floats, b: Floats) -> float:
+        return float(self._problem.comm.allreduce(float(a @ b), MPI.SUM))
+
+
+def _scaled(state: Neighbour, factor: float) -> Neighbour:
+    """The state of loads and gaps times a factor."""
+    x = state.x.copy()
+    x.scale(factor)
+    return Neighbour(x, factor * state.forces, factor * state.gaps, state.friction)

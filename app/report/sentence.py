@@ -1,0 +1,190 @@
+"""What a run has found, in a sentence that a surgeon understands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from app.case import quantities
+from app.case.quantities import TABLE, in_print, numbers_of, printed
+from app.report.sweep_figures import label
+from app.report.sweep_results import SweptCase, magnitude
+from app.results.closing_lines import BOTH
+
+# What moves on what, by interface.
+PAIRS = {"stem_cement": ("the stem", "its cement"), "cement_bone": ("the cement", "the bone")}
+NOTHING = 0.05  # um, below which nothing slides
+APART = 0.995  # part of the area, from which on nothing touches
+GOOD = 0.10  # relative error of a number that is known well
+MOST = 3  # exceptions that are named
+SECTORS = {"half": " on the half that is modelled", "quarter": " on the quarter that is modelled"}
+
+Numbers = Mapping[str, Any]
+
+
+def sentence(summary: Numbers, case: SweptCase) -> str:
+    """The sentence.
+
+    Args:
+        summary: Content of summary.json.
+        case: The run, for its loads.
+    """
+    clauses = [*_contacts(summary), *_stem(summary), *_heat(summary), *_cure(summary)]
+    # Loads are known at the end: a run that stopped before has another.
+    ended = summary["status"] not in ("stopped", "not converged")
+    load = _load(case) if ended and (summary["interfaces"] or summary.get("stem")) else ""
+    clauses = clauses or list(_stresses(summary))
+    if load and clauses:
+        clauses[0] = f"{load} {clauses[0]}"
+    said = "; ".join([*clauses, _errors(summary)])
+    return f"{said[0].upper()}{said[1:]}."
+
+
+def is_bone(region: Numbers) -> bool:
+    """Whether numbers are of a region that heat can kill."""
+    return "necrosis_47C_1min_volume" in region
+
+
+def _load(case: SweptCase) -> str:
+    """The largest force at the end of the last stage, if it is a number."""
+    sizes = {}
+    for name, load in case.data.get("loads", {}).items():
+        parts = [magnitude(x) for x in load.get("force") or ()]
+        history = load.get("history") or [1.0]
+        if parts and None not in parts and isinstance(history[-1], int | float):
+            sizes[name] = abs(history[-1]) * math.hypot(*(p for p in parts if p is not None))
+    if not sizes:
+        return ""
+    largest = max(sizes, key=lambda name: sizes[name])
+    which = f" ({largest.replace('_', ' ')})" if len(sizes) > 1 else ""
+    sector = SECTORS.get(case.data.get("geometry", {}).get("sector", ""), "")
+    return f"under {sizes[largest]:,.0f} N{which}{sector}"
+
+
+def _with_error(section: str, key: str, numbers: Numbers) -> str:
+    q = TABLE[section][key]
+    return f"{q.text(numbers)} {printed(q.shown)}"
+
+
+def _contacts(summary: Numbers) -> Iterator[str]:
+    """How far bodies slide on each other, and where they part."""
+    for name, q in summary["interfaces"].items():
+        if "slip_p99" not in q:
+            continue
+        first, second = PAIRS.get(name, (f"one side of {name.replace('_', ' ')}", "the other"))
+        slides = 1e3 * q["slip_p99"] > NOTHING
+        most = _with_error("interfaces", "slip_p99", q)
+        slip = f"slides by up to {most} over 99 % of its surface" if slides else ""
+        where = "in" if second == "its cement" else "on"
+        if q.get("open_fraction", 0.0) > APART:
+            far = _with_error("interfaces", "gap_p99", q)
+            yield f"{first} touches {second} nowhere and is up to {far} away from it"
+            continue
+        moves = f"{first} {slip or 'does not slide'} {where} {second}"
+        area = q.get("area_gap_over_30um", 0.0)
+        if area > 0.5:
+            moves += f" and leaves it by more than 30 µm over {area:,.0f} of {q['area']:,.0f} mm²"
+        elif 1e3 * q.get("gap_p99", 0.0) > NOTHING:
+            moves += f" and leaves it by up to {_with_error('interfaces', 'gap_p99', q)}"
+        else:
+            moves += " and nowhere leaves it"
+        yield moves
+
+
+def _stem(summary: Numbers) -> Iterator[str]:
+    if abs(1e3 * summary.get("stem", {}).get("subsidence", 0.0)) > NOTHING:
+        yield f"the stem sinks by {_with_error('stem', 'subsidence', summary['stem'])}"
+
+
+def _heat(summary: Numbers) -> Iterator[str]:
+    """How hot the bone gets, for how long, and how much of it dies."""
+    regions = summary.get("thermal", {}).get("regions", {})
+    bone = [q for q in regions.values() if is_bone(q)]
+    if not regions:
+        return
+    if not bone:
+        name, q = max(regions.items(), key=lambda item: item[1]["temperature_max"])
+        hot = _with_error("thermal.regions", "temperature_max", q)
+        yield f"{name.replace('_', ' ')} gets as hot as {hot}"
+        return
+    worst = max(bone, key=lambda q: q["temperature_max"])
+    said = f"bone gets as hot as {_with_error('thermal.regions', 'temperature_max', worst)}"
+    spans = {level: max(q[f"seconds_over_{level}"] for q in bone) for level in (47, 50, 56)}
+    over = [f"{s:,.0f} s above {level} °C" for level, s in spans.items() if s > 0]
+    yield said + (f", for up to {', '.join(over)}" if over else " and is never above 47 °C")
+    dead = {
+        rule: sum(q.get(f"necrosis_{rule}_volume") or 0.0 for q in bone)
+        for rule in quantities.NECROSIS
+    }
+    if max(dead.values()) < 0.5:
+        yield "no bone dies"
+        return
+    rule = "47C_1min"
+    others = [v for k, v in dead.items() if k != rule]
+    yield (
+        f"{dead[rule]:,.0f} mm³ of bone dies by the rule of "
+        f"{in_print(quantities.NECROSIS[rule])}, "
+        f"{min(others):,.0f} to {max(others):,.0f} mm³ by others"
+    )
+
+
+def _cure(summary: Numbers) -> Iterator[str]:
+    for name, q in summary.get("cure", {}).items():
+        # Rounded down: what is not set everywhere is not called so.
+        yield f"{name} has set to {math.floor(1e3 * q['degree_min']) / 10:g} % or more"
+
+
+def _stresses(summary: Numbers) -> Iterator[str]:
+    for name, q in summary.get("regions", {}).items():
+        stress = _with_error("regions", "von_mises_p99", q)
+        yield f"the stress (von Mises) in {name.replace('_', ' ')} reaches {stress}"
+
+
+def _errors(summary: Numbers) -> str:
+    """How exactly the main numbers are known."""
+    companions = summary.get("error", {}).get("companions")
+    if not companions:
+        return "how exact these numbers are was not estimated (mantle run --error)"
+    if (of := summary["error"].get("of", BOTH)) != BOTH:
+        return (
+            f"only the error of the {of} was estimated, not of the mesh: no coarser one could be "
+            "compared"
+        )
+    known = {
+        f"{name}.{key}": numbers[f"{key}_error"] / abs(numbers[key])
+        for section, name, numbers in numbers_of(summary)
+        for key, q in TABLE[section].items()
+        if q.headline and q.order and numbers.get(f"{key}_error") is not None
+        if abs(q.factor * numbers[key]) > 10.0**-q.digits
+    }
+    good = [e for e in known.values() if e <= GOOD]
+    bad = {n: e for n, e in sorted(known.items(), key=lambda item: -item[1]) if e > GOOD}
+    if not known:
+        return "the errors of these numbers could not be estimated"
+    named = [f"{label(n)[0]} ({100 * e:.0f} %)" for n, e in list(bad.items())[:MOST]]
+    if len(bad) > MOST:
+        middle = math.ceil(100 * sorted(known.values())[len(known) // 2])
+        least = f"the least sure are {', '.join(named)}"
+        return f"half of the main numbers are known to {middle} % or better, {least}"
+    if not good:
+        return f"no main number is known to {100 * GOOD:.0f} %: {', '.join(named)}"
+    exceptions = f", except {', '.join(named)}" if named else ""
+    percent = max(1, math.ceil(100 * max(good)))
+    return f"every main number is known to {percent} % or better{exceptions}"
+
+
+def spread(cases: Sequence[SweptCase], names: Sequence[str]) -> str:
+    """From where to where the first of some numbers go over several runs."""
+    found = []
+    for name in names:
+        values = {c.name: n for c in cases if (n := c.number(name)) is not None}
+        if len(values) > 1 and name.endswith((".slip_p99", ".gap_p99", ".temperature_max")):
+            low, high = (f(values, key=lambda k: values[k].value) for f in (min, max))
+            if values[high].value <= NOTHING:
+                continue
+            words, unit = label(name)
+            ends = ((k, values[k].value) for k in (low, high))
+            least, most = (f"{v if abs(v) > NOTHING else 0:.3g} {unit} ({k})" for k, v in ends)
+            found.append(f"{words} from {least} to {most}")
+    return f"Over all variations: {'; '.join(found)}." if found else ""

@@ -1,0 +1,242 @@
+"""Log of a run: messages on rank 0 through `logging`, lines per step, the closing table."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from app.case import quantities
+from app.case.quantities import TABLE
+from app.errors import UnusableError
+from app.results import tables
+
+if TYPE_CHECKING:
+    from app.stepping.heat_steps import HeatStep
+
+log = logging.getLogger("mantle")
+
+# The status of what is solved but not to be used.
+UNUSABLE = "do not use"
+BEYOND = "exceeds the size of its facets: beyond small displacements"
+
+# What errors are of, where coarser meshes could be compared.
+BOTH = "mesh and step"
+
+# As many peaks are told that do not converge.
+MOST = 3
+
+PERCENTILE = re.compile(r"_p\d+$")
+
+# How well what is summed has to be balanced: forces to rounding, heat to its solver's tolerance.
+BALANCES: dict[str, float] = {"force": 1e-8, "moment": 1e-8, "energy": 1e-8, "heat": 1e-6}
+
+
+def step_header() -> str:
+    """Column titles of the step lines."""
+    return (
+        f"{'step':>4} {'time':>7} {'newton':>6} {'krylov':>6} {'residual':>9} "
+        f"{'open':>6} {'slip':>6} {'penetration':>12} {'wall':>8} {'left':>8}"
+    )
+
+
+def step_line(
+    number: int,
+    time: float,
+    newton: int,
+    krylov: int,
+    residual: float,
+    open_fraction: float,
+    slip_fraction: float,
+    penetration: float,
+    wall: float,
+    left: float,
+) -> str:
+    """One line for a converged step; lengths in mm, times in s."""
+    return (
+        f"{number:>4} {time:>7.4g} {newton:>6} {krylov:>6} {residual:>9.1e} "
+        f"{100 * open_fraction:>5.1f}% {100 * slip_fraction:>5.1f}% {penetration:>9.1e} mm "
+        f"{wall:>6.1f} s {left:>6.1f} s"
+    )
+
+
+def heat_header() -> str:
+    """Column titles of the lines of heat steps."""
+    return (
+        f"{'step':>4} {'time':>11} {'step of':>10} {'newton':>6} {'krylov':>6} {'hottest':>10} "
+        f"{'balance':>9} {'wall':>8}"
+    )
+
+
+def heat_line(number: int, accepted: HeatStep, row: dict[str, float], wall: float) -> str:
+    """One line for a step of the heat."""
+    hottest = max(v for k, v in row.items() if k.endswith("temperature_max [degC]"))
+    outcome = accepted.outcome
+    return (
+        f"{number:>4} {accepted.seconds:>9.4g} s {accepted.dt:>8.3g} s {outcome.iterations:>6} "
+        f"{outcome.linear_iterations:>6} {hottest:>5.1f} degC {row['heat balance [-]']:>9.1e} "
+        f"{wall:>6.1f} s"
+    )
+
+
+def closing_table(summary: dict[str, Any]) -> str:
+    """Table of results at the end of a run, with balances."""
+    lines = list(tables.lines(summary))
+    b = summary["balance"]
+    lines.append(
+        "balance of " + ", ".join(f"{name} {b[name]:.1e}" for name in BALANCES if name in b)
+    )
+    return "\n".join(lines)
+
+
+def unbalanced(summary: Mapping[str, Any]) -> list[str]:
+    """What is not in balance; a number that is none is not either."""
+    b = summary.get("balance", {})
+    return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
+
+
+def too_far(summary: Mapping[str, Any]) -> list[str]:
+    """Interfaces on which bodies slip farther than their facets are wide."""
+    return [
+        name
+        for name, q in summary.get("interfaces", {}).items()
+        if q.get("slip_max", 0.0) > q.get("facet_size", np.inf)
+    ]
+
+
+def faults(summary: Mapping[str, Any]) -> list[str]:
+    """Why the numbers of a solved case are not to be used; nothing if they are."""
+    lost = [
+        f"the balance of {name} is {summary['balance'][name]:.1e}, not below {BALANCES[name]:g}"
+        for name in unbalanced(summary)
+    ]
+    return lost + [f"slip on {name} {BEYOND}" for name in too_far(summary)]
+
+
+def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
+    """Refuse results that are not to be used.
+
+    Args:
+        summaries: The summary of each run directory.
+
+    Raises:
+        UnusableError: With the reasons of each.
+    """
+    found = {folder: "; ".join(faults(s)) for folder, s in summaries.items()}
+    if bad := [f"do not use the numbers in {f}: {why}" for f, why in found.items() if why]:
+        raise UnusableError("\n".join(bad))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A line on one thing that numbers are trusted for, or not.
+
+    Attributes:
+        text: The line.
+        tone: ``good``, ``doubtful``, ``bad``, or nothing where it is neither.
+    """
+
+    text: str
+    tone: str = ""
+
+
+def tell(summary: dict[str, Any], table: bool = True) -> None:
+    """Log the end of a run: its tables, and what of it is good.
+
+    Args:
+        summary: Of the run.
+        table: Whether all numbers are wanted.
+    """
+    if table:
+        log.info("%s", closing_table(summary))
+    for clause in (*verdict(summary), *peaks(summary)):
+        log.info("%s", clause.text, extra={"tone": clause.tone})
+
+
+def verdict(summary: dict[str, Any]) -> list[Verdict]:
+    """How far the numbers can be trusted, a line for each reason."""
+    solver, t, m = summary["solver"], summary["timing"], summary.get("memory")
+    took = f", {m['peak']:.0f} MB ({m['per_unknown']:.1f} kB per unknown)" if m else ""
+    solved = (
+        f"converged: {solver['dofs']} unknowns, {solver['steps']} steps, "
+        f"{solver['newton_iterations']} Newton iterations on {solver['ranks']} rank(s) in "
+        f"{t['total']:.1f} s{took}"
+    )
+    lost = unbalanced(summary)
+    forces = [name for name in lost if name != "heat"]
+    clauses = [Verdict(solved)]
+    if "force" in summary["balance"]:
+        held = f"NOT balanced ({', '.join(forces)}), do not use" if forces else "exact to rounding"
+        clauses.append(Verdict(f"equilibrium: {held}", "bad" if forces else "good"))
+    if "heat" in summary["balance"]:
+        kept = "NOT balanced, do not use" if "heat" in lost else "none is lost"
+        clauses.append(Verdict(f"heat: {kept}", "bad" if "heat" in lost else "good"))
+    if summary["interfaces"]:
+        clauses.append(_contact(summary["interfaces"]))
+    if far := too_far(summary):
+        clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
+    if goal := summary.get("goal"):
+        clauses.append(Verdict(f"goal: {goal_said(goal)}"))
+    return [*clauses, _mesh_and_step(summary)]
+
+
+def goal_said(goal: Mapping[str, Any]) -> str:
+    """The number that is the goal of a run, with its error."""
+    q = quantities.find(goal["name"])
+    value, error = (q.factor * goal[key] for key in ("value", "error"))
+    part = f" ({100 * error / abs(value):.2g} %)" if value else ""
+    return f"{goal['name']} {value:.4g} ± {error:.2g} {q.shown}{part} by an adjoint solution"
+
+
+def _contact(interfaces: Mapping[str, Any]) -> Verdict:
+    """How far bodies are inside each other."""
+
+    def length(key: str) -> str:
+        q = TABLE["interfaces"][key]
+        return f"{q.factor * most[key]:.2g} {q.shown}"
+
+    keys = ("penetration_max", "penetration_sampled")
+    most = {key: max(q[key] for q in interfaces.values()) for key in keys}
+    if most["penetration_max"] >= 1e-9:
+        return Verdict(f"contact: the bodies penetrate by {length('penetration_max')}", "doubtful")
+    between = most["penetration_sampled"] >= 1e-9
+    rest = f", within {length('penetration_sampled')} between them" if between else ""
+    return Verdict(f"contact: exact to rounding at points{rest}", "good")
+
+
+def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
+    """What the mesh and the step leave wrong, as far as it is estimated."""
+    estimated = summary.get("error", {})
+    if not estimated.get("companions"):
+        return Verdict(f"{BOTH}: error not estimated (--error does)")
+    shares = {
+        f"{key} of {name}": q[f"{key}_error"] / abs(q[key])
+        for section in ("interfaces", "regions")
+        for name, q in summary.get(section, {}).items()
+        for key in q
+        if PERCENTILE.search(key) and q.get(f"{key}_error") is not None and q[key]
+    }
+    share, text = sorted(shares, key=shares.__getitem__), "± is their estimated error"
+    if share:
+        half, worst = (100 * shares[key] for key in (share[len(share) // 2], share[-1]))
+        text = f"half of the percentiles within ± {half:.2g} %"
+        text += f", the least sure ({share[-1]}) within ± {worst:.2g} %"
+    of = estimated.get("of", BOTH)
+    return Verdict(f"{of}: {text}" + ("" if of == BOTH else "; error of the mesh not estimated"))
+
+
+def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
+    """Peaks that change most with the mesh, with their values on every mesh that was solved."""
+    told = []
+    for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
+        if q := quantities.get(name):
+            on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
+            told.append(", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others]))
+    more = [f"{len(told) - MOST} more in error.unsettled of summary.json"] if told[MOST:] else []
+    text = f"peaks that still change with the mesh: {'; '.join(told[:MOST] + more)}"
+    return [Verdict(text, "doubtful")] if told else []

@@ -1,0 +1,148 @@
+"""How far and how fast regions set: section cure of the summary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.numerics.saved_state import Rows, State
+
+LEVELS = (0.5, 0.9)
+
+
+@dataclass
+class _CuringRegion:
+    """Cure recorded at the nodes of one region (n,)."""
+
+    degree: Floats
+    rate: Floats
+    reached: Floats
+    fastest: float
+
+
+class CureRecord:
+    """Degrees of cure of a run, as far as they are reported.
+
+    The time at which a node reaches a degree is interpolated within the step by a cubic of time
+    over degree, from degrees and rates at both ends of the step.
+    """
+
+    def __init__(self, comm: MPI.Comm, degrees: Mapping[str, Floats], seconds: float = 0.0) -> None:
+        """Take in the initial state.
+
+        Args:
+            comm: Communicator.
+            degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
+            seconds: Time [s].
+        """
+        self._comm, self._seconds = comm, seconds
+        self._regions = {
+            name: _CuringRegion(
+                degree.copy(),
+                np.zeros(len(degree)),
+                np.where(degree >= np.array(LEVELS)[:, None], seconds, np.inf),
+                0.0,
+            )
+            for name, degree in degrees.items()
+        }
+
+    def update(
+        self, seconds: float, degrees: Mapping[str, Floats], rates: Mapping[str, Floats]
+    ) -> None:
+        """Take in an accepted step.
+
+        Args:
+            seconds: Time at its end [s].
+            degrees: Degrees of cure then, as at the start.
+            rates: Their rates then [1/s].
+        """
+        step = seconds - self._seconds
+        for name, r in self._regions.items():
+            degree, rate = degrees[name], rates[name]
+            for k, level in enumerate(LEVELS):
+                now = np.flatnonzero((degree >= level) & np.isinf(r.reached[k]))
+                share = _crossing(
+                    level, r.degree[now], degree[now], step * r.rate[now], step * rate[now]
+                )
+                r.reached[k, now] = self._seconds + step * share
+            r.fastest = max(r.fastest, float(rate.max(initial=0.0)))
+            r.degree, r.rate = degree.copy(), rate.copy()
+        self._seconds = seconds
+
+    def state(self, keys: Mapping[str, Ints]) -> State:
+        """All that is history; collective.
+
+        Args:
+            keys: Those of the nodes of each region.
+        """
+        return {
+            name: {
+                "nodes": Rows(keys[name], np.column_stack([r.degree, r.rate, *r.reached])),
+                "fastest": self._comm.allreduce(r.fastest, MPI.MAX),
+                "seconds": self._seconds,
+            }
+            for name, r in self._regions.items()
+        }
+
+    def resume(self, state: State, keys: Mapping[str, Ints]) -> None:
+        """Restore the recorded values, given the keys of the nodes of each region."""
+        for name, found in state.items():
+            degree, rate, *reached = (c.copy() for c in found["nodes"].of(keys[name]).T)
+            self._regions[name] = _CuringRegion(degree, rate, np.array(reached), found["fastest"])
+            self._seconds = found["seconds"]
+
+    def row(self) -> dict[str, float]:
+        """Columns of history.csv for the state last taken in; collective."""
+        result: dict[str, float] = {}
+        for name, r in self._regions.items():
+            low, high = self._range(r)
+            result |= {f"{name} degree_min [-]": low, f"{name} degree_max [-]": high}
+        return result
+
+    def summary(self) -> dict[str, Any]:
+        """Section ``cure`` of the summary; collective. Times not reached are None."""
+        result = {}
+        for name, r in self._regions.items():
+            low, high = self._range(r)
+            times = r.reached.max(axis=1, initial=-np.inf)
+            self._comm.Allreduce(MPI.IN_PLACE, times, MPI.MAX)
+            result[name] = {
+                "degree_min": low,
+                "degree_max": high,
+                "time_50": float(times[0]) if np.isfinite(times[0]) else None,
+                "time_90": float(times[1]) if np.isfinite(times[1]) else None,
+                "rate_max": self._comm.allreduce(r.fastest, MPI.MAX),
+            }
+        return result
+
+    def _range(self, r: _CuringRegion) -> tuple[float, float]:
+        ends = np.array([-r.degree.min(initial=np.inf), r.degree.max(initial=-np.inf)])
+        self._comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
+        return -float(ends[0]), float(ends[1])
+
+
+def _crossing(level: float, start: Floats, end: Floats, before: Floats, after: Floats) -> Floats:
+    """Part of a step after which a degree is reached (n,), a cubic in the degree.
+
+    Args:
+        level: The degree, between start and end.
+        start: Degrees at the start (n,).
+        end: At the end (n,).
+        before: Rates at the start times the step (n,); zero: not known.
+        after: Rates at the end times the step (n,).
+    """
+    change = end - start
+    s = np.divide(level - start, change, out=np.ones_like(start), where=change > 0)
+    # Slopes of time over degree; three times the chord at most leaves the cubic monotone.
+    slopes = []
+    for rate in (before, after):
+        slope = np.divide(change, rate, out=np.ones_like(start), where=rate > 0)
+        slopes.append(np.minimum(slope, 3.0))
+    a, b = slopes
+    return np.asarray(s**2 * (3 - 2 * s) + s * (1 - s) ** 2 * a - s**2 * (1 - s) * b)

@@ -1,0 +1,205 @@
+"""The numbers that people publish of interfaces.
+
+All functions are collective and return the same plain values on every rank. Percentiles are
+weighted by area or volume; maxima are reported beside them because peaks at edges grow with
+refinement.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.case.quantities import computed
+from app.mechanics.problem import Problem, TrialState
+from app.results.penetration import overlap
+from app.results.percentiles import SurfaceField
+from forms.contact import OPEN, SLIP, STICK
+
+MICROMOTION = 0.030  # mm: where biology reacts
+
+
+def _pressure(pressures: Floats, normals: Floats) -> Floats:
+    """Normal force per area (n,) [MPa], from those of the faces of each point (n, 3).
+
+    Negative is tension, which laws that cannot open may have.
+    """
+    size = np.linalg.norm(np.einsum("pk,pki->pi", pressures, normals), axis=1)
+    return np.where(pressures.sum(axis=1) < 0, -size, size)
+
+
+class ContactSamples:
+    """Contact points of all ranks, in canonical order, on every rank.
+
+    One row per point for vectors, one per point and face for what belongs to a face.
+
+    Attributes:
+        interface: Interface of each point (n,).
+        x: Position (n, 3) [mm].
+        weight: Area (n,) [mm2].
+        sign: -1 where the second side as declared is the master, else 1 (n,).
+        gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
+        opening: Opening of the point, the largest of its faces (n,) [mm].
+        slip: Net sliding while in contact (n, 3) [mm].
+        path: Length of the path of the slip (n,) [mm].
+        motion: Displacement of the second side as declared against the first (n, 3) [mm].
+        pressure: Normal force per area, positive in compression (n,) [MPa].
+        shear: Friction per area (n,) [MPa].
+        force: Force of the first side on the second, as declared, per area (n, 3) [MPa].
+        status: State (n,).
+        overlap: Penetration between the points of each interface, by name [mm].
+        dissipation: Dissipated by friction (n,) [N mm].
+        least: Smallest dissipation of any step, 0 at most (n,) [N mm].
+        contact_work: Work of the pressures in the opening (n,) [N mm].
+        found: What `interface` has found of them, by interface.
+    """
+
+    def __init__(self, problem: Problem, trial: TrialState) -> None:
+        """Gather a committed state; collective."""
+        self.found: dict[int, dict[str, Any]] = {}
+        (j,) = problem.jumps
+        history = j.history
+        opening = np.einsum("pi,pki->pk", trial.jump + j.gap, j.normals)
+        # The second side as declared is the slave or the master.
+        contacts = problem.scene.contacts
+        signs = np.array([-1.0 if c.turned else 1.0 for c in contacts])
+        sign, self.sign = signs[j.interface][:, None], signs[j.points.interface]
+        used = np.arange(3)[None, :] < j.faces[:, None]
+        local = {
+            "row": j.mine,
+            "gap": np.where(used, opening, 0.0),
+            "opening": np.max(opening, axis=1, where=used, initial=-np.inf),
+            "slip": sign * history.slip,
+            "path": history.path,
+            "motion": sign * trial.jump,
+            "pressure": _pressure(trial.law.pressures, j.normals),
+            "shear": np.linalg.norm(history.friction, axis=1),
+            "force": -sign * history.force,
+            "status": np.where(j.faces > 0, trial.law.status, STICK),
+            "dissipation": history.dissipation,
+            "least": history.least,
+            "contact_work": history.contact_work,
+        }
+        pieces = problem.comm.allgather(local)
+        whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
+        order = np.argsort(whole.pop("row"))
+        self.points = j.points
+        self.interface, self.x, self.weight = j.points.interface, j.points.x, j.points.weight
+        self.gap, self.opening, self.slip, self.path, self.motion = (
+            whole[k][order] for k in ("gap", "opening", "slip", "path", "motion")
+        )
+        self.pressure, self.shear, self.force, self.status = (
+            whole[k][order] for k in ("pressure", "shear", "force", "status")
+        )
+        self.dissipation, self.least, self.contact_work = (
+            whole[k][order] for k in ("dissipation", "least", "contact_work")
+        )
+        self.overlap = overlap(j, trial.jump)
+
+
+def interface(problem: Problem, samples: ContactSamples, i: int) -> dict[str, Any]:
+    """Motion, tractions and states of one interface; computed once for each state."""
+    if i not in samples.found:
+        samples.found[i] = _interface(problem, samples, i)
+    return dict(samples.found[i])
+
+
+def _interface(problem: Problem, s: ContactSamples, i: int) -> dict[str, Any]:
+    at = s.interface == i
+    weight, x = s.weight[at], s.x[at]
+    total = float(weight.sum())
+    facets = Facets(s, i)
+    found: dict[str, Any] = {}
+    for name, values in (
+        ("gap", np.maximum(s.gap, 0.0)),
+        ("slip", np.linalg.norm(s.slip, axis=1)),
+        ("slip_path", s.path),
+        ("motion", np.linalg.norm(s.motion, axis=1)),
+        ("pressure", s.pressure),
+        ("shear", s.shear),
+    ):
+        field = facets.field(values)
+        here = values[at].reshape(len(x), -1).max(axis=1)
+        k = int(np.argmax(here))
+        found |= {
+            f"{name}_max": float(max(here[k], 0.0)),
+            f"{name}_p95": field.percentile(0.95),
+            f"{name}_p99": field.percentile(0.99),
+            f"{name}_mean": field.mean(),
+            f"{name}_max_at": [float(c) for c in x[k]],
+        }
+        if name in ("gap", "slip", "motion"):
+            found[f"area_{name}_over_30um"] = field.area_above(MICROMOTION)
+
+    def fraction(state: int) -> float:
+        return float(weight[s.status[at] == state].sum()) / total
+
+    return {
+        **found,
+        "penetration_max": float(np.maximum(-s.gap[at], 0.0).max()),
+        **s.overlap[i],
+        "open_fraction": fraction(OPEN),
+        "stick_fraction": fraction(STICK),
+        "slip_fraction": fraction(SLIP),
+        "area": total,
+        "facet_size": problem.jumps[0].edge_lengths[i],
+        "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],
+        "dissipation": float(s.dissipation[at].sum()),
+        "dissipation_min": float(s.least[at].min()),
+        "contact_work": float(s.contact_work[at].sum()),
+        **computed("interfaces", s, at),
+    }
+
+
+class Facets:
+    """Facets of an interface: its points are their corners.
+
+    Attributes:
+        triangles: Contact points at the corners (f, 3).
+        area: Areas (f,) [mm2].
+    """
+
+    def __init__(self, s: ContactSamples, i: int) -> None:
+        """Find them.
+
+        Args:
+            s: The contact points.
+            i: Number of the interface.
+        """
+        self.triangles: Ints = s.points.triangles[i]
+        x = s.x[self.triangles]
+        flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        area = np.linalg.norm(flat, axis=1) / 2
+        # Curved facets have a little more than their corners span.
+        whole = s.weight[s.interface == i].sum()
+        self.area = area * (whole / area.sum()) if len(area) else area
+        # At each corner the face of the point that this facet belongs to.
+        along = np.abs(np.einsum("fi,fcki->fck", flat, s.points.normals[self.triangles]))
+        self._face: Ints = np.argmax(along, axis=2)
+
+    def normals(self, s: ContactSamples) -> Floats:
+        """Normals of the faces of the points at the corners (f, 3, 3)."""
+        found = s.points.normals[self.triangles]
+        return np.take_along_axis(found, self._face[:, :, None, None], axis=2)[:, :, 0]
+
+    def field(self, values: Floats) -> SurfaceField:
+        """Values at points (n,), or at the faces of points (n, 3), as a field on the facets."""
+        corners = values[self.triangles]
+        if values.ndim == 2:
+            corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
+        return SurfaceField(corners, self.area)
+
+    def gradient(self, values: Floats, fraction: float | None) -> Floats:
+        """Derivatives of a percentile of values, or of their mean, by the values.
+
+        Args:
+            values: As of `field`.
+            fraction: Of the area; None: of the mean.
+        """
+        of_corners = self.field(values).gradient(fraction)
+        result = np.zeros(values.shape)
+        at = (self.triangles, self._face) if values.ndim == 2 else self.triangles
+        np.add.at(result, at, of_corners)
+        return result

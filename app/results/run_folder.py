@@ -1,0 +1,279 @@
+"""The run directory: fields, history, summary, provenance, and the marker of completion.
+
+Every file is written under another name and renamed; a directory without ``DONE`` is not a result.
+Rank 0 writes; an error there is raised on every rank.
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from functools import cache, partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar
+
+from mpi4py import MPI
+
+from app import files
+from app.case import quantities
+from app.errors import StoppedError, everywhere
+from app.heat.conduction import Conduction
+from app.numerics.saved_state import State
+from app.results import temperature_section
+from app.results.field_output import Fields, Layer
+from app.results.interface_numbers import ContactSamples
+from app.results.thermal_record import ThermalRecord
+from app.system import identity, privacy
+from app.system.folders import csv_text, saved, write_json, write_text
+from app.version import __version__
+from meshes.distribute import TaggedMesh
+
+T = TypeVar("T")
+
+UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
+UNITS |= {"memory": "MB", "memory per unknown": "kB"}
+HISTORY, SECTION = "temperature.png", "temperature_section.png"
+# What is written at the end; all that a run directory has.
+GOAL_MAP, DIVIDED = "goal.vtkhdf", "divided.csv"
+ENDS = (
+    *("DONE", "summary.json", "provenance.json", "final.vtkhdf", HISTORY, SECTION, "report.html"),
+    *(GOAL_MAP, DIVIDED),
+)
+RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
+log = logging.getLogger("mantle")
+
+
+def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
+    """Do something on rank 0; its errors are raised on every rank, so that none waits.
+
+    Args:
+        comm: Communicator.
+        action: What rank 0 does.
+        share: Whether the result goes to the other ranks, else None does.
+    """
+    result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
+    return comm.bcast(result) if share else result
+
+
+@contextmanager
+def _full_disk(what: str) -> Iterator[None]:
+    """Turn a failed write into a stop."""
+    try:
+        yield
+    except OSError as error:
+        raise StoppedError(f"cannot write {what}: {error.strerror or error}") from error
+
+
+def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
+    """Write something on rank 0; a failure stops every rank.
+
+    Raises:
+        StoppedError: The disk is full or the folder cannot be written.
+    """
+
+    def guarded() -> None:
+        with _full_disk(what):
+            action()
+
+    on_root(comm, guarded, share=False)
+
+
+class Writer:
+    """Writes a run directory step by step."""
+
+    def __init__(
+        self,
+        tagged: TaggedMesh,
+        layers: Sequence[Layer],
+        folder: Path,
+        resolved: str,
+        fields: bool,
+        record: Callable[[], dict[str, Any]],
+        again: bool = False,
+    ) -> None:
+        """Create the directory and the field file, or go on with them; collective.
+
+        Args:
+            tagged: The mesh.
+            layers: What the fields are of: the mechanics, if there are any, then the heat.
+            folder: The run directory; exists.
+            resolved: The resolved configuration, as YAML.
+            fields: Whether fields are written.
+            record: Gives the provenance when the run ends.
+            again: Whether `resume` follows: what is there may stay.
+
+        Raises:
+            StoppedError: The directory cannot be written.
+        """
+        self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
+        self._rows: list[dict[str, Any]] = []
+
+        def start() -> None:
+            files.clear(folder)
+            for name in RESULTS[: len(ENDS) if again else None]:
+                (folder / name).unlink(missing_ok=True)
+            for old in () if again else saved(folder):
+                old.unlink()
+            write_text(folder / "case.yaml", resolved)
+
+        _write(self._comm, start, str(folder))
+        self._grids: tuple[Fields, ...] = (
+            (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
+        )
+        if not again:
+            self._begin()
+
+    def _begin(self) -> None:
+        with _full_disk("fields.vtkhdf"):
+            for grid in self._grids:
+                grid.begin()
+
+    def state(self) -> State:
+        """Rows and steps written so far, to be saved; collective."""
+        return {"rows": list(self._rows), "fields": [g.state() for g in self._grids]}
+
+    def resume(self, state: State) -> bool:
+        """Go on with what has been written; collective.
+
+        Returns:
+            Whether the fields of earlier steps are still there, if there are to be any.
+
+        Raises:
+            StoppedError: The directory cannot be written.
+        """
+        self._rows = list(state["rows"])
+        self._table()
+        found = state["fields"]
+        if len(found) == len(self._grids) and all(
+            [g.resume(f) for g, f in zip(self._grids, found, strict=True)]
+        ):
+            return True
+        if self._grids:
+            log.info("fields.vtkhdf is missing or not usable: a new one starts here")
+        self._begin()
+        return False
+
+    def fields(self, time: float, samples: ContactSamples | None) -> None:
+        """Append a step to the field file; collective.
+
+        Raises:
+            StoppedError: The disk is full; earlier steps stay readable.
+        """
+        with _full_disk("fields.vtkhdf"):
+            for grid in self._grids:
+                grid.write(time, samples)
+
+    def last_fields(self) -> None:
+        """Write the last written step of the fields alone, too; collective.
+
+        Raises:
+            StoppedError: The disk is full.
+        """
+        for grid in self._grids:
+            _write(self._comm, grid.close, "final.vtkhdf")
+
+    def history(self, row: dict[str, Any]) -> None:
+        """Add a row to history.csv, with what there is to say then; collective."""
+        self._rows.append(row)
+        self._table()
+
+    def _table(self) -> None:
+        """Write history.csv; collective."""
+        path = self.folder / "history.csv"
+        _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
+
+    def pictures(self, conduction: Conduction, record: ThermalRecord) -> None:
+        """Draw temperatures over time, and in a section when the bone was hottest; collective."""
+        path = self.folder / HISTORY
+        draw = partial(temperature_section.history, path, record.seconds, record.curves())
+        _write(self._comm, draw, str(path))
+        with _full_disk(SECTION):
+            temperature_section.section(
+                self.folder / SECTION,
+                conduction.tagged,
+                conduction.space.dofmap.list,
+                conduction.bodies.of_region,
+                record.hottest,
+                record.hottest_time,
+                record.hottest_at,
+            )
+
+    def finish(self, summary: dict[str, Any], done: bool) -> None:
+        """Write summary and provenance, and the marker if the run is complete; collective."""
+
+        def write() -> None:
+            write_json(self.folder / "summary.json", privacy.told(summary))
+            write_json(self.folder / "provenance.json", self._record())
+            if done:
+                write_text(self.folder / "DONE", "")
+
+        _write(self._comm, write, str(self.folder))
+
+
+def provenance(
+    ranks: int, digests: Mapping[str, str], overrides: list[str], mesh_hash: str, started: datetime
+) -> dict[str, Any]:
+    """Where a result comes from.
+
+    Args:
+        ranks: Number of MPI ranks.
+        digests: Of the case, then of the files that it builds upon, as they were read: by name.
+        overrides: As after ``--set``.
+        mesh_hash: Digest of the mesh.
+        started: When the run began.
+    """
+    private = privacy.asked()
+    (case, digest), *others = [(Path(n).name if private else n, d) for n, d in digests.items()]
+    place = {} if private else {"command": sys.argv, "host": platform.node()}
+    return {
+        "mantle": __version__,
+        "identity": identity.parts(),
+        **place,
+        "case": case,
+        "case_sha256": digest,
+        "based_on_sha256": dict(others),
+        "overrides": privacy.told(overrides),
+        "mesh_sha256": mesh_hash,
+        "ranks": ranks,
+        "processor": _processor(),
+        "python": platform.python_version(),
+        "packages": _packages(),
+        "started": started.isoformat(timespec="seconds"),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+@cache
+def _processor() -> str:
+    """The model of the processor, as Linux names it, else its architecture."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        lines = []
+    models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(models, platform.machine())
+
+
+@cache
+def _packages() -> dict[str, str]:
+    """Versions of what the solver stands on."""
+    packages = {}
+    for name in (
+        "fenics-dolfinx",
+        "petsc4py",
+        "fenics-ufl",
+        "fenics-basix",
+        "mpi4py",
+        "numpy",
+        "h5py",
+    ):
+        try:
+            packages[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return packages

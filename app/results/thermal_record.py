@@ -1,0 +1,313 @@
+"""How hot it gets, where and when, for how long, and what that kills: section thermal.
+
+A record takes the temperatures of every accepted step (`region_temperatures`) and what passes the
+interfaces then (`heat_passed`). Temperatures are K inside and degC in what is reported; the other
+units are those of ``UNITS``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+from dolfinx import fem
+
+from app.arrays import Floats
+from app.heat.heat_forms import HeatForms
+from app.heat.nodes import (
+    ProbedPoint,
+    Probes,
+    Side,
+    ThermalNodes,
+    pairs_of,
+    region_nodes,
+    sides_of,
+)
+from app.numerics.saved_state import State, keyed, node_keys
+from app.results.interface_heat import HeatPassed, InterfaceExtremes
+from app.results.level_sets import RegionCells
+from app.results.necrosis import CELSIUS, Exposure
+from app.results.region_temperatures import RegionTemperatures, largest
+from meshes.distribute import TaggedMesh
+
+Interfaces = Mapping[str, tuple[Sequence[str], Sequence[str]]]
+
+# A piece of a step departs from the parabola by this [K] at most, unless it takes too many.
+_STRAIGHT = 0.01
+_MOST_PIECES = 8
+TIMELESS = (
+    "no times above a temperature, thermal doses or dead bone: a steady stage does not know how "
+    "long its heat took; give it a duration"
+)
+
+
+class ThermalRecord:
+    """Temperatures of a run, as far as they are reported.
+
+    Attributes:
+        bone: Regions of bone.
+        seconds: Times of the states taken in, the initial one first [s].
+        rows: What `row` gave at each of them.
+        hottest: Temperatures of the bodies (nodes of this rank, ghosts too) [K] when the bone side
+            of the interfaces, or without bone the whole model after the start, was hottest.
+        hottest_time: When that was [s].
+        hottest_at: Where it was hottest then (3,) [mm].
+    """
+
+    def __init__(
+        self,
+        tagged: TaggedMesh,
+        forms: HeatForms,
+        of_region: Mapping[str, int],
+        interfaces: Interfaces,
+        bone: Sequence[str],
+        probes: Sequence[ProbedPoint],
+    ) -> None:
+        """Find nodes, sides and probes; collective. `start` comes next.
+
+        Args:
+            tagged: The mesh.
+            forms: The forms of heat on it.
+            of_region: Thermal body of each region.
+            interfaces: Regions on the first and second side of each interface, in the order of the
+                case.
+            bone: Regions of bone.
+            probes: Named points.
+
+        Raises:
+            InputError: A probe is not in its region.
+        """
+        self._comm, self._forms = forms.comm, forms
+        self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
+        self._interfaces = interfaces
+        self._sides = {name: sides_of(self._nodes, sides) for name, sides in interfaces.items()}
+        self._pairs = {name: pairs_of(self._nodes, sides) for name, sides in interfaces.items()}
+        self.bone = bone
+        self._bone_sides = _bone_sides(interfaces, self._sides, bone)
+        self._probes = Probes(tagged, forms.space, of_region, probes)
+        self._extremes = {name: InterfaceExtremes() for name in interfaces}
+        self._regions: dict[str, RegionTemperatures] = {}
+        self.seconds: list[float] = []
+        self.rows: list[dict[str, float]] = []
+
+    def start(self, temperatures: Sequence[fem.Function], seconds: float = 0.0) -> None:
+        """Take in the initial state; collective."""
+        for name, nodes in self._nodes.items():
+            self._regions[name] = RegionTemperatures.of(nodes, temperatures, seconds)
+        self._watched = -np.inf
+        self._take(seconds, temperatures)
+
+    def update(
+        self,
+        seconds: float,
+        temperatures: Sequence[fem.Function],
+        exchanges: Sequence[HeatPassed] = (),
+        highest: float = np.inf,
+        rates: Sequence[Floats] = (),
+    ) -> None:
+        """Take in an accepted step; collective.
+
+        How long the way to a steady state takes is not known: it adds to peaks, and leaves doses
+        without a value unless nothing is as warm as what counts, before it and after it.
+
+        Args:
+            seconds: Time at its end [s].
+            temperatures: Of the bodies then [K].
+            exchanges: What passes the interfaces of finite conductance then, if there are any.
+            highest: Where temperatures have to stay below [K], between steps too.
+            rates: If what heats has a kink where the step began, so that the states before say
+                nothing of it: rates of change at its end, of own nodes of the bodies [K/s].
+        """
+        step = seconds - self.seconds[-1]
+        for r in self._regions.values():
+            r.take(self.seconds[-1], temperatures)
+        if step > 0:
+            self._expose(seconds, rates)
+        elif self._warm():
+            for r in self._regions.values():
+                r.exposure.forget()
+        for r in self._regions.values():
+            r.raise_peak(seconds, highest)
+        for e in exchanges:
+            for i, name in enumerate(e.names):
+                here = e.interface == i
+                self._extremes[name].take(e.flux[here], e.entropy[here])
+        self._take(seconds, temperatures)
+
+    def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
+        """Count the doses of a step, in as many straight pieces as its curvature asks for."""
+        bends = {name: r.bend(seconds, rates) for name, r in self._regions.items()}
+        most = (np.abs(b[self._regions[n].warm]).max(initial=0.0) for n, b in bends.items())
+        worst = self._comm.allreduce(max(map(float, most)), MPI.MAX)
+        pieces = int(np.clip(np.ceil(np.sqrt(worst / _STRAIGHT)), 1, _MOST_PIECES))
+        for name, r in self._regions.items():
+            r.expose(bends[name], pieces, seconds - self.seconds[-1])
+
+    def _warm(self) -> bool:
+        """Whether anything is warm enough for doses at either end of a step; collective."""
+        local = any(r.warm.any() for r in self._regions.values())
+        return bool(self._comm.allreduce(local, MPI.LOR))
+
+    def _take(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
+        """Keep what is shown over time, and the hottest state."""
+        now = {name: r.now for name, r in self._regions.items()}
+        names, values = [], []
+        for name, T in now.items():
+            names.append(f"{name} temperature_max [degC]")
+            values.append(T.max(initial=-np.inf) - CELSIUS)
+        for name, sides in self._sides.items():
+            for which, side in zip(("first", "second"), sides, strict=True):
+                names.append(f"{name} temperature_max_{which} [degC]")
+                values.append(side.gather(now).max(initial=-np.inf) - CELSIUS)
+            jump = np.abs(self._pairs[name].jump(temperatures)).max(initial=0.0)
+            names.append(f"{name} temperature_jump_max [K]")
+            values.append(jump)
+            self._extremes[name].jump = max(self._extremes[name].jump, float(jump))
+        over_all = np.array(values, dtype=np.float64)
+        self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
+        row = dict(zip(names, map(float, over_all), strict=True))
+        probed = self._probes.values(temperatures) - CELSIUS
+        row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
+        self.seconds.append(seconds)
+        self.rows.append(row)
+        self._watch(seconds, temperatures)
+
+    def _watch(self, seconds: float, temperatures: Sequence[fem.Function]) -> None:
+        """Keep the state if it is the hottest where it matters."""
+        every = [Side({name: np.arange(len(n.dof)) for name, n in self._nodes.items()})]
+        sides = self._bone_sides or every
+        now = {name: r.now for name, r in self._regions.items()}
+        places = {name: n.x for name, n in self._nodes.items()}
+        T, x = (np.concatenate([side.gather(f) for side in sides]) for f in (now, places))
+        hot, place, _ = largest(self._comm, T, x, T)
+        initial = not self._bone_sides and len(self.seconds) == 2
+        if hot > self._watched or initial:
+            self._watched, self.hottest_time, self.hottest_at = hot, seconds, place
+            self.hottest = [t.x.array.copy() for t in temperatures]
+
+    def row(self) -> dict[str, float]:
+        """Columns of history.csv for the state last taken in."""
+        return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
+
+    def curves(self) -> dict[str, Floats]:
+        """Temperatures over time by what they are of [degC]: hottest nodes, and probes."""
+        labels = {}
+        for name, sides in self._interfaces.items():
+            for which, regions in zip(("first", "second"), sides, strict=True):
+                column = f"{name} temperature_max_{which} [degC]"
+                labels[column] = f"{name}, {' + '.join(regions)} side"
+        labels |= {f"{name} temperature_max [degC]": f"{name}, hottest" for name in self._nodes}
+        labels |= {f"{p} [degC]": f"probe {p}" for p in self._probes.names}
+        return {
+            label: np.array([row[column] for row in self.rows]) for column, label in labels.items()
+        }
+
+    def moved(self, capacities: Mapping[str, float]) -> float:
+        """Heat that has moved since the state before the last step, however it went [N mm].
+
+        Args:
+            capacities: Heat capacity of each region [N/(mm2 K)].
+        """
+        local = sum(
+            capacities[name] * float(r.nodes.volume @ np.abs(r.now - r.begin))
+            for name, r in self._regions.items()
+        )
+        return float(self._comm.allreduce(local, MPI.SUM))
+
+    def exposure(self, region: str) -> tuple[ThermalNodes, Exposure]:
+        """Nodes of a region and what they have been exposed to so far."""
+        return self._nodes[region], self._regions[region].exposure
+
+    # What a run remembers
+
+    def state(self) -> State:
+        """All that is history; collective."""
+        comm, nodes = self._comm, node_keys(self._forms.space)
+        return {
+            "seconds": list(self.seconds),
+            "rows": list(self.rows),
+            "watched": self._watched,
+            "hottest": [keyed(nodes, T[: self._forms.owned]) for T in self.hottest],
+            "hottest_time": self.hottest_time,
+            "hottest_at": self.hottest_at,
+            "extremes": {n: asdict(e.everywhere(comm)) for n, e in self._extremes.items()},
+            "regions": {name: r.state(comm, nodes) for name, r in self._regions.items()},
+        }
+
+    def resume(self, state: State) -> None:
+        """Restore times, rows, temperatures, extremes and exposures; collective."""
+        nodes, function = node_keys(self._forms.space), fem.Function(self._forms.space)
+        self.seconds, self.rows = list(state["seconds"]), list(state["rows"])
+        self._watched = state["watched"]
+        self.hottest_time, self.hottest_at = state["hottest_time"], state["hottest_at"]
+        if len(state["hottest"]) != len(self.hottest) or np.shape(self.hottest_at) != (3,):
+            raise ValueError("no hottest state")
+        self.hottest = []
+        for found in state["hottest"]:
+            function.x.array[: self._forms.owned] = found.of(nodes)
+            function.x.scatter_forward()
+            self.hottest.append(function.x.array.copy())
+        curves = [np.array(self.seconds), *self.curves().values()]
+        if not all(c.shape == (len(self.rows),) and c.dtype.kind in "fi" for c in curves):
+            raise ValueError("temperatures over time that are no numbers")
+        self._extremes = {
+            name: InterfaceExtremes(**found) for name, found in state["extremes"].items()
+        }
+        for name, found in state["regions"].items():
+            self._regions[name].resume(found, nodes)
+
+    # The summary
+
+    def summary(self) -> dict[str, Any]:
+        """Section ``thermal`` of the summary; collective."""
+        comm, cells = self._comm, {name: RegionCells(self._forms, name) for name in self._nodes}
+        surface = self._bone_surface(cells)
+        regions = {name: r.temperatures(comm, cells[name]) for name, r in self._regions.items()}
+        result: dict[str, Any] = {
+            "regions": regions,
+            "interfaces": {name: self._interface(name) for name in self._sides},
+        }
+        local = any(r.exposure.forgotten for r in self._regions.values())
+        if comm.allreduce(local, MPI.LOR):
+            return result | {"note": TIMELESS}
+        for name, r in self._regions.items():
+            regions[name] |= r.times(comm)
+        for name in self.bone:
+            regions[name] |= self._regions[name].dead(comm, cells[name], surface)
+        return result
+
+    def _bone_surface(self, cells: Mapping[str, RegionCells]) -> Floats:
+        """Where bone meets what is not bone, as triangles (f, 3, 3) [mm]; on every rank."""
+        found: list[Floats] = [np.zeros((0, 3, 3))]
+        for side in self._bone_sides:
+            for region, rows in side.rows.items():
+                found.append(cells[region].faces(self._nodes[region].dof[rows]))
+        return np.concatenate(found)
+
+    def _interface(self, name: str) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        columns = [
+            {n: values(r) for n, r in self._regions.items()}
+            for values in (lambda r: r.peak, lambda r: r.nodes.x, lambda r: r.peak_time)
+        ]
+        for which, side in zip(("first", "second"), self._sides[name], strict=True):
+            peak, place, when = largest(self._comm, *(side.gather(c) for c in columns))
+            result[f"temperature_max_{which}"] = peak - CELSIUS
+            result[f"temperature_max_{which}_at"] = place
+            result[f"temperature_max_{which}_time"] = when
+        return result | self._extremes[name].everywhere(self._comm).summary()
+
+
+def _bone_sides(
+    interfaces: Interfaces, sides: Mapping[str, tuple[Side, Side]], bones: Sequence[str]
+) -> list[Side]:
+    """The bone side of each interface between bone and something else."""
+    found = []
+    for name, regions in interfaces.items():
+        bone = [not set(bones).isdisjoint(side) for side in regions]
+        found += [sides[name][k] for k in (0, 1) if bone[k] and not bone[1 - k]]
+    return found

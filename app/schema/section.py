@@ -1,0 +1,223 @@
+"""Shared parts of the schema: the base model, names, tagged choices, messages."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, NoReturn, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import PydanticCustomError, core_schema
+
+# Marks, in the location of a pydantic error, an entry that names a class and not a key.
+TAG = "="
+
+
+class Section(BaseModel):
+    """Base of every part of a case: immutable, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+
+def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
+    """Report a defect of the value under validation.
+
+    Args:
+        text: What is wrong; what is allowed.
+        at: Path of the defect below the value, when the value is a mapping or a list.
+
+    Raises:
+        PydanticCustomError: Always.
+    """
+    raise PydanticCustomError("mantle", "{text}", {"text": text, "at": at})
+
+
+def show(value: object) -> str:
+    """A value as a message quotes it, shortened."""
+    if isinstance(value, bool):
+        text = str(value).lower()
+    elif isinstance(value, dict):
+        return "a mapping"
+    elif isinstance(value, list | tuple):
+        return "a list"
+    elif value is None:
+        return "nothing"
+    elif isinstance(value, int) and value.bit_length() > 200:
+        return "a huge number"
+    else:
+        text = repr(value)
+    return text if len(text) <= 60 else text[:56] + "...'"
+
+
+def did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
+    """The end of a message that proposes what begins like the word or is nearest, or nothing."""
+    folded = {k.lower(): k for k in known}
+    lower = word.lower()
+    begun = [k for k in known if len(word) > 2 and k.lower().startswith(lower)]
+    close = (
+        begun[:3]
+        or difflib.get_close_matches(word, known, 1)
+        or [folded[w] for w in difflib.get_close_matches(lower, list(folded), 1)]
+    )
+    names = " or ".join(f"'{k}'" for k in close)
+    return f"; did you mean {names}?" if close else ""
+
+
+def _name(value: object) -> object:
+    # Names become those of folders and fields.
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]{0,99}", value):
+        fail(
+            f"{show(value)} is not a name; expected letters, digits, _ and -, first a letter, at "
+            "most 100"
+        )
+    return value
+
+
+def _only(kind: type | tuple[type, ...], what: str) -> BeforeValidator:
+    """Refuse everything but a type before pydantic converts it."""
+
+    def check(value: object) -> object:
+        if not isinstance(value, kind):
+            fail(f"{show(value)} is not {what}")
+        return value
+
+    return BeforeValidator(check)
+
+
+Name = Annotated[str, BeforeValidator(_name)]
+Text = Annotated[str, _only(str, "text; put it in quotes")]
+Truth = Annotated[bool, _only(bool, "true or false")]
+ITEMS = _only((list, tuple), "a list")
+MAPPING = _only(dict, "a mapping of names to values")
+
+
+class Scalar:
+    """Base of what marks a field of one value: read and written here instead of by pydantic."""
+
+    def read(self, value: object) -> Any:
+        """The value as the program keeps it.
+
+        Raises:
+            PydanticCustomError: It is not one.
+        """
+        raise NotImplementedError
+
+    def write(self, value: Any) -> Any:
+        """The value as it reads back to the same."""
+        return value
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Replace pydantic's own schema by `read` and `write`."""
+        return core_schema.no_info_plain_validator_function(
+            self.read, serialization=core_schema.plain_serializer_function_ser_schema(self.write)
+        )
+
+
+def one_of(value: object, allowed: tuple[str, ...]) -> None:
+    """Refuse a value that is not among the allowed words.
+
+    Raises:
+        PydanticCustomError: It is not.
+    """
+    if value not in allowed:
+        hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
+        fail(f"{show(value)} is not one of {', '.join(allowed)}{hint}")
+
+
+@dataclass(frozen=True)
+class Word:
+    """Restricts a `Literal` field to its words, with a message that proposes the nearest one."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Check the word before pydantic does."""
+        words = get_args(source)
+
+        def check(value: object) -> object:
+            one_of(value, words)
+            return value
+
+        return core_schema.no_info_before_validator_function(check, handler(source))
+
+
+# What is built anew when a kind is added (`case.case`).
+RENEWALS: list[Callable[[], object]] = []
+
+
+class Extensible(Section):
+    """Base of sections to which another package may add kinds: derive from it, and that is all."""
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **more: object) -> None:
+        """Take in a new kind."""
+        for renew in RENEWALS:
+            renew()
+
+
+def kinds_of(base: Any) -> tuple[type[BaseModel], ...]:
+    """All subclasses that have a `kind`, in the order of their definition."""
+    below = [c for sub in base.__subclasses__() for c in (sub, *kinds_of(sub))]
+    named = (c for c in below if get_args(c.model_fields["kind"].annotation))
+    return tuple(dict.fromkeys(named))
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """Marks a union of models with different `kind`, or by a key that only one of them has.
+
+    Of an `Extensible` base instead of a union: all its kinds.
+
+    Attributes:
+        default: The kind of a mapping that does not say; "" if it has to.
+    """
+
+    default: str = ""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """A tagged union whose tags cannot be mistaken for keys of the file."""
+        classes: tuple[type[BaseModel], ...] = get_args(source) or kinds_of(source)
+        by_kind = {
+            get_args(c.model_fields["kind"].annotation)[0]: c
+            for c in classes
+            if "kind" in c.model_fields
+        }
+        by_key = {next(iter(c.model_fields)): c for c in classes if "kind" not in c.model_fields}
+        allowed = tuple(by_kind)
+
+        def check(value: object) -> object:
+            if isinstance(value, classes):
+                return value
+            if not isinstance(value, dict):
+                fail(
+                    f"{show(value)} is not a mapping; expected one with kind: {' | '.join(allowed)}"
+                )
+            if by_key.keys() & value.keys():
+                return value
+            if "kind" in value:
+                kind = value["kind"]
+                if not isinstance(kind, str) or kind not in allowed:
+                    hint = did_you_mean(kind, allowed) if isinstance(kind, str) else ""
+                    fail(f"{show(kind)} is not one of {', '.join(allowed)}{hint}", at=("kind",))
+            elif not self.default:
+                fail(f"is missing; expected one of {', '.join(allowed)}", at=("kind",))
+            return value
+
+        def tag(value: Any) -> str:
+            if isinstance(value, BaseModel):
+                return TAG + type(value).__name__
+            for key, model in by_key.items():
+                if key in value:
+                    return TAG + model.__name__
+            return TAG + by_kind[value.get("kind", self.default)].__name__
+
+        union = core_schema.tagged_union_schema(
+            {TAG + c.__name__: handler.generate_schema(c) for c in classes}, tag
+        )
+        return core_schema.no_info_before_validator_function(check, union)

@@ -1,0 +1,388 @@
+"""A YAML file as plain data that remembers where each key stood.
+
+YAML 1.2 by ruamel.yaml's parser; the tree is built here, so that every duplicate key is found at
+once, anchors cannot blow up, and each value keeps its line and column.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from pathlib import Path as FilePath
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+
+from app.errors import GeometryError, InputError
+from app.schema.yaml_text import (
+    LONGEST,
+    MOST_NODES,
+    TOO_MANY,
+    BadYaml,
+    compose,
+    mark,
+    printable,
+    read_text,
+)
+
+Path = tuple[str | int, ...]
+# Which of its files, line and column, counted from 0, 1 and 1; or the key of an option.
+Place = tuple[int, int, int] | str
+DEEPEST = 50
+# What a mapping or list may be marked as: nothing but itself.
+PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
+# A message that begins with a key, and a step of that.
+KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
+STEP = re.compile(r"[\w-]+")
+# Sorting key of what has no place in the file.
+LAST = (1 << 30, 0, 0)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One defect of the input.
+
+    Attributes:
+        path: Keys from the top to the value it concerns.
+        text: What is wrong; what is allowed.
+    """
+
+    path: Path
+    text: str
+
+
+@dataclass
+class CaseFile:
+    """The content of a case file with the overrides applied.
+
+    Attributes:
+        name: The file as the user named it.
+        data: Mappings, lists and scalars.
+        places: Where each path stands.
+        complaints: Defects found while reading, each with its sorting key, as lines.
+        others: The files that it builds upon (`case.overlay`), in the order of their numbers.
+        given: The values of overrides as they were given, by their keys.
+        digests: SHA-256 of the bytes that were parsed, by the names of the files.
+    """
+
+    name: str
+    data: dict[str, Any] = field(default_factory=dict)
+    places: dict[Path, Place] = field(default_factory=dict)
+    complaints: list[tuple[tuple[int, int, int], str]] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)
+    given: dict[str, Any] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
+
+    def put(self, holder: Any, path: Path, value: Any) -> None:
+        """Put a value into the data.
+
+        Args:
+            holder: The mapping or list that it goes into.
+            path: Where it stands then.
+            value: Mappings, lists and scalars; their places are noted already.
+
+        Raises:
+            BadYaml: It cannot stand there.
+        """
+        holder[path[-1]] = value
+
+    def raise_all(self, problems: Sequence[Fault]) -> None:
+        """Raise one error for all problems, in the order of the file.
+
+        Raises:
+            InputError: There is at least one problem, here or found while reading.
+        """
+        lines = [*self.complaints, *(self._locate(p) for p in problems)]
+        if lines:
+            raise InputError(list(dict.fromkeys(printable(text) for _, text in sorted(lines))))
+
+    @contextmanager
+    def placing(self) -> Iterator[None]:
+        """Put the place in the file before errors that begin with one of its keys.
+
+        Raises:
+            InputError: One was raised within.
+            GeometryError: The same.
+        """
+        try:
+            yield
+        except GeometryError as error:
+            raise GeometryError(self._placed(str(error))) from error
+        except InputError as error:
+            raise InputError([self._placed(m) for m in error.messages]) from error
+
+    def _placed(self, message: str) -> str:
+        """A message with its place, if it begins with a key."""
+        found = KEYED.fullmatch(message)
+        path = tuple(int(i) if i.isdigit() else i for i in STEP.findall(found[1])) if found else ()
+        if found is None or path[0] not in self.data:
+            return message
+        return self._locate(Fault(path, found[2]))[1]
+
+    def _locate(self, problem: Fault) -> tuple[tuple[int, int, int], str]:
+        """Sorting key and line of a problem: the place of its key, or of the nearest above."""
+        for n in range(len(problem.path), -1, -1):
+            if (place := self.places.get(problem.path[:n])) is not None:
+                break
+        else:
+            place = (0, 1, 1)
+        key = path_text(problem.path)
+        if isinstance(place, str):
+            inner = "" if key == place else f"{key}: "
+            return LAST, f"--set {place}: {inner}{problem.text}"
+        file, line, column = place
+        start = f"{[self.name, *self.others][file]}:{line}:{column}: "
+        return place, start + (f"{key}: {problem.text}" if key else problem.text)
+
+
+def path_text(path: Path) -> str:
+    """``("stages", 0, "name")`` as ``stages[0].name``."""
+    text = ""
+    for item in path:
+        word = str(item) if len(str(item)) <= 100 else f"{str(item)[:96]}..."
+        text += f"[{word}]" if isinstance(item, int) else f".{word}" if text else word
+    return text
+
+
+def located(message: str, places: Mapping[str, Path]) -> Fault | None:
+    """A defect of a value that overrides put into a case, at its place; None if it is of no such.
+
+    Args:
+        message: A message about the case.
+        places: Where each override stands in the file, by its key.
+    """
+    for key, place in places.items():
+        if message.startswith(start := f"--set {key}: "):
+            return Fault(place, message.removeprefix(start))
+    return None
+
+
+def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> list[Fault]:
+    """Options that hold for every case, of keys that vary from case to case: one would be in vain.
+
+    Args:
+        overrides: ``--set`` options.
+        varied: Keys that vary, each with the place of its list, or of a value in it.
+    """
+    places = {(p[:-1] if isinstance(p[-1], int) else p, key): None for p, key in varied}
+    return [
+        Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")
+        for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
+        for place, key in places
+        if all(a == b for a, b in zip(words(given), words(key), strict=False))
+    ]
+
+
+def words(key: str) -> list[str]:
+    """The words of an override key: ``a.b[0].c`` are a, b, 0, c."""
+    return re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
+
+
+def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
+    """Read a case file and apply overrides.
+
+    Args:
+        path: The file.
+        overrides: ``a.b.c=value`` each, the value in YAML.
+
+    Raises:
+        InputError: The file cannot be read or is not YAML.
+    """
+    case = CaseFile(str(path))
+    text, case.digests[str(path)] = read_text(path)
+    try:
+        node = compose(text)
+        if node is None:
+            raise BadYaml("the file is empty; expected a mapping with geometry, mesh, regions")
+        if not isinstance(node, MappingNode):
+            raise BadYaml("expected a mapping with geometry, mesh, regions", mark(node))
+        case.data = _Builder(case).value(node, ())
+    except BadYaml as error:
+        line, column = error.place
+        raise InputError([printable(f"{path}:{line}:{column}: {error.text}")]) from error
+    apply(case, overrides)
+    return case
+
+
+def changed(case: CaseFile, overrides: Sequence[str]) -> CaseFile:
+    """A copy with more overrides applied; the file itself is not read again."""
+    copy = replace(
+        case,
+        data=deepcopy(case.data),
+        places=dict(case.places),
+        complaints=[],
+        given=dict(case.given),
+    )
+    apply(copy, overrides)
+    return copy
+
+
+def apply(case: CaseFile, overrides: Sequence[str]) -> None:
+    """Put overrides into a case; what is wrong with one is a complaint."""
+    for override in overrides:
+        try:
+            _override(case, override)
+        except BadYaml as error:
+            place = f"--set {override.partition('=')[0]}"
+            case.complaints.append((LAST, f"{path_text((place,))}: {error.text}"))
+
+
+class _Builder:
+    """Turns nodes into data, noting places and duplicate keys, and refusing what no case needs."""
+
+    def __init__(self, case: CaseFile, override: str = "") -> None:
+        self.case, self.override, self.count = case, override, 0
+        self.scalars = YAML(typ="safe", pure=True)
+
+    def place(self, node: Node) -> Place:
+        """Where a node stands."""
+        return self.override or (0, *mark(node))
+
+    def value(self, node: Node, path: Path) -> Any:
+        """The data of a node.
+
+        Raises:
+            BadYaml: Too large, too deep or of a type without meaning here.
+        """
+        here = mark(node)
+        self._count(len(path), here)
+        self.case.places.setdefault(path, self.place(node))
+        if not isinstance(node, ScalarNode) and str(node.tag) not in PLAIN_TAGS:
+            raise BadYaml(f"the tag {node.tag} has no meaning here", here)
+        match node:
+            case ScalarNode():
+                return self._scalar(node, here)
+            case SequenceNode():
+                result = []
+                for i, item in enumerate(node.value):
+                    self.case.places.setdefault((*path, i), self.place(item))
+                    result.append(self.value(item, (*path, i)))
+                return result
+            case MappingNode():
+                return self._mapping(node, path)
+        raise BadYaml("unexpected content", here)
+
+    def _count(self, depth: int, here: tuple[int, int]) -> None:
+        self.count += 1
+        if self.count > MOST_NODES or depth > DEEPEST:
+            raise BadYaml(TOO_MANY, here)
+
+    def _mapping(self, node: MappingNode, path: Path, merging: int = 0) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        merged: list[Node] = []
+        self._count(merging, mark(node))
+        for key_node, value_node in node.value:
+            place = self.place(key_node)
+            if not isinstance(key_node, ScalarNode):
+                raise BadYaml("a key must be a plain word", mark(key_node))
+            key = self._text(key_node)
+            if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
+                merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
+                continue
+            if key in result:
+                text = f"{path_text((*path, key))}: this key stands here twice; keep one"
+                if isinstance(place, str):
+                    raise BadYaml(text)
+                line = f"{self.case.name}:{place[1]}:{place[2]}: {text}"
+                self.case.complaints.append((place, line))
+                continue
+            self.case.places.setdefault((*path, key), place)
+            result[key] = self.value(value_node, (*path, key))
+        for other in merged:
+            if not isinstance(other, MappingNode):
+                raise BadYaml("<< needs a mapping", mark(other))
+            for key, value in self._mapping(other, path, merging + 1).items():
+                result.setdefault(key, value)
+        return result
+
+    def _scalar(self, node: ScalarNode, here: tuple[int, int]) -> Any:
+        kind = str(node.tag).rpartition(":")[2]
+        if kind in ("str", "timestamp", "value"):
+            return self._text(node)
+        if kind not in ("null", "bool", "int", "float"):
+            raise BadYaml(f"the tag {node.tag} has no meaning here", here)
+        try:
+            return self.scalars.constructor.construct_object(node)
+        # What is marked as a number or as true may be anything.
+        except (ValueError, LookupError, YAMLError) as error:
+            what = "true or false" if kind == "bool" else "a number"
+            raise BadYaml(f"'{self._text(node)[:60]}' is not {what}", here) from error
+
+    def _text(self, node: ScalarNode) -> str:
+        """The text of a scalar.
+
+        Raises:
+            BadYaml: Endless, or half of a character, which no file can hold.
+        """
+        text = str(node.value)
+        if len(text) > LONGEST:
+            raise BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", mark(node))
+        if any("\ud800" <= c <= "\udfff" for c in text):
+            raise BadYaml("a surrogate is no character", mark(node))
+        return text
+
+
+def _override(case: CaseFile, override: str) -> None:
+    """Apply ``a.b[0].c=value``.
+
+    Raises:
+        BadYaml: Malformed, or it goes through something that is not a mapping or list.
+    """
+    key, equals, text = override.partition("=")
+    key = key.strip()
+    items = words(key)
+    if not equals or not all(items):
+        raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
+    if len(items) > DEEPEST:
+        raise BadYaml(f"{len(items)} keys in each other; at most {DEEPEST}")
+    target: Any = case.data
+    path: Path = ()
+    for n, item in enumerate(items):
+        last = n == len(items) - 1
+        step: str | int = item
+        if isinstance(target, list):
+            if not re.fullmatch("[0-9]{1,6}", item) or int(item) >= len(target):
+                raise BadYaml(f"{path_text(path)} has entries 0 to {len(target) - 1}, not '{item}'")
+            step = int(item)
+        elif not isinstance(target, dict):
+            raise BadYaml(f"{path_text(path)} is a single value: it has no '{item}'")
+        path = (*path, step)
+        if not last:
+            if isinstance(target, dict) and target.get(item) is None:
+                target[item] = [{}] if items[n + 1] == "0" else {}
+                case.places[path] = key
+            target = target[step]
+    for old in [p for p in case.places if p[: len(path)] == path]:
+        del case.places[old]
+    case.places[path] = key
+    try:
+        node = compose(text)
+    except BadYaml:
+        # "[0, 0, -1] N" is not YAML without quotes, which the shell has already taken away.
+        if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
+            raise
+        value: Any = text
+    else:
+        value = None if node is None else _Builder(case, key).value(node, path)
+        if node is None:  # KEY= without a value is not the null that takes something away
+            case.given[key] = target[step] = None
+            return
+    case.given[key] = value
+    case.put(target, path, value)
+
+
+def written(data: dict[str, Any]) -> str:
+    """Mappings, lists and scalars as YAML that `read` gives back."""
+    yaml: Any = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.width = 1 << 20
+    stream = io.StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()

@@ -1,0 +1,97 @@
+"""Before a run: its folder, and what of it this program and stack have finished already."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from app.case.case import Case, Varied, dump_case, plain
+from app.case.geometries import MeshFile
+from app.case.loaded_case import LoadedCase
+from app.errors import InputError
+from app.results.closing_lines import check_usable
+from app.schema import yaml_file
+from app.soundness import memory
+from app.system import folders, identity, privacy
+
+
+def finished(folder: Path, case: Case) -> bool:
+    """Tell whether a run directory is complete, that of a case, and of this very program.
+
+    Args:
+        folder: The run directory.
+        case: The configuration, without variations. A mesh file that is newer than the results
+            makes another case of it.
+    """
+    try:
+        done = (folder / "DONE").stat().st_mtime
+        written = (folder / "case.yaml").read_text(encoding="utf-8")
+        private = yaml_file.written(privacy.without_folders(plain(case)))
+        same = written in (dump_case(case), private)
+        record = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    same &= record.get("identity") == identity.parts()
+    geometry = case.geometry
+    newer = isinstance(geometry, MeshFile) and geometry.path.stat().st_mtime > done
+    return same and not newer
+
+
+def summaries(output: Path, varied: Sequence[Varied]) -> dict[int, dict[str, Any]]:
+    """The summaries of the variations that are finished, by their places.
+
+    Args:
+        output: The folder above theirs.
+        varied: The variations.
+    """
+    return {
+        i: json.loads((output / v.name / "summary.json").read_text(encoding="utf-8"))
+        for i, v in enumerate(varied)
+        if finished(output / v.name, v.case)
+    }
+
+
+def prepare(
+    case: LoadedCase, output: Path, *, force: bool = False, keep: bool = False, restart: str = ""
+) -> bool:
+    """Make the folder of a run, before anything is started for it.
+
+    Args:
+        case: The case.
+        output: The run directory.
+        force: Whether results in it are replaced.
+        keep: Whether what is finished with this very case stays.
+        restart: A checkpoint to go on from, ``auto`` or nothing.
+
+    Returns:
+        Whether all that the case asks for is there and stays.
+
+    Raises:
+        InputError: The case does not fit this machine, or the folder cannot be used.
+        UnusableError: All is there, but not to be used.
+    """
+    if restart not in ("", "auto") and case.config.variations:
+        raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
+    memory.check(case.file, case.config)
+    folders.prepare_run(output, force or keep or bool(restart))
+    if not (keep and _everything(case, output)):
+        return False
+    names = [v.name for v in case.variations()] if case.config.variations else [""]
+    check_usable(
+        {
+            output / n: json.loads((output / n / "summary.json").read_text(encoding="utf-8"))
+            for n in names
+        }
+    )
+    return True
+
+
+def _everything(case: LoadedCase, output: Path) -> bool:
+    """Whether a run directory has all that a case asks for."""
+    if not case.config.variations:
+        return finished(output, case.config)
+    return (output / "DONE").exists() and all(
+        finished(output / v.name, v.case) for v in case.variations()
+    )

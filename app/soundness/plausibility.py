@@ -1,0 +1,113 @@
+"""Input that is allowed but rarely meant: wrong units, nothing that acts, elements that lock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from app.case.case import Case
+from app.laws.thermal import PressureConductance, Thermal
+from app.schema.section import Section
+from app.system.layout import plain
+
+# Data that some material has, in internal units: from foam to diamond and osmium. Absolute
+# temperatures between dry ice and burning.
+TEMPERATURES = (190.0, 800.0)
+USUAL = {
+    "conductivity": (1e-2, 3e3),
+    "axial_conductivity": (1e-2, 3e3),
+    "transverse_conductivity": (1e-2, 3e3),
+    "density": (1e-11, 2.3e-8),
+    "specific_heat": (1e8, 1.5e10),
+    "initial_temperature": TEMPERATURES,
+    "reference_temperature": TEMPERATURES,
+    "thermal_expansion": (1e-8, 1e-3),
+}
+MODULI = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
+# Young's moduli of what the name of a region says it is, else of all from gel to diamond [MPa]:
+# wide enough for any such material, and a thousand times off for none.
+STIFFNESS = {
+    "cancellous": (5.0, 2e4),
+    "cortical": (1e3, 1e5),
+    "bone": (50.0, 1e5),
+    "cement": (100.0, 2e4),
+    "stem": (1e3, 5e5),
+    "metal": (5e3, 1e6),
+    "": (1e-3, 1.5e6),
+}
+# Forces on a hip from that of a finger to that of a fall [N].
+HIP_FORCES = (20.0, 5e4)
+
+
+def warnings(case: Case) -> list[str]:
+    """Warnings about input that is allowed but rarely meant, for `mantle check` and the log."""
+    messages = []
+    if not case.conducts and not _acts(case):
+        messages.append("nothing acts on the model: the result will be zero")
+    if case.mesh.order == 1:
+        messages += [
+            f"regions.{name} is nearly incompressible: linear tetrahedra lock (they are far too "
+            "stiff); use mesh.order: 2"
+            for name, region in case.regions.items()
+            if getattr(region, "nearly_incompressible", False)
+        ]
+    for name, region in case.regions.items():
+        known = next(limits for word, limits in STIFFNESS.items() if word in name)
+        for key in MODULI:
+            if hasattr(region, key):
+                messages += _far_off(f"regions.{name}.{key}", region, key, *known)
+        if region.thermal is not None:
+            messages += _unusual(f"regions.{name}.thermal", region.thermal)
+    expands = any(
+        r.thermal is not None and r.thermal.thermal_expansion for r in case.regions.values()
+    )
+    messages += [
+        f"interfaces.{name}: expansion and a conductance that grows with pressure feed each other: "
+        "there may be several states, and the initial temperatures decide between them"
+        for name, law in case.interfaces.items()
+        if expands and isinstance(law.conductance, PressureConductance)
+    ]
+    if case.geometry.kind in ("femur", "intact_femur"):
+        messages += [
+            f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
+            for force in _largest_force(case)
+            if not HIP_FORCES[0] <= force <= HIP_FORCES[1]
+        ]
+    for name, condition in case.heat.items():
+        for key in ("temperature", "ambient"):
+            if isinstance(getattr(condition, key, None), float):
+                messages += _far_off(f"heat.{name}.{key}", condition, key, *TEMPERATURES)
+    return messages
+
+
+def _acts(case: Case) -> bool:
+    """Whether anything moves or strains the model."""
+    gaps = any(getattr(law, "gap", None) for law in case.interfaces.values())
+    moved = any(any(getattr(s, a, None) for a in "xyz") for s in case.supports.values())
+    strained = any(getattr(r, "eigenstrains", ()) for r in case.regions.values())
+    return bool(case.loads) or gaps or moved or strained
+
+
+def _largest_force(case: Case) -> Iterable[float]:
+    """The largest force at any time, if there are forces [N]."""
+    sizes = [
+        math.hypot(*load.resultant) * max(map(abs, load.history or (1.0,)))
+        for load in case.loads.values()
+        if load.resultant is not None
+    ]
+    return [max(sizes)] if any(sizes) else []
+
+
+def _unusual(place: str, thermal: Thermal) -> Iterable[str]:
+    """Data of a region a thousand times off what any material has: a wrong unit."""
+    for key, (low, high) in USUAL.items():
+        yield from _far_off(f"{place}.{key}", thermal, key, low, high)
+    if thermal.cure is not None:
+        yield from _far_off(f"{place}.cure.heat", thermal.cure, "heat", 1.0, 1e4)
+
+
+def _far_off(place: str, model: Section, key: str, low: float, high: float) -> Iterable[str]:
+    value = getattr(model, key)
+    if value and not low <= abs(value) <= high:
+        text = plain(model.model_dump(mode="json")[key])
+        yield f"{place} is {text}: a wrong unit?"

@@ -1,0 +1,332 @@
+"""Whether a case on its mesh can be solved at all, and whether it says what was meant.
+
+What is certainly wrong is an error before anything is solved; what is rarely meant is a note.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.arrays import Floats
+from app.case.case import Case
+from app.errors import InputError
+from app.laws.materials import Conductor, Rigid
+from app.scene.build_heat import field
+from app.soundness.fibre_axes import on_axis
+from app.soundness.loose_bodies import (
+    directions,
+    gaps_of,
+    groups_of,
+    history_of,
+    holds,
+    law_between,
+    loosely_held,
+    place,
+    unheld,
+)
+from meshes.pieces import Parts, parts
+
+if TYPE_CHECKING:
+    from meshes import MeshData
+
+
+# Gaps beyond this part of the interface or of the bodies are no small displacements, interferences
+# beyond that part of the bodies cannot be; given displacements may slide a body, but not so far.
+SMALL, TOO_MUCH, FAR = 0.05, 0.25, 0.5
+# Strains beyond which small-strain elasticity says nothing of any material.
+STRAIN = 0.05
+# A piece is slender if it is thinner than this part of its length. Bars and plates of linear cells
+# of edge l and thickness h are stiffer than they are by BENDING (l / h)^2 (measured with 1 to 5
+# cells through them: 2.2 to 3.0); more than TOO_STIFF is noted.
+SLENDER, BENDING, TOO_STIFF = 0.2, 2.3, 0.1
+# Part of the points of an interface that supports have to hold on both sides to be noted.
+MOSTLY = 0.5
+# Diagonals of anything in a human body or at a bench [mm].
+SIZES = (1.0, 3000.0)
+# Two given displacements differ if they do by this part of the larger.
+SAME = 1e-9
+
+
+def look(case: Case, data: MeshData) -> Parts:
+    """Parts of a mesh that `judge` looks at.
+
+    Args:
+        case: A case on it.
+        data: The mesh.
+    """
+    faces = {s.boundary for s in case.supports.values() if getattr(s, "normal", None) == "face"}
+    return parts(data, {s.boundary for s in case.supports.values()}, faces)
+
+
+def judge(case: Case, found: Parts) -> list[str]:
+    """Warnings about a case on its mesh.
+
+    Args:
+        case: The case.
+        found: What its mesh consists of.
+
+    Raises:
+        InputError: It cannot be solved: with all the reasons.
+    """
+    notes = [*found.told, *_cracks(case, found), *_size(case, found)]
+    if errors := on_axis(case, found):
+        raise InputError(errors)
+    if all(isinstance(region, Conductor) for region in case.regions.values()):
+        return notes
+    groups = groups_of(case, found)
+    torn, split = _contradictions(case, found)
+    errors = [*unheld(case, found, groups), *torn, *_too_tight(case, found)]
+    if errors:
+        # A crack is often why.
+        raise InputError([*errors, *(f"note: {n}" for n in notes)])
+    return [
+        *notes,
+        *loosely_held(case, found, groups),
+        *split,
+        *_clamped(case, found),
+        *_large(case, found),
+        *_too_stiff(case, found),
+        *_strained(case, found),
+    ]
+
+
+# What contradicts itself
+
+
+def _given(case: Case, support: Any, name: str, axis: str, x: Floats) -> Floats:
+    """Displacement prescribed by a support at points, at the end of each stage (stages, n) [mm]."""
+    value = getattr(support, axis, None) or 0.0
+    factors = np.array(history_of(case, getattr(support, "history", None)))
+    return np.asarray(factors[:, None] * field(f"supports.{name}.{axis}", value)(x))
+
+
+def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
+    """Nodes that two supports give different displacements: all of one of them, or some."""
+    holding = {
+        name: {
+            "nodes": np.unique(np.concatenate([*found.boundaries[s.boundary].values()])),
+            "stages": [holds(s, stage.name) for stage in case.stages],
+        }
+        for name, s in case.supports.items()
+        if s.kind != "foundation" and found.boundaries.get(s.boundary)
+    }
+    errors: list[str] = []
+    notes: list[str] = []
+    names = list(holding)
+    for i, one in enumerate(names):
+        for two in names[i + 1 :]:
+            a, b = case.supports[one], case.supports[two]
+            nodes = np.intersect1d(holding[one]["nodes"], holding[two]["nodes"])
+            both = np.logical_and(holding[one]["stages"], holding[two]["stages"])
+            for axis in sorted(set(a.held_axes) & set(b.held_axes)) if len(nodes) else ():
+                x = found.x[nodes]
+                first, second = (_given(case, s, n, axis, x)[both] for s, n in ((a, one), (b, two)))
+                size = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
+                differ = (np.abs(first - second) > SAME * size).any(axis=0)
+                if not differ.any():
+                    continue
+                text = (
+                    f"supports.{two}: prescribes another displacement along {axis} than "
+                    f"supports.{one} at {int(differ.sum())} nodes, e.g. at "
+                    f"{place(x[int(np.argmax(differ))])}"
+                )
+                if differ.sum() == min(len(holding[n]["nodes"]) for n in (one, two)):
+                    errors.append(f"{text}; remove one of the two")
+                else:
+                    notes.append(
+                        f"{text}: '{two}' is used there, and stresses grow without limit as the "
+                        "mesh is refined"
+                    )
+    return errors, notes
+
+
+def _clamped(case: Case, found: Parts) -> list[str]:
+    """Interfaces whose both sides supports hold along all axes."""
+    notes = []
+    for name in gaps_of(case, found):
+        held: list[NDArray[np.bool_]] = []
+        for side in case.geometry.interface_sides[name]:
+            here = np.zeros((len(found.x), 3, 3))
+            for s in case.supports.values():
+                if s.kind == "foundation":
+                    continue
+                for piece, nodes in found.boundaries.get(s.boundary, {}).items():
+                    if found.pieces[piece].region in side:
+                        d = directions(s, found, nodes)
+                        here[nodes] += d.swapaxes(1, 2) @ d
+            held.append(np.linalg.eigvalsh(here[found.interfaces[name]])[:, 0] > SAME)
+        both = float(np.mean(np.logical_and(*held)))
+        if both > MOSTLY:
+            notes.append(
+                f"supports hold both sides of interface '{name}' at {100 * both:.0f} % of its "
+                "nodes: it can neither open nor slip there"
+            )
+    return notes
+
+
+# What is out of proportion
+
+
+def _sides(case: Case, found: Parts, name: str) -> tuple[list[float], float]:
+    """Mean thickness behind each elastic side of an interface, and the size of it [mm]."""
+    touches = [t for t in found.touches if law_between(case, found, t.pieces)[0] == name]
+    area = sum(float(t.areas.sum()) for t in touches)
+    near = {p for t in touches for p in t.pieces}
+    thickness = []
+    for side in case.geometry.interface_sides[name]:
+        pieces = [found.pieces[p] for p in near if found.pieces[p].region in side]
+        if not any(isinstance(case.regions[p.region], Rigid) for p in pieces):
+            thickness.append(sum(p.volume for p in pieces) / area)
+    x = np.concatenate([t.x for t in touches])
+    return thickness, float(np.linalg.norm(np.ptp(x, axis=0)))
+
+
+def _largest(case: Case, law: Any, gap: Floats) -> tuple[float, float]:
+    """Largest interference and smallest gap of an interface over all stages [mm]."""
+    factors = [0.0, *history_of(case, law.gap_history)]
+    ends = [f * g for f in factors for g in (float(gap.min()), float(gap.max()))]
+    return -min(ends), float(gap.min()) * factors[-1]
+
+
+def _too_tight(case: Case, found: Parts) -> list[str]:
+    """Interferences that the bodies have no room for."""
+    errors = []
+    for name, gap in gaps_of(case, found).items():
+        interference, _ = _largest(case, case.interfaces[name], gap)
+        thickness, _ = _sides(case, found, name)
+        if thickness and interference >= TOO_MUCH * sum(thickness):
+            errors.append(
+                f"interfaces.{name}.gap: an interference of {interference:.3g} mm is "
+                f"{100 * interference / sum(thickness):.0f} % of the thickness of the bodies "
+                f"({sum(thickness):.3g} mm): they cannot make room for it within small strains; "
+                "expected a smaller one (a wrong unit?)"
+            )
+    return errors
+
+
+def _large(case: Case, found: Parts) -> list[str]:
+    """Gaps and given displacements that are no small ones."""
+    notes = []
+    for name, gap in gaps_of(case, found).items():
+        interference, apart = _largest(case, case.interfaces[name], gap)
+        thickness, size = _sides(case, found, name)
+        if thickness and interference > SMALL * sum(thickness):
+            notes.append(
+                f"interfaces.{name}.gap: an interference of {interference:.3g} mm in bodies "
+                f"{sum(thickness):.3g} mm thick: strains are not small; a wrong unit?"
+            )
+        if apart > SMALL * size:
+            notes.append(
+                f"interfaces.{name}.gap: the sides are {apart:.3g} mm apart everywhere, on an "
+                f"interface of {size:.3g} mm: small displacements do not close it"
+            )
+    whole = float(np.linalg.norm(np.ptp(found.x, axis=0)))
+    for name, s in case.supports.items():
+        if s.kind != "displacement" or not found.boundaries.get(s.boundary):
+            continue
+        x = found.x[np.concatenate([*found.boundaries[s.boundary].values()])]
+        most = max(
+            float(np.abs(_given(case, s, name, axis, x)).max(initial=0.0)) for axis in s.held_axes
+        )
+        if most > FAR * whole:
+            notes.append(
+                f"supports.{name} moves a model of {whole:.3g} mm by {most:.3g} mm: displacements "
+                "are not small; a wrong unit?"
+            )
+    return notes
+
+
+def _strained(case: Case, found: Parts) -> list[str]:
+    """Loads that the material under them cannot bear, by three decades or so."""
+    notes = []
+    loads: Mapping[str, Any] = case.loads
+    for name, load in loads.items():
+        boundary = getattr(load, "boundary", "")
+        area = found.boundary_areas.get(boundary, 0.0)
+        under = {found.pieces[p].region for p in found.boundaries.get(boundary, {})}
+        moduli = [m for r in under if (m := modulus(case.regions[r]))]
+        if not area or not moduli:
+            continue
+        factor = max(map(abs, history_of(case, load.history)), default=1.0)
+        stress = factor * load.traction(area)
+        if stress > STRAIN * min(moduli):
+            notes.append(
+                f"loads.{name} is {stress:.3g} MPa on boundary '{boundary}', beside a modulus "
+                f"of {min(moduli):.3g} MPa: strains are not small; a wrong unit?"
+            )
+    return notes
+
+
+def modulus(region: Any) -> float:
+    """Smallest Young's modulus of a region, 0 if it has none [MPa]."""
+    keys = ("youngs_modulus", "axial_youngs_modulus", "transverse_youngs_modulus")
+    return min((getattr(region, k) for k in keys if hasattr(region, k)), default=0.0)
+
+
+def doubts(case: Case, numbers: Mapping[str, Any]) -> list[str]:
+    """Warnings about results: strains that are not small.
+
+    Args:
+        case: The case.
+        numbers: Of its regions, by name.
+    """
+    notes = []
+    for name, found in numbers.items():
+        E = modulus(case.regions[name])
+        strain = found["von_mises_p99"] / E if E else 0.0
+        if strain > STRAIN:
+            notes.append(
+                f"region '{name}' is strained by {100 * strain:.2g} % (stress over modulus), which "
+                "is not small: results are not valid there; a modulus or a load in a wrong unit?"
+            )
+    return notes
+
+
+# What is wrong with the mesh
+
+
+def _cracks(case: Case, found: Parts) -> list[str]:
+    """Nodes that coincide without being one."""
+    notes = []
+    for (a, b), x in found.doubled.items():
+        where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
+        notes.append(
+            f"{where}: {len(x)} pairs of nodes coincide but are not connected, e.g. at "
+            f"{place(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
+            "BooleanFragments before meshing, or Coherence Mesh after it)"
+        )
+    return notes
+
+
+def _size(case: Case, found: Parts) -> list[str]:
+    """A mesh file in another unit."""
+    size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
+    if case.geometry.kind != "file" or SIZES[0] <= size <= SIZES[1]:
+        return []
+    return [
+        f"geometry: the mesh is {size:.3g} mm from corner to corner: is its unit "
+        f"{case.geometry.unit}?"
+    ]
+
+
+def _too_stiff(case: Case, found: Parts) -> list[str]:
+    """Slender regions of linear cells, which bend too little."""
+    if case.mesh.order != 1:
+        return []
+    worst: dict[str, tuple[float, float, float]] = {}
+    for p in found.pieces:
+        slender = p.thickness < SLENDER * float(p.box.max())
+        if slender and p.free > MOSTLY and modulus(case.regions[p.region]):
+            excess = BENDING * (p.edge / p.thickness) ** 2
+            here = (excess, p.thickness, p.edge)
+            worst[p.region] = max(worst.get(p.region, here), here)
+    return [
+        f"region '{name}' is {thickness:.3g} mm thick, of linear cells of {edge:.3g} mm: where it "
+        f"bends it is about {float(f'{100 * excess:.2g}'):.0f} % too stiff; use mesh.order: 2"
+        for name, (excess, thickness, edge) in worst.items()
+        if excess > TOO_STIFF
+    ]

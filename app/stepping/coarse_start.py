@@ -1,0 +1,208 @@
+r"""Coarse start: a solve starts from the jumps and the interface forces of a cheaper model.
+
+The case is solved on a mesh twice as coarse too, load step by load step beside the run, and that
+one from a still cheaper one where it is large itself; a mesh that cannot be made coarser is solved
+at first order. Jumps and forces are interpolated on the interface. The displacement follows from
+the jumps, K u = f - C q, to a rough tolerance, and a step of Newton's method in displacement, jumps
+and forces from all three: contact points have the states of the cheaper model then, and Newton only
+has to find those of single points.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.errors import MantleError, StoppedError
+from app.mechanics.contact import Jumps
+from app.mechanics.predictors import imbalance
+from app.mechanics.problem import Problem
+from app.numerics.newton import Solver
+from app.stepping.load_steps import LoadStepper
+from app.system.progress import during
+from meshes.contact_points import ContactPoints
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+log = logging.getLogger("mantle")
+
+# Residual of the displacement that follows from interpolated jumps.
+ROUGH = 0.1
+# A start is good enough if its residual is below this part of that of the unloaded state.
+GOOD = 0.1
+# Triangles among which the nearest to a point is looked for, by their centres.
+NEAREST = 8
+
+
+class CoarseModelStart:
+    """The jumps and forces of a cheaper model as starts of this one."""
+
+    def __init__(self, problem: Problem, solver: Solver, make: Callable[[], LoadStepper]) -> None:
+        """Begin with nothing: the cheaper model is made when it is asked for the first time.
+
+        Args:
+            problem: What is solved.
+            solver: Its solver.
+            make: Makes the cheaper model, at rest; collective.
+        """
+        self._problem, self._solver, self._make = problem, solver, make
+        self._coarse: LoadStepper | None = None
+        self._failed = False
+        self._past: list[float] = []
+        self._known: list[tuple[float, Floats]] = []
+
+    def predict(self, time: float) -> None:
+        """Start from the cheaper model's state, unless there is a good start already."""
+        if self._failed or self._good():
+            return
+        try:
+            found = self._found(time)
+        except StoppedError:
+            raise
+        except MantleError as error:
+            self._failed = True
+            log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
+            return
+        with during("start from a cheaper model: balancing the bodies with its jumps"):
+            self._start(*np.hsplit(found, 2))
+
+    def commit(self, time: float) -> None:
+        """The cheaper model has to go through it too, when it is asked again."""
+        self._past.append(time)
+
+    def _good(self) -> bool:
+        """Whether others have found a start that is good enough."""
+        solver, nothing = self._solver, self._solver.vector()
+        here = imbalance(solver, solver.x.copy())
+        return here <= GOOD * imbalance(solver, nothing)
+
+    def _found(self, time: float) -> Floats:
+        """Jumps and forces of own points at a time, interpolated (n, 6) [mm, MPa]."""
+        (j,) = self._problem.jumps
+        if self._coarse is None:
+            self._coarse = self._make()
+            (source,) = self._coarse.problem.jumps
+            self._weights = interpolation(source.points, j.points, j.mine)
+            self._known = [(0.0, np.zeros((len(j.mine), 6)))]
+        for then in [*self._past, time]:
+            while then > (last := self._known[-1][0]):
+                # A run that was taken up again has not told of the stages before.
+                self._advance(self._coarse, min(then, math.floor(last) + 1.0))
+        self._past = []
+        return between(self._known, time)
+
+    def _advance(self, coarse: LoadStepper, time: float) -> None:
+        """Take the cheaper model to a time within its stage."""
+        begin = self._known[-1][0]
+        k = math.ceil(time) - 1
+        problem = coarse.problem
+        problem.set_stage(k, coarse.solver.parts()[0])
+
+        def place(s: float) -> None:
+            problem.set_time(begin + s * (time - begin))
+
+        # A start that takes many steps to find is not worth it.
+        stage = replace(problem.scene.stages[k], adaptive=False)
+        coarse.advance(stage, 1.0, place, begin, time)
+        (source,) = problem.jumps
+        self._known = [*self._known[-1:], (time, self._weights @ replicated(source))]
+
+    def _start(self, jump: Floats, force: Floats) -> None:
+        """Start from jumps and forces, and the displacement in rough equilibrium with the jumps."""
+        problem, solver = self._problem, self._solver
+        named = solver.named()
+        u, q = named["displacement"], named["jump"]
+        (j,) = problem.jumps
+        q.array[:] = (j.let(jump) + j.given).ravel()
+        problem.impose(u)
+        r, du = u.duplicate(), u.duplicate()
+        problem.residual_u(u, q, r)
+        du.zeroEntries()
+        problem.inverse.solve(r, du, ROUGH)
+        u.axpy(-1.0, du)
+        solver.lead(force)
+
+
+def between(known: list[tuple[float, Floats]], time: float) -> Floats:
+    """Values at a time, on the line through the last two of those known."""
+    (t1, after) = known[-1]
+    if time == t1 or len(known) == 1:
+        return after
+    t0, before = known[-2]
+    s = (time - t0) / (t1 - t0)
+    return (1 - s) * before + s * after
+
+
+def replicated(jumps: Jumps) -> Floats:
+    """Committed jumps and forces of all points, on every rank (n, 6) [mm, MPa]; collective."""
+    every = np.zeros((len(jumps.points.weight), 6))
+    own = np.hstack([jumps.history.jump, jumps.history.force])
+    for rows, values in jumps.comm.allgather((jumps.mine, own)):
+        every[rows] = values
+    return every
+
+
+def interpolation(source: ContactPoints, target: ContactPoints, mine: Ints) -> csr_array:
+    """Weights that interpolate between meshes of the same interfaces; no communication.
+
+    Linear on the source's triangles: a point takes the nearest point of the nearest triangle.
+
+    Args:
+        source: Points with values.
+        target: Points without.
+        mine: Those of them that are wanted (n,).
+
+    Returns:
+        Matrix with a row for each wanted point and a column for each source point.
+    """
+    none = np.zeros(0, dtype=np.int64)
+    entries: list[tuple[Ints, Ints, Floats]] = [(none, none, np.zeros(0))]
+    for i, triangles in enumerate(source.triangles):
+        here = np.flatnonzero(target.interface[mine] == i)
+        if len(here) and len(triangles):
+            nearest, weights = _nearest(source.x[triangles], target.x[mine[here]])
+            entries.append((np.repeat(here, 3), triangles[nearest].ravel(), weights.ravel()))
+    rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+    from scipy.sparse import csr_array  # imported late: few runs need it
+
+    return csr_array((values, (rows, columns)), shape=(len(mine), len(source.weight)))
+
+
+def _nearest(corners: Floats, x: Floats) -> tuple[Ints, Floats]:
+    """Nearest triangle of each point and the barycentric coordinates there (n,), (n, 3).
+
+    Args:
+        corners: Triangles (t, 3, 3).
+        x: Points (n, 3).
+    """
+    k = min(NEAREST, len(corners))
+    from scipy.spatial import cKDTree  # imported late, too
+
+    _, candidates = cKDTree(corners.mean(axis=1)).query(x, k=k)
+    candidates = candidates.reshape(len(x), k)
+    t = corners[candidates]
+    a, b = t[:, :, 1] - t[:, :, 0], t[:, :, 2] - t[:, :, 0]
+    d = x[:, None] - t[:, :, 0]
+    aa, ab, bb = ((p * q).sum(axis=2) for p, q in ((a, a), (a, b), (b, b)))
+    da, db = (d * a).sum(axis=2), (d * b).sum(axis=2)
+    v, w = (bb * da - ab * db), (aa * db - ab * da)
+    foot = np.stack([aa * bb - ab**2 - v - w, v, w], axis=2)
+    inside = np.asarray((foot >= 0).all(axis=2))
+    foot /= foot.sum(axis=2, keepdims=True)
+    # Outside the nearest point is on an edge.
+    edges = np.roll(t, -1, axis=2) - t
+    s = ((x[:, None, None] - t) * edges).sum(axis=3) / (edges**2).sum(axis=3)
+    s = np.clip(s, 0.0, 1.0)[..., None]
+    on_edges = (1 - s) * np.eye(3) + s * np.roll(np.eye(3), 1, axis=1)
+    weights = np.where(inside[:, :, None, None], foot[:, :, None], on_edges)
+    off = np.linalg.norm(np.einsum("nkec,nkci->nkei", weights, t) - x[:, None, None], axis=3)
+    rows = np.arange(len(x))
+    best, edge = np.unravel_index(off.reshape(len(x), -1).argmin(axis=1), off.shape[1:])
+    return candidates[rows, best], weights[rows, best, edge]

@@ -1,0 +1,268 @@
+"""Heat and mechanics in one system, where heat depends on contact: pressure or friction.
+
+Blocks are those of both. The residual of heat sees the pressures p and the friction power D of the
+trial state, that of the mechanics its temperatures T: the forces of thermal expansion are G T, in
+the rows of the contact points too, where equilibrium is e = C^T u + D q - f_q - G_q T. Pressures
+and friction power change with e and q (`stepping.contact_heat`): the products of these rows with
+C^T, D and G are the blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from app.heat.conduction import Conduction
+from app.heat.system import HeatSystem
+from app.mechanics.problem import Problem, TrialState
+from app.mechanics.systems import ContactSystem
+from app.numerics.deflation import CoarseSpace
+from app.numerics.preconditioners import INTERFACE, Options
+from app.numerics.saved_state import State
+from app.numerics.sparse import from_triplets, matrix_sum
+from app.numerics.system import Measure, System
+from app.scene.terms import Scene
+from app.stepping.contact_heat import ContactHeat, PointDerivatives
+
+DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
+
+
+class CoupledSystem(System):
+    """Heat and mechanics as one system.
+
+    Attributes:
+        exchange: Contact as the heat sees it.
+    """
+
+    prefix = "mantle_"
+    # Watts and newtons in one norm: a step that lowers it may be cut to nothing at a kink of the
+    # contact law, where whole steps converge.
+    newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
+
+    def __init__(
+        self,
+        scene: Scene,
+        conduction: Conduction,
+        problem: Problem,
+        heat: HeatSystem,
+        motion: ContactSystem,
+    ) -> None:
+        """Set up the blocks between the two; collective."""
+        self.comm = problem.comm
+        self._conduction, self._problem = conduction, problem
+        self._heat, self._motion = heat, motion
+        self.inverses = motion.inverses
+        self.active = motion.active
+        self.exchange = ContactHeat(scene, problem, conduction)
+        self._n = len(heat.blocks())
+        self._forces = self._thermal_forces() if self.exchange.expands else None
+        # Heat enters the rows of its nodes and of its jumps.
+        self._nodes = self._entries()
+        fresh = list(self.blocks().values())
+        self._up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
+        own = heat.matrices()
+        # With expansion pressures depend on temperatures directly too.
+        self._own = [
+            [_joined(a, b) for a, b in zip(row, more, strict=True)]
+            for row, more in zip(own, back, strict=False)
+        ] or own
+        self._down = self._from_heat()
+
+    @property
+    def version(self) -> int:
+        """Changes of either's matrices."""
+        return self._heat.version + self._motion.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Those of the heat, then those of the mechanics."""
+        return self._heat.blocks() | self._motion.blocks()
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """Heat, mechanics, and what either does to the other."""
+        none: list[PETSc.Mat | None] = [None] * self._n
+        down = self._down or [none, none]
+        top = [[*a, *b] for a, b in zip(self._own, self._up, strict=True)]
+        return [*top, *([*a, *b] for a, b in zip(down, self._motion.matrices(), strict=True))]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """All blocks at once if the heat's are, else those of either."""
+        heat = self._heat.options(linear)
+        return {"": INTERFACE} if "" in heat else heat | self._motion.options(linear)
+
+    def impose(self, x: list[PETSc.Vec]) -> None:
+        """Put given temperatures, displacements and jumps into a state."""
+        self._heat.impose(x[: self._n])
+        self._motion.impose(x[self._n :])
+
+    def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
+        """Heat that is lacking with the contact as it is, forces with the heat as it is."""
+        self.exchange.to_mechanics(x[: self._n])
+        self._motion.residual(x[self._n :], f[self._n :])
+        self.exchange.to_heat(self._motion.trial)
+        self._heat.residual(x[: self._n], f[: self._n])
+
+    def jacobian(self, x: list[PETSc.Vec]) -> None:
+        """All blocks, of the state whose residual was asked for last."""
+        self._motion.jacobian(x[self._n :])
+        trial = self._motion.trial
+        self.exchange.to_heat(trial)
+        self._heat.jacobian(x[: self._n])
+        up, back = self._from_motion(trial, x)
+        _copy(up, self._up)
+        for total, own, more in zip(self._own, self._heat.matrices(), back, strict=False):
+            for S, A, B in zip(total, own, more, strict=True):
+                S.zeroEntries()
+                S.axpy(1.0, A, structure=SUBSET)
+                S.axpy(1.0, B, structure=SUBSET)
+        _copy(self._from_heat(), self._down)
+
+    def coarse_space(self) -> CoarseSpace:
+        """Sliding motions of the mechanics, at fixed temperatures."""
+        return self._motion.coarse_space()
+
+    def look(self) -> None:
+        """Add the contact points' states to the active set, of the residual asked for last."""
+        self._motion.look()
+
+    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
+        """Heat and forces, each beside its own scale."""
+        (heat,) = self._heat.measure(x[: self._n], f[: self._n])
+        noise = self.exchange.rounding(self._problem.trial(*x[self._n :]))
+        heat = replace(heat, rounding=heat.rounding + noise)
+        return [heat, *self._motion.measure(x[self._n :], f[self._n :])]
+
+    def scale_augmentation(self, factor: float) -> bool:
+        """Solve with this multiple of the augmentation in force, if an interface has one."""
+        return self._motion.scale_augmentation(factor)
+
+    def augmentation(self) -> dict[str, float]:
+        """Augmentation in force on each interface [MPa/mm]; collective."""
+        return self._motion.augmentation()
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen; collective."""
+        return self._motion.usual_augmentation()
+
+    def tie(self, on: bool) -> bool:
+        """Solve with interfaces tied that were open everywhere so far, if there are any."""
+        return self._motion.tie(on)
+
+    def pack(self, x: list[PETSc.Vec]) -> State:
+        """Both states."""
+        return {
+            "heat": self._heat.pack(x[: self._n]),
+            "motion": self._motion.pack(x[self._n :]),
+        }
+
+    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
+        """Fill x with the saved blocks of heat and mechanics."""
+        self._heat.unpack(state["heat"], x[: self._n])
+        self._motion.unpack(state["motion"], x[self._n :])
+
+    def _thermal_forces(self) -> list[list[PETSc.Mat]]:
+        """Forces of temperatures and temperature jumps on displacement and jumps, negative."""
+        moves = {
+            r: j.moves[b]
+            for j in self._conduction.jumps
+            for r, b in self._conduction.bodies.of_region.items()
+            if b in j.moves
+        }
+        G = self._problem.thermal_stiffness(moves)
+        rows = [[G.u_θ, G.u_τ], [G.q_θ, G.q_τ]]
+        shapes = [v.getSizes() for v in self.blocks().values()]
+        found = []
+        for row, height in zip(rows, shapes[self._n :], strict=True):
+            blocks = []
+            for A, width in zip(row[: self._n], shapes[: self._n], strict=True):
+                negative = _empty(self.comm, height, width) if A is None else A.copy()
+                negative.scale(-1.0)
+                blocks.append(negative)
+            found.append(blocks)
+        return found
+
+    def _from_heat(self) -> list[list[PETSc.Mat]]:
+        """Rows of displacement and jumps, columns of the heat."""
+        if self._forces is None:
+            return []
+        by_u, by_q = self._forces
+        return [by_u, [self._motion.rows.matMult(A) for A in by_q]]
+
+    def _entries(self) -> list[PETSc.Mat]:
+        """Heat by friction power, negative: in the rows of temperature and of jumps."""
+        conduction = self._conduction
+        total = matrix_sum(list(self.exchange.heats.values()))
+        keep = conduction.vectors()
+        keep[0].array[:] = np.where(conduction.held, 0.0, -1.0)
+        total.diagonalScale(keep[0])
+        nodes = [total]
+        for j in conduction.jumps:
+            parts = [B.transposeMatMult(self.exchange.heats[b]) for b, B in j.moves.items()]
+            keep[1].array[:] = np.where(j.held, 0.0, -1.0)
+            jumps = matrix_sum(parts)
+            jumps.diagonalScale(keep[1])
+            nodes.append(jumps)
+        return nodes
+
+    def _from_motion(
+        self, trial: TrialState, x: list[PETSc.Vec]
+    ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
+        """Rows of the heat: columns of the mechanics, and what comes back to its own."""
+        (j,) = self._problem.jumps
+        power = self._matrices(self.exchange.power_rows(trial))
+        rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
+        jumps, pressed = self._conduction.jumps, self.exchange.pressed
+        for t, P, τ in zip(jumps, pressed, x[1 : self._n], strict=True):
+            squeezed = P.copy()
+            by_pressure = τ.duplicate()
+            growth = t.weight * t.flux(τ.array)[2]
+            by_pressure.array[:] = np.where(t.held, 0.0, -growth)
+            squeezed.diagonalScale(by_pressure)
+            pressure = self._matrices(self.exchange.pressure_rows(trial))
+            rows[1] = [
+                _plus(A, squeezed.matMult(R)) for A, R in zip(rows[1], pressure, strict=True)
+            ]
+        up = [[E.matMult(j.Ct), _plus(E.matMult(j.D), Q)] for E, Q in rows]
+        if self._forces is None:
+            return up, []
+        return up, [[E.matMult(G) for G in self._forces[1]] for E, _ in rows]
+
+    def _matrices(self, rows: PointDerivatives) -> list[PETSc.Mat]:
+        """Rows of scalars of the contact points as matrices (points x components)."""
+        n = len(rows.by_jump)
+        (j,) = self._problem.jumps
+        start = j.D.getOwnershipRange()[0]
+        i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
+        return [
+            from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())
+            for values in (rows.by_equilibrium, rows.by_jump)
+        ]
+
+
+def _plus(A: PETSc.Mat, B: PETSc.Mat) -> PETSc.Mat:
+    A.axpy(1.0, B, structure=DIFFERENT)
+    return A
+
+
+def _joined(A: PETSc.Mat | None, B: PETSc.Mat) -> PETSc.Mat:
+    """A new matrix with the patterns of both."""
+    assert A is not None
+    return matrix_sum((A, B))
+
+
+def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:
+    """Put the values of matrices of the same pattern into those that are kept."""
+    for row, places in zip(new, kept, strict=True):
+        for A, place in zip(row, places, strict=True):
+            if A is not place:
+                A.copy(place, structure=DIFFERENT)
+
+
+def _empty(comm: PETSc.Comm, height: tuple[int, int], width: tuple[int, int]) -> PETSc.Mat:
+    """A matrix without entries."""
+    A = PETSc.Mat().createAIJ((height, width), nnz=0, comm=comm)
+    A.assemble()
+    return A

@@ -1,0 +1,321 @@
+"""Pieces of a mesh, where they touch, and what is connected by accident.
+
+A piece is a part of a region whose cells are joined by faces. All here is small beside the mesh and
+serves judging a case before anything is solved (`soundness.well_posedness`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from meshes.contact_facets import NODES, nodal_normals
+from meshes.data import MeshData, cell_faces, cell_volumes, components, facet_areas
+
+# Nodes this close, in parts of the mesh's diagonal, are meant to be one.
+COINCIDENT = 1e-7
+# Facets that meet at more than this angle are different faces [rad].
+SMOOTH = np.radians(50)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a region that hangs together.
+
+    Attributes:
+        region: Its region.
+        cells: How many cells it has.
+        centre: Its centroid (3,) [mm].
+        volume: Its volume [mm3].
+        surface: Area of its surface [mm2].
+        box: Edges of its bounding box (3,) [mm].
+        free: Part of its surface that nothing holds.
+    """
+
+    region: str
+    cells: int
+    centre: Floats
+    volume: float
+    surface: float
+    box: Floats
+    free: float
+
+    @property
+    def edge(self) -> float:
+        """Edge of a regular tetrahedron of the mean size of its cells [mm]."""
+        return float((6 * np.sqrt(2) * self.volume / self.cells) ** (1 / 3))
+
+    @property
+    def thickness(self) -> float:
+        """Thickness of a bar or plate of its length, volume and surface [mm].
+
+        It is the lesser side h of a section b h with 2 (b + h) around it, exact for a block; that
+        of a shell too.
+        """
+        length = float(self.box.max())
+        section = self.volume / length
+        quarter = (self.surface - 2 * section) / length / 4
+        return quarter - float(np.sqrt(max(quarter**2 - section, 0.0)))
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Facets between two pieces.
+
+    Attributes:
+        pieces: The two pieces.
+        x: Middles of the facets (n, 3) [mm].
+        normals: Their unit normals (n, 3).
+        areas: Their areas (n,) [mm2].
+        bend: Mean angle between neighbouring facets of a smooth face; 0 if they are curved [rad].
+    """
+
+    pieces: tuple[int, int]
+    x: Floats
+    normals: Floats
+    areas: Floats
+    bend: float
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Pieces of a mesh and their contacts.
+
+    Attributes:
+        pieces: Its pieces.
+        touches: Where pieces of different regions share facets.
+        joined: Pairs of pieces of one region that share nodes.
+        boundaries: For each boundary and piece the nodes of the piece on it (n,).
+        normals: Mean unit normals at the nodes of some boundaries, zero elsewhere (n, 3).
+        boundary_areas: Area of each boundary [mm2].
+        x: Coordinates of all nodes (n, 3) [mm].
+        corners: Corner nodes of the cells of each region (n, 4).
+        interfaces: Corner nodes of the facets of each interface (n,).
+        doubled: For each pair of regions, the places of nodes of either that coincide (n, 3) [mm].
+        told: What the mesher has repaired or left out.
+    """
+
+    pieces: tuple[Piece, ...]
+    touches: tuple[Touch, ...]
+    joined: frozenset[tuple[int, int]]
+    boundaries: Mapping[str, Mapping[int, Ints]]
+    normals: Mapping[str, Floats]
+    boundary_areas: Mapping[str, float]
+    x: Floats
+    corners: Mapping[str, Ints]
+    interfaces: Mapping[str, Ints]
+    doubled: Mapping[tuple[str, str], Floats]
+    told: tuple[str, ...] = ()
+
+
+def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = ()) -> Parts:
+    """Find them.
+
+    Args:
+        data: The mesh.
+        held: Boundaries that supports hold.
+        curved: Boundaries whose normals are wanted.
+    """
+    names = {tag: name for name, tag in data.regions.items()}
+    neighbours = data.neighbours
+    count, piece = components(neighbours, data.cell_tags)
+    faces = cell_faces(data.cells)
+    behind = neighbours.ravel()
+    cell = np.repeat(np.arange(len(data.cells)), 4)
+    outer = (behind < 0) | (piece[np.maximum(behind, 0)] != piece[cell])
+    outside = np.flatnonzero(behind < 0)
+    keys, on = _numbered(faces[outside, :3], data.facets[:, :3])
+    bare = outer.copy()
+    tags = [t for name in held for t in data.boundaries.get(name, ())]
+    bare[outside[np.isin(keys, on[np.isin(data.facet_tags, tags)])]] = False
+    areas, free = (
+        np.bincount(piece[cell[some]], facet_areas(data.points, faces[some]), minlength=count)
+        for some in (outer, bare)
+    )
+    volumes = cell_volumes(data.points, data.cells)
+    middles = data.points[data.cells[:, :4]].mean(axis=1)
+    pieces = []
+    for k in range(count):
+        here = piece == k
+        nodes = data.points[np.unique(data.cells[here, :4])]
+        volume = float(volumes[here].sum())
+        centre = volumes[here] @ middles[here] / volume
+        region = names[int(data.cell_tags[here][0])]
+        box = np.ptp(nodes, axis=0)
+        part = float(free[k] / areas[k])
+        pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
+    rows = np.flatnonzero((behind >= 0) & outer & (piece[cell] < piece[np.maximum(behind, 0)]))
+    first, second = piece[cell[rows]], piece[behind[rows]]
+    corners = {
+        name: np.unique(faces[rows][_between(first, second, pieces, sides)][:, :3])
+        for name, sides in data.interfaces.items()
+    }
+    return Parts(
+        pieces=tuple(pieces),
+        touches=tuple(_touches(data.points, faces[rows], first, second)),
+        joined=_joined(data.cells, piece, pieces),
+        boundaries=_boundaries(data, keys, on, piece[cell[outside]]),
+        normals={name: _normals(data, name, keys, on, middles[cell[outside]]) for name in curved},
+        boundary_areas={
+            name: float(facet_areas(data.points, data.facets[np.isin(data.facet_tags, tags)]).sum())
+            for name, tags in data.boundaries.items()
+        },
+        x=data.points,
+        corners={
+            name: data.cells[data.cell_tags == tag, :4].astype(np.int32)
+            for tag, name in names.items()
+        },
+        interfaces=corners,
+        doubled=_doubled(data, piece, pieces),
+        told=tuple(data.notes.get("told", ())),
+    )
+
+
+def _between(
+    first: Ints,
+    second: Ints,
+    pieces: list[Piece],
+    sides: tuple[tuple[str, ...], tuple[str, ...]],
+) -> np.ndarray:
+    """Which facets lie between the regions of two sides."""
+    a, b = (np.array([p.region in side for p in pieces]) for side in sides)
+    return np.asarray((a[first] & b[second]) | (b[first] & a[second]))
+
+
+def _numbered(a: Ints, b: Ints) -> tuple[Ints, Ints]:
+    """The same number for the same triangle of either list, in any order of its corners."""
+    both = np.sort(np.concatenate([a, b]), axis=1)
+    n = int(both.max(initial=0)) + 1
+    if n**3 < 2**63:
+        label = (both[:, 0] * n + both[:, 1]) * n + both[:, 2]
+    else:
+        label = np.unique(both, axis=0, return_inverse=True)[1].ravel()
+    return label[: len(a)], label[len(a) :]
+
+
+def _touches(points: Floats, facets: Ints, first: Ints, second: Ints) -> list[Touch]:
+    """The facets of each pair of pieces, with their normals."""
+    x = points[facets]
+    a, b, middle = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0], x[:, :3].mean(axis=1)
+    if facets.shape[1] == 6:
+        # Quadratic shape functions and their derivatives at the middle of the triangle.
+        middle = (4 * x[:, 3:].sum(axis=1) - x[:, :3].sum(axis=1)) / 9
+        a = a / 3 + 4 / 3 * (x[:, 4] - x[:, 5])
+        b = b / 3 + 4 / 3 * (x[:, 4] - x[:, 3])
+    normals = np.cross(a, b)
+    double = np.linalg.norm(normals, axis=1)
+    normals /= double[:, None]
+    found = []
+    for pair in sorted({(int(i), int(k)) for i, k in zip(first, second, strict=True)}):
+        here = (first == pair[0]) & (second == pair[1])
+        bend = _bend(facets[here], normals[here]) if facets.shape[1] == 3 else 0.0
+        found.append(Touch(pair, middle[here], normals[here], double[here] / 2, bend))
+    return found
+
+
+def _bend(facets: Ints, normals: Floats) -> float:
+    """Mean angle between facets that share an edge, but for edges of the surface [rad]."""
+    edges = np.sort(facets[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(edges.T)
+    same = np.all(edges[order][1:] == edges[order][:-1], axis=1)
+    one, two = (normals[order[k][same] // 3] for k in (np.s_[:-1], np.s_[1:]))
+    angles = np.arccos(np.clip(np.einsum("ei,ei->e", one, two), -1.0, 1.0))
+    smooth = angles[angles < SMOOTH]
+    return float(smooth.mean()) if len(smooth) else 0.0
+
+
+def _joined(cells: Ints, piece: Ints, pieces: list[Piece]) -> frozenset[tuple[int, int]]:
+    """Pieces of one region that meet in edges or corners alone."""
+    regions = [p.region for p in pieces]
+    if len(set(regions)) == len(regions):
+        return frozenset()
+    n = int(cells.max()) + 1
+    of = [np.unique(cells[piece == k, :4]) for k in range(len(pieces))]
+    count = np.zeros(n, dtype=np.int64)
+    for nodes in of:
+        count[nodes] += 1
+    shared = [set(map(int, nodes[count[nodes] > 1])) for nodes in of]
+    return frozenset(
+        (a, b)
+        for a in range(len(pieces))
+        for b in range(a + 1, len(pieces))
+        if regions[a] == regions[b] and shared[a] & shared[b]
+    )
+
+
+def _boundaries(data: MeshData, keys: Ints, on: Ints, owner: Ints) -> dict[str, dict[int, Ints]]:
+    """Nodes of each piece on each boundary.
+
+    Args:
+        data: The mesh.
+        keys: Numbers of all faces on the outside.
+        on: Numbers of the facets of the boundaries.
+        owner: Pieces of all faces on the outside.
+    """
+    order = np.argsort(keys)
+    at = order[np.minimum(np.searchsorted(keys, on, sorter=order), len(keys) - 1)]
+    of_facet = np.where(keys[at] == on, owner[at], -1)
+    found: dict[str, dict[int, Ints]] = {}
+    for name, tags in data.boundaries.items():
+        here = np.isin(data.facet_tags, tags)
+        found[name] = {
+            int(k): np.unique(data.facets[here & (of_facet == k)])
+            for k in np.unique(of_facet[here])
+            if k >= 0
+        }
+    return found
+
+
+def _normals(data: MeshData, name: str, keys: Ints, on: Ints, inside: Floats) -> Floats:
+    """Mean normals of a boundary at all nodes (n, 3), zero where it is not.
+
+    Args:
+        data: The mesh.
+        name: The boundary.
+        keys: Numbers of all faces on the outside (f,).
+        on: Numbers of the facets of the boundaries.
+        inside: Points in the cells of all faces on the outside (f, 3) [mm].
+    """
+    here = np.flatnonzero(np.isin(data.facet_tags, data.boundaries.get(name, ())))
+    here = here[np.isin(on[here], keys)]
+    order = np.argsort(keys)
+    cells = order[np.searchsorted(keys, on[here], sorter=order)]
+    facets, sums = data.facets[here], np.zeros(data.points.shape)
+    at = NODES[: facets.shape[1]]
+    np.add.at(sums, facets, nodal_normals(data.points[facets], inside[cells], at))
+    size = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.divide(sums, size, out=sums, where=size > 0)
+
+
+def coincident(points: Floats) -> Ints:
+    """Pairs of points (k, 2) that are one but for rounding.
+
+    Points that are near are near along any direction: along one at random few others are.
+    """
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    along = points @ np.random.default_rng(0).normal(size=3)
+    order = np.argsort(along)
+    sorted_, near = along[order], COINCIDENT * size
+    pairs = []
+    for shift in range(1, len(points)):
+        close = np.flatnonzero(sorted_[shift:] - sorted_[:-shift] <= 3 * near)
+        if not len(close):
+            break
+        a, b = order[close], order[close + shift]
+        same = np.linalg.norm(points[a] - points[b], axis=1) <= near
+        pairs.append(np.sort(np.column_stack([a, b])[same], axis=1))
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2), dtype=np.int64)
+
+
+def _doubled(data: MeshData, piece: Ints, pieces: list[Piece]) -> dict[tuple[str, str], Floats]:
+    """Places where two nodes of the mesh are meant to be one, by the regions they are of."""
+    of_node = np.zeros(len(data.points), dtype=np.int64)
+    of_node[data.cells] = piece[:, None]
+    found: dict[tuple[str, str], list[Floats]] = {}
+    for a, b in coincident(data.points):
+        one, two = sorted(pieces[int(of_node[k])].region for k in (a, b))
+        found.setdefault((one, two), []).append(data.points[a])
+    return {names: np.array(x) for names, x in found.items()}
