@@ -1,8 +1,8 @@
 """Through the stages of a scene: load steps where a stage takes no time, else time steps.
 
-Heat walks in steps of its own. BodyForms that heat does not depend on follow it: they are solved at
+Heat walks in steps of its own. Mechanics that heat does not depend on follow it: they are solved at
 the ends of the increments of a stage and whenever a temperature has moved far enough, along the
-straight line between two states of the heat. BodyForms that it does depend on are part of every
+straight line between two states of the heat. Mechanics that it does depend on are part of every
 one of its stages.
 """
 
@@ -259,7 +259,7 @@ class HeatStepper:
 
 
 class SolvedAfterHeat:
-    """BodyForms that heat does not depend on: solved after it."""
+    """Mechanics that heat does not depend on: solved after it."""
 
     def __init__(self, motion: LoadStepper, heating: HeatState, limit: float) -> None:
         """Let the mechanics follow.
@@ -308,7 +308,7 @@ class SolvedAfterHeat:
 
 
 class SolvedWithHeat:
-    """BodyForms that heat depends on: in one system with it."""
+    """Mechanics that heat depends on: in one system with it."""
 
     def __init__(
         self, motion: LoadStepper, heating: HeatState, system: CoupledSystem | Staggered
