@@ -25,7 +25,7 @@ import numpy as np
 
 import configs
 import meshes
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.case.femurs import BONE, Femur, IntactFemur
 from app.case.geometries import Blocks
 from app.mechanics.contact_law import PointLaw
@@ -78,11 +78,11 @@ def stacked(case: Case) -> MeshData:
 
 def warm(path: Path, order: int) -> None:
     """Set a case up on a coarse mesh with elements of an order."""
-    mesh = load_case(path).mesh
+    mesh = load(path).config.mesh
     sizes = {"size": mesh.size, "far_size": mesh.far_size}
     overrides = [f"mesh.order={order}", "output.error=false", "output.probes={}"]
     overrides += [f"mesh.{name}={COARSER * size} mm" for name, size in sizes.items() if size]
-    case = load_case(path, overrides)
+    case = load(path, overrides).config
     form_cache.share()
     model = Tiny(case, MPI.COMM_SELF, {}, Timing(), str)
     for m in model.mechanics:

@@ -16,7 +16,7 @@ import numpy as np
 
 import meshes
 from app.arrays import Bools, Floats, Ints
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.errors import InputError
 from app.laws.interface_laws import Bonded, Contact
 from app.laws.loads import Fixed, Force
@@ -117,7 +117,7 @@ def build(path: Path, overrides: tuple[str, ...] = ()) -> PeerModel:
         InputError: The case is wrong, or has something that other programs are not given.
         GeometryError: It cannot be meshed.
     """
-    case = load_case(path, overrides)
+    case = load(path, overrides).config
     refuse(case)
     data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     tags = np.array([data.regions[name] for name in case.regions])
@@ -139,12 +139,12 @@ def build(path: Path, overrides: tuple[str, ...] = ()) -> PeerModel:
         here = np.isin(data.facet_tags, data.boundaries[support.boundary])
         fixed.append(copies(facets[here], behind[here]).ravel())
     forces = np.zeros((len(pairs), 3))
-    for load in case.loads.values():
-        here = np.isin(data.facet_tags, data.boundaries[load.place[1]])
+    for push in case.loads.values():
+        here = np.isin(data.facet_tags, data.boundaries[push.place[1]])
         area = facet_areas(data.points, facets[here])
         share = np.repeat(area / area.sum() / 3, 3)
         at = copies(facets[here], behind[here]).ravel()
-        np.add.at(forces, at, share[:, None] * np.array(load.resultant))
+        np.add.at(forces, at, share[:, None] * np.array(push.resultant))
     interfaces = []
     for name, law in contacts.items():
         nodes, one, two = interface_facets(data, name)
@@ -187,8 +187,8 @@ def refuse(case: Case) -> None:
     for name, support in case.supports.items():
         if not isinstance(support, Fixed):
             faults.append(f"supports.{name}: expected kind: fixed")
-    for name, load in case.loads.items():
-        if not isinstance(load, Force) or load.at is not None or load.history:
+    for name, push in case.loads.items():
+        if not isinstance(push, Force) or push.at is not None or push.history:
             faults.append(f"loads.{name}: expected kind: force, without at and history")
     if not any(isinstance(law, Contact) for law in case.interfaces.values()):
         faults.append("interfaces: none of kind: contact")

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from app.arrays import Floats
-from app.case.case import Case, dump_case
+from app.case.case import Case, dump
 from app.errors import InputError
 from app.results.reading import Run
 from app.verification import calculix
@@ -121,7 +121,7 @@ class MantleItself(Program):
 
     def command(self, model: PeerModel, case: Case, folder: Path) -> list[str]:
         """The case, as it was understood."""
-        (folder / "case.yaml").write_text(dump_case(case), encoding="utf-8")
+        (folder / "case.yaml").write_text(dump(case), encoding="utf-8")
         return [sys.executable, "-m", "mantle", "run", "case.yaml", "-o", "run", "--force"]
 
     def displacement(self, model: PeerModel, folder: Path) -> Floats:

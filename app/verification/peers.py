@@ -14,7 +14,7 @@ from pathlib import Path
 
 from app import figures
 from app.campaigns.many import Options
-from app.case.case import Case, dump_case, load_case
+from app.case.case import Case, dump, load
 from app.errors import InputError
 from app.system import layout, style
 from app.system.folders import csv_text, remove, write_json, write_text
@@ -116,7 +116,7 @@ def run(options: Options) -> bool:
     rows: list[PeerRow] = []
     for size in SIZES[options.tier]:
         overrides = _sized(size)
-        model, case = build(CONFIGS / STEM, overrides), load_case(CONFIGS / STEM, overrides)
+        model, case = build(CONFIGS / STEM, overrides), load(CONFIGS / STEM, overrides).config
         own: float | None = None
         for program in there:
             folder = options.folder / "peers" / f"{program.key}-{size:g}"
@@ -156,9 +156,9 @@ def _reference(size: float, folder: Path) -> SlipReference:
     place = folder / "peers" / f"reference-{size:g}"
     place.mkdir(parents=True, exist_ok=True)
     overrides = _sized(size)
-    case = load_case(CONFIGS / STEM, (*overrides, "mesh.order=2"))
+    case = load(CONFIGS / STEM, (*overrides, "mesh.order=2")).config
     program, model = MantleItself(), build(CONFIGS / STEM, overrides)
-    known, text = place / "case.yaml", dump_case(case)
+    known, text = place / "case.yaml", dump(case)
     same = known.exists() and known.read_text(encoding="utf-8") == text
     if not (same and (place / "run" / "DONE").exists()):
         log.info("reference: second order at %g mm", size)

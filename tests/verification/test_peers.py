@@ -12,7 +12,7 @@ import pytest
 
 import meshes
 from app.campaigns.many import Options
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.errors import InputError
 from app.results.reading import Run
 from app.verification import calculix, peer_programs, peers
@@ -48,7 +48,7 @@ def test_forces_sum_to_the_load_and_act_on_top_of_the_stem() -> None:
 
 
 def test_bodies_are_those_of_the_mesh_with_copies_at_the_interfaces() -> None:
-    m, case = model(), load_case(STEM, COARSE)
+    m, case = model(), load(STEM, COARSE).config
     data = meshes.build(case.geometry, case.mesh)
     volumes = cell_volumes(m.points, m.cells)
     assert volumes.min() > 0
@@ -216,7 +216,7 @@ def test_a_program_that_is_not_there_has_a_row_that_says_so(
 ) -> None:
     monkeypatch.setenv("MANTLE_CCX", str(tmp_path / "none"))
     reference = peers.SlipReference("stem_cement", 1.0, 0.05, 0.06)
-    program, case = peer_programs.CalculiX(1e4, 1e3), load_case(STEM, COARSE)
+    program, case = peer_programs.CalculiX(1e4, 1e3), load(STEM, COARSE).config
     row = peers.measure(program, model(), case, SIZE, tmp_path, reference, None)
     assert row.note.startswith("not installed")
     assert row.cpu is None
@@ -258,7 +258,7 @@ def solved(program: peer_programs.Program, of: PeerModel, case: Case, folder: Pa
 
 @pytest.mark.slow
 def test_numbers_of_mantle_are_those_of_its_summary(tmp_path: Path) -> None:
-    u = solved(MANTLE, model(), load_case(STEM, COARSE), tmp_path)
+    u = solved(MANTLE, model(), load(STEM, COARSE).config, tmp_path)
     found = contact_numbers(model(), u, open_from=1e-6)
     for name, numbers in Run(tmp_path / "run").summary["interfaces"].items():
         assert found[name]["slip_mean"] == pytest.approx(numbers["slip_mean"], rel=1e-6)
@@ -269,7 +269,7 @@ def test_numbers_of_mantle_are_those_of_its_summary(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_getfem_finds_the_same_displacement(tmp_path: Path) -> None:
     """One multiplier for each pair of nodes, as here: the same equations, another program."""
-    case = load_case(STEM, COARSE)
+    case = load(STEM, COARSE).config
     theirs = solved(GETFEM, model(), case, tmp_path / "theirs")
     ours = solved(MANTLE, model(), case, tmp_path / "ours")
     assert np.abs(ours - theirs).max() < 1e-7 * np.abs(ours).max()
@@ -280,7 +280,7 @@ def test_calculix_comes_near_as_its_penalty_grows(tmp_path: Path) -> None:
     """On flat facets, where those of the sides stay upon each other as they slip."""
     path = tmp_path / "blocks.yaml"
     path.write_text(BLOCKS)
-    of, case = build(path), load_case(path)
+    of, case = build(path), load(path).config
     ours = contact_numbers(of, solved(MANTLE, of, case, tmp_path / "ours"))["lower_upper"]
     assert ours["slip_mean"] < 0.5 * ours["slip_p99"]  # a part sticks
     errors = []
