@@ -9,6 +9,7 @@ from petsc4py import PETSc
 from app.heat.conduction import Conduction
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
+from app.numerics.remedies import solve
 from app.numerics.saved_state import State
 from app.stepping.contact_heat import ContactHeat
 
@@ -38,9 +39,9 @@ class Staggered:
         self.exchange, self._conduction, self._problem = exchange, conduction, problem
         self._heat, self._motion = heat, motion
 
-    def named(self) -> dict[str, PETSc.Vec]:
+    def blocks_by_name(self) -> dict[str, PETSc.Vec]:
         """Blocks of the current state by name."""
-        return self._heat.named() | self._motion.named()
+        return self._heat.blocks_by_name() | self._motion.blocks_by_name()
 
     @property
     def block_sizes(self) -> dict[str, int]:
@@ -52,11 +53,11 @@ class Staggered:
         outcome = NewtonResult(False, 0, 0, (), (), False)
         for _ in range(TURNS):
             self._pass_contact_to_heat()
-            outcome = _after(outcome, self._heat.solve())
+            outcome = _after(outcome, solve(self._heat))
             if not outcome.converged:
                 break
             self.exchange.to_mechanics(self._heat.blocks())
-            outcome = _after(outcome, self._motion.solve())
+            outcome = _after(outcome, solve(self._motion))
             if not outcome.converged:
                 break
             self._pass_contact_to_heat()
@@ -74,7 +75,7 @@ class Staggered:
 
     def _pass_contact_to_heat(self) -> None:
         """Set pressures and friction heat from the current state of the mechanics."""
-        u, q = self._motion.parts()
+        u, q = self._motion.u_and_q()
         assert q is not None
         self.exchange.to_heat(self._problem.trial(u, q))
 
@@ -82,7 +83,8 @@ class Staggered:
         """Whether the heat still balances with the contact that follows from it; collective."""
         x, f = self._heat.blocks(), self._conduction.vectors()
         self._conduction.residual(x, f)
-        return self._heat.meets(self._conduction.measure(x, f))
+        part = self._conduction.measure(x, f)
+        return part.norm <= part.limit(self._heat.tolerance)
 
 
 def _after(done: NewtonResult, last: NewtonResult) -> NewtonResult:
