@@ -6,6 +6,7 @@ Newton is semismooth, with the generalized Jacobian of the system; its linear so
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,8 @@ from app.numerics.preconditioners import Options, options_set
 from app.numerics.saved_state import State
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
+
+log = logging.getLogger("mantle")
 
 REASONS = PETSc.SNES.ConvergedReason
 
@@ -136,7 +139,6 @@ class Solver:
         snes.setJacobian(lambda _, x, J, P: self.linear.update(self.blocks(x)), self.linear.matrix)
         snes.setMonitor(self._monitor)
         snes.setConvergenceTest(self._test)
-        snes.getKSP().setMonitor(self._watch)
         with options_set(system.prefix, self.options):
             snes.setFromOptions()
             self.linear.attach(snes.getKSP(), self.blocks())
@@ -294,11 +296,7 @@ class Solver:
         names = [name for name in self.system.comm.allgather(self._stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
-        text = f"Newton iteration {iteration}, residual {self.residuals[-1]:.1e}"
-        self._timing.tell(text, blocking=iteration == 0)
-
-    def _watch(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
-        self._timing.tell(f"Newton iteration {len(self.changes) - 1}, Krylov iteration {iteration}")
+        log.debug("     Newton iteration %d, residual %.1e", iteration, self.residuals[-1])
 
     def _test(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]

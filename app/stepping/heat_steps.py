@@ -28,7 +28,6 @@ from app.scene.terms import Scene
 from app.stepping import stability
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
-from app.stepping.staggered import Staggered
 from app.stepping.thermal_loading import ThermalLoading, ThermalState
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
@@ -91,7 +90,7 @@ class HeatState:
         loading: What it tells the mechanics.
     """
 
-    def __init__(self, scene: Scene, conduction: Conduction, solver: Solver | Staggered) -> None:
+    def __init__(self, scene: Scene, conduction: Conduction, solver: Solver) -> None:
         """Begin at the initial temperatures; collective.
 
         Args:
@@ -102,7 +101,7 @@ class HeatState:
         (self.options,) = scene.time
         self.conduction, self.solver = conduction, solver
         self.beside: tuple[Beside, ...] = ()
-        self.system: CoupledSystem | Staggered | None = None
+        self.system: CoupledSystem | None = None
         self.outcome = NewtonResult(False, 0, 0, (), (), False)
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
@@ -179,8 +178,7 @@ class HeatState:
         self.put(guess)
         for other, given in zip(self.beside, start[own:], strict=True):
             other.place(seconds, h, given)
-        solver = self.solver
-        self.outcome = solver.solve() if isinstance(solver, Staggered) else solve(solver)
+        self.outcome = solve(self.solver)
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
@@ -270,7 +268,7 @@ class HeatState:
             stage: Name of its stage.
         """
         system = self.system
-        if not isinstance(system, CoupledSystem) or self.sets:
+        if system is None or self.sets:
             return
         if not (system.exchange.expands and system.exchange.pressed):
             return
