@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from app.case.case import geometry_of
+from app.case.case import read_geometry
 from app.errors import MantleError
 from app.report.sweep_results import Number, SweptCase, magnitude
 from app.results.reading import Run
@@ -69,7 +69,7 @@ def bone_p99(case: SweptCase, reading: str) -> Number | None:
     thinnest and depend on the mesh; this does not.
     """
     try:
-        geometry = geometry_of(case.data, case.folder)
+        geometry = read_geometry(case.data, case.folder)
         run = Run(case.folder)
         T = run.temperature(-1 if reading == "held" else _step(case, run))
     except (OSError, KeyError, ValueError, MantleError):
