@@ -31,7 +31,6 @@ from app.errors import (
     UnusableError,
     stack_needed,
 )
-from app.system.progress import during
 from app.version import __version__
 
 if TYPE_CHECKING:
@@ -245,8 +244,7 @@ def _reported(folder: Path, wanted: bool) -> Iterator[None]:
     if wanted:
         from app.report import run_report
 
-        with during("writing the report, some seconds"):
-            run_report.after_run(folder, failure is not None)
+        run_report.after_run(folder, failure is not None)
     if failure:
         raise failure
 

@@ -6,6 +6,7 @@ Newton is semismooth, with the generalized Jacobian of the system; its linear so
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,6 +18,8 @@ from app.numerics.krylov import Linear
 from app.numerics.preconditioners import Options
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
+
+log = logging.getLogger("mantle")
 
 REASONS = PETSc.SNES.ConvergedReason
 
@@ -104,7 +107,6 @@ class Snes:
         self.snes.setJacobian(self._jacobian, self.linear.matrix)
         self.snes.setMonitor(self._monitor)
         self.snes.setConvergenceTest(self._converged)
-        self.snes.getKSP().setMonitor(self._watch)
         self._search = self.usual = str(self.options["snes_linesearch_type"])
         self._enough = 0.0 if "ksp_atol" in options else ENOUGH
         self._follows = self.has_kinks and "ksp_rtol" not in options
@@ -147,11 +149,7 @@ class Snes:
         names = [name for name in self._system.comm.allgather(self._stop()) if name]
         if names:
             raise StoppedError(f"stopped by {names[0]}")
-        told = f"Newton iteration {iteration}, residual {self.residuals[-1]:.1e}"
-        self._timing.tell(told, blocking=iteration == 0)
-
-    def _watch(self, ksp: PETSc.KSP, iteration: int, norm: float) -> None:
-        self._timing.tell(f"Newton iteration {len(self.flips) - 1}, Krylov iteration {iteration}")
+        log.debug("     Newton iteration %d, residual %.1e", iteration, self.residuals[-1])
 
     def _converged(
         self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]

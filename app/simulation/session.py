@@ -35,7 +35,7 @@ from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import plausibility, well_posedness
-from app.system import blas_check, form_cache, privacy, ranks, stopping
+from app.system import blas_check, form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.timing import Timing
 
@@ -265,7 +265,7 @@ class Session:
             model.tagged,
             model.layers(),
             output,
-            yaml_file.written(privacy.told(plain(case))),
+            yaml_file.written(plain(case)),
             case.output.fields,
             lambda: provenance(
                 comm.size,

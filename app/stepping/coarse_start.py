@@ -25,7 +25,6 @@ from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 from app.stepping.load_steps import LoadStepper
-from app.system.progress import during
 from meshes.contact_points import ContactPoints
 
 if TYPE_CHECKING:
@@ -70,8 +69,7 @@ class CoarseModelStart:
             self._failed = True
             log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
             return
-        with during("start from a cheaper model: balancing the bodies with its jumps"):
-            self._start(*np.hsplit(found, 2))
+        self._start(*np.hsplit(found, 2))
 
     def commit(self, time: float) -> None:
         """The cheaper model has to go through it too, when it is asked again."""

@@ -19,7 +19,6 @@ from app.numerics.saved_state import State
 from app.scene.terms import SceneStage
 from app.soundness.facet_support import held_by_facets
 from app.soundness.failure import explain, runaway
-from app.system.progress import during
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0
@@ -181,9 +180,8 @@ class LoadStepper:
             while True:
                 place(reach)
                 problem.update_stiffness()
-                with during("looking for a start of the step"):
-                    for p in predictors:
-                        p.predict(begin + reach * (end - begin))
+                for p in predictors:
+                    p.predict(begin + reach * (end - begin))
                 led = predictors and not same(start, solver.x)
                 outcome = solver.solve()
                 self.total.count(outcome)

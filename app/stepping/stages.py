@@ -26,7 +26,6 @@ from app.soundness.failure import attempts
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_steps import HeatState, HeatStep
 from app.stepping.load_steps import LoadStep, LoadStepper, Mark, Summary, unmarked
-from app.stepping.staggered import Staggered
 
 # A time step below this part of its stage is given up.
 SHORTEST = 1e-10
@@ -310,9 +309,7 @@ class SolvedAfterHeat:
 class SolvedWithHeat:
     """Mechanics that heat depends on: in one system with it."""
 
-    def __init__(
-        self, motion: LoadStepper, heating: HeatState, system: CoupledSystem | Staggered
-    ) -> None:
+    def __init__(self, motion: LoadStepper, heating: HeatState, system: CoupledSystem) -> None:
         """Put the mechanics beside the heat.
 
         Args:

@@ -1069,10 +1069,6 @@ HOT_TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [('{at: "[9, 0, 10] mm", region: cement}', "[9 mm, 0 mm]")],
         ["70:12: output.probes.middle.at: has 2 values; expected three"],
     ),
-    "unknown coupling": (
-        [("output:", "solver: {coupling: loose}\noutput:")],
-        ["69:10: solver.coupling: 'loose' is not one of auto, monolithic, staggered"],
-    ),
 }
 
 

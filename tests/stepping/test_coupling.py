@@ -1,4 +1,4 @@
-"""Heat and contact that depend on each other: one Jacobian, two ways to the same solution."""
+"""Heat and contact that depend on each other, as one system."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from app.campaigns.work_precision import fitted_order
-from app.stepping.staggered import Staggered
 from tests import coupled
 
 OPEN, STICK, SLIP = 0, 1, 2
@@ -114,22 +113,6 @@ def compare(one: coupled.Coupled, other: coupled.Coupled, tolerance: float) -> N
         assert np.abs(values - b[name]).max() <= tolerance * size, name
 
 
-@pytest.mark.parametrize(
-    "method", ["backward_euler", pytest.param("sdirk4", marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("overrides", [[], [PERFECT], [PENALTY]], ids=["all", "perfect", "penalty"])
-def test_turns_of_heat_and_mechanics_lead_to_the_same_state(
-    monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
-) -> None:
-    both = [
-        coupled.solve(monkeypatch, f"time.method={method}", f"solver.coupling={way}", *overrides)
-        for way in ("monolithic", "staggered")
-    ]
-    assert isinstance(both[1].model.thermal[0].heating.solver, Staggered)
-    compare(*both, 1e-8)
-    assert both[0].dissipated == pytest.approx(both[1].dissipated, rel=1e-7)
-
-
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
 def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     monkeypatch: pytest.MonkeyPatch, method: str
@@ -137,12 +120,12 @@ def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     """BodyForms that follow the heat, step by step, and the same in one system with it."""
     steps = (f"time.method={method}", "time.mechanical_step=1000 K")
     one = coupled.solve(monkeypatch, *steps, ONE_WAY)
-    assert one.model.scene.coupling == ()
+    assert not one.model.scene.coupled
     together = coupled.solve(
         monkeypatch,
         *steps,
         ONE_WAY,
-        change=lambda scene: replace(scene, coupling=("monolithic",)),
+        change=lambda scene: replace(scene, coupled=True),
     )
     assert set(one.solver.block_sizes) == set(HEAT)
     assert set(together.solver.block_sizes) == {*HEAT, *MOTION}
@@ -150,9 +133,7 @@ def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
 
 
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
-@pytest.mark.parametrize(
-    "overrides", [[], ["solver.coupling=staggered"], [PENALTY]], ids=["one", "staggered", "penalty"]
-)
+@pytest.mark.parametrize("overrides", [[], [PENALTY]], ids=["multiplier", "penalty"])
 def test_heat_of_friction_is_what_friction_dissipates(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
 ) -> None:

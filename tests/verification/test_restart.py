@@ -122,12 +122,9 @@ def test_an_interruption_while_companions_are_solved(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("coupling", ["monolithic", "staggered"])
 @pytest.mark.parametrize("adaptive", [True, False])
-def test_heat_and_contact_that_depend_on_each_other(
-    tmp_path: Path, coupling: str, adaptive: bool
-) -> None:
-    options = (FIELDS, f"solver.coupling={coupling}", f"stages.1.adaptive={adaptive}".lower())
+def test_heat_and_contact_that_depend_on_each_other(tmp_path: Path, adaptive: bool) -> None:
+    options = (FIELDS, f"stages.1.adaptive={adaptive}".lower())
     case, files = restarted.whole(coupled.CASE, tmp_path, *options)
     for file in files:
         part = restarted.on(case, tmp_path, file, *options)
