@@ -22,7 +22,7 @@ from ruamel.yaml import YAML
 
 import meshes
 from app.arrays import Floats
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
@@ -120,7 +120,7 @@ def case(text: str | Mapping[str, Any], *overrides: str) -> Case:
             path.write_text(text, encoding="utf-8")
         else:
             YAML().dump(dict(text), path)
-        return load_case(path, overrides)
+        return load(path, overrides).config
 
 
 def mesh(case: Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:

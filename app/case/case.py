@@ -2,7 +2,7 @@
 
 This is the one front for the rest of the program::
 
-    case = load_case(Path("case.yaml"), ["mesh.size=2 mm"])
+    case = load(Path("case.yaml"), ["mesh.size=2 mm"]).config
 
 Everything downstream takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K,
 rad.
@@ -11,7 +11,7 @@ rad.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -41,7 +41,6 @@ from app.laws.thermal import (
     TimeOptions,
 )
 from app.schema import yaml_file
-from app.schema.json_schema import json_schema, over_a_base
 from app.schema.section import (
     ITEMS,
     MAPPING,
@@ -74,7 +73,10 @@ class Case(Section):
     """Law of each interface; those not listed are bonded."""
     supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
-    loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
+    loads: Annotated[dict[Name, Load], MAPPING] = Field(
+        default_factory=dict,
+        json_schema_extra={"properties": {"library": {"type": "string"}}},
+    )
     """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
     library, in place of those of the base; further keys change them."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
@@ -110,38 +112,6 @@ class Case(Section):
         return tuple(name for name, region in self.regions.items() if region.tissue == tissue)
 
 
-def load_case(path: Path, overrides: Sequence[str] = ()) -> Case:
-    """Read, check and resolve a case.
-
-    Args:
-        path: The YAML file.
-        overrides: ``a.b.c=value`` each, applied in order before anything is checked.
-
-    Returns:
-        The case, with every interface of the geometry listed and the tissue of every region.
-
-    Raises:
-        InputError: Anything wrong with the file; every defect at once, one line each.
-    """
-    path = Path(path)
-    return resolve(overlay.read(path, overrides), path.parent)
-
-
-def resolve(file: CaseFile, folder: Path) -> Case:
-    """Check the content of a case file.
-
-    Args:
-        file: The content.
-        folder: What relative paths in it are relative to.
-
-    Raises:
-        InputError: As `load`.
-    """
-    case = _resolved(file, folder)
-    _varied(file, folder, case)
-    return case
-
-
 @dataclass(frozen=True)
 class Varied:
     """A variation of a case.
@@ -159,15 +129,61 @@ class Varied:
     case: Case
 
 
-def variations_of(path: Path, overrides: Sequence[str] = ()) -> list[Varied]:
-    """The variations of a case, in the order of the file.
+@dataclass(frozen=True)
+class LoadedCase:
+    """A case and where it comes from.
+
+    Attributes:
+        config: The checked case: ``case.config.mesh.size``, ``case.config.regions["stem"]``. Its
+            values are floats in mm, N, MPa, s, K, rad; every interface of the geometry is listed,
+            and the tissue of every region.
+        path: The case file.
+        overrides: Changes of it, ``key=value`` each.
+        file: Its content, and where each key stands, for messages.
+    """
+
+    config: Case
+    path: Path
+    overrides: tuple[str, ...]
+    file: CaseFile = field(repr=False)
+
+    @property
+    def output(self) -> Path:
+        """The folder of its results, unless another is asked for: ``out/<name of the file>``."""
+        return Path("out") / self.path.stem
+
+    def variations(self) -> list[Varied]:
+        """The variations of the case, in the order of the file."""
+        return _varied(self.file, self.path.parent, self.config)
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
+    """Read, check and resolve a case.
+
+    Args:
+        path: The YAML file.
+        overrides: ``a.b.c=value`` each, applied in order before anything is checked.
+
+    Raises:
+        InputError: Anything wrong with the file; every defect at once, one line each.
+    """
+    file = overlay.read(path, overrides)
+    return LoadedCase(resolve(file, path.parent), path, tuple(overrides), file)
+
+
+def resolve(file: CaseFile, folder: Path) -> Case:
+    """Check the content of a case file.
+
+    Args:
+        file: The content.
+        folder: What relative paths in it are relative to.
 
     Raises:
         InputError: As `load`.
     """
-    path = Path(path)
-    file = overlay.read(path, overrides)
-    return _varied(file, path.parent, _resolved(file, path.parent))
+    case = _resolved(file, folder)
+    _varied(file, folder, case)
+    return case
 
 
 def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
@@ -237,7 +253,7 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
     )
 
 
-def geometry_of(data: dict[str, Any], folder: Path) -> Geometry | None:
+def read_geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
     """The geometry in the content of a case file, whatever is wrong with the rest."""
     found: Geometry | None = _parts(data, {"folder": folder}).geometry
     return found
@@ -248,14 +264,9 @@ def plain(case: Case) -> dict[str, Any]:
     return case.model_dump(mode="json", exclude_none=True, exclude={"study", "variations"})
 
 
-def dump_case(case: Case) -> str:
+def dump(case: Case) -> str:
     """A case alone, as YAML in internal units; without study and variations reads back equal."""
     return yaml_file.written(plain(case))
-
-
-def case_schema() -> dict[str, Any]:
-    """JSON schema of a case file, for editors."""
-    return over_a_base(json_schema(Case), "Case")
 
 
 # Making an adapter takes far longer than using it.

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from app.case import checks, overlay, study_options
-from app.case.case import geometry_of, resolve
+from app.case.case import read_geometry, resolve
 from app.case.study_options import Study, StudyFile
 from app.errors import InputError
 from app.schema import validation, yaml_file
@@ -89,7 +89,7 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
     if isinstance(base, str):
         try:
             content = overlay.read(case, [*common, *ALONE])
-            problems += checks.quantities(geometry_of(content.data, case.parent), study)
+            problems += checks.quantities(read_geometry(content.data, case.parent), study)
             resolve(content, case.parent)
         except InputError as error:
             for message in error.messages:

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from app.case import overlay, study_options
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.case.sweep_options import Sweep, SweepPoint, expand
 from app.errors import InputError
 from app.schema import validation, yaml_file
@@ -67,7 +67,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
         own = {k: v for k, v in point.changes.items() if k != "ranks" and k not in given}
         changes = (*study_options.options(own), "variations={}", *others)
         try:
-            case = load_case(base, changes)
+            case = load(base, changes).config
         except InputError as error:
             problems += [_located(point, base, m, own, file) for m in error.messages]
             continue

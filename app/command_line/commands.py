@@ -25,7 +25,7 @@ from app.system.ranks import rank
 
 if TYPE_CHECKING:
     from app.campaigns.many import Options
-    from app.case.loaded_case import LoadedCase
+    from app.case.case import LoadedCase
 
 CHECK_FAILED = 1
 
@@ -116,9 +116,9 @@ def _run(
 
 def _load(options: argparse.Namespace) -> LoadedCase:
     """The case that a command is about."""
-    from app.case import loaded_case
+    from app.case.case import load
 
-    return loaded_case.load(options.case, options.overrides)
+    return load(options.case, options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:
@@ -310,12 +310,13 @@ def _schema(options: argparse.Namespace) -> int:
     import json
 
     from app.case import keys
-    from app.case.case import case_schema
+    from app.case.case import Case
+    from app.schema.json_schema import json_schema
 
     if options.markdown:
         print(keys.case_page())
         return 0
-    print(json.dumps(case_schema(), indent=2, ensure_ascii=False))
+    print(json.dumps(json_schema(Case), indent=2, ensure_ascii=False))
     return 0
 
 

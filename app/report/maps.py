@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from app.arrays import Floats
-from app.case.case import geometry_of
+from app.case.case import read_geometry
 from app.case.geometries import Geometry
 from app.errors import MantleError
 from app.report.curves import Figure
@@ -68,7 +68,7 @@ def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
 
 
 def _geometry(case: SweptCase) -> Geometry:
-    geometry = geometry_of(case.data, case.folder)
+    geometry = read_geometry(case.data, case.folder)
     if geometry is None:
         raise ValueError("its case.yaml has no geometry")
     return geometry

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from app.case.case import geometry_of
+from app.case.case import read_geometry
 from app.errors import MantleError
 from app.report.sweep_results import PERCENTILES, Number, SweepResults, SweptCase, magnitude
 from app.results.percentiles import percentile
@@ -214,7 +214,7 @@ def bone_p99(case: SweptCase) -> Number | None:
     thinnest and depend on the mesh; this does not.
     """
     with suppress(OSError, LookupError, ValueError, MantleError):
-        geometry, run = geometry_of(case.data, case.folder), Run(case.folder)
+        geometry, run = read_geometry(case.data, case.folder), Run(case.folder)
         step = -1
         if reading_of(case) == "initial":
             after = AT / (magnitude(case.data["stages"][0].get("duration")) or math.nan)

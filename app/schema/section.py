@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import difflib
+import inspect
 import re
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, Any, NoReturn, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
@@ -19,6 +23,23 @@ class Section(BaseModel):
     """Base of every part of a case: immutable, no unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+
+def docstrings(model: type) -> dict[str, str]:
+    """Texts below the fields of a class and of those that it derives from.
+
+    Pydantic's own ``use_attribute_docstrings`` reads the source at each start, for 0.06 s.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if base is Section or not issubclass(base, Section):
+            continue
+        tree = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        for field, text in pairwise(getattr(tree, "body", ())):
+            match field, text:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(doc))):
+                    found[name] = inspect.cleandoc(doc)
+    return found
 
 
 def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:

@@ -6,11 +6,11 @@ from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from app.schema.json_schema import docstrings
 from app.schema.section import (
     TAG,
     Extensible,
     did_you_mean,
+    docstrings,
     kinds_of,
     show,
 )

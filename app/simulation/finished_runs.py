@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from app.case.case import Case, Varied, dump_case
+from app.case.case import Case, LoadedCase, Varied, dump
 from app.case.geometries import MeshFile
-from app.case.loaded_case import LoadedCase
 from app.errors import InputError
 from app.results.closing_lines import check_usable
 from app.soundness import memory
@@ -27,7 +26,7 @@ def finished(folder: Path, case: Case) -> bool:
     try:
         done = (folder / "DONE").stat().st_mtime
         written = (folder / "case.yaml").read_text(encoding="utf-8")
-        same = written == dump_case(case)
+        same = written == dump(case)
         record = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False

@@ -14,8 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app.case.case import Case, plain
-from app.case.loaded_case import LoadedCase
+from app.case.case import Case, LoadedCase, plain
 from app.errors import (
     ConvergenceError,
     EnvironmentProblem,

@@ -10,7 +10,7 @@ import pytest
 
 import meshes
 from app.arrays import Floats
-from app.case.case import Case, dump_case
+from app.case.case import Case, dump
 from app.errors import InputError
 from app.laws.loads import Roller
 from app.results.balance import Balance
@@ -238,7 +238,7 @@ def test_a_direction_is_normalised_and_reads_back() -> None:
     )
     this = support.case(BLOCK, *(f"supports.{s}" for s in supports))
     assert this.supports["x"].normal == (0.0, -1.0, 0.0)
-    again = support.case(dump_case(this))
+    again = support.case(dump(this))
     assert again.supports == this.supports
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from app.case.case import dump_case, load_case
+from app.case.case import dump, load
 from app.cli import main
 from app.errors import InputError
 from app.report import (
@@ -36,7 +36,7 @@ MODULI = {"titanium": 110, "CoCr": 200}
 
 @cache
 def resolved(name: str) -> str:
-    return dump_case(load_case(CONFIGS / f"{name}.yaml"))
+    return dump(load(CONFIGS / f"{name}.yaml").config)
 
 
 def data_of(tmp_path: Path, name: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.errors import InputError
 from app.results.stresses import Stresses
 from app.scene.fibres import Fibre
@@ -34,7 +34,7 @@ FREE = "{strain: [2e-3, 1e-3, 3e-3, 0, 0, 1e-3]}"
 
 
 def ring(lay: str, *overrides: str) -> Case:
-    return load_case(RING, (f"regions.ring.fibre.kind={lay}", *overrides))
+    return load(RING, (f"regions.ring.fibre.kind={lay}", *overrides)).config
 
 
 def error(solved: support.Solved, lay: str) -> float:

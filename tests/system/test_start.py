@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import meshes
-from app.case.case import load_case
+from app.case.case import load
 from app.numerics import kernel_cache, pointwise
 from app.numerics.sparse import from_triplets
 from app.schema import unit_conversion
@@ -29,7 +29,7 @@ from tests import support
 def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_path: Path) -> None:
     """Each costs a tenth of a second and more, in a run that could take two."""
     path = support.CONFIGS / "blocks.yaml"
-    case = load_case(path)
+    case = load(path).config
     meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     script = (
         "import sys; from app.cli import main; "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case import loaded_case
+from app.case.case import load
 from app.errors import StoppedError
 from app.results.reading import Run
 from app.simulation import coarser_case
@@ -112,11 +112,11 @@ def test_an_interruption_while_companions_are_solved(
     out.mkdir()
     monkeypatch.setattr(running, "_errors", interrupted)
     with pytest.raises(StoppedError, match="in its companions"):
-        run(loaded_case.load(case, options), out)
+        run(load(case, options), out)
     assert saved(out) and not (out / "DONE").exists()
     stop.clear()
     monkeypatch.setattr(running, "_errors", errors)
-    run(loaded_case.load(case, options), out, restart="auto")
+    run(load(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out)
     assert restarted.numbers(out)[".error.companions.0"]
 
@@ -149,7 +149,7 @@ def test_fields_go_on_in_their_file(tmp_path: Path) -> None:
         assert list(part.times) == list(whole.times[-left:])
         assert np.allclose(part.displacement(), before[-1], rtol=1e-6, atol=1e-9)
     # Whatever was written after the checkpoint is written again.
-    run(loaded_case.load(case), tmp_path / "whole", restart=str(files[2]))
+    run(load(case), tmp_path / "whole", restart=str(files[2]))
     again = Run(tmp_path / "whole")
     assert list(again.times) == list(whole.times)
     for k, u in enumerate(before):
