@@ -71,20 +71,20 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
     free: list[str] = []
     friction: list[str] = []
     places: list[str] = []
-    u, q = solver.parts(solver.failed_state)
+    u, q = solver.u_and_q(solver.failed_state)
     if q is not None:
         (j,) = problem.jumps
         trial = problem.trial(u, q)
         free = loose_bodies.free_bodies(problem, trial)
         friction = [*([] if free else loose_bodies.sliding(problem)), *uniqueness.beyond(problem)]
-        places = [_largest(problem, j, trial), *_oscillating(problem, j, solver.active)]
+        places = [_largest(problem, j, trial), *_oscillating(problem, j, solver.system.active)]
     if free:
         short = free[0]
     elif outcome.linear_failed:
         short = "the linear solver failed"
-    elif sum(outcome.flips[-5:]) > 0:
+    elif sum(outcome.changes[-5:]) > 0:
         again = f", the same every {outcome.period} iterations" if outcome.period else ""
-        short = f"contact states keep changing ({outcome.flips[-1]} in the last iteration{again})"
+        short = f"contact states keep changing ({outcome.changes[-1]} in the last iteration{again})"
     else:
         short = f"the residual stays at {outcome.residuals[-1]:.1e} times the forces"
     return Explanation(outcome, short, free, [*friction, *places], bool(friction))
@@ -114,7 +114,7 @@ def _oscillating(problem: Problem, j: Jumps, active: ActiveSet) -> list[str]:
         (
             r.changes,
             f"changing: {' <-> '.join(STATES[s] for s in r.states)} {_place(problem, j, r.row)}, "
-            f"in {r.changes} of the last {r.looks} iterations",
+            f"in {r.changes} of the last {r.iterations} iterations",
         )
         for r in active.oscillating()[:SHOWN]
     ]
