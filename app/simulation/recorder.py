@@ -252,7 +252,7 @@ class Recorder:
             self._fields()
         self._writer.last_fields()
         for t in self._model.thermal:
-            self._writer.pictures(t.conduction, t.record)
+            self._writer.section(t.conduction, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
