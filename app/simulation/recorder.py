@@ -185,13 +185,8 @@ class Recorder:
         log.info(
             "%s",
             text.step_line(
-                step.number,
-                step.time,
-                step.outcome.iterations,
-                step.outcome.linear_iterations,
-                step.outcome.residuals[-1],
-                self._fraction(OPEN),
-                self._fraction(SLIP),
+                step,
+                (self._fraction(OPEN), self._fraction(SLIP)),
                 max((q["penetration_max"] for q in interfaces.values()), default=0.0),
                 clock.perf_counter() - self._begin,
                 solved * rate,
