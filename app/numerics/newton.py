@@ -13,7 +13,6 @@ import numpy as np
 from app.arrays import Floats
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import Options
-from app.numerics.saved_state import State
 from app.numerics.snes import REASONS, Snes
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
@@ -65,6 +64,8 @@ class Solver:
         snes: The solver of PETSc.
         options: Its options.
     """
+
+    saved = ("_newton", "_augmentation")
 
     def __init__(
         self,
@@ -125,28 +126,8 @@ class Solver:
         """Blocks of a state by name, of the current one by default."""
         return dict(zip(self._names, self.blocks(x), strict=True))
 
-    def pack(self, x: PETSc.Vec) -> State:
-        """A vector of unknowns as rows to be saved."""
-        return self._system.pack(self.blocks(x))
-
-    def unpack(self, state: State) -> PETSc.Vec:
-        """Return the vector of unknowns that a saved state holds."""
-        x = self.vector()
-        self._system.unpack(state, self.blocks(x))
-        return x
-
-    def state(self) -> State:
-        """Unknowns, scales of the residuals and augmentation, to be saved."""
-        return {
-            "x": self.pack(self.x),
-            "scales": list(self._newton.scales),
-            "augmentation": self._augmentation,
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore unknowns, scales of residuals and augmentation; collective."""
-        self.unpack(state["x"]).copy(self.x)
-        self._newton.scales, self._augmentation = state["scales"], state["augmentation"]
+    def restored(self) -> None:
+        """Put the augmentation in force again; the preconditioners are made anew."""
         self._system.scale_augmentation(self._augmentation)
         self._newton.linear.renew()
 

@@ -61,6 +61,8 @@ class Snes:
         tolerance: Residual over scale at which a run has converged.
     """
 
+    saved = ("scales",)
+
     def __init__(
         self,
         system: System,

@@ -9,7 +9,6 @@ from petsc4py import PETSc
 from app.heat.conduction import Conduction
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
-from app.numerics.saved_state import State
 from app.stepping.contact_heat import ContactHeat
 
 # Turns of heat and mechanics before giving up.
@@ -25,6 +24,8 @@ class Staggered:
     Attributes:
         exchange: Contact as the heat sees it.
     """
+
+    saved = ("_heat",)
 
     def __init__(
         self,
@@ -63,14 +64,6 @@ class Staggered:
             if self._holds():
                 return outcome
         return replace(outcome, converged=False)
-
-    def state(self) -> State:
-        """That of the solver of the heat; the other one belongs to the mechanics."""
-        return self._heat.state()
-
-    def resume(self, state: State) -> None:
-        """Restore the state of the solver of the heat; collective."""
-        self._heat.resume(state)
 
     def _pass_contact_to_heat(self) -> None:
         """Set pressures and friction heat from the current state of the mechanics."""
