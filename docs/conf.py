@@ -29,6 +29,7 @@ howto/README
 reference/README
 theory
 verification
+notebook
 paper
 mesh
 developer

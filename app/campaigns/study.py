@@ -16,7 +16,7 @@ from app.campaigns.many import Options
 from app.campaigns.runs import Job, Result
 from app.campaigns.study_model import Measured, PlannedRun, Report, StudyRun, percent
 from app.case import quantities, study_file, study_options
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.case.study_file import Source
 from app.case.study_options import Study
 from app.errors import InputError, gravest
@@ -135,7 +135,7 @@ def _resolve(points: Sequence[PlannedRun], source: Source) -> list[Case]:
     problems: list[Fault] = []
     for point in points:
         try:
-            cases.append(load_case(source.case, _overrides(point, source.overrides)))
+            cases.append(load(source.case, _overrides(point, source.overrides)).config)
         except InputError as error:
             problems += [_located(point, message, source.file) for message in error.messages]
     condition = "solver.condition"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from app.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
 from app.case.quantities import Quantity
 from app.case.study_file import Source
 from app.errors import StoppedError
-from app.system import layout, privacy
+from app.system import layout
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.system.layout import duration
 from app.version import __version__
@@ -105,7 +104,6 @@ def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]
     """
     record = {
         "mantle": __version__,
-        **({} if privacy.asked() else {"host": platform.node()}),
         "study": source.file.name,
         "case": str(source.case),
         "overrides": source.overrides,

@@ -11,10 +11,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from app.case import overlay, study_options
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.case.sweep_options import Sweep, SweepPoint, expand
 from app.errors import InputError
-from app.schema import validation, yaml_file
+from app.schema import section, yaml_file
 from app.schema.yaml_file import CaseFile, Fault
 
 
@@ -54,7 +54,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
     try:
         sweep = Sweep.model_validate(file.data)
     except ValidationError as error:
-        file.raise_all(validation.problems(error, Sweep))
+        file.raise_all(section.faults(error))
         raise  # only if an error could not be told in words
     planned: list[SweptRun] = []
     points = expand(sweep)
@@ -67,7 +67,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
         own = {k: v for k, v in point.changes.items() if k != "ranks" and k not in given}
         changes = (*study_options.options(own), "variations={}", *others)
         try:
-            case = load_case(base, changes)
+            case = load(base, changes).config
         except InputError as error:
             problems += [_located(point, base, m, own, file) for m in error.messages]
             continue

@@ -24,7 +24,6 @@ from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results.reading import Run
 from app.results.tables import TABLES
-from app.system import privacy
 from app.system.folders import write_bytes, write_text
 from app.system.layout import duration, noted, plain
 from app.system.ranks import rank
@@ -216,7 +215,8 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
     found: Blocks = []
     for section, named in _sections(summary):
         own = TABLE[section]
-        keys = [key for column in TABLES.get(section, ()) for key in column.keys.split()]
+        columns = TABLES[section][1] if section in TABLES else ()
+        keys = [key for column in columns for key in column.keys.split()]
         keys = [*keys, *MORE.get(section, ()), *(k for k, q in own.items() if q.compute)]
         chosen = [own[k] for k in keys or own if not own[k].vector]
         found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))
@@ -286,8 +286,7 @@ def _maps(case: SweptCase, wanted: bool) -> tuple[list[tuple[Figure, bytes]], li
     if not (case.folder / "fields.vtkhdf").exists():
         return [], []
     if not wanted:
-        folder = privacy.told(str(case.folder))
-        return [], [f"mantle report {folder} draws them: after a short run they take too long"]
+        return [], [f"mantle report {case.folder} draws them: after a short run they take too long"]
     with tempfile.TemporaryDirectory() as scratch:
         try:
             drawn, missing = maps.draw([[("", case)]], Path(scratch))

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import logging
 import platform
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,7 +26,7 @@ from app.results import temperature_section
 from app.results.field_output import Fields, Layer
 from app.results.interface_numbers import ContactSamples
 from app.results.thermal_record import ThermalRecord
-from app.system import identity, privacy
+from app.system import identity
 from app.system.folders import csv_text, saved, write_json, write_text
 from app.version import __version__
 from meshes.distribute import TaggedMesh
@@ -36,13 +35,9 @@ T = TypeVar("T")
 
 UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
-HISTORY, SECTION = "temperature.png", "temperature_section.png"
+SECTION = "temperature_section.png"
 # What is written at the end; all that a run directory has.
-GOAL_MAP, DIVIDED = "goal.vtkhdf", "divided.csv"
-ENDS = (
-    *("DONE", "summary.json", "provenance.json", "final.vtkhdf", HISTORY, SECTION, "report.html"),
-    *(GOAL_MAP, DIVIDED),
-)
+ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 log = logging.getLogger("mantle")
 
@@ -181,11 +176,8 @@ class Writer:
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
-    def pictures(self, conduction: Conduction, record: ThermalRecord) -> None:
-        """Draw temperatures over time, and in a section when the bone was hottest; collective."""
-        path = self.folder / HISTORY
-        draw = partial(temperature_section.history, path, record.seconds, record.curves())
-        _write(self._comm, draw, str(path))
+    def section(self, conduction: Conduction, record: ThermalRecord) -> None:
+        """Draw the temperature in a section when the bone was hottest; collective."""
         with _full_disk(SECTION):
             temperature_section.section(
                 self.folder / SECTION,
@@ -201,7 +193,7 @@ class Writer:
         """Write summary and provenance, and the marker if the run is complete; collective."""
 
         def write() -> None:
-            write_json(self.folder / "summary.json", privacy.told(summary))
+            write_json(self.folder / "summary.json", summary)
             write_json(self.folder / "provenance.json", self._record())
             if done:
                 write_text(self.folder / "DONE", "")
@@ -221,17 +213,14 @@ def provenance(
         mesh_hash: Digest of the mesh.
         started: When the run began.
     """
-    private = privacy.asked()
-    (case, digest), *others = [(Path(n).name if private else n, d) for n, d in digests.items()]
-    place = {} if private else {"command": sys.argv, "host": platform.node()}
+    (case, digest), *others = digests.items()
     return {
         "mantle": __version__,
         "identity": identity.parts(),
-        **place,
         "case": case,
         "case_sha256": digest,
         "based_on_sha256": dict(others),
-        "overrides": privacy.told(overrides),
+        "overrides": overrides,
         "mesh_sha256": mesh_hash,
         "ranks": ranks,
         "processor": _processor(),

@@ -198,19 +198,6 @@ class ThermalRecord:
         """Columns of history.csv for the state last taken in."""
         return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
-    def curves(self) -> dict[str, Floats]:
-        """Temperatures over time by what they are of [degC]: hottest nodes, and probes."""
-        labels = {}
-        for name, sides in self._interfaces.items():
-            for which, regions in zip(("first", "second"), sides, strict=True):
-                column = f"{name} temperature_max_{which} [degC]"
-                labels[column] = f"{name}, {' + '.join(regions)} side"
-        labels |= {f"{name} temperature_max [degC]": f"{name}, hottest" for name in self._nodes}
-        labels |= {f"{p} [degC]": f"probe {p}" for p in self._probes.names}
-        return {
-            label: np.array([row[column] for row in self.rows]) for column, label in labels.items()
-        }
-
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that has moved since the state before the last step, however it went [N mm].
 

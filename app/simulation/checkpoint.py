@@ -249,8 +249,7 @@ def described(case: Case) -> dict[str, Any]:
     data = plain(case)
     data.pop("title", None)
     data["output"] = {"probes": data.get("output", {}).get("probes", {})}
-    # The mesh has a digest of its own, wherever it lies.
-    data.get("geometry", {}).pop("path", None)
+    data["geometry"].pop("path", None)  # the mesh has a digest of its own, wherever it lies
     return dict(json.loads(json.dumps(data)))
 
 

@@ -44,7 +44,7 @@ class Mechanical:
 
     def restored(self) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
-        self.problem.take_up(*self.solver.parts())
+        self.problem.take_up(*self.solver.u_and_q())
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
         """Balances of the model at rest; collective.

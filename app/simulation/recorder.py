@@ -121,7 +121,7 @@ class Recorder:
     def restored(self) -> None:
         """Go on from a restored model; collective."""
         for m, balance in zip(self._model.mechanics, self._balances, strict=True):
-            u, q = m.solver.parts()
+            u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
             balance.go_on(u, trial)
             if trial is not None and self._contact:
@@ -152,7 +152,7 @@ class Recorder:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
             (m,), (balance,) = self._model.mechanics, self._balances
-            balance.update(m.solver.parts()[0], trial)
+            balance.update(m.solver.u_and_q()[0], trial)
             if trial is not None:
                 self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
                 self.samples = ContactSamples(m.problem, trial)
@@ -179,13 +179,8 @@ class Recorder:
         log.info(
             "%s",
             text.step_line(
-                step.number,
-                step.time,
-                step.outcome.iterations,
-                step.outcome.linear_iterations,
-                step.outcome.residuals[-1],
-                self._fraction(OPEN),
-                self._fraction(SLIP),
+                step,
+                (self._fraction(OPEN), self._fraction(SLIP)),
                 max((q["penetration_max"] for q in interfaces.values()), default=0.0),
                 clock.perf_counter() - self._begin,
                 solved * rate,
@@ -246,7 +241,7 @@ class Recorder:
             self._fields()
         self._writer.last_fields()
         for t in self._model.thermal:
-            self._writer.pictures(t.conduction, t.record)
+            self._writer.section(t.conduction, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""

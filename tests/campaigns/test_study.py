@@ -21,7 +21,7 @@ from app.campaigns import batch, study, study_parameters
 from app.campaigns.many import Options
 from app.campaigns.runs import Job
 from app.case import quantities, study_file, study_options
-from app.case.case import dump_case, load_case
+from app.case.case import dump, load
 from app.cli import main
 from app.errors import InputError, MantleError, StoppedError
 from tests import support
@@ -264,18 +264,18 @@ def test_a_bad_section_is_told(old: str, new: str, complaint: str, tmp_path: Pat
     path = tmp_path / "case.yaml"
     path.write_text(CASE + STUDY.replace(old, new, 1))
     with pytest.raises(InputError) as error:
-        load_case(path)
+        load(path)
     (message,) = [m for m in error.value.messages if f" study.{complaint}" in m] or [""]
     assert message.startswith(f"{path}:"), error.value.messages
 
 
 def test_the_section_changes_no_run(case: Path) -> None:
     """A case is dumped without its study and read back; its runs know nothing of it."""
-    loaded = load_case(case)
+    loaded = load(case).config
     copy = case.with_name("copy.yaml")
-    copy.write_text(dump_case(loaded))
+    copy.write_text(dump(loaded))
     assert loaded.study is not None
-    assert load_case(copy) == loaded.model_copy(update={"study": None})
+    assert load(copy).config == loaded.model_copy(update={"study": None})
     jobs = [Job("one", case)]
     (first,) = batch.run(jobs, case.parent / "out", 1)
     case.write_text(CASE)
@@ -484,12 +484,12 @@ study:
   reference: {values: {lower_upper.slip_p99: 0.04 mm}}
 """
     case.write_text(CASE + text)
-    section = load_case(case).study
+    section = load(case).config.study
     assert section is not None
     points = study.plan(section)
     assert [p.label for p in points] == ["#1", "#2", "1e3 MPa/mm", "1e4 MPa/mm", *"1212"]
     jobs = [study._job(p, study_file.read(case, [])) for p in points]
-    cases = [load_case(j.case, j.overrides) for j in jobs]
+    cases = [load(j.case, j.overrides).config for j in jobs]
     assert [j.ranks for j in jobs] == [1, 1, 1, 1, 1, 2, 1, 1]
     assert all(j.alone for j in jobs)
     laws = [c.interfaces["lower_upper"] for c in cases]

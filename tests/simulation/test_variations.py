@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.case.case import Case, Varied, dump_case, load_case, variations_of
+from app.case.case import Case, Varied, dump, load
 from app.errors import InputError
 from app.mechanics.problem import TrialState
 from app.results.interface_numbers import ContactSamples
@@ -74,7 +74,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_a_grid_is_every_combination_named_by_its_values(tmp_path: Path) -> None:
-    found = variations_of(written(tmp_path, STEM + SECTION))
+    found = load(written(tmp_path, STEM + SECTION)).variations()
     names = [v.name for v in found]
     assert names[:3] == ["as_is", "fit", "friction_coefficient=0.2_force=#1"]
     assert names[-1] == "friction_coefficient=0.4_force=#3" and len(names) == 8
@@ -86,7 +86,7 @@ def test_a_grid_is_every_combination_named_by_its_values(tmp_path: Path) -> None
 
 def test_keys_with_the_same_last_word_are_told_apart(tmp_path: Path) -> None:
     grid = {MU: [0.2], "interfaces.cement_bone.friction_coefficient": [0.5, 0.7]}
-    names = [v.name for v in variations_of(written(tmp_path, _with(grid)))]
+    names = [v.name for v in load(written(tmp_path, _with(grid))).variations()]
     both = "stem_cement.friction_coefficient=0.2_cement_bone.friction_coefficient="
     assert names == [both + "0.5", both + "0.7"]
 
@@ -104,20 +104,20 @@ def test_values_are_called_by_their_numbers_where_that_tells_them_apart(tmp_path
     }
     for values, names in cases.items():
         path = written(tmp_path, _with({key: list(values)}))
-        assert [v.name for v in variations_of(path)] == names
+        assert [v.name for v in load(path).variations()] == names
 
 
 def test_a_star_is_every_name(tmp_path: Path) -> None:
     """Of what the file lists: all loads grow together."""
     section = "variations: {grid: {'loads.*.history': [[1, 1], [2, 2]]}}\n"
-    once, twice = variations_of(written(tmp_path, STEM + section))
+    once, twice = load(written(tmp_path, STEM + section)).variations()
     assert (once.name, twice.name) == ("history=#1", "history=#2")
     assert [load.history for load in twice.case.loads.values()] == [(2, 2), (2, 2)]
     assert twice.overrides == ("loads.down.history=[2, 2]", "loads.aside.history=[2, 2]")
     bad = "variations: {a: {interfaces.*.friction_coefficient: -1}}\n"
     path = written(tmp_path, STEM + bad)
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     start = f"{path}:28:18: variations.a.interfaces.*.friction_coefficient: -1 must"
     assert [m.startswith(start) for m in caught.value.messages] == [True]
 
@@ -125,10 +125,10 @@ def test_a_star_is_every_name(tmp_path: Path) -> None:
 def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
     """Its overrides, as options, on the case without variations."""
     path = written(tmp_path, STEM + SECTION)
-    for v in variations_of(path, ["title=mine"]):
-        alone = load_case(path, ["title=mine", "variations={}", *v.overrides])
+    for v in load(path, ["title=mine"]).variations():
+        alone = load(path, ["title=mine", "variations={}", *v.overrides]).config
         assert v.case == alone and v.case.title == "mine"
-        assert "variations" not in dump_case(v.case)
+        assert "variations" not in dump(v.case)
 
 
 @pytest.mark.parametrize(
@@ -145,12 +145,12 @@ def test_what_varies_is_not_set(option: str, places: list[str], tmp_path: Path) 
     """For every variation: as in sweeps and studies."""
     path = written(tmp_path, STEM + SECTION)
     with pytest.raises(InputError) as caught:
-        load_case(path, [option])
+        load(path, [option])
     key = option.partition("=")[0]
     told = [f" {place}: varies, but --set {key} holds for every case" for place in places]
     messages = caught.value.messages
     assert [text in m for m, text in zip(messages, told, strict=True)] == [True] * len(told)
-    assert load_case(path, [option, "variations={}"])
+    assert load(path, [option, "variations={}"]).config
 
 
 # Each: the section, and what has to be said of it, with line and column below `variations`.
@@ -187,7 +187,7 @@ def test_what_may_not_vary_is_refused(what: str, tmp_path: Path) -> None:
     start = STEM.count("\n")
     path = written(tmp_path, STEM + "variations:\n" + section + "\n")
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     (message,) = caught.value.messages[:1]
     if expected[0].isdigit():
         line, _, rest = expected.partition(":")
@@ -202,8 +202,8 @@ def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
     """From the case as it is: first what merely scales, then the next friction, then the fit."""
     text = STEM + SECTION + "  tied:\n    interfaces.cement_bone: {kind: bonded}\n"
     path = written(tmp_path, text)
-    found = variations_of(path)
-    chain = [found[i].name for i in variations.order(load_case(path), found)]
+    found = load(path).variations()
+    chain = [found[i].name for i in variations.order(load(path).config, found)]
     assert sorted(chain) == sorted(v.name for v in found)
     assert chain[0] == "as_is" and chain[-1] == "tied"
     assert {n.partition("_force")[0] for n in chain[1:4]} == {"friction_coefficient=0.4"}
@@ -222,7 +222,7 @@ def grid_of(frictions: int, loads: int, folder: Path) -> tuple[Case, list[Varied
         for i, k in points
     ]
     path = written(folder, STEM + "variations:\n" + "".join(lines))
-    return load_case(path), variations_of(path)
+    return load(path).config, load(path).variations()
 
 
 def test_the_chain_takes_the_nearest_to_any_before(tmp_path: Path) -> None:
