@@ -171,7 +171,6 @@ def _stance_row(
 
 
 def _why(case: SweptCase) -> str:
-    """Why a case has no result."""
     return f"the case {case.name} {'did not converge' if 'not' in case.status else case.status}"
 
 
@@ -221,7 +220,6 @@ def _extreme_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
 
 
 def _other(fact: Fact, sweep: SweepResults) -> ComparedNumber:
-    """Compare a fact that is not a result of the paper."""
     if fact.kind == "input":
         why = "not a result but a property of materials; mantle's unilateral contact has none"
         return ComparedNumber(fact, "", remark=why)

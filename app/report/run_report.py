@@ -92,9 +92,7 @@ def write(folder: Path, share: float = math.inf) -> list[Path]:
 
 def opened(folder: Path, **more: Any) -> SweptCase:
     """A run directory; numbers of a run that has failed are read as well."""
-    return SweptCase(
-        folder.name, "", folder=folder, **{"overrides": {}, "status": CONVERGED} | more
-    )
+    return SweptCase(folder.name, folder, **{"status": CONVERGED} | more)
 
 
 def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
@@ -165,7 +163,6 @@ def _view(folder: Path) -> tuple[str, list[str]]:
 
 
 def _facts(folder: Path, record: dict[str, Any]) -> str:
-    """Which run, when and by which program."""
     when = str(record.get("finished", "")).replace("T", " ")[:16]
     program = f"mantle {record['mantle']}" if "mantle" in record else ""
     return " · ".join(filter(None, (folder.resolve().name, when and f"{when} UTC", program)))
@@ -249,7 +246,6 @@ def _titled(title: str, content: Blocks) -> Blocks:
 
 
 def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
-    """Dead bone by every criterion."""
     own = TABLE["thermal.regions"]
     bone = {name: q for name, q in regions.items() if sentence.is_bone(q)}
     head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
@@ -310,7 +306,6 @@ def _pairs(values: dict[str, Any]) -> Blocks:
 
 
 def _variations(folder: Path, share: float) -> list[Path]:
-    """The pages of all variations, and one over them."""
     rows = _json(folder / "variations.json")
     cases, links = [], {}
     for row in rows:

@@ -86,7 +86,6 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
 
 
 def _levels(values: Sequence[str]) -> str:
-    """Levels of an axis, or how many there are."""
     if len(values) <= MOST_LEVELS:
         return ", ".join(values)
     return f"{len(values)} levels from {values[0]} to {values[-1]}"

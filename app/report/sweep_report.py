@@ -121,7 +121,6 @@ def _times(pictures: Path) -> dict[str, int]:
 
 
 def _drawn(figures: Sequence[Figure], pictures: Path) -> Blocks:
-    """Pictures with their captions."""
     return [block for f in figures for block in page.figure(f, pictures)]
 
 
@@ -160,7 +159,6 @@ def _uncertain(sweep: SweepResults) -> Blocks:
 
 
 def _facts(sweep: SweepResults) -> str:
-    """Which sweep, how long it took, and by which program."""
     took = (
         [duration(sweep.seconds), "on", f"{sweep.cores} core{'s' * (sweep.cores > 1)}"]
         if sweep.seconds
@@ -200,7 +198,6 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
 
 
 def _trends(trends: Sequence[Trend]) -> Blocks:
-    """The verdicts with their reasons."""
     text = (
         "By percentiles, of motions the 99th, of tractions the 95th: undecided where the "
         "difference is smaller than the estimated errors in sum; numbers without ± have no "
@@ -216,7 +213,6 @@ def _trends(trends: Sequence[Trend]) -> Blocks:
 
 
 def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
-    """The paper's numbers beside mantle's."""
     if not rows:
         return []
     head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, percentile ± error"]
@@ -251,7 +247,6 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
 
 
 def _zones(groups: Sequence[maps.Chosen]) -> Blocks:
-    """A table for each representative case that has zones."""
     found: Blocks = []
     for group in groups:
         for title, case in group:
@@ -262,7 +257,6 @@ def _zones(groups: Sequence[maps.Chosen]) -> Blocks:
 
 
 def _parts(cases: Sequence[SweptCase]) -> Blocks:
-    """A table for each part of the sweep."""
     parts: dict[str, list[SweptCase]] = {}
     for case in cases:
         parts.setdefault(case.part, []).append(case)
@@ -271,7 +265,6 @@ def _parts(cases: Sequence[SweptCase]) -> Blocks:
 
 
 def _cases(cases: Sequence[SweptCase]) -> Blocks:
-    """Every case with what became of it."""
     names = sweep_figures.headlines(cases)[:MOST_NUMBERS]
     labels = [sweep_figures.label(name) for name in names]
     head = ["case", "status", "overrides"]

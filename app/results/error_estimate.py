@@ -95,7 +95,6 @@ def companions(case: Case) -> tuple[Companion, ...]:
 
 
 def _companion(case: Case, coarsening: float, steps: float) -> Companion:
-    """The case on a coarser mesh with another number of steps."""
     mesh = case.mesh.model_copy(
         update={"size": coarsening * case.mesh.size, "far_size": coarsening * case.mesh.far}
     )
@@ -184,7 +183,6 @@ def _on_meshes(
 
 
 def _of_zone(zone: Numbers, order: int, others: Sequence[tuple[Companion, Numbers]]) -> None:
-    """Put errors beside the means and the strain energy density of a Gruen zone."""
     for name, numbers in zone["interfaces"].items():
         own = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
         for key in [k for k in numbers if k.endswith("_mean")]:

@@ -64,13 +64,6 @@ class Fields:
     """The field file."""
 
     def __init__(self, tagged: TaggedMesh, layers: Sequence[Layer], path: Path) -> None:
-        """Make the grid; `begin` or `resume` comes next; collective.
-
-        Args:
-            tagged: The mesh.
-            layers: The mechanics, if there are any, then the heat; at least one of them.
-            path: The file.
-        """
         self._layers, self._path = tuple(layers), path
         space, owned = layers[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
@@ -194,13 +187,6 @@ class HeatFields:
     """Temperature, heat doses, cure, and what passes interfaces of finite conductance."""
 
     def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
-        """Write these of a run.
-
-        Args:
-            heating: The heat.
-            record: Its doses.
-            interfaces: Regions on the first and second side of each interface.
-        """
         self._heating, self._record, self._interfaces = heating, record, interfaces
         self._conduction = heating.conduction
         self.bodies, self.space = self._conduction.bodies, self._conduction.space
@@ -246,7 +232,6 @@ class HeatFields:
         return {}
 
     def _doses(self) -> dict[str, list[Floats]]:
-        """Doses of bone at the nodes of each body, by name."""
         zero = np.zeros(len(self._work.x.array))
         names = ("seconds_over_47", "cem43", "henriques_moritz")
         found: dict[str, list[Floats]] = {

@@ -57,7 +57,6 @@ class ContactSamples:
     """
 
     def __init__(self, problem: Problem, trial: TrialState) -> None:
-        """Gather a committed state; collective."""
         self.found: dict[int, dict[str, Any]] = {}
         (j,) = problem.jumps
         history = j.history
@@ -162,12 +161,6 @@ class Facets:
     """
 
     def __init__(self, s: ContactSamples, i: int) -> None:
-        """Find them.
-
-        Args:
-            s: The contact points.
-            i: Number of the interface.
-        """
         self.triangles: Ints = s.points.triangles[i]
         x = s.x[self.triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])

@@ -79,7 +79,17 @@ def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
 
 
 class Writer:
-    """Writes a run directory step by step."""
+    """Writes a run directory step by step.
+
+    Args:
+        layers: What the fields are of: the mechanics, if there are any, then the heat.
+        resolved: The resolved configuration, as YAML.
+        record: Gives the provenance when the run ends.
+        again: Whether `resume` follows: what is there may stay.
+
+    Raises:
+        StoppedError: The directory cannot be written.
+    """
 
     def __init__(
         self,
@@ -91,20 +101,6 @@ class Writer:
         record: Callable[[], dict[str, Any]],
         again: bool = False,
     ) -> None:
-        """Create the directory and the field file, or go on with them; collective.
-
-        Args:
-            tagged: The mesh.
-            layers: What the fields are of: the mechanics, if there are any, then the heat.
-            folder: The run directory; exists.
-            resolved: The resolved configuration, as YAML.
-            fields: Whether fields are written.
-            record: Gives the provenance when the run ends.
-            again: Whether `resume` follows: what is there may stay.
-
-        Raises:
-            StoppedError: The directory cannot be written.
-        """
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
         self._rows: list[dict[str, Any]] = []
 
@@ -178,7 +174,6 @@ class Writer:
         self._table()
 
     def _table(self) -> None:
-        """Write history.csv; collective."""
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
@@ -250,7 +245,6 @@ def _processor() -> str:
 
 @cache
 def _packages() -> dict[str, str]:
-    """Versions of what the solver stands on."""
     packages = {}
     for name in (
         "fenics-dolfinx",

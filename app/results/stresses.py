@@ -46,16 +46,13 @@ class _Law:
 
 
 class Stresses:
-    """Stress at quadrature points of every elastic region, compiled once."""
+    """Stress at quadrature points of every elastic region, compiled once.
+
+    Args:
+        around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
+    """
 
     def __init__(self, problem: Problem, timing: Timing, around_z: bool = False) -> None:
-        """Compile the stress of each region; collective.
-
-        Args:
-            problem: The problem.
-            timing: Of the run.
-            around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
-        """
         self._problem, self._timing, self._around_z = problem, timing, around_z
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         degree = 4 * (problem.scene.order - 1)
