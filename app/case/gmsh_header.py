@@ -80,9 +80,7 @@ def _names(path: Path, modified: int) -> tuple[tuple[int, str, bool], ...]:
 def _groups(path: Path) -> tuple[tuple[int, str, bool], ...]:
     """(dimension, name, true) of the groups that a script names."""
     if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
-        raise ValueError(
-            "a gmsh script is a program; --allow-scripts runs it, in a process that is confined"
-        )
+        raise ValueError("a gmsh script is a program; --allow-scripts runs it")
     text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
     if not re.search(r"\bsize\b", text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
