@@ -172,7 +172,7 @@ def solve(
         if trial is not None:
             samples.append(ContactSamples(problem, trial))
         if balance is not None:
-            balance.update(solver.parts()[0], trial)
+            balance.update(solver.u_and_q()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
     run_stages(problem.scene.stages, (LoadStepper(problem, solver, on_step, print),), ())

@@ -12,14 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import (
+    Field,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+)
 
 from app.case import checks, overlay, study_options
-from app.case.case_parts import CaseParts
 from app.case.geometries import (
     Geometry,
     MeshOptions,
@@ -40,18 +44,19 @@ from app.laws.thermal import (
     HeatCondition,
     TimeOptions,
 )
-from app.schema import yaml_file
+from app.schema import section, yaml_file
 from app.schema.section import (
     ITEMS,
     MAPPING,
-    RENEWALS,
     Name,
     Section,
     Text,
     Word,
 )
-from app.schema.validation import problems
 from app.schema.yaml_file import CaseFile, Fault
+
+# Sections whose entries are valid one by one.
+TABLES = ("regions", "interfaces", "supports", "loads", "heat")
 
 
 class Case(Section):
@@ -101,6 +106,29 @@ class Case(Section):
     library: Text | None = None
     """File of more materials and loads by name, relative to this one, such as `mine.yaml`;
     `mantle library` prints those that are known without it."""
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _noted(
+        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> object:
+        """Note the part, or what is wrong with it, in the context, and go on without it."""
+        name = str(info.field_name)
+        notes: dict[str, Any] = info.context  # type: ignore[assignment]
+        part: Any = None
+        try:
+            part = handler(value)
+        except ValidationError as error:
+            found = [Fault((name, *f.path), f.text) for f in section.faults(error)]
+            notes["faults"] += found
+            if name in TABLES and isinstance(value, dict):
+                wrong = {fault.path[1] for fault in found}
+                part = handler({k: v for k, v in value.items() if k not in wrong})
+                part |= dict.fromkeys(wrong)
+        notes["parts"][name] = part
+        if name == "geometry" and part is not None:
+            notes["points"] = part.points
+        return part
 
     @property
     def conducts(self) -> bool:
@@ -222,16 +250,9 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
 
 def _resolved(file: CaseFile, folder: Path) -> Case:
     """A case by itself, without its variations."""
-    context: dict[str, Any] = {"folder": folder}
-    parts = _parts(file.data, context)
-    try:
-        case = Case.model_validate(file.data, context=context)
-    except ValidationError as error:
-        file.raise_all([*problems(error, Case), *checks.cross_check(parts)])
-        raise  # only if an error could not be told in words
-    file.raise_all(checks.cross_check(parts))
-    bonded = {name: Bonded() for name in case.geometry.interface_sides}
-    interfaces = {name: case.interfaces.get(name, law) for name, law in bonded.items()}
+    case, faults = valid_parts(file.data, folder)
+    file.raise_all([*faults, *checks.cross_check(case)])
+    laws = {name: case.interfaces.get(name, Bonded()) for name in case.geometry.interface_sides}
     tissues = case.geometry.tissues
     regions = {
         name: region if region.tissue else region.model_copy(update={"tissue": tissues[name]})
@@ -242,21 +263,31 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
         curved = mesh.order == 2 and case.geometry.has_curved_surfaces
         mesh = mesh.model_copy(update={"curved": curved})
     time = (case.time or TimeOptions()) if case.conducts else None
-    return case.model_copy(
-        update={
-            "title": titled(case.title, file),
-            "regions": regions,
-            "interfaces": interfaces,
-            "mesh": mesh,
-            "time": time,
-        }
-    )
+    title = titled(case.title, file)
+    changes = {"title": title, "regions": regions, "interfaces": laws, "mesh": mesh, "time": time}
+    return case.model_copy(update=changes)
+
+
+def valid_parts(data: dict[str, Any], folder: Path) -> tuple[Case, list[Fault]]:
+    """A case of which parts that are missing or invalid are None, and the faults of those.
+
+    Args:
+        data: The content of a case file.
+        folder: The folder of its relative paths.
+    """
+    faults: list[Fault] = []
+    parts: dict[str, Any] = dict.fromkeys(("geometry", "mesh", "regions"))
+    notes = {"folder": folder, "points": None, "parts": parts, "faults": faults}
+    try:
+        Case.model_validate(data, context=notes)
+    except ValidationError as error:
+        faults += section.faults(error)
+    return Case.model_construct(**parts), faults
 
 
 def read_geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
     """The geometry in the content of a case file, whatever is wrong with the rest."""
-    found: Geometry | None = _parts(data, {"folder": folder}).geometry
-    return found
+    return valid_parts(data, folder)[0].geometry
 
 
 def plain(case: Case) -> dict[str, Any]:
@@ -269,52 +300,9 @@ def dump(case: Case) -> str:
     return yaml_file.written(plain(case))
 
 
-# Making an adapter takes far longer than using it.
-_adapter = lru_cache(TypeAdapter)
-
-
 def _renew() -> None:
     """Build the schema anew: there is another kind of something."""
-    _adapter.cache_clear()
     Case.model_rebuild(force=True)
 
 
-RENEWALS.append(_renew)
-
-
-def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
-    """Every part that is valid by itself, so that the rest can still be checked against it.
-
-    The points that the geometry names are put into the context on the way: None if it is wrong.
-    """
-
-    def part(kind: Any, value: object) -> Any:
-        try:
-            return _adapter(kind).validate_python(value, context=context)
-        except ValidationError:
-            return None
-
-    def table(key: str, kind: Any) -> dict[str, Any]:
-        values = data.get(key, {})
-        is_table = isinstance(values, dict)
-        return {name: part(kind, value) for name, value in values.items()} if is_table else {}
-
-    geometry = part(Geometry, data["geometry"]) if "geometry" in data else None
-    context["points"] = None if geometry is None else geometry.points
-    default: tuple[Stage, ...] = Case.model_fields["stages"].default
-    return CaseParts(
-        geometry=geometry,
-        side=data.get("side"),
-        mesh=part(MeshOptions, data["mesh"]) if "mesh" in data else None,
-        regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
-        interfaces=table("interfaces", Interface),
-        supports=table("supports", Support) if isinstance(data.get("supports", {}), dict) else None,
-        loads=table("loads", Load),
-        heat=table("heat", HeatCondition),
-        time="time" in data,
-        output=part(OutputOptions, data.get("output", {})),
-        stages=part(Case.model_fields["stages"].annotation, data["stages"])
-        if "stages" in data
-        else default,
-        study=part(Study, data["study"]) if "study" in data else None,
-    )
+section.RENEWALS.append(_renew)

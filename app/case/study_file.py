@@ -14,7 +14,7 @@ from app.case import checks, overlay, study_options
 from app.case.case import read_geometry, resolve
 from app.case.study_options import Study, StudyFile
 from app.errors import InputError
-from app.schema import validation, yaml_file
+from app.schema import section, yaml_file
 from app.schema.yaml_file import CaseFile, Fault
 
 # A study has no use for the variations of its case.
@@ -81,7 +81,7 @@ def _of_another(path: Path, overrides: Sequence[str]) -> Source:
     try:
         study = StudyFile.model_validate(file.data).study
     except ValidationError as error:
-        problems += validation.problems(error, StudyFile)
+        problems += section.faults(error)
         study = None
     base, changes = file.data["base"], file.data.get("set", {})
     ranks, common = study_options.split_ranks([*_options(changes, others), *others])

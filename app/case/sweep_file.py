@@ -14,7 +14,7 @@ from app.case import overlay, study_options
 from app.case.case import Case, load
 from app.case.sweep_options import Sweep, SweepPoint, expand
 from app.errors import InputError
-from app.schema import validation, yaml_file
+from app.schema import section, yaml_file
 from app.schema.yaml_file import CaseFile, Fault
 
 
@@ -54,7 +54,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[SweptRu
     try:
         sweep = Sweep.model_validate(file.data)
     except ValidationError as error:
-        file.raise_all(validation.problems(error, Sweep))
+        file.raise_all(section.faults(error))
         raise  # only if an error could not be told in words
     planned: list[SweptRun] = []
     points = expand(sweep)

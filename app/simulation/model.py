@@ -261,7 +261,7 @@ class Model:
         for h, found in zip(march, state["march"], strict=True):
             h.resume(found, k, self.scene.stages[k])
         for m, found in zip(self.mechanics, state["mechanics"], strict=True):
-            m.problem.settle(found["problem"], *m.solver.parts())
+            m.problem.settle(found["problem"], *m.solver.u_and_q())
         for p, found in zip(motion, state["motion"], strict=True):
             p.resume(found)
 

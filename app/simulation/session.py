@@ -24,7 +24,7 @@ from app.errors import (
     agree,
 )
 from app.numerics.condition import condition_number
-from app.numerics.snes import raw_options
+from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, on_root, provenance

@@ -101,7 +101,7 @@ class CoarseModelStart:
         begin = self._known[-1][0]
         k = math.ceil(time) - 1
         problem = coarse.problem
-        problem.set_stage(k, coarse.solver.parts()[0])
+        problem.set_stage(k, coarse.solver.u_and_q()[0])
 
         def place(s: float) -> None:
             problem.set_time(begin + s * (time - begin))
@@ -115,7 +115,7 @@ class CoarseModelStart:
     def _start(self, jump: Floats, force: Floats) -> None:
         """Start from jumps and forces, and the displacement in rough equilibrium with the jumps."""
         problem, solver = self._problem, self._solver
-        named = solver.named()
+        named = solver.blocks_by_name()
         u, q = named["displacement"], named["jump"]
         (j,) = problem.jumps
         q.array[:] = (j.let(jump) + j.given).ravel()
@@ -125,7 +125,7 @@ class CoarseModelStart:
         du.zeroEntries()
         problem.inverse.solve(r, du, ROUGH)
         u.axpy(-1.0, du)
-        solver.lead(force)
+        solver.start_linear(force)
 
 
 def between(known: list[tuple[float, Floats]], time: float) -> Floats:

@@ -22,6 +22,7 @@ from app.heat.flows import flows
 from app.numerics import integrator
 from app.numerics.integrator import METHODS, Method, State
 from app.numerics.newton import NewtonResult, Solver
+from app.numerics.remedies import solve
 from app.numerics.saved_state import State as SavedState
 from app.scene.terms import Scene
 from app.stepping import stability
@@ -147,7 +148,7 @@ class HeatState:
 
     def vectors(self) -> list[PETSc.Vec]:
         """Temperatures and jumps as the solver has them."""
-        named = self.solver.named()
+        named = self.solver.blocks_by_name()
         return [named[n] for n in ("temperature", "temperature_jump") if n in named]
 
     def _state(self, x: Sequence[PETSc.Vec]) -> State:
@@ -177,7 +178,7 @@ class HeatState:
         self.put(guess)
         for other, given in zip(self.beside, start[own:], strict=True):
             other.place(seconds, h, given)
-        self.outcome = self.solver.solve()
+        self.outcome = solve(self.solver)
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
@@ -276,7 +277,7 @@ class HeatState:
         def begin(h: float) -> None:
             self.conduction.begin(self.state[:n], self.state[n:], h, self.seconds)
 
-        named = self.solver.named()
+        named = self.solver.blocks_by_name()
         x = [named[name] for name in system.blocks()]
         unstable = stability.grows(system, x, begin)
         begin(np.inf)

@@ -73,7 +73,7 @@ def run_stages(
     for k, stage in enumerate(stages[first:], first):
         begin(stage)
         for m in motion:
-            m.problem.set_stage(k, m.solver.parts()[0])
+            m.problem.set_stage(k, m.solver.u_and_q()[0])
         if stage.duration > 0 or stage.steady:
             for h in march:
                 h.go(k, stage, partial(mark, k))
@@ -331,8 +331,8 @@ class SolvedWithHeat:
 
     def _restore(self) -> None:
         """Give the committed state of the mechanics to the common solver."""
-        named = self._heating.solver.named()
-        for name, vector in self._motion.solver.named().items():
+        named = self._heating.solver.blocks_by_name()
+        for name, vector in self._motion.solver.blocks_by_name().items():
             if named[name] is not vector:
                 vector.copy(named[name])
 
@@ -359,8 +359,8 @@ class SolvedWithHeat:
     def after(self, time: float, whole: bool) -> None:
         """The mechanics of an accepted step become history."""
         started = clock.perf_counter()
-        named = self._heating.solver.named()
-        for name, vector in self._motion.solver.named().items():
+        named = self._heating.solver.blocks_by_name()
+        for name, vector in self._motion.solver.blocks_by_name().items():
             if named[name] is not vector:
                 named[name].copy(vector)
         self._exchange.report((self._heating.seconds - self._committed) or np.inf)

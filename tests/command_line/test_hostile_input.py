@@ -140,7 +140,7 @@ def test_a_mesh_of_a_nanometre_is_refused_with_the_estimate(
     # What the command line gives wins; far_size, where the case gives it, stays as it is.
     assert main([command, str(path), *arguments, "--set", "mesh.size=1 nm"]) == 2
     said = capsys.readouterr().err
-    assert said.startswith("--set mesh.size: 1e-06 mm makes about ")
+    assert "\n--set mesh.size: 1e-06 mm makes about " in f"\n{said}"
     for word in (" cells", " unknowns", " GB", " mm would do"):
         assert word in said
     assert not (tmp_path / "out").exists()

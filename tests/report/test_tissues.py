@@ -14,7 +14,7 @@ import meshes
 from app.case.case import load
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
-from app.report.paper.heat import bone_peak
+from app.report.paper import bone_peak
 from app.report.sweep_results import SweptCase
 from app.results.stem_motion import stem_motion
 from app.results.thermal_record import ThermalRecord

@@ -427,15 +427,15 @@ def test_states_that_come_back_are_a_cycle() -> None:
     active = ActiveSet(MPI.COMM_SELF)
     for k in range(7):
         active.add(np.array([k % 2, 1 + (k + 1) % 2, int(k > 1), 1]))
-    assert active.flips() == 2 and active.period() == 2
-    assert [(r.row, r.changes, r.looks, r.states) for r in active.oscillating()] == [
+    assert active.changes() == 2 and active.period() == 2
+    assert [(r.row, r.changes, r.iterations, r.states) for r in active.oscillating()] == [
         (0, 6, 6, (0, 1)),
         (1, 6, 6, (1, 2)),
     ]
     active.add(np.array([2, 2, 1, 1]))
     assert active.period() == 0
     active.forget()
-    assert active.flips() == active.period() == 0 and active.oscillating() == []
+    assert active.changes() == active.period() == 0 and active.oscillating() == []
 
 
 def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCaptureFixture) -> None:

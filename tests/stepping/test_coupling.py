@@ -52,20 +52,20 @@ def test_taylor_remainder_is_of_second_order(
         problem.held,
         j.points.held[j.mine].ravel(),
     ]
-    free = dict(zip(solver.named(), map(np.logical_not, held), strict=True))
+    free = dict(zip(solver.blocks_by_name(), map(np.logical_not, held), strict=True))
     rng = np.random.default_rng(1)
 
     def some(*names: str) -> PETSc.Vec:
         v = solver.vector()
         for name in names:
-            part = solver.named(v)[name]
+            part = solver.blocks_by_name(v)[name]
             part.array[:] = SIZES[name] * free[name] * rng.standard_normal(part.array.size)
         return v
 
     x, J = solver.x, solver.snes.getJacobian()[0]
     # Off the last state, which is its own history: nothing slips there.
     x.axpy(3.0, some(*free))
-    assert set(map(int, problem.trial(*solver.parts()).law.status)) == {OPEN, STICK, SLIP}
+    assert set(map(int, problem.trial(*solver.u_and_q()).law.status)) == {OPEN, STICK, SLIP}
     base, moved, linear, there = (solver.vector() for _ in range(4))
     solver.snes.computeFunction(x, base)
     solver.snes.computeJacobian(x, J)
@@ -234,7 +234,7 @@ def test_only_what_sets_may_expand(monkeypatch: pytest.MonkeyPatch) -> None:
         "gel: 0.5, shrinkage: 0}"
     )
     runs = [coupled.solve(monkeypatch, *one_sided, *own) for own in ((), (cement,))]
-    solid, hardened = (run.model.mechanics[0].solver.named() for run in runs)
+    solid, hardened = (run.model.mechanics[0].solver.blocks_by_name() for run in runs)
     for name in MOTION:
         size = np.abs(solid[name].array).max()
         assert np.abs(solid[name].array - hardened[name].array).max() <= 1e-4 * size, name
@@ -254,8 +254,8 @@ def test_what_heat_sees_of_setting_cement_is_a_step_behind(monkeypatch: pytest.M
     for n in counts:
         changes = (cement, f"stages.1.increments={n}", "time.mechanical_step=1000 K")
         c = coupled.solve(monkeypatch, *changes)
-        kept = c.model.mechanics[0].solver.named()["displacement"].array
-        seen = c.solver.named()["displacement"].array
+        kept = c.model.mechanics[0].solver.blocks_by_name()["displacement"].array
+        seen = c.solver.blocks_by_name()["displacement"].array
         motion.append(float(np.abs(seen - kept).max() / np.abs(kept).max()))
         dissipated = c.dissipated[-1] - c.before
         heats = sum(step.heats["friction lower_upper"] for step in c.steps)
