@@ -11,7 +11,7 @@ from app.errors import InputError, StoppedError
 from app.report import page, run_report, sweep_figures, viewer
 from app.report.page import Blocks, bullets, paragraph, table
 from app.report.sweep_results import Number, SweptCase
-from app.results.closing_lines import UNUSABLE, faults
+from app.results.closing_lines import UNUSABLE, reasons_not_to_use
 from app.system.folders import write_text
 from app.system.layout import plain
 
@@ -83,7 +83,7 @@ def _page(folders: Sequence[Path]) -> str:
 
 
 def _status(name: str, summary: dict[str, Any]) -> str:
-    wrong = faults(summary)
+    wrong = reasons_not_to_use(summary)
     status = UNUSABLE if wrong else summary["status"]
     return "; ".join([f"{status}: {name}", *wrong, *summary.get("notes", [])])
 

@@ -115,8 +115,8 @@ def _coarsenings(case: Case) -> tuple[float, ...]:
     return tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
 
 
-def of_what(solved: Sequence[Companion]) -> str:
-    """What the error is of, by the companions that were solved: mesh and step, or a step alone."""
+def error_sources(solved: Sequence[Companion]) -> str:
+    """Name the error sources covered: "mesh and step", "time step" or "load step"."""
     if any(c.coarsening > LEAST for c in solved):
         return "mesh and step"
     return "time step" if any(s.duration for c in solved for s in c.case.stages) else "load step"

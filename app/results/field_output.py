@@ -47,7 +47,7 @@ class OutputNodes:
     ends: Ints
 
 
-class Layer(Protocol):
+class FieldGroup(Protocol):
     """One physics of a run: what it has to write."""
 
     bodies: Bodies
@@ -63,14 +63,14 @@ class Layer(Protocol):
 class Fields:
     """The field file."""
 
-    def __init__(self, tagged: TaggedMesh, layers: Sequence[Layer], path: Path) -> None:
-        self._layers, self._path = tuple(layers), path
-        space, owned = layers[0].space, tagged.mesh.topology.index_map(3).size_local
+    def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
+        self._layers, self._path = tuple(groups), path
+        space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
         dofs = space.dofmap.list[:owned]
         self._cells = owned
         bodies, group = np.unique(
-            np.stack([layer.bodies.of_tag[tags] for layer in layers], axis=1),
+            np.stack([layer.bodies.of_tag[tags] for layer in groups], axis=1),
             axis=0,
             return_inverse=True,
         )
@@ -81,7 +81,7 @@ class Fields:
         cell, local = np.divmod(first, dofs.shape[1])
         # What the points and cells of the file are, in the order of the ranks.
         of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for k, layer in enumerate(layers):
+        for k, layer in enumerate(groups):
             of_points = of_points * len(layer.bodies.names) + bodies[group, k]
         keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
         comm = self._comm = tagged.mesh.comm

@@ -24,7 +24,7 @@ from app.errors import StoppedError, everywhere
 from app.heat.conduction import Conduction
 from app.numerics.saved_state import State
 from app.results import temperature_section
-from app.results.field_output import Fields, Layer
+from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.thermal_record import ThermalRecord
 from app.system import identity
@@ -82,7 +82,7 @@ class Writer:
     """Writes a run directory step by step.
 
     Args:
-        layers: What the fields are of: the mechanics, if there are any, then the heat.
+        groups: What the fields are of: the mechanics, if there are any, then the heat.
         resolved: The resolved configuration, as YAML.
         record: Gives the provenance when the run ends.
         again: Whether `resume` follows: what is there may stay.
@@ -94,7 +94,7 @@ class Writer:
     def __init__(
         self,
         tagged: TaggedMesh,
-        layers: Sequence[Layer],
+        groups: Sequence[FieldGroup],
         folder: Path,
         resolved: str,
         fields: bool,
@@ -114,7 +114,7 @@ class Writer:
 
         _write(self._comm, start, str(folder))
         self._grids: tuple[Fields, ...] = (
-            (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
+            (Fields(tagged, groups, folder / "fields.vtkhdf"),) if fields else ()
         )
         if not again:
             self._begin()

@@ -301,7 +301,7 @@ class Session:
             summary = recorder.summary("converged", total)
         summary["notes"] = [*notes, *well_posedness.doubts(case, summary["regions"])]
         summary["notes"] += [note for t in model.thermal for note in t.heating.notes]
-        if text.faults(summary):
+        if text.reasons_not_to_use(summary):
             summary["status"] = text.UNUSABLE
         self.note(summary["notes"])
         if case.output.condition:
@@ -382,7 +382,7 @@ def _errors(
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
-        "of": error_estimate.of_what([c for c, _ in solved]),
+        "of": error_estimate.error_sources([c for c, _ in solved]),
         "failed": failed,
         "unsettled": error_estimate.estimate(summary, case, solved),
     }
