@@ -30,6 +30,10 @@ class CureRecord:
 
     The time at which a node reaches a degree is interpolated within the step by a cubic of time
     over degree, from degrees and rates at both ends of the step.
+
+    Args:
+        degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
+        keys: Keys of these nodes (n,).
     """
 
     saved = ("_regions", "_seconds")
@@ -41,14 +45,6 @@ class CureRecord:
         keys: Mapping[str, Ints],
         seconds: float = 0.0,
     ) -> None:
-        """Take in the initial state.
-
-        Args:
-            comm: Communicator.
-            degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
-            keys: Keys of these nodes.
-            seconds: Time [s].
-        """
         self._comm, self._seconds = comm, seconds
         self.row_keys = {"_regions": keys}
         self._regions = {
