@@ -32,9 +32,7 @@ class HeatMatrices:
         version: Counts how often the linear parts were filled.
     """
 
-    def __init__(
-        self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, held: Bools
-    ) -> None:
+    def __init__(self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, held: Bools) -> None:
         """Find the patterns; collective.
 
         Args:

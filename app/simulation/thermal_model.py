@@ -14,7 +14,7 @@ from app.results.cure_record import CureRecord
 from app.results.heat_balance import HeatBalance
 from app.results.interface_heat import exchange
 from app.results.thermal_record import ThermalRecord
-from app.stepping.heat_steps import HeatState, HeatStep
+from app.stepping.heat_state import HeatState, HeatStep
 
 # Heat below so many times what rounding leaves of it in a step is none.
 NOTHING = 1e7
@@ -55,16 +55,17 @@ class ThermalModel:
         # Once a steady state has been reached the first instants are over.
         self._settled = False
         self.record.start(self._reported(0.0))
-        self.cure: tuple[CureRecord, ...] = tuple(
-            CureRecord(operators.comm, heating.degrees(), self._keys()) for _ in operators.cures
+        keys = self._keys()
+        self.cure: tuple[CureRecord, ...] = (
+            (CureRecord(operators.comm, heating.degrees(), keys),) if keys else ()
         )
         self.balance = HeatBalance(stored(operators, heating.vectors()), {})
         self.flows: dict[str, dict[str, float]] = {}
 
     def _keys(self) -> dict[str, NDArray[np.int64]]:
         """Keys of the nodes of each region that sets."""
-        nodes = self.operators.row_keys
-        return {n.region: nodes[n.dof] for c in self.operators.cures for n in c.nodes}
+        nodes, cure = self.operators.row_keys, self.operators.cure
+        return {n.region: nodes[n.dof] for n in cure.nodes} if cure else {}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Temperatures of the bodies, as they are reported at a time; collective."""
@@ -81,9 +82,7 @@ class ThermalModel:
         exchanges = []
         if (j := operators.jumps) is not None:
             shares = self._shares[j.interface]
-            exchanges.append(
-                exchange(self._names, j, temperatures, x[1].array, j.friction, shares)
-            )
+            exchanges.append(exchange(self._names, j, temperatures, x[1].array, j.friction, shares))
         self._settled = self._settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
         highest = heating.step.bounds(x).high

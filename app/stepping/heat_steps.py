@@ -1,4 +1,4 @@
-"""Time steps of heat through a stage: equal ones, or chosen by their error, or one to a steady state.
+"""Time steps of heat through a stage: equal, chosen by their error, or one to a steady state.
 
 Mechanics that heat does not depend on follow it; mechanics that it does depend on are part of every
 one of its solves (`stepping.heated_mechanics`).
@@ -45,6 +45,7 @@ class HeatStepper:
     on_trouble: Callable[[str], None]
 
     def __post_init__(self) -> None:
+        """Begin with nothing under way."""
         self._under_way = False
         self._begin = 0.0
         self._steps = 0
