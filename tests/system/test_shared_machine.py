@@ -8,7 +8,6 @@ import os
 import shutil
 import stat
 from collections.abc import Iterator
-from fractions import Fraction
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
@@ -154,33 +153,6 @@ def test_a_forged_mesh_is_remade(home: Path, how: str, caplog: pytest.LogCapture
     (second,) = set(folder.glob("*.npz")) - {path}
     shutil.copy(second, path)
     assert (built(folder) == right).all() and len(other.points) > len(right)
-
-
-@pytest.mark.parametrize("how", FORGED)
-def test_a_forged_conversion_is_made_again(home: Path, how: str) -> None:
-    pascal = unit_conversion.conversion("GPa", "MPa")
-    path = home / "mantle" / "units" / unit_conversion.KEPT
-    folders.write_sealed(path, {"GPa in MPa": ["1", "0"]})
-    unit_conversion._kept.cache_clear()
-    unit_conversion.conversion.cache_clear()
-    assert unit_conversion.conversion("GPa", "MPa") == (Fraction(1), Fraction(0))  # it is believed
-    forge(path, how)
-    unit_conversion._kept.cache_clear()
-    unit_conversion.conversion.cache_clear()
-    assert unit_conversion.conversion("GPa", "MPa") == pascal == (Fraction(1000), Fraction(0))
-
-
-@pytest.mark.parametrize(
-    "text", ['{"GPa in MPa": ["1", "0"]}', "[]", "[" * 10**5, '{"content": "{}", "sha256": 3}']
-)
-def test_a_conversion_without_its_digest_is_made_again(home: Path, text: str) -> None:
-    unit_conversion.conversion("GPa", "MPa")
-    path = home / "mantle" / "units" / unit_conversion.KEPT
-    path.write_text(text)
-    path.chmod(0o600)
-    unit_conversion._kept.cache_clear()
-    unit_conversion.conversion.cache_clear()
-    assert unit_conversion.conversion("GPa", "MPa")[0] == 1000
 
 
 @pytest.mark.parametrize("how", FORGED)
