@@ -12,7 +12,6 @@ from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
-from app import files
 from app.system import folders
 
 UNIT = re.compile(r"(1\s*/\s*)?[A-Za-zµμΩ°][\w*/^.()°· -]{0,40}")
@@ -79,14 +78,12 @@ def conversion(unit: str, internal: str) -> tuple[Fraction, Fraction]:
 
 @lru_cache(maxsize=1)
 def _kept() -> dict[str, list[str]]:
-    """Conversions that pint has made before, in the cache or in that of an image."""
-    found: dict[str, list[str]] = {}
-    with suppress(OSError, ValueError, TypeError):
-        found |= json.loads(folders.seeded("mantle/units", KEPT) or "{}")
-    with suppress(OSError, ValueError, TypeError):
+    """Conversions that pint has made before, in the cache."""
+    with suppress(OSError, ValueError, RecursionError):
         if folder := folders.cache("units"):
-            found |= json.loads(files.read_own(folder / KEPT))
-    return found
+            found = json.loads((folder / KEPT).read_text())
+            return found if isinstance(found, dict) else {}
+    return {}
 
 
 def _keep(key: str, conversion: list[str]) -> None:
@@ -94,7 +91,7 @@ def _keep(key: str, conversion: list[str]) -> None:
     _kept()[key] = conversion
     with suppress(OSError):
         if folder := folders.cache("units"):
-            files.write_bytes(folder / KEPT, json.dumps(_kept()).encode(), 0o600)
+            folders.write_json(folder / KEPT, _kept())
 
 
 def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:
