@@ -84,9 +84,7 @@ def run(
     if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
         log.warning("note: %s", crowd)
     signalled = stopping.signals() if signals else str
-    if comm.rank == 0:
-        form_cache.mend()
-    form_cache.share()
+    form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
     session = Session(
         comm,
