@@ -291,7 +291,7 @@ def _maps(case: SweptCase, wanted: bool) -> tuple[list[tuple[Figure, bytes]], li
 
 
 def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
-    """What each step took and how well it balances, and where the time went."""
+    """Iterations and balances of each step, and seconds by phase."""
     own = page.sparse(history_curves.of_solver(case.history))
     rows = [[plain(v) for v in row.values()] for row in own]
     parts = table(list(own[0]), rows) if own else []

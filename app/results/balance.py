@@ -55,7 +55,6 @@ class Balance:
             for s in e.eigenstrains
         ]
         elastic = {e.region: e for e in scene.elastic}
-        swelling = elasticity.swelling(ufl.TestFunction(mechanics.scalars))
         self._swelling = [
             (free, mechanics.form(self._work_of(elastic[region], elasticity.swelling(test))))
             for region, free in mechanics.swelling.items()
