@@ -25,4 +25,3 @@ class CaseParts:
     time: bool
     output: Any
     stages: Any
-    study: Any

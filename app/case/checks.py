@@ -34,7 +34,6 @@ def cross_check(parts: CaseParts) -> list[Fault]:
         *_goal(parts),
         *thermal_checks.cross_check(parts),
         *thermal_checks.probe_regions(parts),
-        *quantities(parts.geometry, parts.study),
     ]
 
 

@@ -74,7 +74,7 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
 
 
 def is_study(data: Mapping[str, Any]) -> bool:
-    """Whether a file holds a study of another case (`case.study_file`) instead of a case."""
+    """Whether a file holds a study of a case (`case.study`) instead of a case."""
     return "base" in data and bool({"set", "study"} & data.keys()) and not SECTIONS & data.keys()
 
 
