@@ -47,7 +47,7 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
 
     Args:
         geometry: One of the configuration's geometries, told apart by ``kind``.
-        mesh: The mesh options: ``size``, ``far_size`` [mm], ``curved``, ``divided``.
+        mesh: The mesh options: ``size``, ``far_size`` [mm], ``curved``.
         cache: Folder of cached meshes; None: neither read nor written.
 
     Returns:
@@ -59,27 +59,21 @@ def build(geometry: Any, mesh: Any, cache: Path | None = None) -> MeshData:
             good enough.
     """
     if cache is None:
-        return _make(geometry, mesh, None)
+        return _make(geometry, mesh)
     path = Path(cache) / f"mesh-{_cache.key(geometry, mesh)}.npz"
     with _cache.lock(path):
         data = _cache.load(path)
         if data is None:
-            data = _make(geometry, mesh, cache)
+            data = _make(geometry, mesh)
             _cache.store(data, path)
     if geometry.mantles and "mantle" not in data.notes:
         data = replace(data, notes={**data.notes, **_describe_mantle(data, geometry)})
     return data
 
 
-def _make(geometry: Any, mesh: Any, cache: Path | None) -> MeshData:
+def _make(geometry: Any, mesh: Any) -> MeshData:
     """Mesh a geometry, check the mesh and describe it."""
-    if mesh.divided:
-        from meshes import bisect
-
-        whole = build(geometry, mesh.model_copy(update={"divided": None}), cache)
-        data = bisect.divided(whole, map(np.array, mesh.passes))
-    else:
-        data = canonical(_generate(geometry, mesh))
+    data = canonical(_generate(geometry, mesh))
     remedy = "Try another mesh.size, or other lengths in the section geometry."
     if geometry.kind == "file":
         remedy = "Repair the mesh file." if not geometry.is_script else "Try another mesh.size."

@@ -47,9 +47,6 @@ def key(geometry: Any, mesh: Any) -> str:
     content: dict[str, Any] = {"geometry": plain(geometry), "mesh": plain(mesh)}
     # The order of the displacement does not change the mesh.
     content["mesh"].pop("order", None)
-    # What the file says, not where it is.
-    if content["mesh"].pop("divided", None):
-        content["divided"] = mesh.passes
     content["version"] = MESHER_VERSION
     if geometry.kind == "file":
         content["geometry"].pop("path", None)

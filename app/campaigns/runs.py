@@ -220,8 +220,6 @@ def _digest(case: Case, text: Sequence[str], ranks: int) -> str:
     parts = [*text, str(ranks), identity.text()]
     if isinstance(case.geometry, MeshFile):
         parts.append(case.geometry.content)
-    if case.mesh.divided:
-        parts.append(repr(case.mesh.passes))
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 

@@ -13,7 +13,6 @@ from app.case import thermal_checks
 from app.case.case_parts import CaseParts
 from app.case.femurs import Femur, IntactFemur
 from app.case.quantities import of_run
-from app.case.shapes import STRAIGHT
 from app.errors import Reason
 from app.laws.materials import Conductor, Rigid
 from app.schema.section import did_you_mean
@@ -31,7 +30,6 @@ def cross_check(parts: CaseParts) -> list[Fault]:
         *_rigid(parts),
         *_held(parts),
         *_side(parts),
-        *_goal(parts),
         *thermal_checks.cross_check(parts),
         *thermal_checks.probe_regions(parts),
     ]
@@ -187,34 +185,6 @@ def _side(parts: CaseParts) -> Iterable[Fault]:
             "are those of the mirrored right one"
         )
         yield Fault(("side",), text)
-
-
-def _goal(parts: CaseParts) -> Iterable[Fault]:
-    """A goal of what there is not or where heat acts, and companions of a mesh that is divided."""
-    output = parts.output
-    if output is None or parts.geometry is None:
-        return
-    if output.error and parts.mesh is not None and parts.mesh.divided:
-        text = "no coarser companion has a mesh that is divided; expected output.goal instead"
-        yield Fault(("output", "error"), text)
-    if parts.mesh is not None and parts.mesh.divided and parts.geometry.has_curved_surfaces:
-        if parts.mesh.curved is False or parts.mesh.order == 1:
-            yield Fault(("mesh", "divided"), STRAIGHT)
-    if output.goal is None or parts.regions is None:
-        return
-    path, owner = ("output", "goal"), output.goal.partition(".")[0]
-    regions = {name: region for name, region in parts.regions.items() if region is not None}
-    if any(getattr(region, "thermal", None) is not None for region in regions.values()):
-        yield Fault(path, "needs mechanics alone; this case has heat")
-    if owner == "stem":
-        default = parts.geometry.tissues
-        tissues = {region.tissue or default.get(name) for name, region in regions.items()}
-        if missing := {"implant", "bone"} - tissues:
-            yield Fault(path, f"no region is of the tissue {' or '.join(sorted(missing))}")
-        return
-    parting = [name for name, law in parts.interfaces.items() if law is not None and law.can_part]
-    if owner not in parting:
-        yield _unknown(path, "interface in contact", owner, parting, parts.geometry.kind)
 
 
 def quantities(geometry: Any, study: Any) -> Iterable[Fault]:

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import model_validator
 
-from app.case.divided_cells import Point3
-from app.case.shapes import Mantle, MeshOptions, Shape, Sides
+from app.case.shapes import Mantle, MeshOptions, Point3, Shape, Sides
 from app.schema.section import fail
 from app.schema.units import Angle, Dimension, Length, PositiveLength
 

@@ -13,7 +13,6 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from app.case.goals import Goal
 from app.laws.loads import Point
 from app.schema.section import MAPPING, Name, Section, Truth, Word, fail, show
 from app.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
@@ -131,9 +130,6 @@ class OutputOptions(Section):
     """Whether the condition number of the last Jacobian is estimated, which factorizes it."""
     error: Truth = False
     """Whether the error of each number is estimated, by coarser companions of the run."""
-    goal: Goal | None = None
-    """A motion, such as `stem_cement.slip_p99`, of which an adjoint solution estimates the error
-    and shows where in the mesh it comes from."""
     report: Truth = True
     """Whether `report.html` is written at the end: the results as a page."""
     checkpoint: CheckpointOptions = CheckpointOptions()

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
-from pydantic import ValidationInfo, field_validator, model_validator
+from pydantic import model_validator
 
-from app.case import divided_cells
-from app.case.divided_cells import Point3
-from app.schema.section import Section, Truth, fail, show
+from app.schema.section import Section, Truth, fail
 from app.schema.units import Plain, PositiveLength
 
+Point3 = tuple[float, float, float]
 Sides = tuple[tuple[str, ...], tuple[str, ...]]
 
 # The least size of a cell (mm), whose powers are numbers too; and more cells than can be.
 LEAST, COUNTLESS = 1e-8, 1e40
-STRAIGHT = "pieces of straight cells do not follow curved surfaces; expected mesh.order: 2"
 
 
 @dataclass(frozen=True)
@@ -96,28 +93,6 @@ class MeshOptions(Section):
     curved: Truth | None = None
     """Whether the cells are curved (second order) to follow the geometry; by default where it is
     curved and `order` is 2."""
-    divided: Path | None = None
-    """File of cells that are divided, by their centres, pass after pass (`pass,x_mm,y_mm,z_mm`),
-    relative to this one; `mantle run --adapt` writes it."""
-
-    @field_validator("divided", mode="before")
-    @classmethod
-    def _find(cls, value: object, info: ValidationInfo) -> Path | None:
-        if value is None:
-            return None
-        if not isinstance(value, str | Path):
-            fail("is not a path; expected text")
-        path = (info.context or {}).get("folder", Path()) / Path(value)
-        try:
-            divided_cells.read(path)
-        except (OSError, ValueError) as error:
-            fail(f"{show(str(value))}: {getattr(error, 'strerror', None) or error}")
-        return path.resolve()
-
-    @property
-    def passes(self) -> tuple[tuple[Point3, ...], ...]:
-        """Centres of the cells that are divided (mm), by pass."""
-        return () if self.divided is None else divided_cells.read(self.divided)
 
     @property
     def far(self) -> float:

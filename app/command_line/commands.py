@@ -11,14 +11,12 @@ import os
 import shlex
 import sys
 import textwrap
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mantle
 from app.case import gmsh_header
-from app.case.shapes import STRAIGHT
-from app.command_line.parser import parser
+from app.command_line.parser import parser, refuse_removed
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.errors import InputError, stack_needed
 from app.system import privacy, ranks
@@ -41,6 +39,7 @@ def dispatch(arguments: list[str]) -> int:
     count, rest = ranks.split(arguments)
     cut = rest.index("--") if "--" in rest else len(rest)
     petsc_options = rest[cut + 1 :]
+    refuse_removed(rest[:cut])
     options = parser().parse_args(rest[:cut])
     if count is not None and options.command != "run":
         hint = "; --cores N uses N cores" if "cores" in options else ""
@@ -84,16 +83,8 @@ def _run(
     configure_log(options.log_level)
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
-    if goal := options.adapt or options.goal:
-        options.overrides += [f"output.goal={goal}", f"output.error={options.error}".lower()]
-    to = _share(options) if options.adapt else None
     with during("reading the case" if size is None and sys.stdout.isatty() else ""):
         case = _load(options)
-    if to is not None:
-        if case.config.variations:
-            raise InputError("--adapt: not a case of variations")
-        if case.config.geometry.has_curved_surfaces and not case.config.mesh.curved:
-            raise InputError(f"--adapt: {STRAIGHT}")
     output = options.output or case.output
     if options.private:
         privacy.ask(options.case.parent, output.parent)
@@ -119,8 +110,9 @@ def _run(
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
     doing("loading DOLFINx and PETSc, about 2 s", blocking=True)
-    solve = partial(
-        mantle.run,
+    mantle.run(
+        case,
+        output,
         force=options.force,
         keep=keep,
         restart=restart,
@@ -128,31 +120,7 @@ def _run(
         signals=True,
         petsc_options=petsc_options,
     )
-    if to is None:
-        solve(case, output)
-    else:
-        with stack_needed():
-            from app.campaigns import adaptive
-        adaptive.run(case, output, to, solve)
     return 0
-
-
-def _share(options: argparse.Namespace) -> float:
-    """The error over the number at which ``--adapt`` stops.
-
-    Raises:
-        InputError: It is none, or another option does not go with it.
-    """
-    from app.case.goals import share
-
-    others = {
-        "--error": options.error,
-        "--restart": options.restart,
-        "--walltime": options.walltime,
-    }
-    if wrong := [name for name, given in others.items() if given]:
-        raise InputError(f"--adapt: not with {' or '.join(wrong)}: it makes many runs")
-    return share(options.to)
 
 
 def _isolated(

@@ -4,12 +4,31 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from app.errors import InputError
 from app.system.ranks import rank
 from app.version import __version__
+
+# Options and commands of earlier versions, and the words that replace them; until 0.2.
+REMOVED = {
+    "run --goal": "use --error, or a finer mesh",
+    "run --adapt": "use --error, or a finer mesh",
+}
+
+
+def refuse_removed(arguments: Sequence[str]) -> None:
+    """Say what replaces a command or option that an earlier version had.
+
+    Raises:
+        InputError: The command line has one.
+    """
+    command = arguments[0] if arguments else ""
+    for word in [command, *(f"{command} {a.partition('=')[0]}" for a in arguments[1:])]:
+        if word in REMOVED:
+            raise InputError(f"mantle {word} has been removed: {REMOVED[word]}")
 
 
 class Parser(argparse.ArgumentParser):
@@ -113,7 +132,6 @@ def parser() -> argparse.ArgumentParser:
         "run",
         "solve a case",
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
-        "[--goal NUMBER | --adapt NUMBER --to SHARE] "
         "[--restart auto|FILE] [--walltime H:MM:SS] [--isolate] [--private] "
         "[--allow-scripts] [-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -ksp_view",
@@ -146,21 +164,6 @@ def parser() -> argparse.ArgumentParser:
         "--error",
         action="store_true",
         help="estimate the error of each number by coarser companions (as output.error: true)",
-    )
-    run.add_argument(
-        "--goal",
-        metavar="NUMBER",
-        help="estimate the error of one motion by an adjoint solution, e.g. stem_cement.slip_p99 "
-        "(as output.goal)",
-    )
-    run.add_argument(
-        "--adapt",
-        metavar="NUMBER",
-        help="the same, and divide cells until it is small enough; each pass in a folder of its "
-        "own",
-    )
-    run.add_argument(
-        "--to", default="5%", metavar="SHARE", help="of --adapt: error over number (default 5%%)"
     )
     run.add_argument(
         "--isolate",

@@ -149,23 +149,6 @@ class ContactSystem(System):
         self.trial = self._trial(x)
         self._set_rows(*self._jumps.row_factors(self.trial.law))
 
-    def transpose(self, b: list[PETSc.Vec]) -> None:
-        r"""Set the Jacobian to that of the adjoint, in displacement and forces on jumps.
-
-        The transposed equations :math:`K z + C R^T y = g_u`, :math:`C^T z + (D R^T + A^T) y = g_q`,
-        with R = 1 - P' and A = r W P', are those of the Jacobian with P' transposed in z and
-        v = R^T y, and g_q multiplied by its R: the adjoint displacement of body b is z + B_b v.
-
-        Args:
-            b: g_u and g_q; g_u and R g_q.
-        """
-        law = self.trial.law
-        P, by_jump = (block.swapaxes(1, 2) for block in (law.jacobian, law.by_jump))
-        law = replace(law, jacobian=P, by_jump=by_jump)
-        self.trial = replace(self.trial, law=law)
-        self._set_rows(*self._jumps.row_factors(law))
-        self._rows.mult(b[1].copy(), b[1])
-
     def linearize_at(self, forces: Floats | None) -> None:
         """Take the laws as linear about these interface forces, or as they are."""
         self._forces = forces

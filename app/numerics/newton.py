@@ -180,10 +180,6 @@ class Solver:
         finally:
             self._system.linearize_at(None)
 
-    def adjoint(self, b: PETSc.Vec, rtol: float) -> tuple[PETSc.Vec, int]:
-        """As `Snes.adjoint`."""
-        return self._newton.adjoint(b, rtol)
-
     def solve(self) -> NewtonResult:
         """Solve at the problem's current time, from the current iterate in ``x``."""
         self._system.impose(self.blocks())

@@ -226,26 +226,6 @@ class Snes:
             self.x.axpy(-1.0, dx)
         return 1, int(ksp.getIterationNumber())
 
-    def adjoint(self, b: PETSc.Vec, rtol: float) -> tuple[PETSc.Vec, int]:
-        """Solve with the Jacobian of the adjoint at the state solved last.
-
-        Args:
-            b: Derivatives of a number by the unknowns; changed.
-            rtol: Residual relative to its norm at which to stop.
-
-        Returns:
-            The solution and Krylov iterations.
-        """
-        x, ksp = self.vector(), self.snes.getKSP()
-        usual = ksp.getTolerances()
-        self._system.transpose(self.blocks(b))
-        self.linear.matrix.assemble()
-        ksp.setTolerances(rtol=rtol, atol=0.0)
-        ksp.setOperators(self.linear.matrix)
-        ksp.solve(b, x)
-        ksp.setTolerances(*usual)
-        return x, int(ksp.getIterationNumber())
-
     def run(self) -> tuple[int, int]:
         """Iterate from the current state; Newton and Krylov iterations."""
         self._system.active.forget()

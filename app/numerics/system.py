@@ -83,16 +83,6 @@ class System(Protocol):
         """Set the blocks of the Jacobian to a state, unless they are constant."""
         return None
 
-    def transpose(self, b: list[PETSc.Vec]) -> None:
-        """Set the Jacobian to that of the adjoint at the state that was solved last.
-
-        A symmetric one is its own.
-
-        Args:
-            b: Derivatives by the unknowns; the right-hand side that belongs to it.
-        """
-        return None
-
     def linearize_at(self, forces: Floats | None) -> None:
         """Take contact laws as linear about forces at own points (n, 3) [MPa], or as they are."""
         return None

@@ -180,17 +180,7 @@ def verdict(summary: dict[str, Any]) -> list[Verdict]:
         clauses.append(_contact(summary["interfaces"]))
     if far := too_far(summary):
         clauses.append(Verdict(f"slip: on {' and '.join(far)} {BEYOND}, do not use", "bad"))
-    if goal := summary.get("goal"):
-        clauses.append(Verdict(f"goal: {goal_said(goal)}"))
     return [*clauses, _mesh_and_step(summary)]
-
-
-def goal_said(goal: Mapping[str, Any]) -> str:
-    """The number that is the goal of a run, with its error."""
-    q = quantities.find(goal["name"])
-    value, error = (q.factor * goal[key] for key in ("value", "error"))
-    part = f" ({100 * error / abs(value):.2g} %)" if value else ""
-    return f"{goal['name']} {value:.4g} ± {error:.2g} {q.shown}{part} by an adjoint solution"
 
 
 def _contact(interfaces: Mapping[str, Any]) -> Verdict:

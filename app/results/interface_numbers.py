@@ -179,27 +179,9 @@ class Facets:
         along = np.abs(np.einsum("fi,fcki->fck", flat, s.points.normals[self.triangles]))
         self._face: Ints = np.argmax(along, axis=2)
 
-    def normals(self, s: ContactSamples) -> Floats:
-        """Normals of the faces of the points at the corners (f, 3, 3)."""
-        found = s.points.normals[self.triangles]
-        return np.take_along_axis(found, self._face[:, :, None, None], axis=2)[:, :, 0]
-
     def field(self, values: Floats) -> SurfaceField:
         """Values at points (n,), or at the faces of points (n, 3), as a field on the facets."""
         corners = values[self.triangles]
         if values.ndim == 2:
             corners = np.take_along_axis(corners, self._face[:, :, None], axis=2)[:, :, 0]
         return SurfaceField(corners, self.area)
-
-    def gradient(self, values: Floats, fraction: float | None) -> Floats:
-        """Derivatives of a percentile of values, or of their mean, by the values.
-
-        Args:
-            values: As of `field`.
-            fraction: Of the area; None: of the mean.
-        """
-        of_corners = self.field(values).gradient(fraction)
-        result = np.zeros(values.shape)
-        at = (self.triangles, self._face) if values.ndim == 2 else self.triangles
-        np.add.at(result, at, of_corners)
-        return result

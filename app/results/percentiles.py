@@ -62,37 +62,3 @@ class SurfaceField:
             else:
                 high = middle
         return high
-
-    def gradient(self, fraction: float | None) -> Floats:
-        """Derivatives of a percentile, or of the mean, by the values at the corners (f, 3).
-
-        Args:
-            fraction: As of `percentile`; None: of the mean.
-        """
-        if fraction is None:
-            return np.broadcast_to(
-                self._area[:, None] / (3 * self._area.sum()), self._corners.shape
-            )
-        # The level moves with what the field moves on its line, in the mean.
-        level = self.percentile(fraction)
-        low, middle, high = self._sorted.T
-        crossed = (low < level) & (level < high)
-        upper = level >= middle
-        span = np.where(crossed, high - low, 1.0)
-        other = np.where(upper, high - middle, middle - low)
-        other = np.where(other > 0, other, 1.0)
-        length = self._area * 2 * np.where(upper, high - level, level - low) / (span * other)
-        length = np.where(crossed, length, 0.0)
-        whole = length.sum()
-        if not whole > 0:
-            return np.zeros(self._corners.shape)
-        # Barycentric coordinates of both ends of the line, in the order low, middle, high.
-        t = (level - low) / span
-        s = np.where(upper, level - middle, level - low) / other
-        none = np.zeros(len(t))
-        long = np.stack([1 - t, none, t], axis=1)
-        top, bottom = np.stack([none, 1 - s, s], axis=1), np.stack([1 - s, s, none], axis=1)
-        at = (long + np.where(upper[:, None], top, bottom)) / 2 * (length / whole)[:, None]
-        result = np.zeros(at.shape)
-        np.put_along_axis(result, np.argsort(self._corners, axis=1), at, axis=1)
-        return result

@@ -39,10 +39,8 @@ UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
 HISTORY, SECTION = "temperature.png", "temperature_section.png"
 # What is written at the end; all that a run directory has.
-GOAL_MAP, DIVIDED = "goal.vtkhdf", "divided.csv"
 ENDS = (
     *("DONE", "summary.json", "provenance.json", "final.vtkhdf", HISTORY, SECTION, "report.html"),
-    *(GOAL_MAP, DIVIDED),
 )
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 log = logging.getLogger("mantle")

@@ -54,25 +54,6 @@ def stem_motion(problem: Problem, case: Case) -> dict[str, Any]:
     return found
 
 
-def stem_gradient(problem: Problem, case: Case, key: str) -> Gradient:
-    """Derivatives of a motion of the stem by the displacement of each body; collective.
-
-    They are constant: motions are linear in the displacement.
-
-    Args:
-        problem: The problem.
-        case: Its case.
-        key: As in `stem_motion`; of a vector with ``.x``, ``.y`` or ``.z`` behind it.
-
-    Returns:
-        What this rank adds to it.
-    """
-    key, _, axis = key.partition(".")
-    if axis:
-        return _ends(problem, case)[key]["xyz".index(axis)]
-    return _relative(problem, case)[key]
-
-
 def _tissues(problem: Problem, case: Case) -> list[list[str]]:
     """Regions of implant, bone and cement that are deformed."""
     known = problem.tagged.regions

@@ -134,21 +134,14 @@ class Stresses:
         share = self.shares(region)
         return np.asarray(np.einsum("q,cqij->cij", share, self.evaluate(region)))
 
-    def places(self, region: str, X: Floats | None = None) -> tuple[Floats, Floats]:
-        """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points).
-
-        Args:
-            region: A region.
-            X: Points of the reference cell (points, 3) that stand for equal parts of it; by
-                default those where stress is evaluated.
-        """
+    def places(self, region: str) -> tuple[Floats, Floats]:
+        """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
         mesh = self._problem.tagged.mesh
         (element, *_) = mesh.ufl_domain().ufl_coordinate_element().sub_elements
-        N, *dN = element.tabulate(1, self.at(region) if X is None else X)
+        N, *dN = element.tabulate(1, self.at(region))
         x = mesh.geometry.x[mesh.geometry.dofmap[self.cells[region]]]
         measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
-        share = self.shares(region) if X is None else np.full(len(X), 1 / len(X))
-        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * share
+        return np.einsum("qn,cni->cqi", N, x).reshape(-1, 3), measure * self.shares(region)
 
     def energy_density(self, region: str) -> Floats:
         r"""Energy of the elastic strain, :math:`ψ = \tfrac12 σ : ε` (cells, points) [MPa].
@@ -157,28 +150,16 @@ class Stresses:
         thermal strain, has no part in it.
         """
         σ = self.evaluate(region)
-        return self.work(region, σ, σ, self.places(region)[0]) / 2
-
-    def work(self, region: str, σ: Floats, τ: Floats, x: Floats) -> Floats:
-        r"""Work of one stress in the strain of another, :math:`σ : C^{-1} τ` (cells, points) [MPa].
-
-        Args:
-            region: Whose law gives the strain.
-            σ: A stress (cells, points, 3, 3) [MPa].
-            τ: The other.
-            x: Where they are (cells * points, 3) [mm].
-        """
         (e,) = (e for e in self._problem.scene.elastic if e.region == region)
-        both = [σ, τ]
         if e.fibre and e.fibre.turns:
             # In axes that turn with it.
-            Q = e.fibre.frames(x).reshape(σ.shape)
-            both = [np.einsum("cqki,cqkl,cqlj->cqij", Q, s, Q) for s in both]
-        a, b = (np.stack([s[..., i, j] for i, j in COMPONENTS], axis=-1) for s in both)
+            Q = e.fibre.frames(self.places(region)[0]).reshape(σ.shape)
+            σ = np.einsum("cqki,cqkl,cqlj->cqij", Q, σ, Q)
+        a = np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
         # Each of the last three stands for two entries of the tensors.
         twice = np.diag([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
         S = twice @ np.linalg.inv(_stiffness(e))
-        return np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, b))
+        return np.asarray(np.einsum("cqi,ij,cqj->cq", a, S, a)) / 2
 
     def region(self, region: str) -> dict[str, Any]:
         """Published stresses of a region; collective."""

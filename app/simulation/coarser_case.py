@@ -29,7 +29,6 @@ def cheaper(case: Case, unknowns: int) -> Case | None:
         other = {
             "size": COARSER * case.mesh.size,
             "far_size": COARSER * case.mesh.far,
-            "divided": None,
         }
     elif case.mesh.order > 1:
         other = {"order": 1}

@@ -311,11 +311,6 @@ class Session:
             for m in model.mechanics:
                 A = m.solver.snes.getJacobian()[0]
                 summary["solver"]["condition"] = condition_number(A)
-        if case.output.goal:
-            from app.simulation import goal_error  # brings scipy, which few runs need
-
-            with timing.phase("error"):
-                goal_error.add(case, model, recorder.samples, summary, output)
         if companions := error_estimate.companions(case):
             # The numbers are safe before their errors are looked for.
             writer.finish(summary, done=False)

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 # Measured on unstructured tetrahedral meshes: nodes and edges per cell.
 NODES_PER_CELL = 0.19
 EDGES_PER_CELL = 1.22
-# Cells that one divided cell adds, with its neighbours (measured: 30 to 50).
-PIECES = 40
 # What a run costs on one core (measured). The mechanics: seconds at 1e5 unknowns by order, exponent
 # of growth, a later load step beside the first.
 PRICE, GROWTH, LATER = {1: 20.0, 2: 25.0}, 1.2, 0.35
@@ -119,15 +117,9 @@ def solid(case: Case) -> bool:
     return any(not isinstance(region, Conductor) for region in case.regions.values())
 
 
-def cells(case: Case) -> float:
-    """Estimated number of cells, with the pieces of those that are divided."""
-    divided = sum(map(len, case.mesh.passes))
-    return case.geometry.estimate_cells(case.mesh) + PIECES * divided
-
-
 def _estimated(case: Case) -> tuple[float, float, float, dict[str, float]]:
     """Cells, nodes of the displacement, of the temperature, and of each interface."""
-    count = cells(case)
+    count = case.geometry.estimate_cells(case.mesh)
     corners = NODES_PER_CELL * count + 50
     nodes = corners + (EDGES_PER_CELL * count if case.mesh.order == 2 else 0)
     # Jumps are linear at either order; each interface has about the same share of the area.

@@ -34,7 +34,7 @@ ABSURD = 1e4  # mm; a geometry that needs larger cells is itself wrong
 
 def needed(case: Case) -> float:
     """Memory that a run takes at least [byte], estimated; 0 where its mesh is not known yet."""
-    cells = cost.cells(case)
+    cells = case.geometry.estimate_cells(case.mesh)
     return BASE + PER_UNKNOWN * cost.unknowns(case) + PER_CELL * cells if cells else 0.0
 
 
@@ -134,7 +134,7 @@ def check(file: CaseFile, case: Case) -> None:
         )
     if needed(case) <= memory:
         return
-    cells, unknowns = cost.cells(case), cost.unknowns(case)
+    cells, unknowns = case.geometry.estimate_cells(case.mesh), cost.unknowns(case)
     text = (
         f"makes about {cells:.2g} cells and {unknowns:.2g} unknowns, which take at least "
         f"{needed(case) / GIGABYTE:.2g} GB; there are {memory / GIGABYTE:.2g} GB"

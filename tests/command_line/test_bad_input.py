@@ -1122,7 +1122,7 @@ OVERRIDES = [
     ("mesh.size=3", "--set mesh.size: 3 needs a unit, e.g. '3 mm'"),
     (
         "mesh.sise=3 mm",
-        "--set mesh.sise: unknown key; allowed: size, far_size, order, curved, divided; did you",
+        "--set mesh.sise: unknown key; allowed: size, far_size, order, curved; did you",
     ),
     ("mesh", "--set mesh: expected KEY=VALUE"),
     ("=3", "--set : expected KEY=VALUE"),
