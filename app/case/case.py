@@ -179,7 +179,9 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
     faults: list[Fault] = []
     for name, changes in case.variations.items():
         keys = {full: key for key in changes for full in expand(key, file.data)}
-        places: dict[str, Path] = {full: ("variations", name, key) for full, key in keys.items()}
+        places: dict[str, yaml_file.Path] = {
+            full: ("variations", name, key) for full, key in keys.items()
+        }
         faults += yaml_file.clashes(options, ((place, full) for full, place in places.items()))
         overrides = tuple(points.as_overrides({full: changes[key] for full, key in keys.items()}))
         copy = yaml_file.changed(file, overrides)
@@ -226,6 +228,12 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
             "time": time,
         }
     )
+
+
+def geometry_of(data: dict[str, Any], folder: Path) -> Geometry | None:
+    """The geometry in the content of a case file, whatever is wrong with the rest."""
+    found: Geometry | None = _parts(data, {"folder": folder}).geometry
+    return found
 
 
 def plain(case: Case) -> dict[str, Any]:

@@ -199,8 +199,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="also draw a stem's mantle: DIR/sections.png and DIR/interfaces.png",
     )
-    study = add("study", "error against run time of a case, by its study section")
-    add_case(study)
+    study = add("study", "error against run time of a case, by a study file")
+    add_file(study, "case", "the study", "a key of every run")
     sweep = add("sweep", "run many cases of one base case, and compare them")
     add_file(sweep, "sweep", "what varies", "a key of every case")
     report = add("report", "the results of a run or a sweep as a page, report.html")

@@ -70,7 +70,8 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         lines += ["probes", *_table(case.output.probes)]
     if varied := case.variations:
         lines.append(f"variations: {len(varied)} runs, and none of the case without them")
-        lines += [f"  {name}: {plain(changes) or 'the case as it is'}" for name, changes in varied.items()]
+        for name, changes in varied.items():
+            lines.append(f"  {name}: {plain(changes) or 'the case as it is'}")
     return "\n".join(lines)
 
 
