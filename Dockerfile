@@ -16,11 +16,13 @@ RUN ln -s /opt/mantle/mantle /usr/local/bin/mantle \
     && mkdir /work \
     && chown mantle:mantle /work
 
-# What the shipped cases need is compiled now: the first run waits for no compiler. Root alone can
-# write it; whoever runs copies what a case needs into a cache of their own.
-RUN cd /tmp && XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 PYTHONPATH=/opt/mantle \
-       python3 -m app.simulation.precompile \
-    && rm -rf /var/cache/mantle/mantle/meshes \
+# Forms of three shipped cases are compiled now: the first run waits for no compiler. Root alone can
+# write them; whoever runs copies them into a cache of their own.
+RUN cd /tmp && export XDG_CACHE_HOME=/var/cache/mantle OMP_NUM_THREADS=1 \
+    && for case in stance cure cylinders; do \
+       /opt/mantle/mantle run /opt/mantle/configs/$case.yaml -o /tmp/out --force \
+       --set mesh.size='8 mm' --set mesh.far_size='16 mm' --set output.fields=false || exit 1; done \
+    && rm -rf /tmp/out /var/cache/mantle/mantle/meshes \
     && find /var/cache/mantle \( -name '*.o' -o -name '*lock' \) -delete \
     && chmod -R a+rX,go-w /var/cache/mantle
 

@@ -31,11 +31,10 @@ from app.errors import (
     UnusableError,
     stack_needed,
 )
-from app.system.progress import during
 from app.version import __version__
 
 if TYPE_CHECKING:
-    from app.case.loaded_case import LoadedCase
+    from app.case.case import LoadedCase
     from app.results.reading import Results
     from app.simulation.recorder import AcceptedStep
     from app.soundness.preview import CheckedCase
@@ -90,11 +89,11 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
     Raises:
         InputError: The file cannot be read or is wrong; every defect at once, one line each.
     """
-    from app.case import loaded_case, points
+    from app.case import case, points
 
     keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
     changes = points.as_overrides({keys[key]: value for key, value in overrides.items()})
-    return loaded_case.load(Path(path), changes)
+    return case.load(Path(path), changes)
 
 
 def check(case: LoadedCase, *, meshed: bool = False) -> CheckedCase:
@@ -245,8 +244,7 @@ def _reported(folder: Path, wanted: bool) -> Iterator[None]:
     if wanted:
         from app.report import run_report
 
-        with during("writing the report, some seconds"):
-            run_report.after_run(folder, failure is not None)
+        run_report.after_run(folder, failure is not None)
     if failure:
         raise failure
 

@@ -24,7 +24,7 @@ from app.command_line.commands import dispatch
 from app.command_line.parser import parser
 from app.command_line.streams import painted, silence
 from app.errors import AloneError, EnvironmentProblem, MantleError, together
-from app.system import privacy, ranks
+from app.system import ranks
 from app.system.folders import settle_cache
 from app.system.ranks import rank
 
@@ -103,7 +103,7 @@ def _leave(error: MantleError) -> int:
         The exit code.
     """
     if rank() == 0:
-        print(painted(privacy.told(str(error)), "bad", sys.stderr), file=sys.stderr, flush=True)
+        print(painted(error, "bad", sys.stderr), file=sys.stderr, flush=True)
     else:
         # The first rank to leave has mpirun end the others, of which one is about to speak.
         time.sleep(GRACE)

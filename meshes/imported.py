@@ -91,10 +91,7 @@ def _named(geometry: Any, found: gmsh_process.Content) -> MeshData:
         )
     if width == 10 and geometry.is_script:
         points = untangle(points, cells)
-    told = [
-        f"geometry: the physical volume '{name}' of the file has no cells: it is ignored"
-        for name in geometry.empty_volumes
-    ]
+    told = []
     if turned := int(negative.sum()):
         told.append(
             f"geometry: {turned} of {len(cells)} cells of the file list their nodes inside out: "

@@ -87,8 +87,8 @@ class Coupled:
 
     def state(self) -> dict[str, Floats]:
         """Blocks of the last state."""
-        blocks = dict(self.model.mechanics[0].solver.named())
-        blocks |= self.model.thermal[0].heating.solver.named()
+        blocks = dict(self.model.mechanics[0].solver.blocks_by_name())
+        blocks |= self.model.thermal[0].heating.solver.blocks_by_name()
         return {name: v.array.copy() for name, v in blocks.items()}
 
 

@@ -12,6 +12,7 @@ from app.arrays import Floats
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
+from app.numerics.remedies import solve
 from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
@@ -63,9 +64,9 @@ class Heated:
     def step(self) -> ContactSamples | None:
         """Solve, commit, balance."""
         self.problem.update_stiffness()
-        outcome = self.solver.solve()
+        outcome = solve(self.solver)
         assert outcome.converged, outcome.residuals
-        u, q = self.solver.parts()
+        u, q = self.solver.u_and_q()
         trial = self.problem.trial(u, q) if q is not None else None
         self.problem.spread(u, q)
         self.problem.commit(trial)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from app.case import loaded_case
+from app.case.case import load
 from app.simulation import checkpoint
 from app.simulation.session import run
 from app.system.folders import saved
@@ -144,7 +144,7 @@ def whole(text: str, folder: Path, *overrides: str) -> tuple[Path, list[Path]]:
     (folder / "whole").mkdir()
     kept, checkpoint.KEPT = checkpoint.KEPT, 10**6
     try:
-        run(loaded_case.load(path, options), folder / "whole")
+        run(load(path, options), folder / "whole")
     finally:
         checkpoint.KEPT = kept
     return path, sorted(saved(folder / "whole"), key=lambda p: int(p.stem.split("-")[1]))
@@ -154,5 +154,5 @@ def on(path: Path, folder: Path, file: Path, *overrides: str) -> Path:
     """Go on from a checkpoint in a folder of its own."""
     output = folder / f"from-{file.stem}"
     output.mkdir(exist_ok=True)
-    run(loaded_case.load(path, overrides), output, restart=str(file))
+    run(load(path, overrides), output, restart=str(file))
     return output

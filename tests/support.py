@@ -22,7 +22,7 @@ from ruamel.yaml import YAML
 
 import meshes
 from app.arrays import Floats
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
@@ -120,7 +120,7 @@ def case(text: str | Mapping[str, Any], *overrides: str) -> Case:
             path.write_text(text, encoding="utf-8")
         else:
             YAML().dump(dict(text), path)
-        return load_case(path, overrides)
+        return load(path, overrides).config
 
 
 def mesh(case: Case, comm: MPI.Comm = MPI.COMM_WORLD) -> TaggedMesh:
@@ -173,7 +173,7 @@ def solve(
         if trial is not None:
             samples.append(ContactSamples(problem, trial))
         if balance is not None:
-            balance.update(solver.parts()[0], trial)
+            balance.update(solver.u_and_q()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
     run_stages(problem.scene.stages, (LoadStepper(problem, solver, on_step, print),), ())

@@ -44,7 +44,7 @@ from app.campaigns.runs import (
     status_of,
 )
 from app.campaigns.scheduler import MEGABYTE, execute
-from app.case.case import dump_case, plain
+from app.case.case import dump, plain
 from app.case.variations import split
 from app.errors import InputError, StoppedError
 from app.schema import yaml_file
@@ -198,7 +198,7 @@ def _text(runs: Sequence[BatchRun]) -> str:
     """The case file of a process: of its run, or with each of those it is shared by a variation."""
     first = runs[0]
     if first.process == first.id:
-        return dump_case(first.case)
+        return dump(first.case)
     data = plain(first.case)
     _, base = split(data)
     variations = {}

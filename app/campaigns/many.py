@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.campaigns import batch
 from app.campaigns.runs import Job
-from app.case.case import load_case
+from app.case.case import load
 from app.soundness import cost
 from app.system import layout
 
@@ -49,7 +49,7 @@ def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
     results = batch.look(jobs, options.folder, options.cores)
     rows, wall, seen = [], 0.0, set[object]()
     for job, result in zip(jobs, results, strict=True):
-        case = load_case(job.case, job.overrides)
+        case = load(job.case, job.overrides).config
         seconds = cost.seconds(case, result.process not in seen)  # of one core
         alone = seconds / min(job.ranks, options.cores)
         about = layout.duration(alone)

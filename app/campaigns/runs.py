@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from app.case.case import Case, dump_case, load_case, plain
+from app.case.case import Case, dump, load, plain
 from app.case.geometries import MeshFile
 from app.case.variations import CHANGED, split
 from app.errors import ConvergenceError, InputError, UnusableError
@@ -122,7 +122,7 @@ def resolve(jobs: Sequence[Job]) -> list[Case]:
     cases, messages = [], []
     for job in jobs:
         try:
-            case = load_case(job.case, job.overrides)
+            case = load(job.case, job.overrides).config
             cases.append(case)
         except InputError as error:
             messages += [f"{job.name}: {m}" if m.startswith("--set") else m for m in error.messages]
@@ -151,7 +151,7 @@ def runs_of(
     for job, case in zip(jobs, cases, strict=True):
         # The same case, made in two ways, may have two titles.
         own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
-        digests.append(_digest(case, (dump_case(own),), job.ranks))
+        digests.append(_digest(case, (dump(own),), job.ranks))
     processes = _processes(jobs, cases, digests, cores)
     found: dict[str, BatchRun] = {}
     for job, case, digest in zip(jobs, cases, digests, strict=True):

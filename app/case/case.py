@@ -2,7 +2,7 @@
 
 This is the one front for the rest of the program::
 
-    case = load_case(Path("case.yaml"), ["mesh.size=2 mm"])
+    case = load(Path("case.yaml"), ["mesh.size=2 mm"]).config
 
 Everything downstream takes parts of the `Case`; dimensional values are floats in mm, N, MPa, s, K,
 rad.
@@ -11,15 +11,19 @@ rad.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import (
+    Field,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+)
 
 from app.case import checks, overlay, points
-from app.case.case_parts import CaseParts
 from app.case.geometries import (
     Geometry,
     MeshOptions,
@@ -39,19 +43,19 @@ from app.laws.thermal import (
     HeatCondition,
     TimeOptions,
 )
-from app.schema import yaml_file
-from app.schema.json_schema import json_schema, over_a_base
+from app.schema import section, yaml_file
 from app.schema.section import (
     ITEMS,
     MAPPING,
-    RENEWALS,
     Name,
     Section,
     Text,
     Word,
 )
-from app.schema.validation import problems
 from app.schema.yaml_file import CaseFile, Fault
+
+# Sections whose entries are valid one by one.
+TABLES = ("regions", "interfaces", "supports", "loads", "heat")
 
 
 class Case(Section):
@@ -73,7 +77,10 @@ class Case(Section):
     """Law of each interface; those not listed are bonded."""
     supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
-    loads: Annotated[dict[Name, Load], MAPPING] = Field(default_factory=dict)
+    loads: Annotated[dict[Name, Load], MAPPING] = Field(
+        default_factory=dict,
+        json_schema_extra={"properties": {"library": {"type": "string"}}},
+    )
     """Loads on the bodies. `library: NAME` among them stands for all loads of that name in the
     library, in place of those of the base; further keys change them."""
     heat: Annotated[dict[Name, HeatCondition], MAPPING] = Field(default_factory=dict)
@@ -97,6 +104,29 @@ class Case(Section):
     """File of more materials and loads by name, relative to this one, such as `mine.yaml`;
     `mantle library` prints those that are known without it."""
 
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _noted(
+        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
+    ) -> object:
+        """Note the part, or what is wrong with it, in the context, and go on without it."""
+        name = str(info.field_name)
+        notes: dict[str, Any] = info.context  # type: ignore[assignment]
+        part: Any = None
+        try:
+            part = handler(value)
+        except ValidationError as error:
+            found = [Fault((name, *f.path), f.text) for f in section.faults(error)]
+            notes["faults"] += found
+            if name in TABLES and isinstance(value, dict):
+                wrong = {fault.path[1] for fault in found}
+                part = handler({k: v for k, v in value.items() if k not in wrong})
+                part |= dict.fromkeys(wrong)
+        notes["parts"][name] = part
+        if name == "geometry" and part is not None:
+            notes["points"] = part.points
+        return part
+
     @property
     def conducts(self) -> bool:
         """Whether there is heat in it at all."""
@@ -105,38 +135,6 @@ class Case(Section):
     def of_tissue(self, tissue: str) -> tuple[str, ...]:
         """Names of the regions of a tissue."""
         return tuple(name for name, region in self.regions.items() if region.tissue == tissue)
-
-
-def load_case(path: Path, overrides: Sequence[str] = ()) -> Case:
-    """Read, check and resolve a case.
-
-    Args:
-        path: The YAML file.
-        overrides: ``a.b.c=value`` each, applied in order before anything is checked.
-
-    Returns:
-        The case, with every interface of the geometry listed and the tissue of every region.
-
-    Raises:
-        InputError: Anything wrong with the file; every defect at once, one line each.
-    """
-    path = Path(path)
-    return resolve(overlay.read(path, overrides), path.parent)
-
-
-def resolve(file: CaseFile, folder: Path) -> Case:
-    """Check the content of a case file.
-
-    Args:
-        file: The content.
-        folder: What relative paths in it are relative to.
-
-    Raises:
-        InputError: As `load`.
-    """
-    case = _resolved(file, folder)
-    _varied(file, folder, case)
-    return case
 
 
 @dataclass(frozen=True)
@@ -156,15 +154,61 @@ class Varied:
     case: Case
 
 
-def variations_of(path: Path, overrides: Sequence[str] = ()) -> list[Varied]:
-    """The variations of a case, in the order of the file.
+@dataclass(frozen=True)
+class LoadedCase:
+    """A case and where it comes from.
+
+    Attributes:
+        config: The checked case: ``case.config.mesh.size``, ``case.config.regions["stem"]``. Its
+            values are floats in mm, N, MPa, s, K, rad; every interface of the geometry is listed,
+            and the tissue of every region.
+        path: The case file.
+        overrides: Changes of it, ``key=value`` each.
+        file: Its content, and where each key stands, for messages.
+    """
+
+    config: Case
+    path: Path
+    overrides: tuple[str, ...]
+    file: CaseFile = field(repr=False)
+
+    @property
+    def output(self) -> Path:
+        """The folder of its results, unless another is asked for: ``out/<name of the file>``."""
+        return Path("out") / self.path.stem
+
+    def variations(self) -> list[Varied]:
+        """The variations of the case, in the order of the file."""
+        return _varied(self.file, self.path.parent, self.config)
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> LoadedCase:
+    """Read, check and resolve a case.
+
+    Args:
+        path: The YAML file.
+        overrides: ``a.b.c=value`` each, applied in order before anything is checked.
+
+    Raises:
+        InputError: Anything wrong with the file; every defect at once, one line each.
+    """
+    file = overlay.read(path, overrides)
+    return LoadedCase(resolve(file, path.parent), path, tuple(overrides), file)
+
+
+def resolve(file: CaseFile, folder: Path) -> Case:
+    """Check the content of a case file.
+
+    Args:
+        file: The content.
+        folder: What relative paths in it are relative to.
 
     Raises:
         InputError: As `load`.
     """
-    path = Path(path)
-    file = overlay.read(path, overrides)
-    return _varied(file, path.parent, _resolved(file, path.parent))
+    case = _resolved(file, folder)
+    _varied(file, folder, case)
+    return case
 
 
 def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
@@ -199,16 +243,9 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
 
 def _resolved(file: CaseFile, folder: Path) -> Case:
     """A case by itself, without its variations."""
-    context: dict[str, Any] = {"folder": folder}
-    parts = _parts(file.data, context)
-    try:
-        case = Case.model_validate(file.data, context=context)
-    except ValidationError as error:
-        file.raise_all([*problems(error, Case), *checks.cross_check(parts)])
-        raise  # only if an error could not be told in words
-    file.raise_all(checks.cross_check(parts))
-    bonded = {name: Bonded() for name in case.geometry.interface_sides}
-    interfaces = {name: case.interfaces.get(name, law) for name, law in bonded.items()}
+    case, faults = valid_parts(file.data, folder)
+    file.raise_all([*faults, *checks.cross_check(case)])
+    laws = {name: case.interfaces.get(name, Bonded()) for name in case.geometry.interface_sides}
     tissues = case.geometry.tissues
     regions = {
         name: region if region.tissue else region.model_copy(update={"tissue": tissues[name]})
@@ -219,21 +256,31 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
         curved = mesh.order == 2 and case.geometry.has_curved_surfaces
         mesh = mesh.model_copy(update={"curved": curved})
     time = (case.time or TimeOptions()) if case.conducts else None
-    return case.model_copy(
-        update={
-            "title": title_with_changes(case.title, file),
-            "regions": regions,
-            "interfaces": interfaces,
-            "mesh": mesh,
-            "time": time,
-        }
-    )
+    title = title_with_changes(case.title, file)
+    changes = {"title": title, "regions": regions, "interfaces": laws, "mesh": mesh, "time": time}
+    return case.model_copy(update=changes)
 
 
-def geometry_of(data: dict[str, Any], folder: Path) -> Geometry | None:
+def valid_parts(data: dict[str, Any], folder: Path) -> tuple[Case, list[Fault]]:
+    """A case of which parts that are missing or invalid are None, and the faults of those.
+
+    Args:
+        data: The content of a case file.
+        folder: The folder of its relative paths.
+    """
+    faults: list[Fault] = []
+    parts: dict[str, Any] = dict.fromkeys(("geometry", "mesh", "regions"))
+    notes = {"folder": folder, "points": None, "parts": parts, "faults": faults}
+    try:
+        Case.model_validate(data, context=notes)
+    except ValidationError as error:
+        faults += section.faults(error)
+    return Case.model_construct(**parts), faults
+
+
+def read_geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
     """The geometry in the content of a case file, whatever is wrong with the rest."""
-    found: Geometry | None = _parts(data, {"folder": folder}).geometry
-    return found
+    return valid_parts(data, folder)[0].geometry
 
 
 def plain(case: Case) -> dict[str, Any]:
@@ -241,61 +288,14 @@ def plain(case: Case) -> dict[str, Any]:
     return case.model_dump(mode="json", exclude_none=True, exclude={"variations"})
 
 
-def dump_case(case: Case) -> str:
+def dump(case: Case) -> str:
     """A case alone, as YAML in internal units; without variations reads back equal."""
     return yaml_file.written(plain(case))
 
 
-def case_schema() -> dict[str, Any]:
-    """JSON schema of a case file, for editors."""
-    return over_a_base(json_schema(Case), "Case")
-
-
-# Making an adapter takes far longer than using it.
-_adapter = lru_cache(TypeAdapter)
-
-
 def _renew() -> None:
     """Build the schema anew: there is another kind of something."""
-    _adapter.cache_clear()
     Case.model_rebuild(force=True)
 
 
-RENEWALS.append(_renew)
-
-
-def _parts(data: dict[str, Any], context: dict[str, Any]) -> CaseParts:
-    """Every part that is valid by itself, so that the rest can still be checked against it.
-
-    The points that the geometry names are put into the context on the way: None if it is wrong.
-    """
-
-    def part(kind: Any, value: object) -> Any:
-        try:
-            return _adapter(kind).validate_python(value, context=context)
-        except ValidationError:
-            return None
-
-    def table(key: str, kind: Any) -> dict[str, Any]:
-        values = data.get(key, {})
-        is_table = isinstance(values, dict)
-        return {name: part(kind, value) for name, value in values.items()} if is_table else {}
-
-    geometry = part(Geometry, data["geometry"]) if "geometry" in data else None
-    context["points"] = None if geometry is None else geometry.points
-    default: tuple[Stage, ...] = Case.model_fields["stages"].default
-    return CaseParts(
-        geometry=geometry,
-        side=data.get("side"),
-        mesh=part(MeshOptions, data["mesh"]) if "mesh" in data else None,
-        regions=table("regions", Region) if isinstance(data.get("regions"), dict) else None,
-        interfaces=table("interfaces", Interface),
-        supports=table("supports", Support) if isinstance(data.get("supports", {}), dict) else None,
-        loads=table("loads", Load),
-        heat=table("heat", HeatCondition),
-        time="time" in data,
-        output=part(OutputOptions, data.get("output", {})),
-        stages=part(Case.model_fields["stages"].annotation, data["stages"])
-        if "stages" in data
-        else default,
-    )
+section.RENEWALS.append(_renew)

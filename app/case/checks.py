@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from typing import Any
 
 from app.case import thermal_checks
-from app.case.case_parts import CaseParts
 from app.case.femurs import Femur, IntactFemur
 from app.case.quantities import of_run
 from app.errors import Reason
@@ -19,19 +18,19 @@ from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
 
-def cross_check(parts: CaseParts) -> list[Fault]:
-    """Every contradiction between the parts."""
+def cross_check(case: Any) -> list[Fault]:
+    """Every contradiction between the case."""
     return [
-        *_names(parts),
-        *_too_small(parts),
-        *_histories(parts),
-        *_stage_names(parts),
-        *_support_stages(parts),
-        *_rigid(parts),
-        *_held(parts),
-        *_side(parts),
-        *thermal_checks.cross_check(parts),
-        *thermal_checks.probe_regions(parts),
+        *_names(case),
+        *_too_small(case),
+        *_histories(case),
+        *_stage_names(case),
+        *_support_stages(case),
+        *_rigid(case),
+        *_held(case),
+        *_side(case),
+        *thermal_checks.cross_check(case),
+        *thermal_checks.probe_regions(case),
     ]
 
 
@@ -43,31 +42,31 @@ def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str)
     )
 
 
-def _names(parts: CaseParts) -> Iterable[Fault]:
+def _names(case: Any) -> Iterable[Fault]:
     """Names that the geometry does not have, and regions without material."""
-    geometry = parts.geometry
+    geometry = case.geometry
     if geometry is None:
         return
     kind = geometry.kind
     regions, boundaries = geometry.region_names, geometry.boundary_names
-    if parts.regions is not None:
-        for name in parts.regions:
+    if case.regions is not None:
+        for name in case.regions:
             if name not in regions:
                 yield _unknown(("regions", name), "region", name, regions, kind)
-        if missing := [name for name in regions if name not in parts.regions]:
+        if missing := [name for name in regions if name not in case.regions]:
             yield Fault(
                 ("regions",), f"no material for {', '.join(missing)}; every region needs one"
             )
-        for name, region in parts.regions.items():
+        for name, region in case.regions.items():
             unsaid = name in regions and name not in geometry.tissues
             if region is not None and region.tissue is None and unsaid:
                 text = "'tissue' is missing; expected bone, cement, implant or other"
                 yield Fault(("regions", name), text)
-    for name in parts.interfaces:
+    for name in case.interfaces:
         if name not in geometry.interface_sides:
             yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
     for section in ("supports", "loads", "heat"):
-        for name, entry in (getattr(parts, section) or {}).items():
+        for name, entry in (getattr(case, section) or {}).items():
             boundary = getattr(entry, "boundary", None)
             if boundary is not None and boundary not in boundaries:
                 yield _unknown((section, name, "boundary"), "boundary", boundary, boundaries, kind)
@@ -76,46 +75,46 @@ def _names(parts: CaseParts) -> Iterable[Fault]:
                     yield _unknown((section, name, "regions", i), "region", region, regions, kind)
 
 
-def _too_small(parts: CaseParts) -> Iterable[Fault]:
+def _too_small(case: Any) -> Iterable[Fault]:
     """Lengths that cells of the mesh's size do not go with."""
-    if parts.geometry is None or parts.mesh is None:
+    if case.geometry is None or case.mesh is None:
         return
-    size = parts.mesh.size
-    for key, (length, most) in parts.geometry.spans.items():
+    size = case.mesh.size
+    for key, (length, most) in case.geometry.spans.items():
         if size > most * length:
             text = f"cannot be meshed with edges of {size:g} mm (mesh.size)"
             expected = f"at least {size / most:.3g} mm, or a mesh.size of at most"
             yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
 
 
-def _histories(parts: CaseParts) -> Iterable[Fault]:
+def _histories(case: Any) -> Iterable[Fault]:
     """Histories of another length than the stages."""
-    if parts.stages is None:
+    if case.stages is None:
         return
-    number = len(parts.stages)
+    number = len(case.stages)
 
     def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Fault]:
         if history is not None and len(history) != number:
-            names = ", ".join(s.name for s in parts.stages)
+            names = ", ".join(s.name for s in case.stages)
             wanted = f"{number}, one for the end of each stage ({names})"
             yield Fault(path, f"has {len(history)} values; expected {wanted}")
 
     for section in ("interfaces", "supports", "loads"):
-        for name, entry in (getattr(parts, section) or {}).items():
+        for name, entry in (getattr(case, section) or {}).items():
             for key in ("history", "gap_history"):
                 yield from check((section, name, key), getattr(entry, key, None))
-    for name, region in (parts.regions or {}).items():
+    for name, region in (case.regions or {}).items():
         for i, eigenstrain in enumerate(getattr(region, "eigenstrains", ())):
             yield from check(("regions", name, "eigenstrains", i, "history"), eigenstrain.history)
 
 
-def _stage_names(parts: CaseParts) -> Iterable[Fault]:
+def _stage_names(case: Any) -> Iterable[Fault]:
     """No stages, or two of the same name."""
-    if parts.stages is None:
+    if case.stages is None:
         return
-    if not parts.stages:
+    if not case.stages:
         yield Fault(("stages",), "is empty; expected at least one stage")
-    names = [s.name for s in parts.stages]
+    names = [s.name for s in case.stages]
     for i, name in enumerate(names):
         if name in names[:i]:
             yield Fault(
@@ -124,28 +123,28 @@ def _stage_names(parts: CaseParts) -> Iterable[Fault]:
             )
 
 
-def _support_stages(parts: CaseParts) -> Iterable[Fault]:
+def _support_stages(case: Any) -> Iterable[Fault]:
     """Supports that hold in stages that there are not."""
-    if parts.stages is None:
+    if case.stages is None:
         return
-    known = [stage.name for stage in parts.stages]
-    for name, support in (parts.supports or {}).items():
+    known = [stage.name for stage in case.stages]
+    for name, support in (case.supports or {}).items():
         for i, stage in enumerate(getattr(support, "stages", None) or ()):
             if stage not in known:
                 text = f"'{stage}' is not one of {', '.join(known)}{did_you_mean(stage, known)}"
                 yield Fault(("supports", name, "stages", i), text)
 
 
-def _rigid(parts: CaseParts) -> Iterable[Fault]:
+def _rigid(case: Any) -> Iterable[Fault]:
     """Rigid regions in contact with each other, and models without any elastic region."""
-    if parts.geometry is None or not parts.regions:
+    if case.geometry is None or not case.regions:
         return
-    rigid = {name for name, region in parts.regions.items() if isinstance(region, Rigid)}
-    if rigid.issuperset(parts.geometry.region_names):
+    rigid = {name for name, region in case.regions.items() if isinstance(region, Rigid)}
+    if rigid.issuperset(case.geometry.region_names):
         yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
         return
-    for name, law in parts.interfaces.items():
-        sides = parts.geometry.interface_sides.get(name)
+    for name, law in case.interfaces.items():
+        sides = case.geometry.interface_sides.get(name)
         if sides is None or law is None or not law.can_part:
             continue
         if all(rigid & set(side) for side in sides):
@@ -155,17 +154,17 @@ def _rigid(parts: CaseParts) -> Iterable[Fault]:
             yield Fault(("interfaces", name), text)
 
 
-def _held(parts: CaseParts) -> Iterable[Fault]:
+def _held(case: Any) -> Iterable[Fault]:
     """Directions in which nothing keeps the whole model from moving."""
-    if parts.supports is None or any(support is None for support in parts.supports.values()):
+    if case.supports is None or any(support is None for support in case.supports.values()):
         return
-    if parts.regions and all(isinstance(r, Conductor) for r in parts.regions.values()):
+    if case.regions and all(isinstance(r, Conductor) for r in case.regions.values()):
         return
-    limited = any(getattr(support, "stages", None) for support in parts.supports.values())
-    for stage in [s.name for s in parts.stages or ()] if limited else [""]:
+    limited = any(getattr(support, "stages", None) for support in case.supports.values())
+    for stage in [s.name for s in case.stages or ()] if limited else [""]:
         held = {
             axis
-            for support in parts.supports.values()
+            for support in case.supports.values()
             for axis in getattr(support, "felt_axes", support.held_axes)
             if not (stages := getattr(support, "stages", None)) or stage in stages
         }
@@ -177,11 +176,11 @@ def _held(parts: CaseParts) -> Iterable[Fault]:
             yield Fault(("supports",), text)
 
 
-def _side(parts: CaseParts) -> Iterable[Fault]:
+def _side(case: Any) -> Iterable[Fault]:
     """Femurs that are made here are left ones."""
-    if parts.side == "right" and isinstance(parts.geometry, Femur | IntactFemur):
+    if case.side == "right" and isinstance(case.geometry, Femur | IntactFemur):
         text = (
-            f"the geometry ({parts.geometry.kind}) is a left femur; expected left, whose numbers "
+            f"the geometry ({case.geometry.kind}) is a left femur; expected left, whose numbers "
             "are those of the mirrored right one"
         )
         yield Fault(("side",), text)

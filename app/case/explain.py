@@ -19,7 +19,7 @@ from app.case import keys
 from app.case.case import Case
 from app.errors import InputError
 from app.schema import yaml_file
-from app.schema.json_schema import docstrings
+from app.schema.section import docstrings
 
 WIDTH = 96
 # Keys that the text of another tells of.

@@ -18,7 +18,6 @@ from app.case.femurs import Femur, IntactFemur
 from app.case.gmsh_header import (
     content,
     counts,
-    empty_volumes,
     is_script,
     physical_names,
 )
@@ -247,7 +246,7 @@ class MeshFile(Shape):
         if not found:
             fail(f"no such file: {path}")
         if not regions:
-            fail(f"{path} names no region: it has no physical volume with a name and cells")
+            fail(f"{path} names no region: it has no physical volume with a name")
         return path.resolve()
 
     @field_validator("interfaces", mode="before")
@@ -282,13 +281,8 @@ class MeshFile(Shape):
 
     @property
     def region_names(self) -> tuple[str, ...]:
-        """Names of the physical volumes that have cells."""
+        """Names of the physical volumes."""
         return physical_names(self.path, 3)
-
-    @property
-    def empty_volumes(self) -> tuple[str, ...]:
-        """Names of the physical volumes of a ``.msh`` file without cells: they are no regions."""
-        return empty_volumes(self.path)
 
     @property
     def boundary_names(self) -> tuple[str, ...]:

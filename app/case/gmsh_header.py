@@ -10,9 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 
 import configs
-from app.case.gmsh_cells import with_cells
 
-ENTRY = re.compile(rb'\s*(\d+)\s+(\d+)\s+"(.*)"\s*')
+ENTRY = re.compile(rb'\s*(\d+)\s+\d+\s+"(.*)"\s*')
 # The sections before the nodes are short; a file without names is not read to its end.
 HEADER = 4 << 20
 # Scripts: comments go, text in quotes stays.
@@ -30,55 +29,45 @@ def is_script(path: Path) -> bool:
 
 
 def physical_names(path: Path, dimension: int) -> tuple[str, ...]:
-    """Names of the physical groups of one dimension.
+    """Names of the physical groups of one dimension, in the order of the file.
 
     Args:
         path: A ``.msh`` file of format 2.2 or 4.1, ASCII or binary, or a ``.geo`` script.
         dimension: 3 for volumes, 2 for surfaces.
 
-    Returns:
-        The names, in the order of the file; volumes without cells are left out.
-
     Raises:
         ValueError: The file is not of this format; the script does not use its parameter, or is
             not allowed to run.
     """
-    groups = _names(path, path.stat().st_mtime_ns)
-    return tuple(name for d, name, has_cells in groups if d == dimension and has_cells)
-
-
-def empty_volumes(path: Path) -> tuple[str, ...]:
-    """Names of the physical volumes of a ``.msh`` file that have no cells."""
-    return tuple(name for _, name, cells in _names(path, path.stat().st_mtime_ns) if not cells)
+    groups = _groups(path, path.stat().st_mtime_ns)
+    return tuple(name for d, name in groups if d == dimension)
 
 
 @lru_cache(maxsize=8)
-def _names(path: Path, modified: int) -> tuple[tuple[int, str, bool], ...]:
-    """(dimension, name, not an empty volume) of every physical group; `modified` renews it."""
-    if path.suffix not in (".msh", ".geo"):
-        raise ValueError("is neither a .msh file nor a .geo script")
+def _groups(path: Path, modified: int) -> tuple[tuple[int, str], ...]:
+    """Dimension and name of every physical group; `modified` renews it."""
     if is_script(path):
-        return _groups(path)
+        found = _groups_of_script(path)
+    elif path.suffix == ".msh":
+        found = _groups_of_mesh(path)
+    else:
+        raise ValueError("is neither a .msh file nor a .geo script")
+    return tuple(dict.fromkeys(found))
+
+
+def _groups_of_mesh(path: Path) -> list[tuple[int, str]]:
     with path.open("rb") as file:
         header = file.read(HEADER)
     if not header.startswith(b"$MeshFormat"):
         raise ValueError("not a gmsh .msh file (it does not start with $MeshFormat)")
-    version = header.split(b"\n", 2)[1].split()[:1]
-    if version not in ([b"2.2"], [b"4.1"]):
+    if header.split(b"\n", 2)[1].split()[:1] not in ([b"2.2"], [b"4.1"]):
         raise ValueError("not of .msh format 2.2 or 4.1; save it again with gmsh")
-    _, begins, rest = header.partition(b"$PhysicalNames")
-    if not begins:
-        return ()
-    section = rest.partition(b"$EndPhysicalNames")[0]
-    matches = [m for line in section.split(b"\n") if (m := ENTRY.fullmatch(line))]
-    found = [(int(m[1]), int(m[2]), m[3].decode("utf-8", "replace")) for m in matches]
-    full = with_cells(path.read_bytes(), [tag for d, tag, _ in found if d == 3])
-    named = {name for d, tag, name in found if d == 3 and tag in full}
-    return tuple(dict.fromkeys((d, name, d != 3 or name in named) for d, _, name in found))
+    section = header.partition(b"$PhysicalNames")[2].partition(b"$EndPhysicalNames")[0]
+    matches = map(ENTRY.fullmatch, section.split(b"\n"))
+    return [(int(m[1]), m[2].decode("utf-8", "replace")) for m in matches if m]
 
 
-def _groups(path: Path) -> tuple[tuple[int, str, bool], ...]:
-    """(dimension, name, true) of the groups that a script names."""
+def _groups_of_script(path: Path) -> list[tuple[int, str]]:
     if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
         raise ValueError(
             "a gmsh script is a program; --allow-scripts runs it, in a process that is confined"
@@ -86,7 +75,7 @@ def _groups(path: Path) -> tuple[tuple[int, str, bool], ...]:
     text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
     if not re.search(r"\bsize\b", text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")
-    return tuple(dict.fromkeys((DIMENSIONS[m[1]], m[2], True) for m in GROUP.finditer(text)))
+    return [(DIMENSIONS[m[1]], m[2]) for m in GROUP.finditer(text)]
 
 
 def content(path: Path, copies: Path | None = None) -> str:

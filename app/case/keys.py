@@ -16,8 +16,7 @@ from app.case.case import Case
 from app.case.study import StudyFile
 from app.case.sweep import Sweep
 from app.schema.expressions import Varying
-from app.schema.json_schema import docstrings
-from app.schema.section import Scalar
+from app.schema.section import Scalar, docstrings
 from app.schema.units import ConductancePerArea, Dimension, Plain
 
 NUMBERS = {2: "two", 3: "three", 6: "six"}

@@ -90,7 +90,7 @@ def _own(case: Path, mesh: Path) -> str:
         except (OSError, ValueError) as error:
             raise InputError(f"--mesh {mesh}: {error}") from error
         if not regions:
-            raise InputError(f"--mesh {mesh}: names no region: no physical volume with cells")
+            raise InputError(f"--mesh {mesh}: names no region: no physical volume has a name")
         names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
         about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
         boundaries = surfaces or boundaries

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from app.case import overlay, points
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.case.points import Point
 from app.errors import InputError
 from app.schema import yaml_file
@@ -64,7 +64,7 @@ def plan(
         own = {k: v for k, v in point.changes.items() if k not in ("ranks", *given)}
         changes = (*points.as_overrides(own), "variations={}", *others)
         try:
-            case = load_case(base, changes)
+            case = load(base, changes).config
         except InputError as error:
             for message in error.messages:
                 if found := yaml_file.located(message, {key: point.places[key] for key in own}):

@@ -77,8 +77,6 @@ class SolverOptions(Section):
     """Raw PETSc options, without the leading dash."""
     augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
     """Augmentation r over the stiffness per area that a point meets, where r is not given."""
-    coupling: Annotated[Literal["auto", "monolithic", "staggered"], Word()] = "auto"
-    """How heat and mechanics that depend on each other are solved: as one system, or in turn."""
 
 
 class Probe(Section):

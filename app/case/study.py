@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 from app.case import checks, planned_run, points, quantities
 from app.case.planned_run import PlannedRun
 from app.case.points import Changes, Lists, Point, Runs
-from app.schema import validation, yaml_file
+from app.schema import section, yaml_file
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
 from app.schema.units import PositiveNumber
 from app.schema.yaml_file import CaseFile, Fault
@@ -169,7 +169,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
     try:
         content = StudyFile.model_validate(file.data)
     except ValidationError as error:
-        file.raise_all(validation.problems(error, StudyFile))
+        file.raise_all(section.faults(error))
         raise  # only if an error could not be told in words
     study = content.study
     runs, problems = planned_run.plan(file, path.parent, list(content.points()), others)

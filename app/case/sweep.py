@@ -12,7 +12,7 @@ from app.case import planned_run, points
 from app.case.planned_run import PlannedRun
 from app.case.points import MOST_CASES, Point, SweepPart
 from app.errors import InputError
-from app.schema import validation, yaml_file
+from app.schema import section, yaml_file
 from app.schema.section import MAPPING, Name, Text, Word, fail
 
 
@@ -75,7 +75,7 @@ def read(path: Path, overrides: Sequence[str] = ()) -> tuple[Sweep, list[Planned
     try:
         sweep = Sweep.model_validate(file.data)
     except ValidationError as error:
-        file.raise_all(validation.problems(error, Sweep))
+        file.raise_all(section.faults(error))
         raise  # only if an error could not be told in words
     planned, problems = planned_run.plan(file, path.parent, sweep.points(), overrides)
     file.raise_all(problems)

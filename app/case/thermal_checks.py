@@ -1,54 +1,53 @@
-"""Checks of what a case says of heat against its other parts."""
+"""Checks of what a case says of heat against its other case."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from app.case.case_parts import CaseParts
 from app.laws.materials import Conductor
 from app.laws.thermal import Convection, FixedTemperature, Perfusion
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
 
 
-def cross_check(parts: CaseParts) -> Iterable[Fault]:
-    """Every contradiction about heat between the parts."""
-    if parts.regions is None:
+def cross_check(case: Any) -> Iterable[Fault]:
+    """Every contradiction about heat between the case."""
+    if case.regions is None:
         return
-    regions = {name: region for name, region in parts.regions.items() if region is not None}
+    regions = {name: region for name, region in case.regions.items() if region is not None}
     cold = [name for name, region in regions.items() if region.thermal is None]
     if len(cold) == len(regions):
-        yield from _without_heat(parts, whole=len(regions) == len(parts.regions))
+        yield from _without_heat(case, whole=len(regions) == len(case.regions))
         return
     for name in cold:
         others = " and ".join(n for n in regions if n not in cold)
         text = f"'thermal' is missing; expected in every region or in none, like {others}"
         yield Fault(("regions", name), text)
-    yield from _conductors(parts, regions)
-    yield from _stages(parts, regions)
+    yield from _conductors(case, regions)
+    yield from _stages(case, regions)
 
 
-def _without_heat(parts: CaseParts, whole: bool) -> Iterable[Fault]:
+def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
     """Faults of keys that need a region that conducts heat."""
-    if not whole or not parts.regions:
+    if not whole or not case.regions:
         return  # the region that cannot be read may be the one that conducts
     text = "no region conducts heat; expected `thermal` in every region"
-    if parts.heat:
+    if case.heat:
         yield Fault(("heat",), text)
-    if parts.time:
+    if case.time:
         yield Fault(("time",), text)
-    for i, stage in enumerate(parts.stages or ()):
+    for i, stage in enumerate(case.stages or ()):
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"
             yield Fault(("stages", i, key), f"nothing takes time: {text}")
-    for name, law in parts.interfaces.items():
+    for name, law in case.interfaces.items():
         for key in ("conductance", "friction_heating"):
             if getattr(law, key, None) is not None:
                 yield Fault(("interfaces", name, key), text)
 
 
-def _conductors(parts: CaseParts, regions: Mapping[str, Any]) -> Iterable[Fault]:
+def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
     """BodyForms where no region is a solid; regions of both sorts."""
     solid = [name for name, region in regions.items() if not isinstance(region, Conductor)]
     if len(solid) == len(regions):
@@ -60,32 +59,32 @@ def _conductors(parts: CaseParts, regions: Mapping[str, Any]) -> Iterable[Fault]
                 yield Fault(("regions", name), text)
         return
     for section in ("supports", "loads"):
-        for name in getattr(parts, section) or {}:
+        for name in getattr(case, section) or {}:
             yield Fault((section, name), "every region is a conductor: nothing can move")
-    for name, law in parts.interfaces.items():
+    for name, law in case.interfaces.items():
         if law is not None and law.can_part:
             text = "every region is a conductor: nothing can part; expected kind: bonded"
             yield Fault(("interfaces", name), text)
 
 
-def _stages(parts: CaseParts, regions: Mapping[str, Any]) -> Iterable[Fault]:
+def _stages(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
     """Stages in which heat does not flow, or has nowhere to go."""
-    if not parts.stages:
+    if not case.stages:
         return
-    if not any(stage.takes_time for stage in parts.stages):
+    if not any(stage.takes_time for stage in case.stages):
         text = "heat has no time to flow; expected a duration, or steady: true, in some stage"
         yield Fault(("stages",), text)
     elif all(isinstance(region, Conductor) for region in regions.values()):
-        for i, stage in enumerate(parts.stages):
+        for i, stage in enumerate(case.stages):
             if not stage.takes_time:
                 text = "nothing happens in it; expected a duration, or steady: true"
                 yield Fault(("stages", i), text)
     sinks = (FixedTemperature, Convection, Perfusion)
     drained = any(
-        condition is None or isinstance(condition, sinks) for condition in parts.heat.values()
+        condition is None or isinstance(condition, sinks) for condition in case.heat.values()
     )
     setting = [name for name, region in regions.items() if region.thermal and region.thermal.cure]
-    for i, stage in enumerate(parts.stages):
+    for i, stage in enumerate(case.stages):
         if stage.steady and not drained:
             text = "nothing settles the temperature; expected heat of kind temperature, convection"
             yield Fault(("stages", i, "steady"), f"{text} or perfusion")
@@ -94,13 +93,13 @@ def _stages(parts: CaseParts, regions: Mapping[str, Any]) -> Iterable[Fault]:
             yield Fault(("stages", i, "steady"), text)
 
 
-def probe_regions(parts: CaseParts) -> Iterable[Fault]:
+def probe_regions(case: Any) -> Iterable[Fault]:
     """Regions of probes that the geometry does not have."""
-    if parts.geometry is None or parts.output is None:
+    if case.geometry is None or case.output is None:
         return
-    known = parts.geometry.region_names
-    for name, probe in parts.output.probes.items():
+    known = case.geometry.region_names
+    for name, probe in case.output.probes.items():
         if probe.region is not None and probe.region not in known:
             allowed = f"it has {', '.join(known)}{did_you_mean(probe.region, known)}"
-            text = f"the geometry ({parts.geometry.kind}) has no region '{probe.region}'; {allowed}"
+            text = f"the geometry ({case.geometry.kind}) has no region '{probe.region}'; {allowed}"
             yield Fault(("output", "probes", name, "region"), text)

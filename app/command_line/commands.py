@@ -7,6 +7,7 @@ once.
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import shlex
 import sys
@@ -19,15 +20,16 @@ from app.case import gmsh_header
 from app.command_line.parser import parser, refuse_removed
 from app.command_line.streams import configure_log, painted, pass_colours
 from app.errors import InputError, stack_needed
-from app.system import privacy, ranks
-from app.system.progress import doing, during
+from app.system import ranks
 from app.system.ranks import rank
 
 if TYPE_CHECKING:
     from app.campaigns.many import Options
-    from app.case.loaded_case import LoadedCase
+    from app.case.case import LoadedCase
 
 CHECK_FAILED = 1
+
+log = logging.getLogger("mantle")
 
 
 def dispatch(arguments: list[str]) -> int:
@@ -83,11 +85,8 @@ def _run(
     configure_log(options.log_level)
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
-    with during("reading the case" if size is None and sys.stdout.isatty() else ""):
-        case = _load(options)
+    case = _load(options)
     output = options.output or case.output
-    if options.private:
-        privacy.ask(options.case.parent, output.parent)
     restart = options.restart or ""
     walltime = stopping.seconds(options.walltime) if options.walltime else None
     keep = options.keep or (restart == "auto" and not options.force)
@@ -95,13 +94,6 @@ def _run(
         if rank() == 0:
             print(f"{output} is finished already")
         return 0
-    if options.isolate:
-        return _isolated(options, output, petsc_options, count, rest)
-    if size is None and os.geteuid() == 0 and sys.stderr.isatty():
-        print(
-            "note: root runs this case: what it starts may do anything (--isolate prevents it)",
-            file=sys.stderr,
-        )
     if size is None and count is not None and count > 1:
         if options.log_level in ("debug", "info"):
             print(f"starting {count} ranks", flush=True)
@@ -109,7 +101,6 @@ def _run(
         return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
         print(f"mantle: -n {count} is ignored: there are {size or 'some'} ranks", file=sys.stderr)
-    doing("loading DOLFINx and PETSc, about 2 s", blocking=True)
     mantle.run(
         case,
         output,
@@ -123,30 +114,11 @@ def _run(
     return 0
 
 
-def _isolated(
-    options: argparse.Namespace,
-    output: Path,
-    petsc_options: list[str],
-    count: int | None,
-    rest: list[str],
-) -> int:
-    """Run a case where it can write to its output folder alone."""
-    from app.system import isolation
-
-    if ranks.world_size() is not None:
-        raise InputError("--isolate: not inside mpirun or srun; mantle run -n N starts ranks")
-    number = [] if count is None else ["-n", str(count)]
-    words = [word for word in rest[: len(rest) - len(petsc_options)] if word != "--isolate"]
-    pass_colours()
-    command = [sys.executable, "-m", "mantle", *words[:1], *number, *words[1:], *petsc_options]
-    return isolation.run(command, output, [options.case.parent])
-
-
 def _load(options: argparse.Namespace) -> LoadedCase:
     """The case that a command is about."""
-    from app.case import loaded_case
+    from app.case.case import load
 
-    return loaded_case.load(options.case, options.overrides)
+    return load(options.case, options.overrides)
 
 
 def _init(options: argparse.Namespace) -> int:
@@ -169,8 +141,8 @@ def _check(options: argparse.Namespace) -> int:
     print(found.description)
     if options.mesh:
         configure_log("info", sys.stderr)
-        with during("meshing"):
-            found = mantle.check(case, meshed=True)
+        log.info("meshing")
+        found = mantle.check(case, meshed=True)
     print(found.size)
     for message in found.notes:
         print(painted(f"note: {message}", "doubtful", sys.stderr), file=sys.stderr)
@@ -188,15 +160,14 @@ def _mesh(options: argparse.Namespace) -> int:
     memory.check(case.file, case.config)
     path = _mesh_path(options.output, options.case.stem)
     configure_log("info", sys.stderr)
-    with during("meshing"):
-        data = mantle.mesh(case)
+    log.info("meshing")
+    data = mantle.mesh(case)
     from meshes.picture import picture
 
     try:
         meshes.write_msh(data, path)
         print(path)
-        with during("drawing the mesh"):
-            picture(data, path.with_suffix(".png"))
+        picture(data, path.with_suffix(".png"))
         print(path.with_suffix(".png"))
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
@@ -268,13 +239,6 @@ def _suite(options: argparse.Namespace) -> int:
             )
             options.tier = "long"
     many = _many(options, Path("out") / options.command)
-    if getattr(options, "peers", False):
-        from app.verification import peers
-
-        if options.dry_run:
-            print(peers.dry_run(many))
-            return 0
-        return 0 if peers.run(many) else CHECK_FAILED
     if options.dry_run:
         print(engine.dry_run(options.command, many))
         return 0
@@ -346,20 +310,21 @@ def _schema(options: argparse.Namespace) -> int:
     import json
 
     from app.case import keys
-    from app.case.case import case_schema
+    from app.case.case import Case
+    from app.schema.json_schema import json_schema
 
     if options.markdown:
         print(keys.case_page())
         return 0
-    print(json.dumps(case_schema(), indent=2, ensure_ascii=False))
+    print(json.dumps(json_schema(Case), indent=2, ensure_ascii=False))
     return 0
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    """Print what is found on this machine, or all packages that mantle runs with."""
-    from app.system import doctor, sbom
+    """Print what is found on this machine."""
+    from app.system import doctor
 
-    print(sbom.bill() if options.sbom else doctor.report())
+    print(doctor.report())
     return 0
 
 

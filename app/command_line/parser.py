@@ -16,6 +16,10 @@ from app.version import __version__
 REMOVED = {
     "run --goal": "use --error, or a finer mesh",
     "run --adapt": "use --error, or a finer mesh",
+    "run --isolate": "use the container: docker run --network none --read-only",
+    "run --private": "provenance.json has neither host nor command line any more",
+    "bench --peers": "docs/verification.md has what was measured",
+    "doctor --sbom": "use dpkg-query -W and pip list",
 }
 
 
@@ -132,7 +136,7 @@ def parser() -> argparse.ArgumentParser:
         "run",
         "solve a case",
         usage="mantle run CASE [-o DIR] [--set KEY=VALUE] [-n N] [--force | --keep] [--error] "
-        "[--restart auto|FILE] [--walltime H:MM:SS] [--isolate] [--private] "
+        "[--restart auto|FILE] [--walltime H:MM:SS] "
         "[--allow-scripts] [-- PETSC OPTIONS]",
         epilog="What follows -- goes to PETSc, e.g. -- -ksp_monitor -ksp_view",
     )
@@ -164,16 +168,6 @@ def parser() -> argparse.ArgumentParser:
         "--error",
         action="store_true",
         help="estimate the error of each number by coarser companions (as output.error: true)",
-    )
-    run.add_argument(
-        "--isolate",
-        action="store_true",
-        help="let the run write to its output folder alone, without network, for cases of others",
-    )
-    run.add_argument(
-        "--private",
-        action="store_true",
-        help="tell nothing of user and machine in any output: no host, command line or folders",
     )
     run.add_argument(
         "--log-level",
@@ -241,11 +235,6 @@ def parser() -> argparse.ArgumentParser:
             default="default",
             help="how much: what takes seconds, the usual, or also what takes long",
         )
-    bench.add_argument(
-        "--peers",
-        action="store_true",
-        help="measure mantle beside GetFEM and CalculiX on the same meshes instead",
-    )
     library = add("library", "list the materials and loads that have names, or print one")
     library.add_argument(
         "name", nargs="?", default="", metavar="NAME", help="print it with its source"
@@ -257,11 +246,6 @@ def parser() -> argparse.ArgumentParser:
     schema.add_argument(
         "--markdown", action="store_true", help="print the reference of the keys instead, to read"
     )
-    doctor = add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
-    doctor.add_argument(
-        "--sbom",
-        action="store_true",
-        help="print all packages of the stack with their versions instead, as CycloneDX JSON",
-    )
+    add("doctor", "tell what mantle finds on this machine: MPI, BLAS, compiler, threads")
     add("version", "print the version")
     return top

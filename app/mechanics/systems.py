@@ -195,7 +195,7 @@ class ContactSystem(System):
         """Factor of equilibrium in the rows of the jumps, 1 - P' as last set."""
         return self._rows
 
-    def look(self) -> None:
+    def record_active_set(self) -> None:
         """Add the contact points' states to the active set, of the residual asked for last."""
         self.active.add(self.trial.law.status)
 

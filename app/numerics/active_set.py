@@ -21,14 +21,14 @@ class OscillatingPoint:
 
     Attributes:
         row: The point, among those of its rank.
-        changes: How often it changed its state.
-        looks: In how many iterations it could have.
+        changes: Number of its changes.
+        iterations: In so many iterations.
         states: What it changed between.
     """
 
     row: int
     changes: int
-    looks: int
+    iterations: int
     states: tuple[int, ...]
 
 
@@ -36,12 +36,11 @@ class ActiveSet:
     """States of the contact points of this rank at the last iterates."""
 
     def __init__(self, comm: MPI.Comm) -> None:
-        """Begin without states."""
         self._comm = comm
         self._known: list[Ints] = []
 
     def forget(self) -> None:
-        """Drop all states: a new solve begins."""
+        """Drop all states: a new run begins."""
         self._known = []
 
     def add(self, status: Ints) -> None:
@@ -49,11 +48,11 @@ class ActiveSet:
         self._known = [*self._known[-KEPT:], status.copy()]
 
     def points(self) -> int:
-        """How many points there are on all ranks; collective."""
+        """Number of points on all ranks; collective."""
         return int(self._comm.allreduce(len(self._known[-1]) if self._known else 0, MPI.SUM))
 
-    def flips(self) -> int:
-        """Points whose state changed between the last two iterates; collective."""
+    def changes(self) -> int:
+        """Number of points whose state changed between the last two iterates; collective."""
         changed = int((self._known[-1] != self._known[-2]).sum()) if len(self._known) > 1 else 0
         return int(self._comm.allreduce(changed, MPI.SUM))
 

@@ -48,7 +48,7 @@ METHODS = {
 
 
 class Linear:
-    """The linear solver of a system inside its Newton iteration.
+    """The linear solver of a system inside its Newton iteration: direct, multigrid or auto.
 
     Attributes:
         matrix: The Jacobian: one matrix, or one of blocks (MATNEST).
@@ -56,13 +56,6 @@ class Linear:
     """
 
     def __init__(self, system: System, linear: str, timing: Timing) -> None:
-        """Put the blocks together; collective.
-
-        Args:
-            system: What is solved.
-            linear: direct, multigrid or auto (by size).
-            timing: Where the seconds go.
-        """
         self._system, self._timing = system, timing
         blocks = system.blocks()
         self._names = list(blocks)
@@ -123,7 +116,7 @@ class Linear:
             part.setReusePreconditioner(True)
         self._own = own
         deflated = "; rigid sliding modes deflated" if coarse is not None else ""
-        log.info("solver: %s%s", self._words(parts), deflated)
+        log.info("solver: %s%s", self._described(parts), deflated)
 
     def _gauss_seidel(self, pc: PETSc.PC, given: Options) -> dict[str, PETSc.PC]:
         """Blocks in turn, each by its own preconditioner or by the one it shares."""
@@ -147,7 +140,7 @@ class Linear:
         return inverse.pc
 
     def update(self, x: list[PETSc.Vec]) -> None:
-        """Set the Jacobian to a state; preconditioners are made again where that is due."""
+        """Set the Jacobian to a state; rebuild the preconditioners where that is due."""
         self.observe()
         self._system.jacobian(x)
         self.matrix.assemble()
@@ -165,7 +158,7 @@ class Linear:
     def observe(self) -> None:
         """Rate the preconditioners by the iterations of the last linear solve, once for each.
 
-        They are kept until the excess of iterations costs more than making them again.
+        They are kept until the excess of iterations costs more than rebuilding them.
         """
         if not self._pending:
             return
@@ -186,7 +179,7 @@ class Linear:
             self._excess += spent - usual * math.log10(norms[0] / norms[-1])
 
     def renew(self) -> None:
-        """Make the preconditioners again at the next Jacobian: the matrices are others now."""
+        """Rebuild the preconditioners at the next Jacobian."""
         self._excess = math.inf
 
     def factor_interfaces(self) -> bool:
@@ -206,15 +199,14 @@ class Linear:
         self._swept += factored
 
     def _fall_back(self) -> str:
-        """Factorize the contact block, or the stiffness next; return which, in words, or ""."""
+        """Factorize the contact block, then the stiffness; return which, or ""."""
         if self.factor_interfaces():
             return "factorizing the contact block"
         if any([i.fall_back() for i in self._inverses]):
             return "factorizing the stiffness"
         return ""
 
-    def _words(self, parts: Mapping[str, PETSc.PC]) -> str:
-        """Krylov method, and size and preconditioner of each block, in words."""
+    def _described(self, parts: Mapping[str, PETSc.PC]) -> str:
         krylov, *kinds = [
             METHODS.get(kind, kind)
             for kind in (self._ksp.getType(), *(pc.getType() for pc in parts.values()))

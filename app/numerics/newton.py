@@ -1,30 +1,52 @@
-"""One nonlinear solve of a system at its current time, and what is tried when it fails."""
+"""Newton's method on a system by PETSc SNES: options, linear solver, and when it has converged.
+
+Newton is semismooth, with the generalized Jacobian of the system; its linear solver is that of
+`numerics.krylov`. What is tried when it fails is in `numerics.remedies`.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
-import numpy as np
-
 from app.arrays import Floats
-from app.numerics.active_set import ActiveSet
-from app.numerics.preconditioners import Options
+from app.errors import StoppedError
+from app.numerics.krylov import Linear
+from app.numerics.preconditioners import Options, options_set
 from app.numerics.saved_state import State
-from app.numerics.snes import REASONS, Snes
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
 
 log = logging.getLogger("mantle")
 
-# Factors of the augmentation tried in turn, and whether Newton then continues from the current
-# state or from the start: mostly the augmentation is too large.
-AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
-# Factors of the default augmentation, if the case asks for another one and nothing has helped.
-USUAL = (1.0, 0.1, 0.01)
+REASONS = PETSc.SNES.ConvergedReason
+
+NEWTON: Options = {
+    "snes_type": "newtonls",
+    "snes_linesearch_type": "bt",
+    "snes_linesearch_order": 1,
+    # Steps that lead on are halved three times at most (measured); ten halvings lead nowhere.
+    "snes_linesearch_minlambda": 1e-3,
+    # A short step is no reason to stop: what has converged is decided here alone.
+    "snes_stol": 0.0,
+    "snes_max_linear_solve_fail": 3,
+}
+# Tolerance of the linear solver while contact points change their states, when less than a part of
+# them, few, do, and the power with which it falls with the residual (Eisenstat and Walker 1996).
+ROUGH, FEW, FINE, POWER = 0.1, 0.01, 0.01, (1 + math.sqrt(5)) / 2
+# When no states change and the residual is below this, the next one is some times its square.
+NEAR, SQUARE = 0.01, 100.0
+# Tolerances of the linear solver over those of Newton: the absolute one, and one that suffices.
+ENOUGH, SUFFICES = 0.3, 0.2
+# Newton is not converging if the residual has not fallen to this part of itself in so many
+# iterations; with full steps it may rise before it falls.
+HARDLY, STUCK, STUCK_WHOLE = 0.5, {"bt": 4}, 15
+# Residuals that differ by less than this part after a cycle of the states will go on doing so.
+CYCLING = 1e-2
 
 
 @dataclass(frozen=True)
@@ -36,20 +58,18 @@ class NewtonResult:
         iterations: Newton iterations.
         linear_iterations: Krylov iterations.
         residuals: Residual norm at each iteration, relative to the force scale.
-        flips: Contact points whose state changed, at each iteration.
+        changes: Contact points whose state changed, at each iteration.
         linear_failed: Whether the linear solver gave up.
         augmentation: Multiple of the augmentation in force that it ended with.
-        tried: What was changed in turn where Newton did not converge, in words, and the residual
-            that it ended with.
-        period: After how many iterations the states of the contact points came back in the end; 0
-            if they did not.
+        tried: Remedies in the order tried, each with the residual that it ended with.
+        period: Length of the cycle in which contact states repeat at the end; 0 without.
     """
 
     converged: bool
     iterations: int
     linear_iterations: int
     residuals: tuple[float, ...]
-    flips: tuple[int, ...]
+    changes: tuple[int, ...]
     linear_failed: bool
     augmentation: float = 1.0
     tried: tuple[tuple[str, float], ...] = ()
@@ -57,13 +77,21 @@ class NewtonResult:
 
 
 class Solver:
-    """Newton on a system, with its current state and remedies where it does not converge.
+    """Newton's method on a system, with its current state.
 
     Attributes:
+        system: What is solved.
         x: The current state.
         failed_state: Where the last solve that failed ended.
         snes: The solver of PETSc.
         options: Its options.
+        linear: Its linear solver.
+        converged: Whether the last run converged.
+        residuals: Residual norm at each iterate of the last runs, relative to the scale.
+        changes: Contact points whose state changed, at each iterate.
+        scales: Of the residuals of the last converged state, by part.
+        tolerance: Residual over scale at which a run has converged.
+        augmentation: Multiple of the augmentation in force that the next solve begins with.
     """
 
     def __init__(
@@ -76,226 +104,253 @@ class Solver:
         timing: Timing,
         stop: Callable[[], str] = str,
     ) -> None:
-        """Create the solver; collective.
+        """Set SNES up; collective.
 
         Args:
             system: What is solved.
-            tolerance: Residual over scale at which a solve has converged.
-            max_iterations: Newton iterations allowed.
+            tolerance: Residual over scale at which a run has converged.
+            max_iterations: Newton iterations allowed in a run.
             linear: direct, multigrid or auto (by size).
             options: Raw PETSc options, without dash, that override the defaults.
             timing: Where the seconds go.
             stop: Returns the name of a pending stop signal, or "".
         """
-        self._system = system
-        self._newton = Snes(system, tolerance, max_iterations, linear, options, timing, stop)
-        self._names = list(system.blocks())
-        self.x, self.snes = self._newton.x, self._newton.snes
-        self.options = self._newton.options
-        self.failed_state = self.vector()
-        self._other = "basic" if self._newton.usual == "bt" else "bt"
-        self._augmentation = 1.0
+        self.system, self.tolerance = system, tolerance
+        self._timing, self._stop = timing, stop
+        self._templates = system.blocks()
+        self.linear = Linear(system, linear, timing)
+        defaults = NEWTON | {"snes_max_it": max_iterations} | system.newton
+        self.options = defaults | self.linear.options | options
+        self._search = self.usual_search
+        # Tolerances of the linear solver that the user chose.
+        self._chosen = {"ksp_atol", "ksp_rtol"} & set(options)
+        self.x, self.failed_state = self.vector(), self.vector()
+        self.residuals: list[float] = []
+        self.changes: list[int] = []
+        self.scales: list[float] = []
+        self.converged = False
+        self.augmentation = 1.0
         self._forces: Floats | None = None
+        snes = self.snes = PETSc.SNES().create(system.comm)
+        snes.setOptionsPrefix(system.prefix)
+        snes.setFunction(
+            lambda _, x, f: system.residual(self.blocks(x), self.blocks(f)), self.vector()
+        )
+        snes.setJacobian(lambda _, x, J, P: self.linear.update(self.blocks(x)), self.linear.matrix)
+        snes.setMonitor(self._monitor)
+        snes.setConvergenceTest(self._test)
+        with options_set(system.prefix, self.options):
+            snes.setFromOptions()
+            self.linear.attach(snes.getKSP(), self.blocks())
 
-    def begin(self, tolerance: float) -> None:
-        """Reset to the unloaded state; the matrices stay.
-
-        Args:
-            tolerance: Residual over scale at which a solve has converged from now on.
-        """
-        self.x.zeroEntries()
-        self._newton.linear.sweep_interfaces()
-        self._newton.scales, self._newton.tolerance = [], tolerance
-        self._augmentation = 1.0
+    # States
 
     def vector(self) -> PETSc.Vec:
         """A new vector of unknowns, zero."""
-        return self._newton.vector()
+        vectors = [v.duplicate() for v in self._templates.values()]
+        for v in vectors:
+            v.zeroEntries()
+        if len(vectors) == 1:
+            return vectors[0]
+        return PETSc.Vec().createNest(vectors, comm=self.system.comm)
 
     def blocks(self, x: PETSc.Vec | None = None) -> list[PETSc.Vec]:
         """Blocks of a state, of the current one by default."""
-        return self._newton.blocks(x)
+        x = self.x if x is None else x
+        return [x] if len(self._templates) == 1 else list(x.getNestSubVecs())
 
-    def parts(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
-        """Displacement and jumps, if any, of a state, of the current one by default."""
-        named = self.named(x)
-        return named["displacement"], named.get("jump")
-
-    def named(self, x: PETSc.Vec | None = None) -> dict[str, PETSc.Vec]:
+    def blocks_by_name(self, x: PETSc.Vec | None = None) -> dict[str, PETSc.Vec]:
         """Blocks of a state by name, of the current one by default."""
-        return dict(zip(self._names, self.blocks(x), strict=True))
+        return dict(zip(self._templates, self.blocks(x), strict=True))
+
+    def u_and_q(self, x: PETSc.Vec | None = None) -> tuple[PETSc.Vec, PETSc.Vec | None]:
+        """Displacement and jumps, if any, of a state, of the current one by default."""
+        blocks = self.blocks_by_name(x)
+        return blocks["displacement"], blocks.get("jump")
+
+    @property
+    def block_sizes(self) -> dict[str, int]:
+        """Unknowns by block."""
+        return {name: v.getSize() for name, v in self._templates.items()}
+
+    @property
+    def has_kinks(self) -> bool:
+        """Whether there are contact points, whose states change."""
+        return "jump" in self._templates
+
+    def begin(self, tolerance: float) -> None:
+        """Reset to the unloaded state, with a tolerance of the residual; the matrices stay."""
+        self.x.zeroEntries()
+        self.linear.sweep_interfaces()
+        self.scales, self.tolerance, self.augmentation = [], tolerance, 1.0
 
     def pack(self, x: PETSc.Vec) -> State:
         """A vector of unknowns as rows to be saved."""
-        return self._system.pack(self.blocks(x))
+        return self.system.pack(self.blocks(x))
 
     def unpack(self, state: State) -> PETSc.Vec:
         """Return the vector of unknowns that a saved state holds."""
         x = self.vector()
-        self._system.unpack(state, self.blocks(x))
+        self.system.unpack(state, self.blocks(x))
         return x
 
     def state(self) -> State:
         """Unknowns, scales of the residuals and augmentation, to be saved."""
         return {
             "x": self.pack(self.x),
-            "scales": list(self._newton.scales),
-            "augmentation": self._augmentation,
+            "scales": list(self.scales),
+            "augmentation": self.augmentation,
         }
 
     def resume(self, state: State) -> None:
         """Restore unknowns, scales of residuals and augmentation; collective."""
         self.unpack(state["x"]).copy(self.x)
-        self._newton.scales, self._augmentation = state["scales"], state["augmentation"]
-        self._system.scale_augmentation(self._augmentation)
-        self._newton.linear.renew()
+        self.scales, self.augmentation = state["scales"], state["augmentation"]
+        self.system.scale_augmentation(self.augmentation)
+        self.linear.renew()
 
-    def meets(self, part: Measure) -> bool:
-        """Whether a residual is within the tolerance."""
-        return self._newton.meets(part)
+    # Residual
 
     def residual(self, x: PETSc.Vec) -> PETSc.Vec:
         """Impose the supports on a state, then compute its residual; collective."""
-        self._system.impose(self.blocks(x))
+        self.system.impose(self.blocks(x))
         f = self.vector()
-        self._system.residual(self.blocks(x), self.blocks(f))
+        self.system.residual(self.blocks(x), self.blocks(f))
         return f
 
-    def lead(self, forces: Floats) -> None:
-        """Begin the next solve with a step in displacement, jumps and interface forces.
+    def measure(self, x: PETSc.Vec, f: PETSc.Vec) -> list[Measure]:
+        """Residual by part, beside the scale of this state or of the converged ones before it."""
+        parts = self.system.measure(self.blocks(x), self.blocks(f))
+        known = self.scales or [0.0] * len(parts)
+        return [
+            replace(p, scale=max(p.scale, s)) if p.lasting else p
+            for p, s in zip(parts, known, strict=True)
+        ]
 
-        Args:
-            forces: Where it begins, beside ``x``: forces at own contact points (n, 3) [MPa].
-        """
+    # Iterations
+
+    def run(self) -> tuple[int, int]:
+        """Iterate from the current state; return Newton and Krylov iterations."""
+        self.system.active.forget()
+        self.converged = False
+        with self._timing.phase("solve"):
+            try:
+                self.snes.solve(None, self.x)
+            except PETSc.Error as error:
+                # What a callback raised comes back wrapped.
+                raise error.__cause__ or error from None
+        if self.snes.getConvergedReason() == REASONS.DIVERGED_FNORM_NAN:
+            # PETSc calls neither monitor nor test with a residual that is not a number.
+            self.residuals.append(math.nan)
+            self.changes.append(0)
+        return self.snes.getIterationNumber(), self.snes.getLinearSolveIterations()
+
+    def start_linear(self, forces: Floats) -> None:
+        """Begin the next solve with one linear step at forces of own points (n, 3) [MPa]."""
         self._forces = forces
 
-    def _led(self) -> tuple[int, int]:
-        """That step, if it was asked for; Newton and Krylov iterations."""
+    def linear_step(self) -> tuple[int, int]:
+        """Take the step of `start_linear`, if any; return Newton and Krylov iterations."""
         forces, self._forces = self._forces, None
         if forces is None:
             return 0, 0
-        self._system.linearize_at(forces)
+        self.system.linearize_at(forces)
         try:
-            return self._newton.step()
+            return self.step()
         finally:
-            self._system.linearize_at(None)
+            self.system.linearize_at(None)
 
-    def solve(self) -> NewtonResult:
-        """Solve at the problem's current time, from the current iterate in ``x``."""
-        self._system.impose(self.blocks())
-        self._newton.residuals, self._newton.flips = [], []
-        self._system.scale_augmentation(self._augmentation)
-        newton, krylov = self._led()
-        start = self.x.copy() if self._newton.has_kinks else self.x
-        more = self._newton.run()
-        newton, krylov = newton + more[0], krylov + more[1]
-        tried: list[tuple[str, float]] = []
-        for words in self._remedies(start):
-            log.info("     %s: %s", self._trouble(), words)
-            more = self._newton.run()
-            newton, krylov = newton + more[0], krylov + more[1]
-            tried.append((words, self._newton.residuals[-1]))
-        augmentation = self._augmentation
-        self._newton.use_search(self._newton.usual)
-        if self._newton.met:
-            self._newton.linear.sweep_interfaces()
-            parts = self._newton.measure(self.x, self.snes.getFunction()[0])
-            self._newton.scales = [p.scale for p in parts]
-        else:
-            self.x.copy(self.failed_state)
-            self._augmentation = 1.0
-        self._newton.linear.observe()
-        return NewtonResult(
-            converged=self._newton.met,
-            iterations=newton,
-            linear_iterations=krylov,
-            residuals=tuple(self._newton.residuals),
-            flips=tuple(self._newton.flips),
-            linear_failed=self.snes.getConvergedReason() == REASONS.DIVERGED_LINEAR_SOLVE,
-            augmentation=augmentation,
-            tried=tuple(tried),
-            period=self._system.active.period(),
-        )
+    def step(self) -> tuple[int, int]:
+        """One whole step from the current state, solved roughly; Newton and Krylov iterations."""
+        f, dx, ksp = self.vector(), self.vector(), self.snes.getKSP()
+        with self._timing.phase("solve"):
+            self.system.residual(self.blocks(), self.blocks(f))
+            self.linear.update(self.blocks())
+            if self._adapts:
+                ksp.setTolerances(rtol=ROUGH)
+            ksp.setOperators(self.linear.matrix)
+            ksp.solve(f, dx)
+        if math.isfinite(dx.norm()):
+            self.x.axpy(-1.0, dx)
+        return 1, int(ksp.getIterationNumber())
 
-    def _remedies(self, start: PETSc.Vec) -> Iterator[str]:
-        """Apply one remedy after the other while Newton has not converged; yield each in words.
+    @property
+    def usual_search(self) -> str:
+        """The line search of the options."""
+        return str(self.options["snes_linesearch_type"])
 
-        In this order: interfaces that are open everywhere are tied and released, so that a body
-        that a clearance leaves free comes into contact. The contact block is factorized, for SOR
-        may give poor directions. The augmentation is scaled: a large one makes contact points
-        change state back and forth, and Newton continues from the current state with a smaller one.
-        The line search is switched on or off: at a kink of the contact law it may cut steps to
-        nothing where full steps converge. At last an augmentation that the case asked for is
-        replaced by the default, for it may be off by powers of ten.
-        """
-        if not self._newton.met and self._system.tie(True):
-            start.copy(self.x)
-            try:
-                yield "closing and tying interfaces that are open everywhere"
-            finally:
-                self._system.tie(False)
-            yield "releasing the tied interfaces"
-        if not self._newton.met and self._newton.linear.factor_interfaces():
-            start.copy(self.x)
-            yield "factorizing the contact block"
-        for factor, on in AUGMENTATIONS:
-            if self._newton.met:
-                return
-            if on and self._lost():
-                continue
-            if factor != self._augmentation and self._system.scale_augmentation(factor):
-                if not on:
-                    start.copy(self.x)
-                self._augmentation = factor
-                yield f"augmentation {factor:g} r{self._values()}"
-        if not self._lost() and self._newton.has_kinks:
-            self._newton.use_search(self._other)
-            yield "full Newton steps" if self._other == "basic" else "line search"
-        if self._newton.met or (usual := self._system.usual_augmentation()) == 1.0:
+    def use_search(self, kind: str) -> None:
+        """Use a line search of PETSc: ``bt``, or ``basic`` for full steps."""
+        if kind == self._search:
             return
-        self._newton.use_search(self._newton.usual)
-        start.copy(self.x)
-        for share in USUAL:
-            if self._lost():
-                return
-            self._augmentation = share * usual
-            self._system.scale_augmentation(self._augmentation)
-            yield (
-                f"augmentation {self._augmentation:.3g} r, {share:g} times the default"
-                f"{self._values()}"
-            )
+        self._search = kind
+        # One of another type begins with the defaults of PETSc: it needs all options again.
+        settings = {k: v for k, v in self.options.items() if k.startswith("snes_linesearch_")}
+        with options_set(self.system.prefix, settings | {"snes_linesearch_type": kind}):
+            self.snes.setFromOptions()
 
-    def _lost(self) -> bool:
-        """Whether no remedy applies: converged, or the current state is not finite."""
-        return self._newton.met or not np.isfinite(self.x.norm())
+    # Callbacks
 
-    def _trouble(self) -> str:
-        """How far Newton got, in words."""
-        if self._newton.met:
-            return "converged"
-        changing = ""
-        if self._newton.flips[-1]:
-            changing = f"; {self._newton.flips[-1]} contact points still change state"
-        if period := self._system.active.period():
-            changing += f", in a cycle of {period} iterations"
-        return f"not converging (residual {self._newton.residuals[-1]:.1e}{changing})"
+    def _monitor(self, snes: PETSc.SNES, iteration: int, norm: float) -> None:
+        # Every rank sees the same answer, so that none is left waiting for the others.
+        names = [name for name in self.system.comm.allgather(self._stop()) if name]
+        if names:
+            raise StoppedError(f"stopped by {names[0]}")
+        log.debug("     Newton iteration %d, residual %.1e", iteration, self.residuals[-1])
 
-    def _values(self) -> str:
-        """The augmentation in force, in words; collective."""
-        found = self._system.augmentation().values()
-        return f" (up to {max(found):.3g} MPa/mm)" if found else ""
-
-    @property
-    def met(self) -> bool:
-        """Whether the last solve, if there was one, has converged."""
-        return self._newton.met
-
-    @property
-    def active(self) -> ActiveSet:
-        """States of the contact points at the last Jacobians."""
-        return self._system.active
+    def _test(
+        self, snes: PETSc.SNES, iteration: int, norms: tuple[float, float, float]
+    ) -> PETSc.SNES.ConvergedReason:
+        """Each part below its tolerance, or below what rounding leaves of it."""
+        parts = self.measure(snes.getSolution(), snes.getFunction()[0])
+        self.residuals.append(max(p.norm / p.scale if p.scale else p.norm for p in parts))
+        self.system.record_active_set()
+        self.changes.append(self.system.active.changes())
+        limits = [p.limit(self.tolerance) for p in parts]
+        self.converged = all(p.norm <= limit for p, limit in zip(parts, limits, strict=True))
+        if self.converged:
+            return REASONS.CONVERGED_FNORM_ABS
+        if "ksp_atol" not in self._chosen:
+            snes.getKSP().setTolerances(atol=ENOUGH * min(limits))
+        if self._adapts:
+            snes.getKSP().setTolerances(rtol=self._linear_tolerance(iteration, parts))
+        last, window = self.residuals, STUCK.get(self._search, STUCK_WHOLE)
+        stuck = iteration >= window and last[-1] > HARDLY * last[-1 - window]
+        # Whole steps from the same states lead to the same states again.
+        period = self.system.active.period() if self._search == "basic" and not stuck else 0
+        stuck |= period > 0 and abs(last[-1] / last[-1 - period] - 1) < CYCLING
+        return REASONS.DIVERGED_LINE_SEARCH if stuck else REASONS.ITERATING
 
     @property
-    def block_sizes(self) -> dict[str, int]:
-        """Unknowns by block."""
-        return {n: v.getSize() for n, v in self.named().items()}
+    def _adapts(self) -> bool:
+        """Whether the tolerance of the linear solver follows the residual."""
+        return self.has_kinks and "ksp_rtol" not in self._chosen
+
+    def _linear_tolerance(self, iteration: int, parts: list[Measure]) -> float:
+        """Relative tolerance of the next linear solve: less where its step leads to other states.
+
+        Args:
+            iteration: Newton iterations so far.
+            parts: The residual.
+        """
+        last = self.residuals
+        if not iteration or self.changes[-1] >= FEW * self.system.active.points():
+            return ROUGH
+        eta = min(FINE, (last[-1] / last[-2]) ** POWER)
+        if self.changes[-1] or last[-1] > NEAR:
+            return eta
+        suffices = SUFFICES / max(p.norm / p.limit(self.tolerance) for p in parts)
+        return min(eta, max(suffices, SQUARE * last[-1]))
+
+
+def raw_options(arguments: Sequence[str]) -> dict[str, str]:
+    """PETSc options from the command line: ``-name value`` or ``-name``."""
+    options: dict[str, str] = {}
+    key = ""
+    for word in arguments:
+        if word.startswith("-") and not word[1:2].isdigit():
+            key = word.lstrip("-")
+            options[key] = ""
+        elif key:
+            options[key], key = word, ""
+    return options

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 from petsc4py import PETSc
@@ -132,7 +133,7 @@ class Inverse:
         options: Options,
         lower: Lower | None = None,
     ) -> None:
-        """Take the matrix as it is.
+        """Keep the matrix and the options; collective.
 
         Args:
             matrix: The matrix, which may change in place.
@@ -177,7 +178,7 @@ class Inverse:
         pc.setOperators(self._matrix)
         pc.setOptionsPrefix(f"mantle_inverse_{id(self)}_")
         if self._options["pc_type"] == BY_DEGREE["pc_type"]:
-            self._lay()
+            self._set_coarse_level()
         if self._made is None:
             configure(pc, self._options)
         else:
@@ -187,8 +188,7 @@ class Inverse:
         pc.setReusePreconditioner(True)
         self._made = self._version()
 
-    def _lay(self) -> None:
-        """Put the stiffness of lower order below; collective."""
+    def _set_coarse_level(self) -> None:
         assert self.lower is not None
         P = self.lower.prolongation()
         below = self._matrix.PtAP(P)
@@ -233,11 +233,20 @@ class Inverse:
 
 def configure(pc: PETSc.PC, options: Options) -> None:
     """Set a preconditioner up by PETSc options that nobody else sees."""
-    database = PETSc.Options(pc.getOptionsPrefix())
+    with options_set(pc.getOptionsPrefix(), options):
+        pc.setFromOptions()
+        # Inner solvers read their options when they are set up: that has to be now.
+        pc.setUp()
+
+
+@contextmanager
+def options_set(prefix: str | None, options: Options) -> Iterator[None]:
+    """Hold options under a prefix in PETSc's database while the block runs."""
+    database = PETSc.Options(prefix)
     for key, value in options.items():
         database[key] = value
-    pc.setFromOptions()
-    # Inner solvers read their options when they are set up: that has to be now.
-    pc.setUp()
-    for key in options:
-        database.delValue(key)
+    try:
+        yield
+    finally:
+        for key in options:
+            database.delValue(key)

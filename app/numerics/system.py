@@ -29,14 +29,18 @@ class Measure:
         norm: Its norm.
         scale: The size of what it balances.
         rounding: What rounding leaves of it.
-        lasting: Whether the scale of a state that converged holds for those after it: forces that
-            have acted do, the heat that flowed in the first instant of a contact does not.
+        lasting: Whether the scale of a converged state holds for those after it: that of forces
+            does, that of the heat in the first instant of a contact does not.
     """
 
     norm: float
     scale: float
     rounding: float
     lasting: bool = True
+
+    def limit(self, tolerance: float) -> float:
+        """Norm below which the part has converged, for a tolerance relative to the scale."""
+        return max(tolerance * self.scale, self.rounding)
 
 
 class System(Protocol):
@@ -72,7 +76,7 @@ class System(Protocol):
         raise NotImplementedError
 
     def impose(self, x: list[PETSc.Vec]) -> None:
-        """Put given values into a state."""
+        """Put prescribed values into a state."""
         raise NotImplementedError
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
@@ -87,8 +91,8 @@ class System(Protocol):
         """Take contact laws as linear about forces at own points (n, 3) [MPa], or as they are."""
         return None
 
-    def look(self) -> None:
-        """Add the contact points' states to the active set, of the residual asked for last."""
+    def record_active_set(self) -> None:
+        """Record the states of the contact points at the last residual."""
         return None
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:

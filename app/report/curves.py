@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from app.report.paper.cases import STEMS
 from app.report.sweep_results import Number
 from app.system import style
-from app.system.style import COLOURS
 
-STEM_COLOURS = dict(zip(STEMS.values(), COLOURS, strict=False))
 # Largest over smallest value from which an axis is logarithmic.
 DECADE = 12.0
 ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
@@ -46,6 +43,7 @@ class Line:
         numbers: With errors, over x.
         peaks: The largest values over x, which have none.
         stars: What is published: x and value.
+        own_stars: Whether that belongs to this curve alone.
     """
 
     label: str
@@ -54,6 +52,7 @@ class Line:
     numbers: dict[float, Number]
     peaks: dict[float, Number]
     stars: Sequence[tuple[float, float]] = ()
+    own_stars: bool = False
 
 
 @dataclass(frozen=True)
@@ -151,9 +150,8 @@ def _draw(axes: Any, panel: Panel) -> None:
 
 def _labels(line: Line) -> tuple[str, str, str]:
     """Of the curve, its peaks and what is published, in the legend."""
-    own = line.label in STEM_COLOURS
-    paper = f"{line.label}, paper" if own else "paper"
-    curve = f"{line.label}, percentile" if own and line.peaks else line.label
+    paper = f"{line.label}, paper" if line.own_stars else "paper"
+    curve = f"{line.label}, percentile" if line.own_stars and line.peaks else line.label
     return curve, f"{line.label}, max", paper
 
 
@@ -197,7 +195,7 @@ def _line(axes: Any, line: Line, shift: float) -> None:
             [x + shift for x, _ in line.stars],
             [v for _, v in line.stars],
             "*",
-            color=line.colour if line.label in STEM_COLOURS else "#f2c14e",
+            color=line.colour if line.own_stars else "#f2c14e",
             mec="0.15",
             mew=0.7,
             ms=12,

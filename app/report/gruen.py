@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from app import figures
-from app.report.curves import STEM_COLOURS, Figure
-from app.report.paper.cases import INTERFACES, QUANTITIES, STEMS, WORDS, Cases
-from app.report.sweep_results import Number, SweptCase, magnitude
+from app.report.curves import Figure
+from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase, magnitude
 from app.system import style
+from app.system.style import COLOURS
 
 ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
@@ -102,12 +102,13 @@ def shielding(case: SweptCase, without: SweptCase) -> dict[str, dict[str, float]
     return found
 
 
-def shielding_picture(cases: Cases, without: SweptCase | None, folder: Path) -> list[Figure]:
-    """Draw what each stem takes from the bone at 4 mm, by zone; nothing without an intact femur."""
+def shielding_picture(
+    cases: Mapping[str, SweptCase], without: SweptCase | None, folder: Path
+) -> list[Figure]:
+    """Draw what the stem of each case takes from the bone; nothing without an intact femur."""
     if without is None:
         return []
-    found = {stem: cases.stances(stem).get(4.0) for stem in STEMS.values()}
-    changes = {stem: shielding(c, without) for stem, c in found.items() if c is not None}
+    changes = {stem: shielding(c, without) for stem, c in cases.items() if c is not without}
     changes = {stem: by_bone for stem, by_bone in changes.items() if by_bone}
     if not changes:
         return []
@@ -120,7 +121,7 @@ def shielding_picture(cases: Cases, without: SweptCase | None, folder: Path) -> 
             values = by_bone.get(bone, {})
             at = [int(z) + (k - 0.5 * (len(changes) - 1)) * width for z in values]
             percent = [100 * v for v in values.values()]
-            axes.bar(at, percent, 0.94 * width, color=STEM_COLOURS[stem], label=stem)
+            axes.bar(at, percent, 0.94 * width, color=COLOURS[k], label=stem)
         axes.axhline(0, color="0.2", lw=0.8)
         axes.axvline(FRONTAL + 0.5, color="0.6", lw=0.8, ls=":")
         axes.set_title(BONES[bone], fontsize=11, loc="left")
@@ -132,8 +133,8 @@ def shielding_picture(cases: Cases, without: SweptCase | None, folder: Path) -> 
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
     figure.savefig(folder / "shielding.png", dpi=120)
     caption = (
-        f"Strain energy per volume of bone with a mantle of 4 mm against the intact femur "
-        f"({without.name}); below zero the stem takes load from the bone."
+        f"Strain energy per volume of bone against the intact femur ({without.name}); below zero "
+        f"the stem takes load from the bone."
     )
     text = ". ".join(
         f"{stem}, {BONES[bone]}: " + ", ".join(f"zone {z} {100 * v:.0f} %" for z, v in own.items())

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from app.arrays import Floats
-from app.case.case import geometry_of
+from app.case.case import read_geometry
 from app.case.geometries import Geometry
 from app.errors import MantleError
 from app.report.curves import Figure
-from app.report.paper.cases import QUANTITIES, STEMS, WORDS, Cases
-from app.report.sweep_results import SweepResults, SweptCase
+from app.report.sweep_results import QUANTITIES, WORDS, SweepResults, SweptCase
 from app.results import unrolled
 from app.results.reading import Run
 from app.results.unrolled import MapRow, Sheet
@@ -24,32 +23,12 @@ log = logging.getLogger("mantle")
 Chosen = list[tuple[str, SweptCase]]
 
 SHOWN = {"gap": "YlGnBu", "slip": "YlGnBu", "motion": "YlGnBu", "pressure": "YlOrRd"}
-THICKNESSES = (4.0, 2.0)
 
 
-def chosen(cases: Cases, sweep: SweepResults) -> list[Chosen]:
-    """Cases to draw, a group for each series of maps.
-
-    Of the paper's cases both stems at 4 and 2 mm, and the thinnest and the thickest mantle of each
-    reading of hot cement in the femur; of another sweep the first and the last case.
-    """
-    groups: list[Chosen] = []
-    if cases.curves:
-        stances: Chosen = []
-        for stem in STEMS.values():
-            family = cases.stances(stem)
-            stances += [(f"{stem}, {t:g} mm", family[t]) for t in THICKNESSES if t in family]
-        groups.append(stances)
-        hot: Chosen = []
-        for (model, reading), family in cases.heats().items():
-            if model == "femur":
-                ends = dict.fromkeys((min(family), max(family)))
-                hot += [(f"100 °C {reading}, {t:g} mm", family[t]) for t in ends]
-        groups.append(hot)
-    if not any(groups):
-        done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
-        groups = [[(c.name, c) for c in (done if len(done) < 2 else (done[0], done[-1]))]]
-    return [g for g in groups if g]
+def ends(sweep: SweepResults) -> list[Chosen]:
+    """The first and the last case with fields, as one group to draw."""
+    done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
+    return [[(c.name, c) for c in dict.fromkeys((done[0], done[-1]))]] if done else []
 
 
 def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str]]:
@@ -89,7 +68,7 @@ def draw(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str
 
 
 def _geometry(case: SweptCase) -> Geometry:
-    geometry = geometry_of(case.data, case.folder)
+    geometry = read_geometry(case.data, case.folder)
     if geometry is None:
         raise ValueError("its case.yaml has no geometry")
     return geometry

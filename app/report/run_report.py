@@ -24,7 +24,6 @@ from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results.reading import Run
 from app.results.tables import TABLES
-from app.system import privacy
 from app.system.folders import write_bytes, write_text
 from app.system.layout import duration, noted, plain
 from app.system.ranks import rank
@@ -286,8 +285,7 @@ def _maps(case: SweptCase, wanted: bool) -> tuple[list[tuple[Figure, bytes]], li
     if not (case.folder / "fields.vtkhdf").exists():
         return [], []
     if not wanted:
-        folder = privacy.told(str(case.folder))
-        return [], [f"mantle report {folder} draws them: after a short run they take too long"]
+        return [], [f"mantle report {case.folder} draws them: after a short run they take too long"]
     with tempfile.TemporaryDirectory() as scratch:
         try:
             drawn, missing = maps.draw([[("", case)]], Path(scratch))

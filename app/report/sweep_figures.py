@@ -10,9 +10,7 @@ from typing import Any
 
 from app.case import explain, quantities
 from app.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
-from app.report.paper.cases import PERCENTILES
-from app.report.paper.compare import named
-from app.report.sweep_results import SweptCase, magnitude
+from app.report.sweep_results import PERCENTILES, SweptCase, magnitude, named
 from app.schema.unit_conversion import conversion
 from app.schema.units import NUMBER
 from app.system.style import COLOURS, MARKERS

@@ -12,17 +12,21 @@ from pathlib import Path
 from app.campaigns import uncertainty
 from app.case.quantities import printed
 from app.errors import StoppedError
-from app.report import gruen, page, sensitivity, sweep_figures
-from app.report import maps as report_maps
+from app.report import (
+    gruen,
+    maps,
+    page,
+    paper,
+    paper_claims,
+    paper_numbers,
+    sensitivity,
+    sweep_figures,
+)
 from app.report.curves import Figure
 from app.report.page import Blocks, bullets, heading, paragraph, table
-from app.report.paper import compare
-from app.report.paper import figures as report_figures
-from app.report.paper import trends as report_trends
-from app.report.paper.cases import Cases
-from app.report.paper.compare import ComparedNumber
-from app.report.paper.trends import VERDICTS, Trend
-from app.report.sweep_results import STATUSES, SweepResults, SweptCase, read
+from app.report.paper_claims import Trend
+from app.report.paper_numbers import ComparedNumber
+from app.report.sweep_results import STATUSES, SweepResults, SweptCase, named, read
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.system.layout import duration, noted
 
@@ -65,32 +69,34 @@ def run(folder: Path) -> Written:
         StoppedError: It cannot be written.
     """
     sweep = read(folder)
-    cases = Cases(sweep)
+    cases = paper.Cases(sweep)
+    groups = cases.representative() or maps.ends(sweep)
     pictures = folder / PICTURES
     try:
         pictures.mkdir(exist_ok=True)
         remove(pictures / name for name in _written(pictures))
         before = _times(pictures)
         multiples = sweep_figures.multiples([c for c in sweep.cases if c.done], pictures)
-        maps, unmapped = report_maps.draw(report_maps.chosen(cases, sweep), pictures)
-        shields = gruen.shielding_picture(cases, gruen.intact(sweep.cases), pictures)
+        mapped, unmapped = maps.draw(groups, pictures)
+        shown = cases.of_stems() or dict(c for group in groups for c in group)
+        shields = gruen.shielding_picture(shown, gruen.intact(sweep.cases), pictures)
         sections = [
             ("varied", "What varies", _drawn(multiples, pictures)),
             ("sensitive", "What matters most", table(*sensitivity.table(sweep.cases))),
             ("uncertain", "What is not known well", _uncertain(sweep)),
             ("cases", "All cases", _parts(sweep.cases)),
             ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
-            ("maps", "Maps of the interfaces", _drawn(maps, pictures) + bullets(unmapped)),
-            ("gruen", "Gruen zones", _drawn(shields, pictures) + _zones(cases, sweep)),
+            ("maps", "Maps of the interfaces", _drawn(mapped, pictures) + bullets(unmapped)),
+            ("gruen", "Gruen zones", _drawn(shields, pictures) + _zones(groups)),
             ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
         ]
-        papers, trends = _paper(cases, sweep, pictures) if cases.curves else ([], [])
+        papers, trends = _paper(cases, sweep, pictures) if cases else ([], [])
         summary = _summary(sweep)
         if papers:
             summary.append(f"The paper's figures, numbers and trends are beside it, in {PAPER}.")
         text = page.page(sweep.title, sections, facts=_facts(sweep), summary=summary)
         write_text(folder / PAGE, text)
-        every = (pictures / f.name for f in (*maps, *shields, *multiples))
+        every = (pictures / f.name for f in (*mapped, *shields, *multiples))
         files = [folder / PAGE, *papers, *every]
         own = [name for name, time in _times(pictures).items() if before.get(name) != time]
         write_json(pictures / WRITTEN, own)
@@ -119,18 +125,19 @@ def _drawn(figures: Sequence[Figure], pictures: Path) -> Blocks:
     return [block for f in figures for block in page.figure(f, pictures)]
 
 
-def _paper(cases: Cases, sweep: SweepResults, pictures: Path) -> tuple[list[Path], Sequence[Trend]]:
+def _paper(
+    cases: paper.Cases, sweep: SweepResults, pictures: Path
+) -> tuple[list[Path], Sequence[Trend]]:
     """Write the page that compares the sweep with the paper; its files and its verdicts."""
-    figures, missing = report_figures.paper(cases, pictures)
-    rows = compare.compare(cases, sweep)
-    trends = report_trends.judge(cases)
+    figures, missing = paper_numbers.figures(cases, pictures)
+    rows = paper_numbers.compare(cases, sweep)
+    trends = paper_claims.judge(cases)
     sections = [
         ("trends", "Trends", _trends(trends)),
         ("paper", "The paper's figures", _drawn(figures, pictures) + bullets(missing)),
         ("comparison", "Number by number", _comparison(rows)),
-        ("odd", "The paper's odd numbers", bullets(compare.strange(cases))),
     ]
-    names = {v: [t.name for t in trends if t.verdict == v] for v in VERDICTS}
+    names = {v: [t.name for t in trends if t.verdict == v] for v in paper_claims.VERDICTS}
     each = "; ".join(f"{len(own)} {v}: {', '.join(own)}" for v, own in names.items() if own)
     summary = [f"Trends that the paper reports: {each}.", *_ratios(rows)]
     title = f"{sweep.title}: the paper beside it"
@@ -139,7 +146,7 @@ def _paper(cases: Cases, sweep: SweepResults, pictures: Path) -> tuple[list[Path
     write_text(files[0], text)
     if rows:
         files.append(pictures / COMPARISON)
-        write_text(files[-1], csv_text(compare.csv_rows(rows)))
+        write_text(files[-1], csv_text(paper_numbers.csv_rows(rows)))
     return files, trends
 
 
@@ -224,8 +231,8 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
                 f.id,
                 r.stem or f.stem,
                 f"{r.thickness:g}" if r.thickness is not None else f.thickness,
-                compare.named(f.place),
-                compare.named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity),
+                named(f.place),
+                named(f.quantity) + f" (as {r.quantity})" * bool(r.quantity),
                 f"{relation}{f.value:g} {printed(f.unit)}",
                 "-" if r.peak is None else f"{r.peak:.3g}",
                 "-" if r.number is None else str(r.number),
@@ -243,10 +250,10 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
     return paragraph(text) + table(head, lines)
 
 
-def _zones(cases: Cases, sweep: SweepResults) -> Blocks:
+def _zones(groups: Sequence[maps.Chosen]) -> Blocks:
     """A table for each representative case that has zones."""
     found: Blocks = []
-    for group in report_maps.chosen(cases, sweep):
+    for group in groups:
         for title, case in group:
             own = table(*gruen.table(case))
             found += heading(title) + own if own else []

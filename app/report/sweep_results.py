@@ -20,6 +20,19 @@ from app.results.closing_lines import UNUSABLE
 from app.schema import yaml_file
 from app.schema.units import NUMBER
 
+INTERFACES = ("cement_bone", "stem_cement")
+# Of each contact quantity the percentile that converges, its unit for people and factor, its words.
+_CONTACT = {
+    key: quantities.TABLE["interfaces"][f"{key}_max"]
+    for key in ("gap", "slip", "motion", "pressure", "shear")
+}
+PERCENTILES = {
+    key: next(p for p in ("p95", "p99") if quantities.TABLE["interfaces"][f"{key}_{p}"].headline)
+    for key in _CONTACT
+}
+QUANTITIES = {key: (quantities.printed(q.shown), q.factor) for key, q in _CONTACT.items()}
+WORDS = {key: q.label.removesuffix(", max") for key, q in _CONTACT.items()}
+WORDS |= {"cement_bone": "cement-bone", "stem_cement": "stem-cement"}
 CONVERGED = "converged"
 STATUSES = (CONVERGED, "not converged", "failed", "stopped", UNUSABLE)
 
@@ -256,6 +269,11 @@ def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
     own["unknowns"] = int(own.get("unknowns", 0))
     own["folder"] = folder / own["folder"]
     return SweptCase(**own)
+
+
+def named(name: str) -> str:
+    """A place or a quantity in words."""
+    return WORDS.get(name, name.replace("_", " "))
 
 
 def magnitude(value: Any) -> float | None:

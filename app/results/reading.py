@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.case.case import geometry_of
+from app.case.case import read_geometry
 from app.errors import InputError
 from app.schema import yaml_file
 
@@ -135,7 +135,7 @@ class Run(Results):
     @cached_property
     def regions(self) -> dict[str, int]:
         """Number of each region by its name, as `region` has it."""
-        geometry = geometry_of(self.case, self.folder)
+        geometry = read_geometry(self.case, self.folder)
         names = geometry.region_names if geometry else ()
         return {name: number for number, name in enumerate(names, 1)}
 

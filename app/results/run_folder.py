@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import platform
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -28,7 +27,7 @@ from app.results import temperature_section
 from app.results.field_output import Fields, Layer
 from app.results.interface_numbers import ContactSamples
 from app.results.thermal_record import ThermalRecord
-from app.system import identity, privacy
+from app.system import identity
 from app.system.folders import csv_text, saved, write_json, write_text
 from app.version import __version__
 from meshes.distribute import TaggedMesh
@@ -205,7 +204,7 @@ class Writer:
         """Write summary and provenance, and the marker if the run is complete; collective."""
 
         def write() -> None:
-            write_json(self.folder / "summary.json", privacy.told(summary))
+            write_json(self.folder / "summary.json", summary)
             write_json(self.folder / "provenance.json", self._record())
             if done:
                 write_text(self.folder / "DONE", "")
@@ -225,17 +224,14 @@ def provenance(
         mesh_hash: Digest of the mesh.
         started: When the run began.
     """
-    private = privacy.asked()
-    (case, digest), *others = [(Path(n).name if private else n, d) for n, d in digests.items()]
-    place = {} if private else {"command": sys.argv, "host": platform.node()}
+    (case, digest), *others = digests.items()
     return {
         "mantle": __version__,
         "identity": identity.parts(),
-        **place,
         "case": case,
         "case_sha256": digest,
         "based_on_sha256": dict(others),
-        "overrides": privacy.told(overrides),
+        "overrides": overrides,
         "mesh_sha256": mesh_hash,
         "ranks": ranks,
         "processor": _processor(),

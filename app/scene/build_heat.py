@@ -67,14 +67,12 @@ def heat(case: Case, sides: Mapping[str, Sides]) -> dict[str, Any]:
         for name, law in laws
         for term in _friction(name, law, case.geometry.interface_sides[name], sides, effusivities)
     )
-    coupled = bool(friction) or any(c.per_pressure > 0 for c in contacts)
-    staggered = case.solver.coupling == "staggered"
     return {
         "conductors": conductors,
         "heat": tuple(_condition(name, c) for name, c in case.heat.items()),
         "thermal_contacts": contacts,
         "friction_heat": friction,
-        "coupling": ("staggered" if staggered else "monolithic",) if coupled else (),
+        "coupled": bool(friction) or any(c.per_pressure > 0 for c in contacts),
         "expansions": tuple(
             Expansion(name, t.thermal_expansion, t.reference_temperature or t.initial_temperature)
             for name, t in thermal.items()

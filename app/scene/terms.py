@@ -388,8 +388,8 @@ class Scene:
     expansions: tuple[Expansion, ...] = ()
     cures: tuple[CureTerm, ...] = ()
     time: tuple[TimeStepping, ...] = ()
-    # How heat that depends on contact is solved with it: monolithic or staggered; else empty.
-    coupling: tuple[str, ...] = ()
+    # Whether heat depends on contact: both are one system then.
+    coupled: bool = False
     bonds: tuple[BondTerm, ...] = ()
 
     @property

@@ -2,23 +2,101 @@
 
 from __future__ import annotations
 
+import ast
 import difflib
+import inspect
 import re
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NoReturn, get_args
+from itertools import pairwise
+from typing import Annotated, Any, NoReturn, Self, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, GetCoreSchemaHandler
-from pydantic_core import PydanticCustomError, core_schema
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError, core_schema
+
+from app.schema.yaml_file import Fault, Path
 
 # Marks, in the location of a pydantic error, an entry that names a class and not a key.
 TAG = "="
 
 
 class Section(BaseModel):
-    """Base of every part of a case: immutable, no unknown keys."""
+    """Base of every part of a case: immutable, no unknown keys, errors in words of the file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _told(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        try:
+            return handler(value)
+        except ValidationError as error:
+            lines = [defect(f.text, f.path) for f in faults(error, cls)]
+            raise ValidationError.from_exception_data(
+                cls.__name__, [{"type": line, "input": None} for line in lines]
+            ) from None
+
+
+def faults(error: ValidationError, model: type[Section] = Section) -> list[Fault]:
+    """The errors that pydantic has found in a section, in words of the file.
+
+    Args:
+        error: The errors.
+        model: The section.
+    """
+    return [Fault(*_in_words(entry, model)) for entry in error.errors(include_url=False)]
+
+
+def _in_words(entry: ErrorDetails, model: type[Section]) -> tuple[Path, str]:
+    """Path and text of an error."""
+    path = tuple(i for i in entry["loc"] if i != "[key]" and not str(i).startswith(TAG))
+    value, keys = show(entry["input"]), tuple(model.model_fields)
+    match entry["type"]:
+        case "mantle":
+            return (*path, *entry["ctx"]["at"]), entry["ctx"]["text"]
+        case "missing":
+            text = docstrings(model).get(str(path[-1]), "")
+            expected = f": {text[:1].lower()}{text[1:].rstrip('.')}" if text else ""
+            return path[:-1], f"'{path[-1]}' is missing; expected{expected}"
+        case "extra_forbidden":
+            hint = did_you_mean(str(path[-1]), keys)
+            return path, f"unknown key; allowed: {', '.join(keys)}{hint}"
+        case "model_type" | "model_attributes_type":
+            return path, f"{value} is not a mapping; expected keys {', '.join(keys)}"
+        case "literal_error":
+            return path, f"{value} is not {entry['ctx']['expected']}"
+    return path, f"{value}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+
+
+def docstrings(model: type) -> dict[str, str]:
+    """Texts below the fields of a class and of those that it derives from.
+
+    Pydantic's own ``use_attribute_docstrings`` reads the source at each start, for 0.06 s.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if base is Section or not issubclass(base, Section):
+            continue
+        tree = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        for field, text in pairwise(getattr(tree, "body", ())):
+            match field, text:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(ast.Constant(str(doc))):
+                    found[name] = inspect.cleandoc(doc)
+    return found
+
+
+def defect(text: str, at: tuple[str | int, ...] = ()) -> PydanticCustomError:
+    """An error of a value, with its path below the value."""
+    return PydanticCustomError("mantle", "{text}", {"text": text, "at": at})
 
 
 def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
@@ -31,7 +109,7 @@ def fail(text: str, at: tuple[str | int, ...] = ()) -> NoReturn:
     Raises:
         PydanticCustomError: Always.
     """
-    raise PydanticCustomError("mantle", "{text}", {"text": text, "at": at})
+    raise defect(text, at)
 
 
 def show(value: object) -> str:
@@ -51,7 +129,7 @@ def show(value: object) -> str:
     return text if len(text) <= 60 else text[:56] + "...'"
 
 
-def did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
+def did_you_mean(word: str, known: Sequence[str]) -> str:
     """The end of a message that proposes what begins like the word or is nearest, or nothing."""
     folded = {k.lower(): k for k in known}
     lower = word.lower()
@@ -117,7 +195,7 @@ class Scalar:
         )
 
 
-def one_of(value: object, allowed: tuple[str, ...]) -> None:
+def one_of(value: object, allowed: Sequence[str], at: tuple[str | int, ...] = ()) -> None:
     """Refuse a value that is not among the allowed words.
 
     Raises:
@@ -125,7 +203,7 @@ def one_of(value: object, allowed: tuple[str, ...]) -> None:
     """
     if value not in allowed:
         hint = did_you_mean(value, allowed) if isinstance(value, str) else ""
-        fail(f"{show(value)} is not one of {', '.join(allowed)}{hint}")
+        fail(f"{show(value)} is not one of {', '.join(allowed)}{hint}", at)
 
 
 @dataclass(frozen=True)
@@ -189,35 +267,28 @@ class Kinds:
             if "kind" in c.model_fields
         }
         by_key = {next(iter(c.model_fields)): c for c in classes if "kind" not in c.model_fields}
-        allowed = tuple(by_kind)
 
-        def check(value: object) -> object:
+        def model_of(value: object) -> type[BaseModel]:
             if isinstance(value, classes):
-                return value
+                return type(value)
             if not isinstance(value, dict):
-                fail(
-                    f"{show(value)} is not a mapping; expected one with kind: {' | '.join(allowed)}"
-                )
-            if by_key.keys() & value.keys():
-                return value
-            if "kind" in value:
-                kind = value["kind"]
-                if not isinstance(kind, str) or kind not in allowed:
-                    hint = did_you_mean(kind, allowed) if isinstance(kind, str) else ""
-                    fail(f"{show(kind)} is not one of {', '.join(allowed)}{hint}", at=("kind",))
-            elif not self.default:
-                fail(f"is missing; expected one of {', '.join(allowed)}", at=("kind",))
-            return value
-
-        def tag(value: Any) -> str:
-            if isinstance(value, BaseModel):
-                return TAG + type(value).__name__
+                kinds = " | ".join(by_kind)
+                fail(f"{show(value)} is not a mapping; expected one with kind: {kinds}")
             for key, model in by_key.items():
                 if key in value:
-                    return TAG + model.__name__
-            return TAG + by_kind[value.get("kind", self.default)].__name__
+                    return model
+            if "kind" not in value and not self.default:
+                fail(f"is missing; expected one of {', '.join(by_kind)}", at=("kind",))
+            kind = value.get("kind", self.default)
+            one_of(kind, tuple(by_kind), at=("kind",))
+            return by_kind[kind]
+
+        def check(value: object) -> object:
+            model_of(value)
+            return value
 
         union = core_schema.tagged_union_schema(
-            {TAG + c.__name__: handler.generate_schema(c) for c in classes}, tag
+            {TAG + c.__name__: handler.generate_schema(c) for c in classes},
+            lambda value: TAG + model_of(value).__name__,
         )
         return core_schema.no_info_before_validator_function(check, union)

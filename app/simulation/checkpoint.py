@@ -22,7 +22,7 @@ from app.results.run_folder import on_root
 from app.simulation.checkpoint_file import FORMAT, Checkpoint, DamagedError, read, write
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
-from app.system import folders, privacy
+from app.system import folders
 from app.version import __version__
 
 log = logging.getLogger("mantle")
@@ -137,8 +137,8 @@ def described(case: Case) -> dict[str, Any]:
     data = plain(case)
     data.pop("title", None)
     data["output"] = {"probes": data.get("output", {}).get("probes", {})}
-    # The mesh has a digest of its own, wherever it lies.
-    return dict(json.loads(json.dumps(privacy.without_folders(data))))
+    data["geometry"].pop("path", None)  # the mesh has a digest of its own, wherever it lies
+    return dict(json.loads(json.dumps(data)))
 
 
 def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from app.case.case import Case, Varied, dump_case, plain
+from app.case.case import Case, LoadedCase, Varied, dump
 from app.case.geometries import MeshFile
-from app.case.loaded_case import LoadedCase
 from app.errors import InputError
 from app.results.closing_lines import check_usable
-from app.schema import yaml_file
 from app.soundness import memory
-from app.system import folders, identity, privacy
+from app.system import folders, identity
 
 
 def finished(folder: Path, case: Case) -> bool:
@@ -28,8 +26,7 @@ def finished(folder: Path, case: Case) -> bool:
     try:
         done = (folder / "DONE").stat().st_mtime
         written = (folder / "case.yaml").read_text(encoding="utf-8")
-        private = yaml_file.written(privacy.without_folders(plain(case)))
-        same = written in (dump_case(case), private)
+        same = written == dump(case)
         record = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False

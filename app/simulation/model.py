@@ -34,7 +34,6 @@ from app.simulation.mechanical_model import Mechanical
 from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
-from app.stepping.contact_heat import ContactHeat
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_steps import HeatState, HeatStep
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
@@ -46,7 +45,6 @@ from app.stepping.stages import (
     SolvedWithHeat,
     run_stages,
 )
-from app.stepping.staggered import Staggered
 from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
@@ -166,26 +164,17 @@ class Model:
         solver, around_z = self._solver(mechanical(problem)), self._case.geometry.is_around_z
         return (Mechanical(problem, solver, around_z, self._timing),)
 
-    def _heat(self) -> tuple[tuple[CoupledSystem | Staggered, ...], tuple[HeatState, ...]]:
+    def _heat(self) -> tuple[tuple[CoupledSystem, ...], tuple[HeatState, ...]]:
         """Heat and what solves it, where anything conducts."""
         if not self.scene.conductors:
             return (), ()
         conduction = Conduction(self.scene, self.tagged, self._timing)
         heat = HeatSystem(conduction)
-        match self.scene.coupling:
-            case ("monolithic",):
-                (m,) = self.mechanics
-                system = CoupledSystem(
-                    self.scene, conduction, m.problem, heat, ContactSystem(m.problem)
-                )
-                return (system,), (HeatState(self.scene, conduction, self._solver(system)),)
-            case ("staggered",):
-                (m,) = self.mechanics
-                contact = ContactHeat(self.scene, m.problem, conduction)
-                both = Staggered(contact, conduction, m.problem, self._solver(heat), m.solver)
-                return (both,), (HeatState(self.scene, conduction, both),)
-            case _:
-                return (), (HeatState(self.scene, conduction, self._solver(heat)),)
+        if not self.scene.coupled:
+            return (), (HeatState(self.scene, conduction, self._solver(heat)),)
+        (m,) = self.mechanics
+        system = CoupledSystem(self.scene, conduction, m.problem, heat, ContactSystem(m.problem))
+        return (system,), (HeatState(self.scene, conduction, self._solver(system)),)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -272,7 +261,7 @@ class Model:
         for h, found in zip(march, state["march"], strict=True):
             h.resume(found, k, self.scene.stages[k])
         for m, found in zip(self.mechanics, state["mechanics"], strict=True):
-            m.problem.settle(found["problem"], *m.solver.parts())
+            m.problem.settle(found["problem"], *m.solver.u_and_q())
         for p, found in zip(motion, state["motion"], strict=True):
             p.resume(found)
 

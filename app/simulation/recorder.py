@@ -135,7 +135,7 @@ class Recorder:
         for m, balance, found in zip(
             self._model.mechanics, self._balances, state["balances"], strict=True
         ):
-            u, q = m.solver.parts()
+            u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
             balance.resume(found, u, trial)
             for j, law in zip(m.problem.jumps, state["contact"], strict=False):
@@ -159,7 +159,7 @@ class Recorder:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
             (m,), (balance,) = self._model.mechanics, self._balances
-            balance.update(m.solver.parts()[0], trial)
+            balance.update(m.solver.u_and_q()[0], trial)
             self._trials = (trial,) if trial is not None else ()
             self.samples = ContactSamples(m.problem, trial) if trial is not None else None
             self._total.count(step.outcome)

@@ -14,8 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app.case.case import Case, plain
-from app.case.loaded_case import LoadedCase
+from app.case.case import Case, LoadedCase, plain
 from app.errors import (
     ConvergenceError,
     EnvironmentProblem,
@@ -25,7 +24,7 @@ from app.errors import (
     agree,
 )
 from app.numerics.condition import condition_number
-from app.numerics.snes import raw_options
+from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, on_root, provenance
@@ -35,7 +34,7 @@ from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import plausibility, well_posedness
-from app.system import blas_check, form_cache, privacy, ranks, stopping
+from app.system import blas_check, form_cache, ranks, stopping
 from app.system.folders import FAILED, claim, prepare_run, remove, saved, write_text
 from app.system.timing import Timing
 
@@ -265,7 +264,7 @@ class Session:
             model.tagged,
             model.layers(),
             output,
-            yaml_file.written(privacy.told(plain(case))),
+            yaml_file.written(plain(case)),
             case.output.fields,
             lambda: provenance(
                 comm.size,

@@ -96,20 +96,20 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
     free: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     oscillating: tuple[str, ...] = ()
-    u, q = solver.parts(x)
+    u, q = solver.u_and_q(x)
     if q is not None:
         (j,) = problem.jumps
         trial = problem.trial(u, q)
         where = _largest(problem, j, trial)
-        oscillating = _restless(problem, j, solver.active)
+        oscillating = _restless(problem, j, solver.system.active)
         free = tuple(free_bodies(problem, trial))
         notes = (*(() if free else sliding(problem)), *uniqueness.beyond(problem))
     if free:
         short = free[0]
     elif outcome.linear_failed:
         short = "the linear solver failed"
-    elif sum(outcome.flips[-5:]) > 0:
-        short = f"contact states keep changing ({outcome.flips[-1]} in the last iteration"
+    elif sum(outcome.changes[-5:]) > 0:
+        short = f"contact states keep changing ({outcome.changes[-1]} in the last iteration"
         again = f", the same every {outcome.period} iterations" if outcome.period else ""
         short += f"{again})"
     else:
@@ -138,7 +138,7 @@ def _restless(problem: Problem, j: Jumps, active: ActiveSet) -> tuple[str, ...]:
             f"{' <-> '.join(STATES[s] for s in r.states)} at "
             f"{_place(j.points.x[j.mine[r.row]])} on interface "
             f"'{problem.scene.contacts[j.interface[r.row]].name}', in {r.changes} of the last "
-            f"{r.looks} iterations",
+            f"{r.iterations} iterations",
         )
         for r in active.oscillating()[:SHOWN]
     ]

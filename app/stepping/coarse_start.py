@@ -25,7 +25,6 @@ from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
 from app.stepping.load_steps import LoadStepper
-from app.system.progress import during
 from meshes.contact_points import ContactPoints
 
 if TYPE_CHECKING:
@@ -70,8 +69,7 @@ class CoarseModelStart:
             self._failed = True
             log.info("     nested start failed, going on without: %s", str(error).splitlines()[0])
             return
-        with during("start from a cheaper model: balancing the bodies with its jumps"):
-            self._start(*np.hsplit(found, 2))
+        self._start(*np.hsplit(found, 2))
 
     def commit(self, time: float) -> None:
         """The cheaper model has to go through it too, when it is asked again."""
@@ -103,7 +101,7 @@ class CoarseModelStart:
         begin = self._known[-1][0]
         k = math.ceil(time) - 1
         problem = coarse.problem
-        problem.set_stage(k, coarse.solver.parts()[0])
+        problem.set_stage(k, coarse.solver.u_and_q()[0])
 
         def place(s: float) -> None:
             problem.set_time(begin + s * (time - begin))
@@ -117,7 +115,7 @@ class CoarseModelStart:
     def _start(self, jump: Floats, force: Floats) -> None:
         """Start from jumps and forces, and the displacement in rough equilibrium with the jumps."""
         problem, solver = self._problem, self._solver
-        named = solver.named()
+        named = solver.blocks_by_name()
         u, q = named["displacement"], named["jump"]
         (j,) = problem.jumps
         q.array[:] = (j.let(jump) + j.given).ravel()
@@ -127,7 +125,7 @@ class CoarseModelStart:
         du.zeroEntries()
         problem.inverse.solve(r, du, ROUGH)
         u.axpy(-1.0, du)
-        solver.lead(force)
+        solver.start_linear(force)
 
 
 def between(known: list[tuple[float, Floats]], time: float) -> Floats:

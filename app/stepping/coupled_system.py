@@ -124,9 +124,9 @@ class CoupledSystem(System):
         """Sliding motions of the mechanics, at fixed temperatures."""
         return self._motion.coarse_space()
 
-    def look(self) -> None:
+    def record_active_set(self) -> None:
         """Add the contact points' states to the active set, of the residual asked for last."""
-        self._motion.look()
+        self._motion.record_active_set()
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""

@@ -21,13 +21,13 @@ from app.heat.curing import as_temperature
 from app.heat.flows import flows
 from app.numerics import integrator
 from app.numerics.integrator import METHODS, Method, State
-from app.numerics.newton import NewtonResult
+from app.numerics.newton import NewtonResult, Solver
+from app.numerics.remedies import solve
 from app.numerics.saved_state import State as SavedState
 from app.scene.terms import Scene
 from app.stepping import stability
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
-from app.stepping.staggered import Staggered
 from app.stepping.thermal_loading import ThermalLoading, ThermalState
 
 # First step of a stage, as a part of an increment, where the rate of change is not known.
@@ -74,26 +74,6 @@ class Beside(Protocol):
         """How much it has given off at the end of the stage last solved."""
 
 
-class Partner(Protocol):
-    """Solver of the heat, alone or together with other fields of its system."""
-
-    def named(self) -> dict[str, PETSc.Vec]:
-        """Blocks of the current state."""
-
-    def solve(self) -> NewtonResult:
-        """Solve from the current state."""
-
-    def state(self) -> SavedState:
-        """State that the next solve depends on, to be saved."""
-
-    def resume(self, state: SavedState) -> None:
-        """Restore the state that the next solve depends on; collective."""
-
-    @property
-    def block_sizes(self) -> dict[str, int]:
-        """Unknowns by block."""
-
-
 class HeatState:
     """Temperatures, jumps and degrees of cure in time.
 
@@ -110,7 +90,7 @@ class HeatState:
         loading: What it tells the mechanics.
     """
 
-    def __init__(self, scene: Scene, conduction: Conduction, solver: Partner) -> None:
+    def __init__(self, scene: Scene, conduction: Conduction, solver: Solver) -> None:
         """Begin at the initial temperatures; collective.
 
         Args:
@@ -121,7 +101,7 @@ class HeatState:
         (self.options,) = scene.time
         self.conduction, self.solver = conduction, solver
         self.beside: tuple[Beside, ...] = ()
-        self.system: CoupledSystem | Staggered | None = None
+        self.system: CoupledSystem | None = None
         self.outcome = NewtonResult(False, 0, 0, (), (), False)
         self.method = METHODS[self.options.method]
         self.seconds = 0.0
@@ -168,7 +148,7 @@ class HeatState:
 
     def vectors(self) -> list[PETSc.Vec]:
         """Temperatures and jumps as the solver has them."""
-        named = self.solver.named()
+        named = self.solver.blocks_by_name()
         return [named[n] for n in ("temperature", "temperature_jump") if n in named]
 
     def _state(self, x: Sequence[PETSc.Vec]) -> State:
@@ -198,7 +178,7 @@ class HeatState:
         self.put(guess)
         for other, given in zip(self.beside, start[own:], strict=True):
             other.place(seconds, h, given)
-        self.outcome = self.solver.solve()
+        self.outcome = solve(self.solver)
         self.total.count(self.outcome)
         if not self.outcome.converged:
             return None
@@ -288,7 +268,7 @@ class HeatState:
             stage: Name of its stage.
         """
         system = self.system
-        if not isinstance(system, CoupledSystem) or self.sets:
+        if system is None or self.sets:
             return
         if not (system.exchange.expands and system.exchange.pressed):
             return
@@ -297,7 +277,7 @@ class HeatState:
         def begin(h: float) -> None:
             self.conduction.begin(self.state[:n], self.state[n:], h, self.seconds)
 
-        named = self.solver.named()
+        named = self.solver.blocks_by_name()
         x = [named[name] for name in system.blocks()]
         unstable = stability.grows(system, x, begin)
         begin(np.inf)

@@ -15,11 +15,11 @@ from app.errors import ConvergenceError, Reason
 from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.newton import NewtonResult, Solver
+from app.numerics.remedies import solve
 from app.numerics.saved_state import State
 from app.scene.terms import SceneStage
 from app.soundness.facet_support import held_by_facets
 from app.soundness.failure import explain, runaway
-from app.system.progress import during
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0
@@ -181,11 +181,10 @@ class LoadStepper:
             while True:
                 place(reach)
                 problem.update_stiffness()
-                with during("looking for a start of the step"):
-                    for p in predictors:
-                        p.predict(begin + reach * (end - begin))
+                for p in predictors:
+                    p.predict(begin + reach * (end - begin))
                 led = predictors and not same(start, solver.x)
-                outcome = solver.solve()
+                outcome = solve(solver)
                 self.total.count(outcome)
                 if outcome.converged:
                     break
@@ -230,7 +229,7 @@ class LoadStepper:
             ConvergenceError: A body runs away.
         """
         problem = self.problem
-        u, q = self.solver.parts()
+        u, q = self.solver.u_and_q()
         trial = problem.trial(u, q) if q is not None else None
         if trial is not None and (
             away := held_by_facets(problem, trial) or runaway(problem, trial)

@@ -26,7 +26,6 @@ from app.soundness.failure import attempts
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_steps import HeatState, HeatStep
 from app.stepping.load_steps import LoadStep, LoadStepper, Mark, Summary, unmarked
-from app.stepping.staggered import Staggered
 
 # A time step below this part of its stage is given up.
 SHORTEST = 1e-10
@@ -74,7 +73,7 @@ def run_stages(
     for k, stage in enumerate(stages[first:], first):
         begin(stage)
         for m in motion:
-            m.problem.set_stage(k, m.solver.parts()[0])
+            m.problem.set_stage(k, m.solver.u_and_q()[0])
         if stage.duration > 0 or stage.steady:
             for h in march:
                 h.go(k, stage, partial(mark, k))
@@ -310,9 +309,7 @@ class SolvedAfterHeat:
 class SolvedWithHeat:
     """Mechanics that heat depends on: in one system with it."""
 
-    def __init__(
-        self, motion: LoadStepper, heating: HeatState, system: CoupledSystem | Staggered
-    ) -> None:
+    def __init__(self, motion: LoadStepper, heating: HeatState, system: CoupledSystem) -> None:
         """Put the mechanics beside the heat.
 
         Args:
@@ -334,8 +331,8 @@ class SolvedWithHeat:
 
     def _restore(self) -> None:
         """Give the committed state of the mechanics to the common solver."""
-        named = self._heating.solver.named()
-        for name, vector in self._motion.solver.named().items():
+        named = self._heating.solver.blocks_by_name()
+        for name, vector in self._motion.solver.blocks_by_name().items():
             if named[name] is not vector:
                 vector.copy(named[name])
 
@@ -362,8 +359,8 @@ class SolvedWithHeat:
     def after(self, time: float, whole: bool) -> None:
         """The mechanics of an accepted step become history."""
         started = clock.perf_counter()
-        named = self._heating.solver.named()
-        for name, vector in self._motion.solver.named().items():
+        named = self._heating.solver.blocks_by_name()
+        for name, vector in self._motion.solver.blocks_by_name().items():
             if named[name] is not vector:
                 named[name].copy(vector)
         self._exchange.report((self._heating.seconds - self._committed) or np.inf)

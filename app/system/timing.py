@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import time
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from app.system.progress import doing
+log = logging.getLogger("mantle")
 
 # What a run does in each phase, in words.
 DOING = {
@@ -21,7 +22,8 @@ DOING = {
     "output": "computing and writing results",
     "error": "estimating errors",
 }
-BLOCKING = ("assemble", "factorize", "error")
+# Phases that take long and come once; the others are told at the level of debugging.
+ANNOUNCED = ("mesh", "assemble", "factorize", "error")
 
 
 @dataclass
@@ -40,11 +42,10 @@ class Timing:
     cpu: dict[str, float] = field(default_factory=dict)
     about: dict[str, float] = field(default_factory=dict)
     _open: list[tuple[float, float]] = field(default_factory=list)
-    _names: list[str] = field(default_factory=list)
 
     @contextmanager
     def phase(self, name: str, of: str = "") -> Iterator[None]:
-        """Count the time of the block for a phase, and tell that it goes on.
+        """Count the time of the block for a phase, and tell that it begins.
 
         Args:
             name: The phase, one of `DOING`.
@@ -53,8 +54,9 @@ class Timing:
         words = f"{DOING[name]}: {of}" if of else DOING[name]
         if (expected := self.about.pop(of or name, 0.0)) > 1.0:
             words += f", about {expected:.0f} s"
-        self._names.append(words)
-        self.tell(words, blocking=name in BLOCKING)
+        first = name not in self.seconds and name in ANNOUNCED and not self.part
+        where = f"{self.part}: " if self.part else ""
+        log.log(logging.INFO if first else logging.DEBUG, "     %s%s", where, words)
         wall, cpu = time.perf_counter(), time.process_time()
         self._open.append((0.0, 0.0))
         try:
@@ -62,20 +64,11 @@ class Timing:
         finally:
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
             inner = self._open.pop()
-            self._names.pop()
-            if self._names:
-                self.tell(self._names[-1])
-            else:
-                doing("")
             self.seconds[name] = self.seconds.get(name, 0.0) + wall - inner[0]
             self.cpu[name] = self.cpu.get(name, 0.0) + cpu - inner[1]
             if self._open:
                 outer = self._open[-1]
                 self._open[-1] = (outer[0] + wall, outer[1] + cpu)
-
-    def tell(self, text: str, blocking: bool = False) -> None:
-        """Tell what goes on in this part, as `progress.doing`."""
-        doing(f"{self.part}: {text}" if self.part else text, blocking)
 
     def of(self, part: str) -> Timing:
         """The same seconds, told as those of a part."""

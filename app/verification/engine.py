@@ -18,7 +18,7 @@ from app.campaigns import batch, many
 from app.campaigns.many import Options
 from app.campaigns.runs import Job, Result
 from app.campaigns.work_precision import fitted_order
-from app.case.case import load_case
+from app.case.case import load
 from app.errors import ConvergenceError, GeometryError, InputError, Reason, UnusableError
 from app.results.reading import Run
 from app.system import layout
@@ -179,7 +179,7 @@ def _planned(check: Check, folder: Path) -> Iterator[tuple[Job, str]]:
         name = f"{check.name}_{k}" if len(check.runs) > 1 else check.name
         path, overrides, why = CONFIGS / run.case, run.overrides, ""
         try:
-            case = load_case(path, overrides)
+            case = load(path, overrides).config
             if run.mesh:
                 from app.verification.changed_meshes import change  # needs gmsh
 

@@ -141,9 +141,9 @@ def _worst(errors: Mapping[str, float]) -> Sample:
 
 def _friction(run: Run, name: str) -> float:
     """Friction coefficient of an interface."""
-    from app.case.case import load_case
+    from app.case.case import load
 
-    return load_case(run.folder / "case.yaml").interfaces[name].friction
+    return load(run.folder / "case.yaml").config.interfaces[name].friction
 
 
 def _beyond(run: Run) -> str:

@@ -24,7 +24,7 @@ import pytest
 import meshes
 from app.campaigns import batch, cluster, scheduler
 from app.campaigns.runs import Job, Result
-from app.case.case import load_case
+from app.case.case import load
 from app.case.geometries import MeshFile
 from app.errors import EnvironmentProblem, InputError, StoppedError
 from app.system import identity, layout
@@ -192,12 +192,12 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
 
 def test_a_changed_mesh_file_runs_again(bench: Bench) -> None:
     mesh = bench.folder / "box.msh"
-    case = load_case(bench.case)
+    case = load(bench.case).config
     meshes.write_msh(meshes.build(case.geometry, case.mesh), mesh)
     text = re.sub(r"geometry:\n.*\n.*\n", "geometry: {kind: file, path: box.msh}\n", CASE)
     bench.case.write_text(text)
     (first,) = bench.run(bench.job(1.0))
-    saved = load_case(next((bench.out / "cases").iterdir()))
+    saved = load(next((bench.out / "cases").iterdir())).config
     assert isinstance(saved.geometry, MeshFile) and saved.geometry.path == mesh
     os.utime(mesh)
     assert bench.run(bench.job(1.0)) == [first] and len(bench.calls()) == 1
@@ -536,8 +536,8 @@ def test_names_values_and_folders_are_never_commands(bench: Bench, words: list[s
     assert len(bench.calls()) == len(jobs)
     for word, result in zip(words, results, strict=True):
         assert result.folder.parent == bench.out / "runs"
-        case = load_case(bench.out / "cases" / f"{result.folder.name}.yaml")
-        assert case.title == load_case(bench.case, jobs[words.index(word)].overrides).title
+        case = load(bench.out / "cases" / f"{result.folder.name}.yaml").config
+        assert case.title == load(bench.case, jobs[words.index(word)].overrides).config.title
         assert case.title.split() == word.split()
     everything = [*bench.folder.rglob("*"), *bench.folder.parent.glob("*")]
     assert not [p for p in everything if p.name == "PWNED"]

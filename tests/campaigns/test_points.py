@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from app.case import overlay, points
 from app.case import study as study_file
 from app.case import sweep as sweep_file
-from app.case.case import load_case
+from app.case.case import load
 from app.case.points import Point
 from app.errors import InputError
 from app.schema import yaml_file
@@ -272,7 +272,7 @@ def test_a_study_is_no_part_of_a_case_and_a_grid_none_of_variations(path: Path) 
     section, grid = STUDY[STUDY.index("study:") :], f"variations: {{grid: {{{FRICTION}: [1]}}}}\n"
     path.write_text(CASE + section + grid)
     with pytest.raises(InputError) as error:
-        load_case(path)
+        load(path)
     told = error.value.messages
     assert told[0].startswith(f"{path}:14:1: study: a study stands in a file of its own")
     assert told[1].startswith(f"{path}:21:14: variations.grid: a grid stands in a sweep file")

@@ -29,7 +29,7 @@ from app.campaigns import batch, scheduler, sweep, uncertainty
 from app.campaigns.many import Options
 from app.campaigns.runs import Job, finished
 from app.case import sweep as sweep_file
-from app.case.case import dump_case, load_case, plain, variations_of
+from app.case.case import dump, load, plain
 from app.cli import main
 from app.errors import ConvergenceError, InputError, MantleError, StoppedError, gravest
 from app.report import sweep_results
@@ -68,14 +68,11 @@ FRICTION = "interfaces.lower_upper.friction_coefficient"
 
 STAND_IN = """\
 import json, pathlib, sys, time
-from app.case.case import dump_case
-from app.case.case import load_case
-from app.case.case import plain
-from app.case.case import variations_of
+from app.case.case import dump, load, plain
 from app.system.folders import FAILED
 here, path, output = pathlib.Path(__file__).parent, *map(pathlib.Path, (sys.argv[1], sys.argv[3]))
-case = load_case(path)
-many = [(v.name, v.case) for v in variations_of(path)] or [("", case)]
+case = load(path).config
+many = [(v.name, v.case) for v in load(path).variations()] or [("", case)]
 code = 0
 for name, case in many:
     folder = output / name
@@ -148,7 +145,7 @@ def test_cases_that_share_a_stiffness_share_a_process(bench: Bench) -> None:
     groups = sorted((bench.out / "cases").iterdir())
     assert len(groups) == 2 and all(g.name.startswith("shared-") for g in groups)
     for group in groups:
-        varied = variations_of(group)
+        varied = load(group).variations()
         assert {
             (v.case.interfaces["lower_upper"].friction_coefficient, v.case.loads["press"].pressure)
             for v in varied
@@ -156,7 +153,7 @@ def test_cases_that_share_a_stiffness_share_a_process(bench: Bench) -> None:
         assert {v.case.regions["upper"].poisson_ratio for v in varied} == {0.25}
     # Each is the case that its own overrides make.
     planned = {p.point.name: p.case for p in sweep_file.read(bench.sweep)[1]}
-    found = {v.name: v.case for g in groups for v in variations_of(g)}
+    found = {v.name: v.case for g in groups for v in load(g).variations()}
     for row in bench.cases():
         case = found.pop(Path(row["folder"]).name)
         assert plain(case) == plain(planned[row["name"]])
@@ -254,7 +251,7 @@ def test_overrides_hold_for_every_case(bench: Bench) -> None:
     for case in record["cases"]:
         assert case["overrides"]["regions.upper.poisson_ratio"] == 0.4
         assert case["overrides"]["ranks"] == case["ranks"] == 2
-        resolved = load_case(next((bench.out / "cases").glob(f"{case['folder'].split('/')[1]}*")))
+        resolved = load(next((bench.out / "cases").glob(f"{case['folder'].split('/')[1]}*"))).config
         assert resolved.regions["upper"].poisson_ratio == 0.4
     _, planned = sweep_file.read(bench.sweep, ["ranks=3"])
     assert {p.ranks for p in planned} == {3}
@@ -485,7 +482,7 @@ def kill_again_and_again(path: Path, out: Path, times: int, longest: float) -> N
     def marks() -> dict[str, int]:
         return {str(p): p.stat().st_mtime_ns for p in finished(out)}
 
-    every = len({dump_case(p.case) for p in sweep_file.read(path)[1]})
+    every = len({dump(p.case) for p in sweep_file.read(path)[1]})
     random.seed(times)
     done: dict[str, int] = {}
     for k in range(times):

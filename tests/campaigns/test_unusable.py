@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import mantle
-from app.case import loaded_case
+from app.case.case import load
 from app.cli import main
 from app.errors import UnusableError
 from app.results.closing_lines import UNUSABLE, faults
@@ -50,7 +50,7 @@ def test_a_run_that_is_not_to_be_used_says_so(
     q = summary["interfaces"]["low_high"]
     assert q["slip_max"] > q["facet_size"]
     with pytest.raises(UnusableError, match="slip on low_high"):
-        mantle.run(loaded_case.load(case, [FAR]), folder, force=True)
+        mantle.run(load(case, [FAR]), folder, force=True)
     assert main(["run", str(case), "-o", str(tmp_path / "near")]) == 0
 
 

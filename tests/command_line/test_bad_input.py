@@ -17,7 +17,7 @@ import pytest
 from pydantic import ValidationError
 
 from app import cli
-from app.case.case import load_case
+from app.case.case import load
 from app.case.femurs import Femur
 from app.cli import main
 from app.errors import InputError
@@ -1069,10 +1069,6 @@ HOT_TABLE: dict[str, tuple[list[tuple[str, str]], list[str]]] = {
         [('{at: "[9, 0, 10] mm", region: cement}', "[9 mm, 0 mm]")],
         ["70:12: output.probes.middle.at: has 2 values; expected three"],
     ),
-    "unknown coupling": (
-        [("output:", "solver: {coupling: loose}\noutput:")],
-        ["69:10: solver.coupling: 'loose' is not one of auto, monolithic, staggered"],
-    ),
 }
 
 
@@ -1086,16 +1082,16 @@ def edit(edits: list[tuple[str, str]], text: str = GOOD) -> str:
 
 def complaints(path: Path, overrides: list[str] | None = None) -> list[str]:
     with pytest.raises(InputError) as caught:
-        load_case(path, overrides or [])
+        load(path, overrides or [])
     return caught.value.messages
 
 
 def test_good_file_is_good(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text(GOOD)
-    assert load_case(path).title == "press"
+    assert load(path).config.title == "press"
     path.write_text(HOT)
-    assert load_case(path).conducts
+    assert load(path).config.conducts
 
 
 @pytest.mark.parametrize("name", [*TABLE, *HOT_TABLE])

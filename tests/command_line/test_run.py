@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import dump_case, load_case
+from app.case.case import dump, load
 from app.laws.loads import Force
 from app.simulation import finished_runs
 from app.system import identity
@@ -218,8 +218,8 @@ def test_provenance_and_resolved_case(done: tuple[Path, Path, str]) -> None:
     assert record["overrides"] == ["interfaces.cement_bone.friction_coefficient=0.8"]
     assert record["packages"]["fenics-dolfinx"].startswith("0.9")
     assert record["ranks"] == 1 and record["case"].endswith("small.yaml")
-    resolved = load_case(output / "case.yaml")
-    assert resolved == load_case(case, record["overrides"])
+    resolved = load(output / "case.yaml").config
+    assert resolved == load(case, record["overrides"]).config
 
 
 def test_terminal_has_a_line_per_step_and_a_verdict(done: tuple[Path, Path, str]) -> None:
@@ -372,7 +372,7 @@ def test_results_of_an_older_mesh_file_are_not_finished(tmp_path: Path) -> None:
 """
     tissues = [f"regions.{name}.tissue=other" for name in ("lower", "upper")]
     case = support.case(geometry + SLIDING[SLIDING.index("mesh:") :], *tissues)
-    (tmp_path / "case.yaml").write_text(dump_case(case))
+    (tmp_path / "case.yaml").write_text(dump(case))
     record = json.dumps({"identity": identity.parts()})
     (tmp_path / "provenance.json").write_text(record)
     assert not finished_runs.finished(tmp_path, case)
@@ -385,7 +385,7 @@ def test_results_of_an_older_mesh_file_are_not_finished(tmp_path: Path) -> None:
 
 def test_results_of_another_stack_are_not_finished(tmp_path: Path) -> None:
     case = support.case(SLIDING)
-    (tmp_path / "case.yaml").write_text(dump_case(case))
+    (tmp_path / "case.yaml").write_text(dump(case))
     (tmp_path / "DONE").write_text("")
     for name in identity.parts():
         for value, finished in (("0.1", False), (identity.parts()[name], True)):
@@ -643,14 +643,14 @@ def _beam(area: float) -> float:
     Args:
         area: That of the cortex [mm2].
     """
-    case = load_case(support.CONFIGS / "intact.yaml")
+    case = load(support.CONFIGS / "intact.yaml").config
     insertions = femur_bone.insertions(femur_bone.outer(-200.0))
     force, moment, at = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, -128.0])
-    for load in case.loads.values():
-        assert isinstance(load, Force)
-        place = insertions.get(load.boundary, np.array(load.at or 0.0))
-        force += load.force
-        moment += np.cross(place - at, load.force)
+    for pull in case.loads.values():
+        assert isinstance(pull, Force)
+        place = insertions.get(pull.boundary, np.array(pull.at or 0.0))
+        force += pull.force
+        moment += np.cross(place - at, pull.force)
     # A ring of that area and the canal's radius there.
     inner = 6.3
     outer = np.sqrt(inner**2 + area / np.pi)

@@ -9,7 +9,7 @@ import pytest
 
 import mantle
 from app.case import explain, keys, new_case
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.cli import main
 from app.errors import InputError
 from tests.support import CONFIGS
@@ -58,8 +58,8 @@ def test_what_init_writes_is_short_and_right(
 
 
 def test_the_femur_of_init_stands_on_one_leg(tmp_path: Path) -> None:
-    case = load_case(new_case.write(tmp_path / "femur", "femur", "cocr"))
-    stance = load_case(CONFIGS / "stance_cocr.yaml")
+    case = load(new_case.write(tmp_path / "femur", "femur", "cocr")).config
+    stance = load(CONFIGS / "stance_cocr.yaml").config
     for part in ("loads", "regions", "interfaces", "supports", "stages"):
         assert getattr(case, part) == getattr(stance, part)
 
@@ -67,7 +67,7 @@ def test_the_femur_of_init_stands_on_one_leg(tmp_path: Path) -> None:
 def test_a_stem_is_of_what_is_asked_for(tmp_path: Path) -> None:
     moduli = []
     for stem in new_case.STEMS:
-        case = load_case(new_case.write(tmp_path / stem, "cylinders", stem))
+        case = load(new_case.write(tmp_path / stem, "cylinders", stem)).config
         moduli.append(case.regions["stem"].youngs_modulus)  # type: ignore[union-attr]
     assert moduli == [110e3, 200e3, 193e3]
 
@@ -110,9 +110,9 @@ def test_init_lists_what_a_mesh_has(tmp_path: Path) -> None:
     ):
         assert line in text.splitlines()
     with pytest.raises(InputError, match="'top end' is not a name"):
-        load_case(path)  # names of gmsh that are none here are told, not hidden
+        load(path)  # names of gmsh that are none here are told, not hidden
     path.write_text(text.replace("boundary: top end", "boundary: foot"), encoding="utf-8")
-    assert list(load_case(path).regions) == ["shaft", "marrow"]
+    assert list(load(path).config.regions) == ["shaft", "marrow"]
 
 
 def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_init_without_the_mesh_says_what_to_fill_in(tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert "NAME_OF_A_REGION" in text and "It is not there yet" in text
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     (message,) = caught.value.messages
     assert message == f"{path}:9:3: geometry.path: no such file: {path.parent}/own.msh"
 

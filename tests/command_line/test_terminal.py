@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -78,18 +77,3 @@ def test_an_error_is_plain_in_a_file_and_red_on_a_terminal() -> None:
         subprocess.run(WRONG, cwd=support.ROOT, env=environ, stderr=stream, check=False)
         assert os.read(master, 1000).startswith(b"\033[1;31m")
     os.close(master)
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root is told")
-def test_root_is_told_what_it_means_on_a_terminal(tmp_path: Path) -> None:
-    """Once, in one line, and not where nobody reads it."""
-    command = [sys.executable, "-m", "mantle", "run", str(support.CONFIGS / "blocks.yaml")]
-    command += ["-o", str(tmp_path / "out"), "--force", "--set", "output.fields=false"]
-    master, slave = pty.openpty()
-    with os.fdopen(master, "rb", buffering=0) as told:
-        subprocess.run(command, env=support.environment(), stderr=slave, stdout=subprocess.PIPE)
-        os.close(slave)
-        text = told.read(10_000).decode()
-    assert text.count("root runs this case") == 1 and "--isolate" in text
-    quiet = subprocess.run(command, env=support.environment(), capture_output=True, text=True)
-    assert quiet.returncode == 0 and not quiet.stderr

@@ -19,6 +19,7 @@ from app.errors import InputError
 from app.heat.conduction import Conduction
 from app.heat.flows import flows, stored
 from app.heat.system import HeatSystem
+from app.numerics import remedies
 from app.numerics.integrator import METHODS, Method, State, step
 from app.numerics.newton import Solver
 from app.scene.fibres import Fibre
@@ -121,7 +122,7 @@ class Solved:
             return None
         for v, values in zip(self.x, guess, strict=False):
             v.array[:] = values
-        if not self.solver.solve().converged:
+        if not remedies.solve(self.solver).converged:
             return None
         self.stages.append(flows(self.conduction, self.x))
         return [v.array.copy() for v in self.x] + self.conduction.degrees(self.x)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from app.numerics.newton import NewtonResult, Solver
+from app.numerics.remedies import solve
 from app.stepping.load_steps import LoadStepper
 from tests import support
 
@@ -89,7 +90,7 @@ def test_the_answer_is_found_from_a_bad_one(
             (stage,) = problem.scene.stages
             motion.load(0, stage)
         assert motion.total.rejected == 0
-        q = solver.parts()[1]
+        q = solver.u_and_q()[1]
         assert q is not None
         jumps.append(q.array.copy())
     np.testing.assert_allclose(jumps[1], jumps[0], atol=1e-6 * np.abs(jumps[0]).max())
@@ -105,16 +106,16 @@ def test_the_usual_augmentation_is_known() -> None:
         (("solver.augmentation_factor=2e-3",), 1e2),
     ):
         _, solver = support.assemble(support.case(STEM, *overrides))
-        assert solver._system.usual_augmentation() == pytest.approx(multiple)
+        assert solver.system.usual_augmentation() == pytest.approx(multiple)
     law = "interfaces.{}={{kind: contact, friction_coefficient: 0.4, augmentation: 1e9 MPa/mm}}"
     laws = [law.format(name) for name in ("stem_cement", "cement_bone")]
     _, solver = support.assemble(support.case(STEM, *laws))
     usual = chosen(STEM)
-    assert solver._system.usual_augmentation() == pytest.approx(np.exp(np.log(usual).mean()) / 1e9)
+    assert solver.system.usual_augmentation() == pytest.approx(np.exp(np.log(usual).mean()) / 1e9)
     penalty = law.replace("contact", "penalty").replace("augmentation", "penalty")
     laws = [penalty.format(name) for name in ("stem_cement", "cement_bone")]
     _, solver = support.assemble(support.case(STEM, *laws))
-    assert solver._system.usual_augmentation() == 1.0
+    assert solver.system.usual_augmentation() == 1.0
 
 
 def test_a_penalty_is_found_with_any_augmentation() -> None:
@@ -127,13 +128,13 @@ def test_a_penalty_is_found_with_any_augmentation() -> None:
     for factor in (1.0, 0.1):
         problem, solver = support.assemble(support.case(STEM, path, stages, *laws))
         (j,) = problem.jumps
-        solver._augmentation = factor
+        solver.augmentation = factor
         states = []
         for time in (0.5, 1.0, 1.5, 2.0):
             problem.set_time(time)
-            outcome = solver.solve()
+            outcome = solve(solver)
             assert outcome.converged and outcome.augmentation == factor
-            u, q = solver.parts()
+            u, q = solver.u_and_q()
             problem.commit(problem.trial(u, q))
             h = j.history
             states.append(np.column_stack([h.jump, h.force, h.slip, h.path, h.dissipation]))
@@ -157,7 +158,7 @@ def test_a_line_search_comes_back_as_it_was(tmp_path: Path) -> None:
     _, solver = support.assemble(support.case(STEM, "solver.petsc.snes_linesearch_order=2"))
     before = described(solver)
     assert "quadratic" in before
-    solver._newton.use_search("basic")
+    solver.use_search("basic")
     assert described(solver) != before
-    solver._newton.use_search("bt")
+    solver.use_search("bt")
     assert described(solver) == before

@@ -24,13 +24,13 @@ def test_taylor_remainder_is_of_second_order(order: int, law: str) -> None:
     x, J = solved.solver.x, snes.getJacobian()[0]
     # Off the solution, where the points have some force: on it many sit exactly on their cone.
     rng = np.random.default_rng(1)
-    u, q = solved.solver.parts()
+    u, q = solved.solver.u_and_q()
     free = ~solved.problem.held
     u.array[free] += 1e-5 * rng.standard_normal(int(free.sum()))
     q.array[:] += 1e-5 * rng.standard_normal(q.array.size)
     base, moved, linear = (x.duplicate() for _ in range(3))
     step, there = x.duplicate(), x.duplicate()
-    du, dq = solved.solver.parts(step)
+    du, dq = solved.solver.u_and_q(step)
     du.array[:] = np.where(free, rng.standard_normal(free.size), 0.0)
     dq.array[:] = rng.standard_normal(dq.array.size)
     snes.computeFunction(x, base)

@@ -10,7 +10,7 @@ import pytest
 
 import meshes
 from app.arrays import Floats
-from app.case.case import Case, dump_case
+from app.case.case import Case, dump
 from app.errors import InputError
 from app.laws.loads import Roller
 from app.results.balance import Balance
@@ -78,7 +78,7 @@ def turn(text: str, *overrides: str, face: bool = False) -> tuple[Case, TaggedMe
 
 def reactions(solved: support.Solved) -> Floats:
     """Forces through the supports at the nodes [N]."""
-    u, q = solved.solver.parts()
+    u, q = solved.solver.u_and_q()
     trial = solved.problem.trial(u, q) if q is not None else None
     return np.array(
         Balance(solved.problem, np.zeros(3))._measure(u, trial)["reaction"].reshape(-1, 3)
@@ -238,7 +238,7 @@ def test_a_direction_is_normalised_and_reads_back() -> None:
     )
     this = support.case(BLOCK, *(f"supports.{s}" for s in supports))
     assert this.supports["x"].normal == (0.0, -1.0, 0.0)
-    again = support.case(dump_case(this))
+    again = support.case(dump(this))
     assert again.supports == this.supports
 
 

@@ -55,13 +55,13 @@ def test_a_released_model_is_one_that_was_never_held(overrides: tuple[str, ...])
     released.step()
     held = problem.displacements()[problem.bodies.of_region["upper"]].x.array.copy()
     assert problem.version == 0
-    u, _ = released.solver.parts()
+    u, _ = released.solver.u_and_q()
     problem.set_stage(0, u)
     assert problem.version == 0
     problem.set_stage(1, u)
     assert problem.version == 1
     # Nothing moves by letting go.
-    problem.spread(*released.solver.parts())
+    problem.spread(*released.solver.u_and_q())
     top = problem.displacements()[problem.bodies.of_region["upper"]]
     assert np.abs(top.x.array - held).max() < 1e-14
     problem.set_time(2.0)
@@ -81,7 +81,7 @@ def test_a_support_that_takes_hold_again() -> None:
     model = Heated.make(COLUMN, active(hand=(False, True)))
     model.problem.set_time(1.0)
     model.step()
-    model.problem.set_stage(1, model.solver.parts()[0])
+    model.problem.set_stage(1, model.solver.u_and_q()[0])
     model.problem.set_time(2.0)
     model.step()
     x = model.problem.space.tabulate_dof_coordinates()

@@ -337,8 +337,6 @@ def test_coupling_costs_one_system_and_no_form(monkeypatch: pytest.MonkeyPatch) 
     coupled = replace(one_way, systems=[("displacement", "jump"), every])
     for interface in (PRESSED, f"{PRESSED}, friction_heating: 0.3"):
         assert bill(monkeypatch, f"{RUBS}, {interface}", expands=True) == coupled
-    turns = bill(monkeypatch, f"{RUBS}, {PRESSED}", "solver.coupling=staggered", expands=True)
-    assert turns == one_way
 
 
 def test_friction_heats_a_perfect_interface_without_jumps(

@@ -8,13 +8,12 @@ import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
-import gmsh
 import numpy as np
 import pytest
 
 import meshes
 from app.case.geometries import Block, Blocks, MeshFile, MeshOptions
-from app.errors import GeometryError, InputError
+from app.errors import GeometryError
 from app.soundness import well_posedness
 from meshes.data import MeshData, region_volumes
 from tests import support
@@ -106,42 +105,16 @@ def test_middle_nodes_that_neighbours_do_not_share_are_refused(tmp_path: Path) -
         read(tmp_path, replace(data, cells=cells, points=points))
 
 
-@pytest.mark.parametrize("binary", [False, True])
-@pytest.mark.parametrize("version", [2.2, 4.1])
-@pytest.mark.parametrize("known", [False, True])
-def test_a_volume_without_cells_is_ignored_and_told(
-    version: float, binary: bool, known: bool, tmp_path: Path
-) -> None:
-    """Of any format; one that has a place in space but no cells, or only a name."""
+def test_a_volume_without_cells_is_told_when_the_mesh_is_made(tmp_path: Path) -> None:
     path = tmp_path / "a.msh"
-    meshes.write_msh(cube(), tmp_path / "cube.msh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.open(str(tmp_path / "cube.msh"))
-        if known:
-            gmsh.model.addDiscreteEntity(3, 17)
-            gmsh.model.addPhysicalGroup(3, [17], name="void")
-        gmsh.option.setNumber("Mesh.MshFileVersion", version)
-        gmsh.option.setNumber("Mesh.Binary", binary)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
+    meshes.write_msh(cube(), path)
     head, names, rest = path.read_bytes().partition(b"$PhysicalNames\n")
-    if not known:
-        count, _, rest = rest.partition(b"\n")
-        rest = b'%d\n3 99 "void"\n' % (int(count) + 1) + rest
-    path.write_bytes(head + names + rest)
-    assert b'"void"' in path.read_bytes()
-    case = support.case(CASE.format(path=path))
-    assert case.geometry.region_names == ("cube",)
-    back = meshes.build(case.geometry, case.mesh)
-    assert region_volumes(back) == pytest.approx({"cube": 1000.0})
-    assert well_posedness.judge(case, well_posedness.look(case, back)) == [
-        "geometry: the physical volume 'void' of the file has no cells: it is ignored"
-    ]
-    with pytest.raises(InputError, match="void"):
-        support.case(CASE.format(path=path), "regions.void.rigid=true")
+    count, _, rest = rest.partition(b"\n")
+    path.write_bytes(head + names + b'%d\n3 99 "void"\n' % (int(count) + 1) + rest)
+    case = support.case(CASE.format(path=path), "regions.void={rigid: true, tissue: other}")
+    assert sorted(case.geometry.region_names) == ["cube", "void"]
+    with pytest.raises(GeometryError, match="no cells in the volumes void"):
+        meshes.build(case.geometry, case.mesh)
 
 
 def tetrahedron(path: Path, last: int) -> MeshData:

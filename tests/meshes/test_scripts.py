@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import load_case
+from app.case.case import load
 from app.case.geometries import MeshFile
 from app.case.gmsh_header import ALLOWED, physical_names
 from app.case.shapes import MeshOptions
@@ -142,7 +142,7 @@ def test_cells_of_second_order_are_curved_where_the_script_is(
         if text == PIN
         else CASE.replace("order: 1", "order: 2")
     )
-    case = load_case(tmp_path / "case.yaml")
+    case = load(tmp_path / "case.yaml").config
     data = meshes.build(case.geometry, case.mesh)
     assert data.curved == curved
     expected = {"pin": np.pi * 2**2 * 5} if curved else {"low": 6.0, "high": 12.0}
@@ -208,13 +208,13 @@ def test_layers_are_solved(tmp_path: Path) -> None:
     """Pressed evenly without Poisson's effect: u_z = -p z / E, across the joint too."""
     script(tmp_path, LAYERS)
     (tmp_path / "case.yaml").write_text(CASE)
-    case = load_case(tmp_path / "case.yaml")
+    case = load(tmp_path / "case.yaml").config
     solved = support.solve(case)
     for name in ("low", "high"):
         x, u = solved.displacement(name)
         assert np.abs(u[:, 2] + x[:, 2] / 100).max() < 1e-10
     with pytest.raises(InputError, match="'between' is no part of the surface"):
-        support.solve(load_case(tmp_path / "case.yaml", ["supports.base.boundary=between"]))
+        support.solve(load(tmp_path / "case.yaml", ["supports.base.boundary=between"]).config)
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_scripts_that_are_refused_unread(text: str, expected: str, tmp_path: Pat
     script(tmp_path, text)
     (tmp_path / "case.yaml").write_text(CASE)
     with pytest.raises(InputError, match=rf"case\.yaml:1:24: geometry\.path: .*{expected}"):
-        load_case(tmp_path / "case.yaml")
+        load(tmp_path / "case.yaml")
 
 
 @pytest.mark.parametrize(

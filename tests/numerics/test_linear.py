@@ -15,6 +15,7 @@ from app.errors import ConvergenceError
 from app.mechanics.coarse_space import Boxes, SlidingMotions, free_directions
 from app.numerics.deflation import Deflated
 from app.numerics.preconditioners import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
+from app.numerics.remedies import solve
 from app.numerics.sparse import from_rows
 from tests import support
 
@@ -204,11 +205,11 @@ def test_interfaces_are_factored_first_and_the_stiffness_next(
     said = [m for m in caplog.messages if "linear solver" in m]
     assert [m.partition("factorizing the ")[2] for m in said] == [*FACTORED_LATE]
     problem, solver = support.assemble(support.case(PUSHED, "solver.linear=multigrid"))
-    linear = solver._newton.linear
+    linear = solver.linear
     found = [linear._fall_back() for _ in range(3)]
     assert [text.partition("factorizing the ")[2] for text in found] == [*FACTORED_LATE, ""]
     problem.set_time(0.5)
-    assert solver.solve().converged
+    assert solve(solver).converged
 
 
 def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,7 @@ def main(output: Path) -> None:
     model = Heated.make(CASE, change)
     problem = model.problem
     for k in (1, 2, 3, 4):
-        problem.set_stage(k // 4, model.solver.parts()[0])
+        problem.set_stage(k // 4, model.solver.u_and_q()[0])
         problem.set_time(k / 3 if k < 4 else 2.0)
         problem.set_temperature({"bone": model.scalar(lambda x: 310 + x[2])})
         s = min(k, 3) / 3

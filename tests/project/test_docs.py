@@ -19,7 +19,7 @@ from ruamel.yaml import YAML
 
 import mantle
 from app.case import new_case
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.case.quantities import TABLE
 from app.case.study import StudyFile
 from app.case.sweep import Sweep
@@ -141,11 +141,11 @@ def test_yaml_blocks_are_cases_or_parts_of_them(page: Path, text: str, tmp_path:
     data = YAML(typ="safe", pure=True).load(text)
     if CASE_KEYS <= data.keys():
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
-        assert load_case(tmp_path / "case.yaml").geometry
+        assert load(tmp_path / "case.yaml").config.geometry
     elif "base" in data and data.keys() & CASE_KEYS:
         (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
         new_case.write(tmp_path / "hip", "femur")
-        assert load_case(tmp_path / "case.yaml").loads
+        assert load(tmp_path / "case.yaml").config.loads
     elif "base" in data:
         assert (StudyFile if "study" in data else Sweep).model_validate(data)
     else:

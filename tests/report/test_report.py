@@ -13,17 +13,21 @@ from typing import Any
 
 import pytest
 
-from app.case.case import dump_case, load_case
+from app.case.case import dump, load
 from app.cli import main
 from app.errors import InputError
-from app.report import gruen, sensitivity, sweep_figures, sweep_report
+from app.report import (
+    gruen,
+    paper,
+    paper_claims,
+    paper_numbers,
+    sensitivity,
+    sweep_figures,
+    sweep_report,
+)
 from app.report import sweep_results as rs
-from app.report.paper import cases as report_paper
-from app.report.paper import compare
-from app.report.paper import trends as rt
-from app.report.paper.cases import PERCENTILES
-from app.report.paper.trends import CONFIRMED, NOT_CONFIRMED, UNDECIDED
-from app.report.sweep_results import Number
+from app.report.paper_claims import CONFIRMED, NOT_CONFIRMED, UNDECIDED
+from app.report.sweep_results import PERCENTILES, Number
 from app.schema import yaml_file
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -32,7 +36,7 @@ MODULI = {"titanium": 110, "CoCr": 200}
 
 @cache
 def resolved(name: str) -> str:
-    return dump_case(load_case(CONFIGS / f"{name}.yaml"))
+    return dump(load(CONFIGS / f"{name}.yaml").config)
 
 
 def data_of(tmp_path: Path, name: str) -> dict[str, Any]:
@@ -57,7 +61,7 @@ class Maker:
         (run / "case.yaml").write_text(yaml_file.written(data))
         if summary is not None:
             (run / "summary.json").write_text(json.dumps(summary))
-        entry = {"name": name, "part": "all", "overrides": {}, "status": "converged"}
+        entry = {"name": name, "part": "thickness", "overrides": {}, "status": "converged"}
         entry |= {"folder": f"runs/{run.name}", "exit_code": 0, "message": "", "seconds": 12.0}
         self.cases.append(entry | more)
         return run
@@ -136,7 +140,7 @@ def sweep(maker: Maker, law: Law, error: float) -> rs.SweepResults:
 
 
 def verdicts(found: rs.SweepResults) -> dict[str, str]:
-    return {t.name: t.verdict for t in rt.judge(report_paper.Cases(found))}
+    return {t.name: t.verdict for t in paper_claims.judge(paper.Cases(found))}
 
 
 # Numbers
@@ -158,88 +162,41 @@ def test_a_number_is_as_long_as_its_error_allows(number: Number, text: str) -> N
 
 
 def test_a_statement_is_undecided_within_the_errors() -> None:
-    assert rt.exceeds(Number(3.0, 0.4), Number(2.0, 0.5)) == CONFIRMED
-    assert rt.exceeds(Number(3.0, 0.5), Number(2.0, 0.5)) == UNDECIDED
-    assert rt.exceeds(Number(2.0, 0.4), Number(3.0, 0.5)) == NOT_CONFIRMED
-    assert rt.exceeds(Number(3.0, 0.1), Number(2.0, 0.1), 2.0) == NOT_CONFIRMED
-    assert rt.exceeds(Number(100.0), Number(100.0)) == NOT_CONFIRMED
-    assert rt.exceeds(Number(100.0, 0.1), Number(100.0, 0.1)) == UNDECIDED
-    assert rt.alike(Number(1.0, 0.004), Number(1.01, 0.004), 0.02) == CONFIRMED
-    assert rt.alike(Number(1.0, 0.02), Number(1.01, 0.02), 0.02) == UNDECIDED
-    assert rt.alike(Number(1.0, 0.02), Number(1.1, 0.02), 0.02) == NOT_CONFIRMED
+    assert paper_claims.exceeds(Number(3.0, 0.4), Number(2.0, 0.5)) == CONFIRMED
+    assert paper_claims.exceeds(Number(3.0, 0.5), Number(2.0, 0.5)) == UNDECIDED
+    assert paper_claims.exceeds(Number(2.0, 0.4), Number(3.0, 0.5)) == NOT_CONFIRMED
+    assert paper_claims.exceeds(Number(3.0, 0.1), Number(2.0, 0.1), 2.0) == NOT_CONFIRMED
+    assert paper_claims.exceeds(Number(100.0), Number(100.0)) == NOT_CONFIRMED
+    assert paper_claims.exceeds(Number(100.0, 0.1), Number(100.0, 0.1)) == UNDECIDED
+    assert paper_claims.alike(Number(1.0, 0.004), Number(1.01, 0.004), 0.02) == CONFIRMED
+    assert paper_claims.alike(Number(1.0, 0.02), Number(1.01, 0.02), 0.02) == UNDECIDED
+    assert paper_claims.alike(Number(1.0, 0.02), Number(1.1, 0.02), 0.02) == NOT_CONFIRMED
 
 
-# Recognition
+# The paper's cases
 
 
-def test_cases_are_known_by_their_physics(tmp_path: Path) -> None:
-    data = data_of(tmp_path, "stance")
-    known = report_paper.physics(data)
-    assert known is not None
-    assert (known.model, known.stem, known.thickness, known.bone_friction) == (
-        "stance",
-        "titanium",
-        4.0,
-        1.0,
-    )
-    cocr = report_paper.physics(data_of(tmp_path, "stance_cocr"))
-    assert cocr is not None and cocr.stem == "CoCr" and cocr.rest == known.rest
-
-    def changed(*path: str, to: Any) -> Any:
-        other: Any = copy.deepcopy(data)
-        table = other
-        for key in path[:-1]:
-            table = table[key]
-        table[path[-1]] = to
-        return report_paper.physics(other)
-
-    assert changed("regions", "stem", "youngs_modulus", to="150000.0 MPa") is None
-    assert changed("loads", "hip", "force", to=["0.0 N", "0.0 N", "-900.0 N"]) is None
-    assert changed("interfaces", "stem_cement", "friction_coefficient", to=0.3) is None
-    assert changed("interfaces", "cement_bone", "kind", to="bonded") is None
-    softer = changed("regions", "cancellous_bone", "youngs_modulus", to="400.0 MPa")
-    assert softer.rest != known.rest
-    finer = changed("mesh", "size", to="2.0 mm")
-    assert finer == known
-
-
-def test_both_readings_of_100_degrees_are_told_apart(tmp_path: Path) -> None:
-    found = {}
-    for name in ("thermal_100C", "thermal_rings"):
-        data = data_of(tmp_path, name)
-        initial = report_paper.physics(data)
-        data["heat"]["held"] = {
-            "kind": "temperature",
-            "regions": ["cement"],
-            "temperature": "100.0 degC",
-        }
-        held = report_paper.physics(data)
-        assert initial is not None and held is not None and initial.rest == held.rest
-        assert initial.conductance == "300 W/(m²K)"
-        found[name] = (initial.model, initial.reading, held.reading)
-    assert found == {
-        "thermal_100C": ("femur", "initial", "held"),
-        "thermal_rings": ("slice", "initial", "held"),
-    }
-    assert report_paper.physics(data_of(tmp_path, "cylinders")) is None
-    assert report_paper.physics(data_of(tmp_path, "cure")) is None
-    assert report_paper.physics({}) is None
-
-
-def test_what_most_cases_agree_in_is_the_papers(maker: Maker) -> None:
+def test_the_papers_cases_are_those_of_the_parts_that_it_names(maker: Maker) -> None:
+    """By stem, thickness and friction; of two that are alike the finer, then the first."""
     for t in (3.0, 4.0):
         maker.stance("titanium", t, 1.0, {})
-    data = data_of(maker.folder, "stance")
-    data["regions"]["cancellous_bone"]["youngs_modulus"] = "400.0 MPa"
-    maker.add("soft", data, {})
-    data = data_of(maker.folder, "stance")
-    maker.add("finer", data, {}, unknowns=10)
-    cases = report_paper.Cases(rs.read(maker.write()))
-    assert {t: c.name for t, c in cases.stances("titanium").items()} == {
-        3.0: "titanium 3 1",
-        4.0: "finer",
-    }
-    assert "soft" not in cases.used
+    maker.add("finer", data_of(maker.folder, "stance"), {}, unknowns=10)
+    maker.add("again", data_of(maker.folder, "stance"), {}, unknowns=10)
+    maker.stance("CoCr", 4.0, 0.4, {}, part="friction")
+    maker.stance("CoCr", 4.0, 1.0, {}, part="mine")
+    found = paper.Cases(rs.read(maker.write()))
+    names = {t: c.name for t, c in found.thicknesses("titanium").items()}
+    assert names == {3.0: "titanium 3 1", 4.0: "finer"}
+    assert list(found.frictions("CoCr")) == [0.4]
+    assert not paper.Cases(rs.read(maker.write(compare_with="")))
+
+
+def test_shipped_parts_are_known(tmp_path: Path) -> None:
+    """Every label is a part of the shipped sweep, and both readings are told by their override."""
+    data = yaml_file.read(CONFIGS / "sweeps" / "paper.yaml").data["parts"]
+    assert {*paper.STANCES, *paper.HOT, paper.COOLED} <= set(data)
+    for part in paper.HOT:
+        assert [*data[part]["table"]["held"]] == ["heat.held"]
 
 
 # Trends
@@ -286,13 +243,13 @@ def heated(maker: Maker, thickness: float, held: bool, cement: float, bone: floa
     data = data_of(maker.folder, "thermal_rings")
     data["geometry"]["cement_thickness"] = f"{thickness:g} mm"
     data["geometry"]["bone_thickness"] = f"{9 - thickness:g} mm"
-    if held:
-        condition = {"kind": "temperature", "regions": ["cement"], "temperature": "100.0 degC"}
-        data["heat"]["held"] = condition
+    condition = {"kind": "temperature", "regions": ["cement"], "temperature": "100.0 degC"}
     regions = {"cement": {"temperature_max": 100.0, "temperature_max_error": 0.1}, "bone": {}}
     bones = {"temperature_max_second": bone, "temperature_max_second_error": 0.1}
     thermal = {"regions": regions, "interfaces": {"cement_bone": bones}}
-    run = maker.add(f"{'held' if held else 'initial'} {thickness:g}", data, {"thermal": thermal})
+    name, more = f"{'held' if held else 'initial'} {thickness:g}", {"part": "slice"}
+    overrides = {"heat.held": condition} if held else {}
+    run = maker.add(name, data, {"thermal": thermal}, overrides=overrides, **more)
     rows = [(5.0, 99.0), (10.0, cement), (11.0, cement - 1), (600.0, 40.0)]
     text = "seconds [s],cement temperature_max [degC],bone temperature_max [degC]\n"
     text += "".join(f"{s},{T},{bone - 1}\n" for s, T in rows)
@@ -304,10 +261,10 @@ def test_heat_is_judged_by_reading_and_told_after_ten_seconds(maker: Maker) -> N
         heated(maker, t, False, 60 + 6 * t, 48 + t)
         heated(maker, t, True, 100.0, 84 - t)
     found = rs.read(maker.write())
-    cases = report_paper.Cases(found)
+    cases = paper.Cases(found)
     assert verdicts(found)["T-g (slice, initial)"] == CONFIRMED
     assert verdicts(found)["T-g (slice, held)"] == NOT_CONFIRMED
-    rows = [r for r in compare.compare(cases, found) if r.fact.id == "25"]
+    rows = [r for r in paper_numbers.compare(cases, found) if r.fact.id == "25"]
     assert [(r.case, r.peak) for r in rows] == [("initial 2", 72.0), ("held 2", 100.0)]
     # 72 over 76 degC, above the 37 degC of the body.
     assert rows[0].ratios[0] == pytest.approx(35 / 39)
@@ -321,7 +278,7 @@ def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
         "interfaces": {"stem_cement": {"pressure_max": 4.0}},
         "bonds": {"cement_bone": {"normal_max": 6.0}},
     }
-    maker.add("bonded", data, summary)
+    maker.add("bonded", data, summary, part="cooled")
     found = rs.read(maker.write())
     assert verdicts(found)["T-h"] == CONFIRMED
     summary["bonds"]["cement_bone"]["normal_max"] = -1.0
@@ -334,8 +291,8 @@ def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
 
 def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
     found = sweep(maker, as_the_paper_says, 0.05)
-    cases = report_paper.Cases(found)
-    rows = compare.compare(cases, found)
+    cases = paper.Cases(found)
+    rows = paper_numbers.compare(cases, found)
     assert list(dict.fromkeys(r.fact.id for r in rows)) == [str(i) for i in range(1, 34)]
     slip = next(r for r in rows if r.fact.id == "1")
     assert slip.case == "titanium 4 1"
@@ -355,17 +312,9 @@ def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
 def test_a_failed_case_is_named_as_the_reason(maker: Maker) -> None:
     maker.stance("titanium", 4.0, 1.0, None, status="failed", exit_code=3, message="no mesh")
     found = rs.read(maker.write())
-    rows = compare.compare(report_paper.Cases(found), found)
+    rows = paper_numbers.compare(paper.Cases(found), found)
     assert rows[0].remark == "the case titanium 4 1 failed"
     assert rows[0].peak is None
-
-
-def test_odd_numbers_are_answered_from_the_data(maker: Maker) -> None:
-    found = report_paper.Cases(sweep(maker, as_the_paper_says, 0.01))
-    first, second, stress = compare.strange(found)
-    assert "1650" in first and "300.0 ± 3.0 µm" in first and "5 times" in first
-    assert "680" in second and "no such jump" in second
-    assert "no stress of the heated femur" in stress
 
 
 # Zones and mantles
@@ -476,7 +425,7 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
         numbers = contact(lambda *a, x=taper: x, "", 0, 0, 0.1)
         more = {"overrides": {"geometry.taper": f"{taper:g} deg", "title": "x"}}
         maker.add(f"taper {taper:g}", data, {"interfaces": numbers}, **more)
-    written = sweep_report.run(maker.write())
+    written = sweep_report.run(maker.write(compare_with=""))
     assert [f.name for f in written.files] == ["report.html", "over_geometry_taper.png"]
     page = written.files[0].read_text()
     assert not written.trends and "Rakotomanana" not in page
@@ -556,7 +505,7 @@ def test_rank_correlations_find_the_key_that_matters(maker: Maker) -> None:
     head, rows = sensitivity.table(rs.read(maker.write(compare_with="")).cases)
     assert len(head) == 3 and rows
     for part, name, words in rows:
-        assert part == "all" and name
+        assert part == "thickness" and name
         assert words == ["+1.00 taper", "+0.00 length"]
     # With one key alone a curve says it.
     assert sensitivity.table(rs.read(maker.folder).cases[::2])[1] == []

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import load_case
+from app.case.case import load
 from app.errors import InputError
 from app.heat.heat_forms import HeatForms
-from app.report.paper.heat import bone_peak
+from app.report.paper import bone_peak
 from app.report.sweep_results import SweptCase
 from app.results.stem_motion import stem_motion
 from app.results.thermal_record import ThermalRecord
@@ -50,10 +50,10 @@ loads: {press: {kind: pressure, boundary: top, pressure: 1 MPa}}
     ],
 )
 def test_shipped_geometries_know_theirs(name: str, expected: dict[str, str]) -> None:
-    case = load_case(CONFIGS / f"{name}.yaml")
+    case = load(CONFIGS / f"{name}.yaml").config
     bones = {n: "bone" for n in ("cortical_bone", "cancellous_bone") if n in case.regions}
     assert {n: r.tissue for n, r in case.regions.items()} == expected | bones
-    changed = load_case(CONFIGS / f"{name}.yaml", [f"regions.{n}.tissue=other" for n in bones])
+    changed = load(CONFIGS / f"{name}.yaml", [f"regions.{n}.tissue=other" for n in bones]).config
     assert all(changed.regions[n].tissue == "other" for n in bones)
 
 
@@ -71,7 +71,7 @@ def test_a_file_has_to_say_it(tmp_path: Path) -> None:
     text = f"geometry: {{kind: file, path: a.msh, {sides}}}\n" + STACK[STACK.index("mesh:") :]
     path.write_text(text.replace(", tissue: bone}", "}").replace("implant", "implnt"))
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     assert caught.value.messages == [
         f"{path}:4:3: regions.cortex: 'tissue' is missing; expected bone, cement, implant or other",
         f"{path}:6:53: regions.nail.tissue: 'implnt' is not one of bone, cement, implant, other; "

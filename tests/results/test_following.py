@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.case import loaded_case
+from app.case.case import load
 from app.results import closing_lines
 from app.simulation.session import run
 
@@ -58,7 +58,7 @@ def solve(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
 
     def summary(*overrides: str) -> Any:
         folder = tmp_path_factory.mktemp("run")
-        run(loaded_case.load(path, overrides), folder)
+        run(load(path, overrides), folder)
         return json.loads((folder / "summary.json").read_text())
 
     return summary

@@ -11,8 +11,7 @@ from mpi4py import MPI
 import meshes
 from app import cli
 from app.errors import ConvergenceError, StoppedError
-from app.mechanics import problem
-from app.numerics import snes
+from app.mechanics import problem, systems
 from app.results.run_folder import Writer
 from app.simulation import checkpoint
 from meshes import distribute
@@ -22,7 +21,7 @@ PHASES: dict[str, tuple[Any, str, int]] = {
     "mesh": (meshes, "build", 1),
     "distribution": (distribute, "_cell_tags", 1),
     "assembly": (problem.Problem, "__init__", 1),
-    "solve": (snes.Snes, "_residual", 2),
+    "solve": (systems.ContactSystem, "residual", 2),
     "output": (Writer, "history", 1),
     "checkpoint": (checkpoint, "write", 1),
 }

@@ -28,7 +28,7 @@ from ruamel.yaml import YAML
 from app.case import gmsh_header, overlay
 from app.case import study as study_file
 from app.case import sweep as sweep_file
-from app.case.case import dump_case, resolve
+from app.case.case import dump, resolve
 from app.errors import InputError
 from app.schema import yaml_file
 from app.schema.unit_conversion import registry
@@ -258,7 +258,7 @@ def read(path: Path, overrides: list[str]) -> None:
         file = overlay.read(path, overrides)
         case = resolve(file, path.parent)
         text = preview.describe(case, file.data) + cost.estimated_size(case)
-        text += "".join(plausibility.warnings(case)) + dump_case(case) + str(cost.seconds(case))
+        text += "".join(plausibility.warnings(case)) + dump(case) + str(cost.seconds(case))
         text.encode()
 
 

@@ -17,7 +17,7 @@ import traceback
 from pathlib import Path
 
 import meshes
-from app.case.case import load_case
+from app.case.case import load
 from app.errors import GeometryError, InputError
 from meshes.session import session
 
@@ -111,7 +111,7 @@ def damaged(rng: random.Random, raw: bytes) -> bytes:
 def read(path: Path) -> str:
     """Mesh a case whose file is damaged: what is wrong with the way it ends."""
     try:
-        case = load_case(path)
+        case = load(path).config
         meshes.build(case.geometry, case.mesh, None)
     except (InputError, GeometryError) as error:
         return "" if str(error).strip() else "says nothing"

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import load_case
+from app.case.case import load
 from app.system import folders, form_cache
 from tests.robustness.faulty import CASE, DAMAGES, HERE, OPTIONS, damage, mounts, run, slow
 from tests.support import environment
@@ -20,7 +20,7 @@ from tests.support import environment
 
 @pytest.mark.parametrize("how", DAMAGES)
 def test_a_damaged_mesh_is_made_again(how: str, tmp_path: Path) -> None:
-    case = load_case(CASE, ["mesh.size=5 mm", "mesh.far_size=5 mm"])
+    case = load(CASE, ["mesh.size=5 mm", "mesh.far_size=5 mm"]).config
     first = meshes.build(case.geometry, case.mesh, tmp_path)
     (path,) = tmp_path.glob("*.npz")
     good = path.read_bytes()
@@ -32,7 +32,7 @@ def test_a_damaged_mesh_is_made_again(how: str, tmp_path: Path) -> None:
 
 
 def test_a_mesh_that_cannot_be_kept_is_a_mesh(caplog: pytest.LogCaptureFixture) -> None:
-    case = load_case(CASE, ["mesh.size=5 mm", "mesh.far_size=5 mm"])
+    case = load(CASE, ["mesh.size=5 mm", "mesh.far_size=5 mm"]).config
     assert len(meshes.build(case.geometry, case.mesh, Path("/proc/nowhere")).cells)
     assert "the mesh cannot be kept in /proc/nowhere" in caplog.text
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.errors import InputError
 from app.results.stresses import Stresses
 from app.scene.fibres import Fibre
@@ -34,7 +34,7 @@ FREE = "{strain: [2e-3, 1e-3, 3e-3, 0, 0, 1e-3]}"
 
 
 def ring(lay: str, *overrides: str) -> Case:
-    return load_case(RING, (f"regions.ring.fibre.kind={lay}", *overrides))
+    return load(RING, (f"regions.ring.fibre.kind={lay}", *overrides)).config
 
 
 def error(solved: support.Solved, lay: str) -> float:
@@ -94,7 +94,7 @@ def test_energy_of_the_strain_is_half_the_work_of_the_pressure(lay: str) -> None
     stresses = Stresses(solved.problem, Timing())
     _, volumes = stresses.places("ring")
     energy = float((stresses.energy_density("ring") * volumes).sum())
-    work = solved.problem.f.dot(solved.solver.parts()[0])
+    work = solved.problem.f.dot(solved.solver.u_and_q()[0])
     assert energy == pytest.approx(0.5 * work, rel=1e-9)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from app.case.case import Case, case_schema, dump_case, load_case
+from app.case.case import Case, dump, load
 from app.case.femurs import Femur
 from app.case.geometries import Cylinders
 from app.case.run_options import Stage
@@ -19,6 +19,7 @@ from app.laws.interface_laws import Bonded
 from app.laws.loads import Force
 from app.laws.materials import Isotropic
 from app.schema.expressions import evaluate
+from app.schema.json_schema import json_schema
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = sorted(CONFIGS.glob("*.yaml"))
@@ -38,18 +39,18 @@ supports:
 """
 
 
-def load(tmp_path: Path, text: str, *overrides: str) -> Case:
+def loaded(tmp_path: Path, text: str, *overrides: str) -> Case:
     path = tmp_path / "case.yaml"
     path.write_text(text)
-    return load_case(path, overrides)
+    return load(path, overrides).config
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
 def test_shipped_case_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
-    case = load_case(path)
-    text = dump_case(case)
-    assert load(tmp_path, text) == case.model_copy(update={"variations": {}})
-    assert dump_case(load(tmp_path, text)) == text
+    case = load(path).config
+    text = dump(case)
+    assert loaded(tmp_path, text) == case.model_copy(update={"variations": {}})
+    assert dump(loaded(tmp_path, text)) == text
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
@@ -60,11 +61,11 @@ def test_shipped_case_names_an_existing_schema(path: Path) -> None:
 
 def test_schema_for_editors_is_current() -> None:
     """``mantle schema > configs/schema.json`` renews it."""
-    assert json.loads((CONFIGS / "schema.json").read_text()) == case_schema()
+    assert json.loads((CONFIGS / "schema.json").read_text()) == json_schema(Case)
 
 
 def test_stance_is_the_case_of_the_paper() -> None:
-    case = load_case(CONFIGS / "stance.yaml")
+    case = load(CONFIGS / "stance.yaml").config
     assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
     hip = case.loads["hip"]
@@ -78,7 +79,7 @@ def test_stance_is_the_case_of_the_paper() -> None:
 
 
 def test_the_two_stance_cases_differ_in_the_stem_alone() -> None:
-    titanium, cobalt = (load_case(CONFIGS / f"{n}.yaml") for n in ("stance", "stance_cocr"))
+    titanium, cobalt = (load(CONFIGS / f"{n}.yaml").config for n in ("stance", "stance_cocr"))
     stems = titanium.regions["stem"], cobalt.regions["stem"]
     assert [stem.youngs_modulus for stem in stems] == [110e3, 200e3]  # type: ignore[union-attr]
     regions = {**cobalt.regions, "stem": stems[0]}
@@ -87,7 +88,7 @@ def test_the_two_stance_cases_differ_in_the_stem_alone() -> None:
 
 
 def test_defaults_are_filled_in(tmp_path: Path) -> None:
-    case = load(tmp_path, MINIMAL)
+    case = loaded(tmp_path, MINIMAL)
     assert case.interfaces == {"lower_upper": Bonded()}
     assert [stage.name for stage in case.stages] == ["load"]
     assert case.mesh.far == 8.0
@@ -96,7 +97,7 @@ def test_defaults_are_filled_in(tmp_path: Path) -> None:
 
 
 def test_overrides_reach_everything(tmp_path: Path) -> None:
-    case = load(
+    case = loaded(
         tmp_path,
         MINIMAL,
         "mesh.size=0.1 cm",
@@ -119,14 +120,14 @@ def test_overrides_reach_everything(tmp_path: Path) -> None:
 
 
 def test_a_case_is_immutable(tmp_path: Path) -> None:
-    case = load(tmp_path, MINIMAL)
+    case = loaded(tmp_path, MINIMAL)
     with pytest.raises(ValidationError):
         case.title = "other"
     assert isinstance(case.stages, tuple)
 
 
 def test_single_values_stand_for_all_directions(tmp_path: Path) -> None:
-    case = load(
+    case = loaded(
         tmp_path,
         MINIMAL,
         "supports.base={kind: foundation, boundary: bottom, stiffness: 0.1 GPa/mm}",
@@ -141,17 +142,17 @@ def test_merged_keys_and_anchors(tmp_path: Path) -> None:
     text = MINIMAL.replace("{rigid: true}", "{<<: *lower, poisson_ratio: 0.1}").replace(
         "lower: {youngs", "lower: &lower {youngs"
     )
-    upper = load(tmp_path, text).regions["upper"]
+    upper = loaded(tmp_path, text).regions["upper"]
     assert isinstance(upper, Isotropic)
     assert (upper.youngs_modulus, upper.poisson_ratio) == (2200.0, 0.1)
 
 
 def test_yaml_is_of_version_1_2(tmp_path: Path) -> None:
     """``no`` is a word, ``1e-3`` a number, and a date text."""
-    case = load(tmp_path, MINIMAL + "title: no\nsolver: {tolerance: 1e-3}\n")
+    case = loaded(tmp_path, MINIMAL + "title: no\nsolver: {tolerance: 1e-3}\n")
     assert case.title == "no"
     assert case.solver.tolerance == 1e-3
-    assert load(tmp_path, MINIMAL + "title: 2024-01-01\n").title == "2024-01-01"
+    assert loaded(tmp_path, MINIMAL + "title: 2024-01-01\n").title == "2024-01-01"
 
 
 def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
@@ -160,7 +161,7 @@ def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
         '$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n2\n2 1 "floor"\n3 2 "rock"\n'
         "$EndPhysicalNames\n"
     )
-    case = load(
+    case = loaded(
         tmp_path,
         "geometry: {kind: file, path: meshes/a.msh}\nmesh: {order: 1, size: 1 mm}\n"
         "regions: {rock: {youngs_modulus: 1 GPa, poisson_ratio: 0.2, tissue: other}}\n"
@@ -168,7 +169,7 @@ def test_a_mesh_file_is_relative_to_the_case(tmp_path: Path) -> None:
     )
     other = tmp_path / "elsewhere"
     other.mkdir()
-    assert load(other, dump_case(case)) == case
+    assert loaded(other, dump(case)) == case
 
 
 @pytest.mark.parametrize(
@@ -251,13 +252,13 @@ def test_a_large_power_is_no_large_integer() -> None:
     "title", ["Lamé, 5 µm", "a\x85b", "a\u2028b", "\ttab", "two\nlines\n", "'", "~", "1e3"]
 )
 def test_any_title_survives(title: str, tmp_path: Path) -> None:
-    case = load(tmp_path, MINIMAL).model_copy(update={"title": title})
+    case = loaded(tmp_path, MINIMAL).model_copy(update={"title": title})
     path = tmp_path / "dumped.yaml"
-    path.write_text(dump_case(case), encoding="utf-8", newline="")
-    assert load_case(path) == case
+    path.write_text(dump(case), encoding="utf-8", newline="")
+    assert load(path).config == case
 
 
 def test_a_byte_order_mark_and_windows_lines_are_no_trouble(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
-    assert load_case(path) == load(tmp_path, MINIMAL)
+    assert load(path).config == loaded(tmp_path, MINIMAL)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from app.case.case import load_case
+from app.case.case import load
 from app.case.femurs import Femur
 from app.errors import InputError
 from app.scene import terms
@@ -308,7 +308,7 @@ COLD = [
 
 @pytest.mark.parametrize("path", COLD, ids=lambda p: p.stem)
 def test_a_scene_without_heat_has_none_of_its_terms(path: Path) -> None:
-    case = load_case(path)
+    case = load(path).config
     found = build_scene(case)
     heat = (*found.conductors, *found.heat, *found.thermal_contacts, *found.friction_heat)
     assert heat + found.expansions + found.cures + found.time == ()
@@ -320,7 +320,7 @@ def test_a_scene_without_heat_has_none_of_its_terms(path: Path) -> None:
 
 
 def test_the_hot_case_is_that_of_the_paper() -> None:
-    case = load_case(support.CONFIGS / "thermal_100C.yaml")
+    case = load(support.CONFIGS / "thermal_100C.yaml").config
     assert isinstance(case.geometry, Femur)
     assert case.geometry.cement_thickness == 4.0
     initial = {n: r.thermal.initial_temperature - 273.15 for n, r in case.regions.items()}  # type: ignore[union-attr]
@@ -331,14 +331,14 @@ def test_the_hot_case_is_that_of_the_paper() -> None:
     assert {c.law.friction for c in found.contacts} == {1.0}
     assert [c.open for c in found.thermal_contacts] == [0.3, 0.3]
     assert found.time[0].mechanical_step > 0
-    modulus = load_case(support.CONFIGS / "stance_cocr.yaml").regions["stem"]
+    modulus = load(support.CONFIGS / "stance_cocr.yaml").config.regions["stem"]
     assert case.regions["stem"].model_copy(update={"thermal": None}) == modulus
 
 
 def test_cases_of_cure_agree_on_their_materials() -> None:
     """And with the reference values of verification: an adiabatic rise of 89.0805 K."""
     cure, residual, hot = (
-        build_scene(load_case(support.CONFIGS / f"{n}.yaml"))
+        build_scene(load(support.CONFIGS / f"{n}.yaml").config)
         for n in ("cure", "residual", "thermal_100C")
     )
     for found in (cure, residual):
@@ -353,8 +353,8 @@ def test_cases_of_cure_agree_on_their_materials() -> None:
 
 
 def test_residual_ends_in_the_stance_of_the_paper() -> None:
-    residual, stance = (load_case(support.CONFIGS / f"{n}.yaml") for n in ("residual", "stance"))
+    residual, stance = (load(support.CONFIGS / f"{n}.yaml").config for n in ("residual", "stance"))
     assert residual.loads.keys() == stance.loads.keys()
-    for name, load in residual.loads.items():
-        assert load.history == (0, 0, 1)
-        assert load.model_copy(update={"history": None}) == stance.loads[name]
+    for name, acting in residual.loads.items():
+        assert acting.history == (0, 0, 1)
+        assert acting.model_copy(update={"history": None}) == stance.loads[name]

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from app.case.case import dump_case, load_case, resolve
+from app.case.case import dump, load, resolve
 from app.case.geometries import Blocks
 from app.errors import InputError
 from app.laws.materials import Isotropic, TransverselyIsotropic
@@ -436,8 +436,8 @@ def test_dump_and_load_give_an_equal_case(tmp_path_factory: Any, data: dict[str,
         assert "same name" in str(error)
         return
     path = tmp_path_factory.mktemp("case") / "case.yaml"
-    path.write_text(dump_case(case), encoding="utf-8", newline="")
-    assert load_case(path) == case
+    path.write_text(dump(case), encoding="utf-8", newline="")
+    assert load(path).config == case
 
 
 @given(temperatures)
@@ -458,7 +458,7 @@ def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str 
     raw = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
     path.write_bytes(raw)
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     assert all(line.startswith(str(path)) for line in caught.value.messages)
 
 
@@ -466,6 +466,6 @@ def test_any_file_is_a_case_or_a_told_error(tmp_path_factory: Any, content: str 
 def test_any_override_is_applied_or_told(text: str) -> None:
     path = Path(__file__).parents[2] / "configs" / "blocks.yaml"
     try:
-        load_case(path, [text])
+        load(path, [text])
     except InputError as error:
         assert all(line.startswith("--set ") for line in error.messages)

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from app.case import library, loaded_case, overlay
+from app.case import library, overlay
 from app.case import study as study_file
 from app.case import sweep as sweep_file
-from app.case.case import Case, dump_case, load_case, variations_of
+from app.case.case import Case, dump, load
 from app.errors import InputError
 from app.schema import yaml_file
 from tests.support import CONFIGS
@@ -53,13 +53,13 @@ def write(folder: Path, **texts: str) -> Path:
     return path
 
 
-def load(folder: Path, text: str, *overrides: str, below: str = BLOCKS) -> Any:
-    return load_case(write(folder, blocks=below, case=text), overrides)
+def loaded(folder: Path, text: str, *overrides: str, below: str = BLOCKS) -> Any:
+    return load(write(folder, blocks=below, case=text), overrides).config
 
 
 def messages(path: Path, *overrides: str) -> tuple[str, ...]:
     with pytest.raises(InputError) as caught:
-        load_case(path, overrides)
+        load(path, overrides)
     return tuple(m.replace(f"{path.parent}/", "") for m in caught.value.messages)
 
 
@@ -75,8 +75,8 @@ regions:
 loads:
   push: {force: [0 N, 0 N, -1 N]}
 """
-    below = load(tmp_path, BLOCKS)
-    case = load(tmp_path, text)
+    below = loaded(tmp_path, BLOCKS)
+    case = loaded(tmp_path, text)
     upper = below.regions["upper"].model_copy(update={"poisson_ratio": 0.2})
     push = below.loads["push"].model_copy(update={"force": (0.0, 0.0, -1.0)})
     assert case == below.model_copy(
@@ -89,12 +89,12 @@ loads:
 
 
 def test_a_base_alone_is_the_base(tmp_path: Path) -> None:
-    assert load(tmp_path, "base: blocks.yaml\n") == load(tmp_path, BLOCKS)
+    assert loaded(tmp_path, "base: blocks.yaml\n") == loaded(tmp_path, BLOCKS)
 
 
 def test_shipped_cases_are_bases_by_their_names(tmp_path: Path) -> None:
-    case = load(tmp_path, "base: stance\nregions: {stem: {material: CoCrMo}}\ntitle: x\n")
-    other = load_case(CONFIGS / "stance_cocr.yaml")
+    case = loaded(tmp_path, "base: stance\nregions: {stem: {material: CoCrMo}}\ntitle: x\n")
+    other = load(CONFIGS / "stance_cocr.yaml").config
     assert case == other.model_copy(update={"title": "x"})
 
 
@@ -108,24 +108,24 @@ def test_a_chain_of_bases_reads_paths_where_they_stand(tmp_path: Path) -> None:
     path = write(tmp_path, top="base: middle/middle.yaml\ntitle: top\n")
     with pytest.MonkeyPatch.context() as context:
         context.setenv("MANTLE_ALLOW_SCRIPTS", "1")
-        case: Any = load_case(path)
+        case: Any = load(path).config
     assert (case.title, case.mesh.order) == ("top", 1)
     assert case.geometry.path == (deep / "patch.geo").resolve()
 
 
 def test_another_kind_replaces_the_whole(tmp_path: Path) -> None:
     text = "base: blocks.yaml\nloads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
-    assert load(tmp_path, text).loads["push"].pressure == 1.0
+    assert loaded(tmp_path, text).loads["push"].pressure == 1.0
     rigid = "base: blocks.yaml\nregions: {lower: {kind: conductor, thermal: {}}}\n"
     found = messages(write(tmp_path, case=rigid))
     assert found and not any("youngs_modulus" in m for m in found)
 
 
 def test_null_takes_away(tmp_path: Path) -> None:
-    case = load(tmp_path, "base: blocks.yaml\nloads: {push: null}\ninterfaces: null\n")
+    case = loaded(tmp_path, "base: blocks.yaml\nloads: {push: null}\ninterfaces: null\n")
     assert list(case.loads) == ["press"]
     assert case.interfaces["lower_upper"].kind == "bonded"
-    assert list(load(tmp_path, BLOCKS, "loads.push=null").loads) == ["press"]
+    assert list(loaded(tmp_path, BLOCKS, "loads.push=null").loads) == ["press"]
 
 
 def test_null_without_anything_to_take_away_is_an_error(tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_sweeps_studies_and_variations_take_cases_with_a_base(tmp_path: Path) ->
     _, planned = sweep_file.read(sweep)
     assert [p.case.loads["push"].force for p in planned] == [(0.6, 0, -0.8), (6, 0, -8)]  # type: ignore[union-attr]
     assert {p.case.mesh.size for p in planned} == {2.0}
-    found = variations_of(tmp_path / "case.yaml")
+    found = load(tmp_path / "case.yaml").variations()
     assert [v.case.loads["push"].force for v in found] == [(3, 0, -4), (6, 0, -8)]  # type: ignore[union-attr]
     study = write(
         tmp_path,
@@ -219,10 +219,10 @@ def test_sweeps_studies_and_variations_take_cases_with_a_base(tmp_path: Path) ->
 def test_a_resolved_case_stands_alone(tmp_path: Path) -> None:
     path = write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nregions: {upper: "
                  "{material: 316L}}\nloads: {push: {force: 10 N}}\n")  # fmt: skip
-    case = loaded_case.load(path)
-    text = dump_case(case.config)
+    case = load(path)
+    text = dump(case.config)
     assert not any(word in text for word in ("base: b", "material", "library"))
-    assert load(tmp_path / "other", text) == case.config
+    assert loaded(tmp_path / "other", text) == case.config
     assert case.file.others == [str(tmp_path / "blocks.yaml"), str(library.SHIPPED)]
 
 
@@ -242,9 +242,9 @@ def test_a_magnitude_keeps_the_direction(
     old: str, new: str, force: tuple[float, ...], tmp_path: Path
 ) -> None:
     below = BLOCKS.replace("[3 N, 0 N, -4 N]", old)
-    assert load(tmp_path, below, f"loads.push.force={new}").loads["push"].force == force
+    assert loaded(tmp_path, below, f"loads.push.force={new}").loads["push"].force == force
     text = f'base: blocks.yaml\nloads: {{push: {{force: "{new}"}}}}\n'
-    assert load(tmp_path, text, below=below).loads["push"].force == force
+    assert loaded(tmp_path, text, below=below).loads["push"].force == force
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_bad_magnitudes_are_refused(old: str, new: str, message: str, tmp_path: 
 
 
 def test_a_title_tells_the_magnitude_as_it_was_given(tmp_path: Path) -> None:
-    case = load(tmp_path, "title: A\n" + BLOCKS, "loads.push.force=10 N", "loads.press=null")
+    case = loaded(tmp_path, "title: A\n" + BLOCKS, "loads.push.force=10 N", "loads.press=null")
     assert case.title == "A; changed: force 10 N, without press"
 
 
@@ -282,12 +282,12 @@ def test_every_entry_of_the_library_has_a_source_and_is_valid(tmp_path: Path) ->
     for name, entry in shipped["materials"].items():
         assert len(entry["source"]) > 20 and entry["about"]
         cold, hot = HEATED.replace("PMMA", name), HEATED.replace("60 degC", "37 degC")
-        body = load(tmp_path, hot.replace("PMMA", name)).regions["body"]
+        body = loaded(tmp_path, hot.replace("PMMA", name)).regions["body"]
         assert body.thermal.conductivity and body.thermal.thermal_expansion, cold
-    stance = load_case(CONFIGS / "stance.yaml")
+    stance = load(CONFIGS / "stance.yaml").config
     for name, entry in shipped["loads"].items():
         assert len(entry["source"]) > 20 and entry["about"]
-        case: Any = load(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
+        case: Any = loaded(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
         assert case.loads.keys() == entry.keys() - {"about", "source"}
         if name == "single_limb_stance":
             assert case.loads == stance.loads
@@ -300,7 +300,7 @@ def test_sizes_of_the_loads_are_those_of_their_sources(tmp_path: Path) -> None:
         ("standing_up_hip", 215),
         ("stairs_up_hip", 251),
     ):
-        case: Any = load(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
+        case: Any = loaded(tmp_path, f"base: stance\nloads: {{library: {name}}}\n")
         assert math.hypot(*case.loads["hip"].force) / 6.0 == pytest.approx(percent, abs=1.5)
 
 
@@ -316,7 +316,7 @@ loads:
   extra: {kind: pressure, boundary: head, pressure: 1 MPa}
 """
     path = write(tmp_path, case=text.replace("boundary: head", "boundary: resection"))
-    case: Any = load_case(path)
+    case: Any = load(path).config
     stem = case.regions["stem"]
     assert (stem.youngs_modulus, stem.poisson_ratio, stem.thermal) == (193e3, 0.31, None)
     assert math.hypot(*case.loads["hip"].force) == pytest.approx(2000.0, rel=1e-12)
@@ -324,25 +324,25 @@ loads:
 
 
 def test_a_material_replaces_the_constants_below_it_and_nothing_else(tmp_path: Path) -> None:
-    heated = load(
+    heated = loaded(
         tmp_path, "base: blocks.yaml\nregions: {body: {material: CoCrMo}}\n", below=HEATED
     )
     body = heated.regions["body"]
     assert (body.youngs_modulus, body.thermal.conductivity) == (200e3, 14.8)
     assert body.thermal.initial_temperature == 333.15
-    bone = load(tmp_path, HEATED, "regions.body.material=cortical_bone").regions["body"]
+    bone = loaded(tmp_path, HEATED, "regions.body.material=cortical_bone").regions["body"]
     assert (bone.kind, bone.thermal.initial_temperature) == ("transversely_isotropic", 333.15)
-    cure = load(tmp_path, "base: cure\nregions: {cement: {material: PMMA}}\n")
-    assert cure == load_case(CONFIGS / "cure.yaml")
-    hot = load_case(CONFIGS / "thermal_100C.yaml")
+    cure = loaded(tmp_path, "base: cure\nregions: {cement: {material: PMMA}}\n")
+    assert cure == load(CONFIGS / "cure.yaml").config
+    hot = load(CONFIGS / "thermal_100C.yaml").config
     names = "stem: {material: CoCrMo}, cement: {material: PMMA}"
     bones = "cortical_bone: {material: cortical_bone}, cancellous_bone: {material: cancellous_bone}"
-    assert load(tmp_path, f"base: thermal_100C\nregions: {{{names}, {bones}}}\n") == hot
+    assert loaded(tmp_path, f"base: thermal_100C\nregions: {{{names}, {bones}}}\n") == hot
 
 
 def test_a_rigid_region_takes_what_conducts(tmp_path: Path) -> None:
     text = "base: thermal_100C\nregions: {stem: {material: CoCrMo, rigid: true}}\n"
-    thermal = load(tmp_path, text).regions["stem"].thermal
+    thermal = loaded(tmp_path, text).regions["stem"].thermal
     assert (thermal.conductivity, thermal.thermal_expansion) == (14.8, None)
 
 
@@ -385,13 +385,13 @@ loads:
 """
     write(tmp_path / "lib", own=own)
     text = "base: blocks.yaml\nlibrary: lib/own.yaml\nregions: {upper: {material: %s}}\n"
-    assert load(tmp_path, text % "PMMA").regions["upper"].youngs_modulus == 2500.0
-    assert load(tmp_path, text % "CoCrMo").regions["upper"].youngs_modulus == 200e3
-    assert list(load(tmp_path, text % "PMMA", "loads.library=hammer").loads) == ["blow"]
+    assert loaded(tmp_path, text % "PMMA").regions["upper"].youngs_modulus == 2500.0
+    assert loaded(tmp_path, text % "CoCrMo").regions["upper"].youngs_modulus == 200e3
+    assert list(loaded(tmp_path, text % "PMMA", "loads.library=hammer").loads) == ["blow"]
     # A base finds the names of its own library, wherever it stands.
     write(tmp_path / "lib", base=f"library: own.yaml\n{HEATED}".replace(", thermal: {initial_"
           "temperature: 60 degC}", "").replace(", duration: 1 s", ""))  # fmt: skip
-    assert load(tmp_path, "base: lib/base.yaml\n").regions["body"].poisson_ratio == 0.33
+    assert loaded(tmp_path, "base: lib/base.yaml\n").regions["body"].poisson_ratio == 0.33
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.case.case import load_case
+from app.case.case import load
 from app.cli import main
 from app.errors import InputError
 
@@ -58,7 +58,7 @@ def test_no_hip_is_like_that(
     more = IMPLANT if kind == "femur" else ""
     path.write_text(HIP.format(kind=kind, key=key, value=value, more=more))
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     (message,) = caught.value.messages
     line = 3 if key == blamed else 1
     assert re.match(rf"{re.escape(str(path))}:{line}:\d+: geometry\.{blamed}: ", message)
@@ -71,10 +71,10 @@ def test_a_femur_that_is_made_here_is_a_left_one(kind: str, tmp_path: Path) -> N
     more = IMPLANT if kind == "femur" else ""
     text = HIP.format(kind=kind, key="canal_widening", value="1 mm", more=more)
     path.write_text(f"{text.rstrip()}\nside: left\n")
-    load_case(path)
+    load(path)
     path.write_text(f"{text.rstrip()}\nside: right\n")
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     (message,) = caught.value.messages
     line = len(text.rstrip().splitlines()) + 1
     assert message.startswith(f"{path}:{line}:1: side: the geometry ({kind}) is a left femur;")
@@ -130,7 +130,7 @@ def test_lengths_that_no_mesh_of_this_size_has(
     path = tmp_path / "case.yaml"
     path.write_text(ROD.format(**values))
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     (message,) = caught.value.messages
     assert message.startswith(f"{path}:{line}:3: geometry.{key}: ")
     least, largest = limits
@@ -151,4 +151,4 @@ def test_a_thin_block_is_named(tmp_path: Path) -> None:
         "loads: {push: {kind: pressure, boundary: top, pressure: 1 MPa}}\n"
     )
     with pytest.raises(InputError, match=r"case.yaml:5:\d+: geometry.blocks\[1\].size: .*0.12 mm"):
-        load_case(path)
+        load(path)

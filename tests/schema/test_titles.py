@@ -8,7 +8,7 @@ import pytest
 
 from app.campaigns.runs import Job, resolve, runs_of
 from app.case import sweep as sweep_file
-from app.case.case import dump_case, load_case, variations_of
+from app.case.case import dump, load
 from tests.support import CONFIGS
 
 STANCE = CONFIGS / "stance.yaml"
@@ -29,27 +29,27 @@ FRICTION = "interfaces.stem_cement.friction_coefficient=0.1"
     ],
 )  # fmt: skip
 def test_a_title_names_what_is_changed(overrides: list[str], changed: str) -> None:
-    title = load_case(STANCE, overrides).title
+    title = load(STANCE, overrides).config.title
     assert title == (f"{TITLE}; changed: {changed}" if changed else TITLE)
 
 
 def test_a_title_that_is_given_stays() -> None:
-    case = load_case(STANCE, ["title=Thin", "geometry.cement_thickness=2 mm"])
+    case = load(STANCE, ["title=Thin", "geometry.cement_thickness=2 mm"]).config
     assert case.title == "Thin"
 
 
 def test_a_resolved_case_keeps_its_title(tmp_path: Path) -> None:
     """What is written beside the results is read back without the options."""
-    case = load_case(STANCE, ["geometry.cement_thickness=2 mm"])
+    case = load(STANCE, ["geometry.cement_thickness=2 mm"]).config
     path = tmp_path / "case.yaml"
-    path.write_text(dump_case(case))
-    assert load_case(path).title == case.title
+    path.write_text(dump(case))
+    assert load(path).config.title == case.title
 
 
 def test_titles_of_variations_and_sweeps_tell_them_apart(tmp_path: Path) -> None:
     text = STANCE.read_text() + "\nvariations: {rough: {interfaces.*.friction_coefficient: 1.5}}\n"
     (tmp_path / "stance.yaml").write_text(text)
-    (rough,) = variations_of(tmp_path / "stance.yaml")
+    (rough,) = load(tmp_path / "stance.yaml").variations()
     assert rough.case.title == (
         f"{TITLE}; changed: stem_cement.friction_coefficient 1.5, "
         "cement_bone.friction_coefficient 1.5"

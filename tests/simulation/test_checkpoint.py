@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from app.case.case import load_case
+from app.case.case import load
 from app.cli import main
 from app.errors import InputError
 from app.numerics.saved_state import Rows
@@ -97,7 +97,7 @@ def copied(folder: Path, to: Path) -> Path:
 
 
 def choose(out: Path, folder: Path, wanted: str = "auto", force: bool = False) -> Path | None:
-    case = load_case(folder / "case.yaml", [FIELDS])
+    case = load(folder / "case.yaml", [FIELDS]).config
     found = checkpoint.find(COMM, wanted, out, case, force)
     return found and found.path
 

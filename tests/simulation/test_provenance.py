@@ -4,16 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
-import shutil
 from pathlib import Path
-
-import pytest
 
 import mantle
 from app.cli import main
-from app.system import privacy
-from tests import support
 
 BASE = """
 geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}]}
@@ -46,46 +40,4 @@ def test_versions_of_what_numbers_depend_on_are_told(tmp_path: Path) -> None:
     record = json.loads((tmp_path / "out" / "provenance.json").read_text(encoding="utf-8"))
     versions = {name: record["identity"][name] for name in ("dolfinx", "petsc", "gmsh")}
     assert all(v[0].isdigit() for v in versions.values()), versions
-    assert record["identity"]["blas"] and record["host"] == platform.node() and record["command"]
-
-
-GEO = "my patch.geo"
-
-
-def test_a_private_run_tells_nothing_of_user_and_machine(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    """Neither in its files, nor in what it says; and it is known again by them."""
-    folder = tmp_path / "Jane Doe" / "patients"
-    folder.mkdir(parents=True)
-    monkeypatch.setenv(privacy.ASKED, "")  # and back again
-    monkeypatch.setattr("platform.node", lambda: "ward-seven")
-    shutil.copy(support.CONFIGS / "verification" / "patch.geo", folder / "my patch.geo")
-    text = (support.CONFIGS / "verification" / "patch.yaml").read_text().replace("patch.geo", GEO)
-    (folder / "base.yaml").write_text(text)
-    (folder / "case.yaml").write_text("base: base.yaml\n")
-    command = ["run", str(folder / "case.yaml"), "-o", str(folder / "out"), "--private"]
-    command.append("--allow-scripts")
-    assert main(command) == 0
-    said = "".join(capfd.readouterr())
-    files = [p for p in (folder / "out").rglob("*") if p.is_file()]
-    texts = [p.read_bytes().decode("latin-1") for p in files]
-    assert {"summary.json", "provenance.json", "report.html"} <= {p.name for p in files}
-    for word in ("Jane Doe", "patients", str(tmp_path), "ward-seven", "--private"):
-        assert not [p.name for p, t in zip(files, texts, strict=True) if word in t], word
-        assert word not in said, said
-    assert main([*command, "--keep"]) == 0
-    assert "is finished already" in "".join(capfd.readouterr())
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("results in /home/jane/out/stance", "results in stance"),
-        ("'/data/x/a.msh': no region", "'a.msh': no region"),
-        ("1.5 N/mm^2, W/(m K)/s and 23% / 4", "1.5 N/mm^2, W/(m K)/s and 23% / 4"),
-        ("gap max/p99", "gap max/p99"),
-    ],
-)
-def test_paths_become_names(text: str, expected: str) -> None:
-    assert privacy.without_folders([text, {"a": text}, 1]) == [expected, {"a": expected}, 1]
+    assert record["identity"]["blas"] and "host" not in record and "command" not in record

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.case.case import Case, Varied, dump_case, load_case, variations_of
+from app.case.case import Case, Varied, dump, load
 from app.errors import InputError
 from app.mechanics.problem import TrialState
 from app.results.interface_numbers import ContactSamples
@@ -77,7 +77,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_each_is_the_case_with_its_changes(tmp_path: Path) -> None:
-    found = variations_of(written(tmp_path, STEM + SECTION))
+    found = load(written(tmp_path, STEM + SECTION)).variations()
     assert [v.name for v in found][:3] == ["as_is", "fit", "mu2_900"] and len(found) == 8
     assert found[1].case.interfaces["stem_cement"].gap == -0.002  # type: ignore[union-attr]
     last = found[-1].case
@@ -88,13 +88,13 @@ def test_each_is_the_case_with_its_changes(tmp_path: Path) -> None:
 def test_a_star_is_every_name(tmp_path: Path) -> None:
     """Of what the file lists: all loads grow together."""
     section = "variations: {twice: {'loads.*.history': [2, 2]}}\n"
-    (twice,) = variations_of(written(tmp_path, STEM + section))
+    (twice,) = load(written(tmp_path, STEM + section)).variations()
     assert [load.history for load in twice.case.loads.values()] == [(2, 2), (2, 2)]
     assert twice.overrides == ("loads.down.history=[2, 2]", "loads.aside.history=[2, 2]")
     bad = "variations: {a: {interfaces.*.friction_coefficient: -1}}\n"
     path = written(tmp_path, STEM + bad)
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     start = f"{path}:28:18: variations.a.interfaces.*.friction_coefficient: -1 must"
     assert [m.startswith(start) for m in caught.value.messages] == [True]
 
@@ -102,10 +102,10 @@ def test_a_star_is_every_name(tmp_path: Path) -> None:
 def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
     """Its overrides, as options, on the case without variations."""
     path = written(tmp_path, STEM + SECTION)
-    for v in variations_of(path, ["title=mine"]):
-        alone = load_case(path, ["title=mine", "variations={}", *v.overrides])
+    for v in load(path, ["title=mine"]).variations():
+        alone = load(path, ["title=mine", "variations={}", *v.overrides]).config
         assert v.case == alone and v.case.title == "mine"
-        assert "variations" not in dump_case(v.case)
+        assert "variations" not in dump(v.case)
 
 
 @pytest.mark.parametrize(
@@ -125,12 +125,12 @@ def test_what_varies_is_not_set(option: str, places: list[str], tmp_path: Path) 
     """For every variation: as in sweeps and studies."""
     path = written(tmp_path, STEM + SECTION)
     with pytest.raises(InputError) as caught:
-        load_case(path, [option])
+        load(path, [option])
     key = option.partition("=")[0]
     told = [f" {place}: varies, but --set {key} holds for every case" for place in places]
     messages = caught.value.messages
     assert [text in m for m, text in zip(messages, told, strict=True)] == [True] * len(told)
-    assert load_case(path, [option, "variations={}"])
+    assert load(path, [option, "variations={}"]).config
 
 
 # Each: the section, and what has to be said of it, with line and column below `variations`.
@@ -158,7 +158,7 @@ def test_what_may_not_vary_is_refused(what: str, tmp_path: Path) -> None:
     start = STEM.count("\n")
     path = written(tmp_path, STEM + "variations:\n" + section + "\n")
     with pytest.raises(InputError) as caught:
-        load_case(path)
+        load(path)
     (message,) = caught.value.messages[:1]
     if expected[0].isdigit():
         line, _, rest = expected.partition(":")
@@ -173,8 +173,8 @@ def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
     """From the case as it is: first what merely scales, then the next friction, then the fit."""
     text = STEM + SECTION + "  tied:\n    interfaces.cement_bone: {kind: bonded}\n"
     path = written(tmp_path, text)
-    found = variations_of(path)
-    chain = [found[i].name for i in variations.order(load_case(path), found)]
+    found = load(path).variations()
+    chain = [found[i].name for i in variations.order(load(path).config, found)]
     assert sorted(chain) == sorted(v.name for v in found)
     assert chain[0] == "as_is" and chain[-1] == "tied"
     assert {n.partition("_")[0] for n in chain[1:4]} == {"mu4"}
@@ -193,7 +193,7 @@ def grid_of(frictions: int, loads: int, folder: Path) -> tuple[Case, list[Varied
         for i, k in points
     ]
     path = written(folder, STEM + "variations:\n" + "".join(lines))
-    return load_case(path), variations_of(path)
+    return load(path).config, load(path).variations()
 
 
 def test_the_chain_takes_the_nearest_to_any_before(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from app.case.case import load_case
+from app.case.case import load
 from app.soundness import cost
 from tests.support import CONFIGS
 
@@ -34,21 +34,21 @@ MEASURED = {
 @pytest.mark.parametrize("case", MEASURED, ids=" ".join)
 def test_times_are_estimated_within_a_factor_of_two(case: tuple[str, ...]) -> None:
     name, *changes = case
-    seconds = cost.seconds(load_case(CONFIGS / f"{name}.yaml", changes))
+    seconds = cost.seconds(load(CONFIGS / f"{name}.yaml", changes).config)
     assert 0.5 < seconds / MEASURED[case] < 2
 
 
 def test_check_tells_the_time() -> None:
-    told = cost.estimated_size(load_case(CONFIGS / "variations.yaml"))
+    told = cost.estimated_size(load(CONFIGS / "variations.yaml").config)
     assert " s on one core, " in told and "for all variations" in told
     assert "5 s more where forms are compiled first" in told
-    heat = load_case(CONFIGS / "thermal_rings.yaml")
-    stance = load_case(CONFIGS / "stance.yaml")
+    heat = load(CONFIGS / "thermal_rings.yaml").config
+    stance = load(CONFIGS / "stance.yaml").config
     assert cost.compiling(heat) < 3.0 < 10.0 < cost.compiling(stance)
 
 
 def test_phases_add_up_to_less_than_the_run() -> None:
-    case = load_case(CONFIGS / "stance.yaml")
+    case = load(CONFIGS / "stance.yaml").config
     phases = cost.phases(case)
     assert all(seconds > 1.0 for seconds in phases.values())
     assert sum(phases.values()) < cost.seconds(case)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import meshes
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.cli import main
 from app.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.active_set import ActiveSet
@@ -124,7 +124,7 @@ SHIPPED = sorted(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_cases_give_no_note_but_those_expected(name: str) -> None:
-    case = load_case(CONFIGS / f"{name}.yaml")
+    case = load(CONFIGS / f"{name}.yaml").config
     # Meshes of these are made where they are run, in tests/command_line/test_run.py.
     large = case.geometry.kind in ("femur", "intact_femur") or name == "bench/stem"
     notes = plausibility.warnings(case)
@@ -370,10 +370,10 @@ def test_moduli_a_thousand_times_off_are_asked_about(override: str, place: str) 
 def test_hip_forces_a_thousand_times_off_are_asked_about(force: str) -> None:
     path = CONFIGS / "stance.yaml"
     value, unit = force.split()
-    names = load_case(path).loads
+    names = load(path).config.loads
     changes = [f"loads.{n}.history=[0]" for n in names if n != "hip"]
     change = f"loads.hip.force=[0 N, 0 N, -{value} {unit}]"
-    (note,) = plausibility.warnings(load_case(path, [*changes, change]))
+    (note,) = plausibility.warnings(load(path, [*changes, change]).config)
     assert "on a hip: a wrong unit?" in note
 
 
@@ -427,15 +427,15 @@ def test_states_that_come_back_are_a_cycle() -> None:
     active = ActiveSet(MPI.COMM_SELF)
     for k in range(7):
         active.add(np.array([k % 2, 1 + (k + 1) % 2, int(k > 1), 1]))
-    assert active.flips() == 2 and active.period() == 2
-    assert [(r.row, r.changes, r.looks, r.states) for r in active.oscillating()] == [
+    assert active.changes() == 2 and active.period() == 2
+    assert [(r.row, r.changes, r.iterations, r.states) for r in active.oscillating()] == [
         (0, 6, 6, (0, 1)),
         (1, 6, 6, (1, 2)),
     ]
     active.add(np.array([2, 2, 1, 1]))
     assert active.period() == 0
     active.forget()
-    assert active.flips() == active.period() == 0 and active.oscillating() == []
+    assert active.changes() == active.period() == 0 and active.oscillating() == []
 
 
 def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCaptureFixture) -> None:

@@ -173,7 +173,7 @@ def test_stiffness_of_points_is_that_of_the_jump_block() -> None:
     """A unit jump of one component meets the forces of its column."""
     problem, solver = support.assemble(support.case(STACK.format(friction=0.5)))
     (j,) = problem.jumps
-    u, q = solver.parts(solver.x.duplicate())
+    u, q = solver.u_and_q(solver.x.duplicate())
     u.set(0)
     blocks = j.local_stiffness()
     for k, c in ((0, 0), (3, 2), (len(blocks) - 1, 1)):

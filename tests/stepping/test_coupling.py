@@ -1,4 +1,4 @@
-"""Heat and contact that depend on each other: one Jacobian, two ways to the same solution."""
+"""Heat and contact that depend on each other, as one system."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from app.campaigns.work_precision import fitted_order
-from app.stepping.staggered import Staggered
 from tests import coupled
 
 OPEN, STICK, SLIP = 0, 1, 2
@@ -53,20 +52,20 @@ def test_taylor_remainder_is_of_second_order(
         problem.held,
         j.points.held[j.mine].ravel(),
     ]
-    free = dict(zip(solver.named(), map(np.logical_not, held), strict=True))
+    free = dict(zip(solver.blocks_by_name(), map(np.logical_not, held), strict=True))
     rng = np.random.default_rng(1)
 
     def some(*names: str) -> PETSc.Vec:
         v = solver.vector()
         for name in names:
-            part = solver.named(v)[name]
+            part = solver.blocks_by_name(v)[name]
             part.array[:] = SIZES[name] * free[name] * rng.standard_normal(part.array.size)
         return v
 
     x, J = solver.x, solver.snes.getJacobian()[0]
     # Off the last state, which is its own history: nothing slips there.
     x.axpy(3.0, some(*free))
-    assert set(map(int, problem.trial(*solver.parts()).law.status)) == {OPEN, STICK, SLIP}
+    assert set(map(int, problem.trial(*solver.u_and_q()).law.status)) == {OPEN, STICK, SLIP}
     base, moved, linear, there = (solver.vector() for _ in range(4))
     solver.snes.computeFunction(x, base)
     solver.snes.computeJacobian(x, J)
@@ -114,22 +113,6 @@ def compare(one: coupled.Coupled, other: coupled.Coupled, tolerance: float) -> N
         assert np.abs(values - b[name]).max() <= tolerance * size, name
 
 
-@pytest.mark.parametrize(
-    "method", ["backward_euler", pytest.param("sdirk4", marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("overrides", [[], [PERFECT], [PENALTY]], ids=["all", "perfect", "penalty"])
-def test_turns_of_heat_and_mechanics_lead_to_the_same_state(
-    monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
-) -> None:
-    both = [
-        coupled.solve(monkeypatch, f"time.method={method}", f"solver.coupling={way}", *overrides)
-        for way in ("monolithic", "staggered")
-    ]
-    assert isinstance(both[1].model.thermal[0].heating.solver, Staggered)
-    compare(*both, 1e-8)
-    assert both[0].dissipated == pytest.approx(both[1].dissipated, rel=1e-7)
-
-
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
 def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     monkeypatch: pytest.MonkeyPatch, method: str
@@ -137,12 +120,12 @@ def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     """BodyForms that follow the heat, step by step, and the same in one system with it."""
     steps = (f"time.method={method}", "time.mechanical_step=1000 K")
     one = coupled.solve(monkeypatch, *steps, ONE_WAY)
-    assert one.model.scene.coupling == ()
+    assert not one.model.scene.coupled
     together = coupled.solve(
         monkeypatch,
         *steps,
         ONE_WAY,
-        change=lambda scene: replace(scene, coupling=("monolithic",)),
+        change=lambda scene: replace(scene, coupled=True),
     )
     assert set(one.solver.block_sizes) == set(HEAT)
     assert set(together.solver.block_sizes) == {*HEAT, *MOTION}
@@ -150,9 +133,7 @@ def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
 
 
 @pytest.mark.parametrize("method", ["backward_euler", "sdirk4"])
-@pytest.mark.parametrize(
-    "overrides", [[], ["solver.coupling=staggered"], [PENALTY]], ids=["one", "staggered", "penalty"]
-)
+@pytest.mark.parametrize("overrides", [[], [PENALTY]], ids=["multiplier", "penalty"])
 def test_heat_of_friction_is_what_friction_dissipates(
     monkeypatch: pytest.MonkeyPatch, overrides: list[str], method: str
 ) -> None:
@@ -253,7 +234,7 @@ def test_only_what_sets_may_expand(monkeypatch: pytest.MonkeyPatch) -> None:
         "gel: 0.5, shrinkage: 0}"
     )
     runs = [coupled.solve(monkeypatch, *one_sided, *own) for own in ((), (cement,))]
-    solid, hardened = (run.model.mechanics[0].solver.named() for run in runs)
+    solid, hardened = (run.model.mechanics[0].solver.blocks_by_name() for run in runs)
     for name in MOTION:
         size = np.abs(solid[name].array).max()
         assert np.abs(solid[name].array - hardened[name].array).max() <= 1e-4 * size, name
@@ -273,8 +254,8 @@ def test_what_heat_sees_of_setting_cement_is_a_step_behind(monkeypatch: pytest.M
     for n in counts:
         changes = (cement, f"stages.1.increments={n}", "time.mechanical_step=1000 K")
         c = coupled.solve(monkeypatch, *changes)
-        kept = c.model.mechanics[0].solver.named()["displacement"].array
-        seen = c.solver.named()["displacement"].array
+        kept = c.model.mechanics[0].solver.blocks_by_name()["displacement"].array
+        seen = c.solver.blocks_by_name()["displacement"].array
         motion.append(float(np.abs(seen - kept).max() / np.abs(kept).max()))
         dissipated = c.dissipated[-1] - c.before
         heats = sum(step.heats["friction lower_upper"] for step in c.steps)

@@ -8,6 +8,8 @@ import pytest
 
 from app.errors import ConvergenceError
 from app.numerics.newton import NewtonResult, Solver
+from app.numerics.remedies import solve
+from app.stepping import load_steps
 from tests import coupled, support
 
 PLUG = """
@@ -37,7 +39,6 @@ def test_a_step_that_is_cut_back_ends_where_its_increment_would(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Fields are written at the ends of the increments asked for, however they are reached."""
-    solve = Solver.solve
     calls = 0
 
     def failing_twice(solver: Solver) -> NewtonResult:
@@ -46,7 +47,7 @@ def test_a_step_that_is_cut_back_ends_where_its_increment_would(
         outcome = solve(solver)
         return dataclasses.replace(outcome, converged=outcome.converged and calls > 2)
 
-    monkeypatch.setattr(Solver, "solve", failing_twice)
+    monkeypatch.setattr(load_steps, "solve", failing_twice)
     steps = support.solve(
         PLUG,
         "interfaces.stem_cement.friction_coefficient=0.4",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from fractions import Fraction
@@ -18,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import meshes
-from app.case.case import load_case
+from app.case.case import load
 from app.numerics import kernel_cache, pointwise
 from app.numerics.sparse import from_triplets
 from app.schema import unit_conversion
@@ -30,7 +29,7 @@ from tests import support
 def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_path: Path) -> None:
     """Each costs a tenth of a second and more, in a run that could take two."""
     path = support.CONFIGS / "blocks.yaml"
-    case = load_case(path)
+    case = load(path).config
     meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     script = (
         "import sys; from app.cli import main; "
@@ -177,24 +176,3 @@ def test_rows_are_told_apart_as_by_numpy() -> None:
         expected = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         for found, known in zip(distinct_rows(rows), expected, strict=True):
             np.testing.assert_array_equal(found, known.reshape(found.shape))
-
-
-@pytest.mark.slow
-def test_a_run_of_a_warm_case_compiles_nothing(tmp_path: Path) -> None:
-    """On another mesh and in a cache of its own, where there was nothing before."""
-    case = str(support.CONFIGS / "blocks.yaml")
-    warm = (
-        "from pathlib import Path; from app.simulation.precompile import warm; "
-        f"warm(Path({case!r}), 1)"
-    )
-    run = (
-        "import sys, ffcx.codegeneration.jit as jit; from app.cli import main; "
-        "jit._compile_objects = None; "
-        f"sys.exit(main(['run', {case!r}, '-o', {str(tmp_path / 'out')!r}]))"
-    )
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    codes = [
-        subprocess.run([sys.executable, "-c", script], cwd=support.ROOT, env=environment).returncode
-        for script in (run, warm, run)
-    ]
-    assert codes == [69, 0, 0]

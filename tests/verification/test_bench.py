@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from app.case.case import dump_case, load_case
+from app.case.case import dump, load
 from app.case.geometries import Cylinders
 from app.laws.interface_laws import Bonded, Contact
 from app.verification import benchmarks
@@ -133,7 +133,7 @@ def test_every_goal_runs_cases_that_are_right() -> None:
     for check in benchmarks.benchmarks():
         assert check.timed and check.runs
         for run in check.runs:
-            case = load_case(CONFIGS / run.case, run.overrides)
+            case = load(CONFIGS / run.case, run.overrides).config
             second = check.name.startswith(("cylinders", "order_2"))
             first = any(o == "mesh.order=1" for o in run.overrides) or "stem" in run.case
             assert case.mesh.order == (1 if first or not second else 2), check.name
@@ -145,9 +145,9 @@ def test_every_goal_runs_cases_that_are_right() -> None:
                 assert not case.output.error
     twelve = goal("variations_12").runs[1:]
     assert len(twelve) == 12 and all(run.share for run in twelve)
-    assert len({dump_case(load_case(CONFIGS / r.case, r.overrides)) for r in twelve}) == 12
+    assert len({dump(load(CONFIGS / r.case, r.overrides).config) for r in twelve}) == 12
     (steps,) = goal("later_load_steps").runs
-    assert [s.increments for s in load_case(CONFIGS / steps.case, steps.overrides).stages] == [
+    assert [s.increments for s in load(CONFIGS / steps.case, steps.overrides).config.stages] == [
         *(1, 3)
     ]
 
@@ -162,7 +162,7 @@ def test_the_million_is_of_the_long_tier() -> None:
 
 
 def test_the_stem_is_as_described() -> None:
-    case = load_case(CONFIGS / "bench" / "stem.yaml")
+    case = load(CONFIGS / "bench" / "stem.yaml").config
     g = case.geometry
     assert isinstance(g, Cylinders)
     radii = (8.0, 12.0, 18.0)

@@ -15,7 +15,7 @@ import pytest
 
 import meshes
 from app.arrays import Floats, Ints
-from app.case.case import Case, load_case
+from app.case.case import Case, load
 from app.laws.interface_laws import Contact
 from app.mechanics.contact import Jumps
 from app.mechanics.problem import Problem, TrialState
@@ -257,11 +257,11 @@ def smallest(state: State) -> float:
     return 1e-6 * max(float(np.abs(values).max()) for _, values in state.displacement.values())
 
 
-def load(text: str, folder: Path) -> tuple[Case, TaggedMesh]:
+def meshed(text: str, folder: Path) -> tuple[Case, TaggedMesh]:
     """Case and mesh of a YAML text."""
     path = folder / "case.yaml"
     path.write_text(text)
-    case = load_case(path)
+    case = load(path).config
     return case, distribute(meshes.build(case.geometry, case.mesh, None), MPI.COMM_WORLD)
 
 
@@ -291,7 +291,7 @@ def shares(state: State, friction: dict[str, float]) -> dict[str, tuple[float, f
     ],
 )
 def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
-    case, tagged = load(text, tmp_path)
+    case, tagged = meshed(text, tmp_path)
     friction = {
         name: i.friction_coefficient
         for name, i in case.interfaces.items()

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.case.case import load_case
+from app.case.case import load
 from app.errors import InputError
 from app.mechanics.constraints import _held_motions
 from app.numerics.rigid_motions import rigid_modes
@@ -277,9 +277,9 @@ def test_many_held_nodes_of_a_rigid_region_take_little_memory() -> None:
 @pytest.mark.parametrize("size", [8, 6])
 def test_loads_of_the_stance_do_not_depend_on_the_facets_of_the_mesh(size: int) -> None:
     """Hip and muscles act through points of the femur, whatever facets the mesh has there."""
-    case = load_case(
+    case = load(
         support.CONFIGS / "stance.yaml", [f"mesh.size={size} mm", "mesh.order=1", "interfaces={}"]
-    )
+    ).config
     solved = support.solve(case)
     points = {"hip": case.geometry.head_centre, **case.geometry.points}
     arms = [points[name if name == "hip" else load.boundary] for name, load in case.loads.items()]

@@ -11,7 +11,7 @@ import pytest
 
 import mantle
 from app.campaigns.runs import Job, Result
-from app.case import loaded_case
+from app.case.case import load
 from app.verification import engine
 from app.verification.check import CONFIGS
 from app.verification.problems import QUICK, problems
@@ -29,7 +29,7 @@ def test_the_answer_is_the_known_one(name: str, tmp_path: Path) -> None:
     results = []
     for k, run in enumerate(problem.runs):
         path, folder = CONFIGS / run.case, tmp_path / str(k)
-        mantle.run(loaded_case.load(path, run.overrides), folder)
+        mantle.run(load(path, run.overrides), folder)
         results.append(Result(Job(name, path), folder, 0, 0.0, {}, ""))
     result = engine.judge(problem, results)
     assert result.outcome == "passed", result.as_json()

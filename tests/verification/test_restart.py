@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.case import loaded_case
+from app.case.case import load
 from app.errors import StoppedError
 from app.results.reading import Run
 from app.simulation import coarser_case
@@ -112,22 +112,19 @@ def test_an_interruption_while_companions_are_solved(
     out.mkdir()
     monkeypatch.setattr(running, "_errors", interrupted)
     with pytest.raises(StoppedError, match="in its companions"):
-        run(loaded_case.load(case, options), out)
+        run(load(case, options), out)
     assert saved(out) and not (out / "DONE").exists()
     stop.clear()
     monkeypatch.setattr(running, "_errors", errors)
-    run(loaded_case.load(case, options), out, restart="auto")
+    run(load(case, options), out, restart="auto")
     restarted.assert_same(tmp_path / "whole", out)
     assert restarted.numbers(out)[".error.companions.0"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("coupling", ["monolithic", "staggered"])
 @pytest.mark.parametrize("adaptive", [True, False])
-def test_heat_and_contact_that_depend_on_each_other(
-    tmp_path: Path, coupling: str, adaptive: bool
-) -> None:
-    options = (FIELDS, f"solver.coupling={coupling}", f"stages.1.adaptive={adaptive}".lower())
+def test_heat_and_contact_that_depend_on_each_other(tmp_path: Path, adaptive: bool) -> None:
+    options = (FIELDS, f"stages.1.adaptive={adaptive}".lower())
     case, files = restarted.whole(coupled.CASE, tmp_path, *options)
     for file in files:
         part = restarted.on(case, tmp_path, file, *options)
@@ -152,7 +149,7 @@ def test_fields_go_on_in_their_file(tmp_path: Path) -> None:
         assert list(part.times) == list(whole.times[-left:])
         assert np.allclose(part.displacement(), before[-1], rtol=1e-6, atol=1e-9)
     # Whatever was written after the checkpoint is written again.
-    run(loaded_case.load(case), tmp_path / "whole", restart=str(files[2]))
+    run(load(case), tmp_path / "whole", restart=str(files[2]))
     again = Run(tmp_path / "whole")
     assert list(again.times) == list(whole.times)
     for k, u in enumerate(before):

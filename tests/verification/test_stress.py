@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.campaigns.many import Options
-from app.case.case import load_case
+from app.case.case import load
 from app.results.reading import Run
 from app.verification import changed_meshes, engine, judges
 from app.verification.check import CONFIGS, within
@@ -54,7 +54,7 @@ def test_the_plan() -> None:
 
 
 def blocks(*overrides: str) -> Any:
-    case = load_case(CONFIGS / "blocks.yaml", ["mesh.size=4 mm", *overrides])
+    case = load(CONFIGS / "blocks.yaml", ["mesh.size=4 mm", *overrides]).config
     return build(case.geometry, case.mesh, None)
 
 
@@ -84,9 +84,9 @@ def test_bad_cells_are_bad_and_fill_the_blocks() -> None:
 
 
 def test_a_quarter_mirrored_is_the_whole() -> None:
-    case = load_case(
+    case = load(
         CONFIGS / "cylinders.yaml", ["mesh.size=6 mm", "mesh.far_size=8 mm", "mesh.order=1"]
-    )
+    ).config
     quarter = build(case.geometry, case.mesh, None)
     whole = changed_meshes.mirrored(quarter)
     volumes = cell_volumes(whole.points, whole.cells)

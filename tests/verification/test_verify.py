@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from app.campaigns.many import Options
-from app.case.case import load_case
+from app.case.case import load
 from app.verification import closed_forms, engine
 from app.verification.check import CONFIGS, Check, CheckRun, Sample, each
 from app.verification.problems import problems
@@ -108,7 +108,7 @@ def test_problems_are_well_posed() -> None:
             assert p.runs or p.name == "klarbring"
             for run in p.runs:
                 assert f"run configs/{run.case}" in (CONFIGS / run.case).read_text("utf-8")
-                load_case(CONFIGS / run.case, run.overrides)
+                load(CONFIGS / run.case, run.overrides)
             sizes = [run.size for run in p.runs]
             assert sizes == sorted(sizes, reverse=True)
             assert p.order is None or len(set(sizes)) == len(sizes) >= 3

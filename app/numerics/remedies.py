@@ -1,0 +1,130 @@
+"""A nonlinear solve, and what is tried in turn where Newton's method does not converge."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from app.numerics.newton import REASONS, NewtonResult, Solver
+
+log = logging.getLogger("mantle")
+
+# Factors of the augmentation tried in turn, and whether Newton then continues from the current
+# state or from the start: mostly the augmentation is too large.
+AUGMENTATIONS = ((0.1, True), (0.01, True), (100.0, False), (0.1, False), (0.01, False))
+# Factors of the default augmentation, if the case asks for another one and nothing has helped.
+USUAL = (1.0, 0.1, 0.01)
+
+
+def solve(solver: Solver) -> NewtonResult:
+    """Solve a system at its current time from the solver's current state; collective."""
+    system = solver.system
+    system.impose(solver.blocks())
+    solver.residuals, solver.changes = [], []
+    system.scale_augmentation(solver.augmentation)
+    runs = [solver.linear_step()]
+    start = solver.x.copy() if solver.has_kinks else solver.x
+    runs.append(solver.run())
+    tried: list[tuple[str, float]] = []
+    for text in remedies(solver, start):
+        log.info("     %s: %s", failure_text(solver), text)
+        runs.append(solver.run())
+        tried.append((text, solver.residuals[-1]))
+    augmentation = solver.augmentation
+    solver.use_search(solver.usual_search)
+    if solver.converged:
+        solver.linear.sweep_interfaces()
+        parts = solver.measure(solver.x, solver.snes.getFunction()[0])
+        solver.scales = [p.scale for p in parts]
+    else:
+        solver.x.copy(solver.failed_state)
+        solver.augmentation = 1.0
+    solver.linear.observe()
+    newton, krylov = map(sum, zip(*runs, strict=True))
+    return NewtonResult(
+        converged=solver.converged,
+        iterations=newton,
+        linear_iterations=krylov,
+        residuals=tuple(solver.residuals),
+        changes=tuple(solver.changes),
+        linear_failed=solver.snes.getConvergedReason() == REASONS.DIVERGED_LINEAR_SOLVE,
+        augmentation=augmentation,
+        tried=tuple(tried),
+        period=system.active.period(),
+    )
+
+
+def remedies(solver: Solver, start: PETSc.Vec) -> Iterator[str]:
+    """Apply one remedy after the other until Newton has converged; yield each in words.
+
+    Interfaces that are open everywhere are tied and released, so that a body that a clearance
+    leaves free comes into contact. The contact block is factorized, for SOR may give poor
+    directions. The augmentation is scaled: a large one makes contact points change state back and
+    forth, and Newton continues from the current state with a smaller one. The line search is
+    switched on or off: at a kink of the contact law it may cut steps to nothing where full steps
+    converge. At last an augmentation that the case asked for is replaced by the default, for it may
+    be off by powers of ten.
+    """
+    system = solver.system
+    if not solver.converged and system.tie(True):
+        start.copy(solver.x)
+        try:
+            yield "closing and tying interfaces that are open everywhere"
+        finally:
+            system.tie(False)
+        yield "releasing the tied interfaces"
+    if not solver.converged and solver.linear.factor_interfaces():
+        start.copy(solver.x)
+        yield "factorizing the contact block"
+    for factor, continues in AUGMENTATIONS:
+        if solver.converged:
+            return
+        if continues and hopeless(solver):
+            continue
+        if factor != solver.augmentation and system.scale_augmentation(factor):
+            if not continues:
+                start.copy(solver.x)
+            solver.augmentation = factor
+            yield f"augmentation {factor:g} r{_values(solver)}"
+    if not hopeless(solver) and solver.has_kinks:
+        other = "basic" if solver.usual_search == "bt" else "bt"
+        solver.use_search(other)
+        yield "full Newton steps" if other == "basic" else "line search"
+    if solver.converged or (usual := system.usual_augmentation()) == 1.0:
+        return
+    solver.use_search(solver.usual_search)
+    start.copy(solver.x)
+    for share in USUAL:
+        if hopeless(solver):
+            return
+        solver.augmentation = share * usual
+        system.scale_augmentation(solver.augmentation)
+        times = f"{share:g} times the default"
+        yield f"augmentation {solver.augmentation:.3g} r, {times}{_values(solver)}"
+
+
+def hopeless(solver: Solver) -> bool:
+    """Whether to stop trying: converged, or not finite."""
+    return solver.converged or not np.isfinite(solver.x.norm())
+
+
+def failure_text(solver: Solver) -> str:
+    """How far Newton got."""
+    if solver.converged:
+        return "converged"
+    changing = ""
+    if solver.changes[-1]:
+        changing = f"; {solver.changes[-1]} contact points still change state"
+    if period := solver.system.active.period():
+        changing += f", in a cycle of {period} iterations"
+    return f"not converging (residual {solver.residuals[-1]:.1e}{changing})"
+
+
+def _values(solver: Solver) -> str:
+    """The augmentation in force; collective."""
+    found = solver.system.augmentation().values()
+    return f" (up to {max(found):.3g} MPa/mm)" if found else ""

@@ -1,4 +1,0 @@
-"""The paper by Rakotomanana and Ramaniraka: its cases, figures, numbers and claims.
-
-Only `app.report` imports it. Begin with `cases`.
-"""

@@ -1,0 +1,322 @@
+"""Trends that the paper reports, judged with mantle's numbers and their errors.
+
+A statement is undecided where its numbers differ by less than their errors, which are added: they
+are of one mesh and not independent. The paper's numbers are peaks; mantle's peaks at edges have no
+error, so that percentiles decide and peaks are given beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from app.report.paper import (
+    STEMS,
+    Cases,
+    at_ten_seconds,
+    bone_p99,
+    bone_peak,
+    cement_peak,
+    contact,
+    series,
+)
+from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase
+from app.system.layout import plain
+
+VERDICTS = CONFIRMED, NOT_CONFIRMED, UNDECIDED = "confirmed", "not confirmed", "undecided"
+FLAT = 0.20  # relative spread up to which a number counts as constant
+MUCH = 2.0  # factor that "drastically" is taken to mean at least
+ROUNDING = 1e-6  # relative difference that is none
+NAMED = 3  # cases named of those in which a statement does not hold
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One statement of a trend: its verdict, and the numbers that decide it."""
+
+    verdict: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A trend that the paper reports.
+
+    Attributes:
+        name: ``T-a`` .. ``T-h``; of ``T-g`` with the model and the reading of "100 degrees".
+        claim: What the paper says.
+        parts: The statements it consists of, by percentiles.
+        peaks: The verdict by peaks, which have no errors; empty where there are none.
+    """
+
+    name: str
+    claim: str
+    parts: Sequence[Statement]
+    peaks: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """Confirmed if all parts are; not confirmed if any is not."""
+        return _all(self.parts)
+
+
+def _all(parts: Iterable[Statement]) -> str:
+    found = {p.verdict for p in parts}
+    worst = (v for v in (NOT_CONFIRMED, UNDECIDED) if v in found)
+    return next(worst, CONFIRMED if found else UNDECIDED)
+
+
+def exceeds(a: Number, b: Number, factor: float = 1.0) -> str:
+    """Whether a > factor b."""
+    difference = a.value - factor * b.value
+    errors = (a.error or 0.0) + factor * (b.error or 0.0)
+    if abs(difference) <= ROUNDING * abs(b.value):
+        return UNDECIDED if errors > abs(difference) else NOT_CONFIRMED
+    if abs(difference) <= errors:
+        return UNDECIDED
+    return CONFIRMED if difference > 0 else NOT_CONFIRMED
+
+
+def alike(a: Number, b: Number, tolerance: float) -> str:
+    """Whether two numbers differ by no more than a part of their mean."""
+    mean = 0.5 * (abs(a.value) + abs(b.value))
+    if mean == 0.0:
+        return CONFIRMED
+    difference = abs(a.value - b.value) / mean
+    errors = ((a.error or 0.0) + (b.error or 0.0)) / mean
+    if difference + errors <= tolerance:
+        return CONFIRMED
+    return NOT_CONFIRMED if difference - errors > tolerance else UNDECIDED
+
+
+# Four relations over a series of numbers: label, numbers over what varies, unit, what varies.
+Series = Mapping[Any, Number]
+Relation = Callable[[str, Series, str, str], Statement]
+
+
+def rises(label: str, values: Series, unit: str, over: str) -> Statement:
+    """Whether a number is larger at the largest value of what varies than at the smallest."""
+    return _ends(label, values, unit, over, True)
+
+
+def falls(label: str, values: Series, unit: str, over: str) -> Statement:
+    """Whether it is smaller there."""
+    return _ends(label, values, unit, over, False)
+
+
+def _ends(label: str, values: Series, unit: str, over: str, rise: bool) -> Statement:
+    if len(values) < 2:
+        return _missing(f"{label} at two values of {over}")
+    low, high = min(values), max(values)
+    a, b = values[low], values[high]
+    should = "rise" if rise else "fall"
+    text = f"{label} should {should}: {a} {unit} at {over} {plain(low)}, {b} at {plain(high)}"
+    return Statement(exceeds(b, a) if rise else exceeds(a, b), text)
+
+
+def constant(tolerance: float) -> Relation:
+    """Whether all numbers are the same, up to a part of their mean."""
+
+    def relation(label: str, values: Series, unit: str, over: str) -> Statement:
+        if len(values) < 2:
+            return _missing(f"{label} at two values of {over}")
+        low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
+        a, b = values[low], values[high]
+        spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
+        text = (
+            f"{label}: {a} to {b} {unit} (at {over} {plain(low)} and {plain(high)}), "
+            f"spread {100 * spread:.2g} % (allowed {100 * tolerance:g} %)"
+        )
+        return Statement(alike(a, b, tolerance), text)
+
+    return relation
+
+
+def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Statement:
+    """Whether a number at 2 mm is `MUCH` larger than at 3 to 5 mm."""
+    thicker = {t: n for t, n in values.items() if 3 <= t <= 5}
+    if 2.0 not in values or not thicker:
+        return _missing(f"{label} at 2 mm and thicker")
+    t = max(thicker, key=lambda t: thicker[t].value)
+    text = (
+        f"{label}: {values[2.0]} {unit} at 2 mm, at most {thicker[t]} from 3 to 5 mm (at {t:g} mm; "
+        f"asked: {MUCH:g} times)"
+    )
+    return Statement(exceeds(values[2.0], thicker[t], MUCH), text)
+
+
+def above(label: str, pairs: dict[str, tuple[Number | None, Number | None]]) -> Statement:
+    """Whether the first number exceeds the second in every case that has both."""
+    found = {name: exceeds(a, b) for name, (a, b) in pairs.items() if a and b}
+    if not found:
+        return _missing(label)
+    text = f"{label}: in {sum(v == CONFIRMED for v in found.values())} of {len(found)} cases"
+    if others := [name for name, v in found.items() if v != CONFIRMED]:
+        more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+        text += f"; not in {', '.join(others[:NAMED])}{more}"
+    return Statement(_all(Statement(v, "") for v in found.values()), text)
+
+
+def _missing(what: str) -> Statement:
+    return Statement(UNDECIDED, f"no results of {what}")
+
+
+# What varies, and the families of cases over it by label.
+Families = tuple[str, Mapping[str, Mapping[Any, SweptCase]]]
+BONE = "cement_bone"
+
+
+def thickness(cases: Cases) -> Families:
+    """Stances by thickness of the mantle [mm]."""
+    return "mm", {f"{stem}, ": cases.thicknesses(stem) for stem in STEMS.values()}
+
+
+def thick(cases: Cases) -> Families:
+    """Those of more than 3 mm."""
+    over, families = thickness(cases)
+    return over, {s: {t: c for t, c in own.items() if t > 3} for s, own in families.items()}
+
+
+def friction(cases: Cases) -> Families:
+    """Stances by friction coefficient of the cement-bone interface."""
+    return "friction", {f"{stem}, ": cases.frictions(stem) for stem in STEMS.values()}
+
+
+def material(cases: Cases) -> Families:
+    """Stances of 4 mm by material of the stem."""
+    return "stem", {"": cases.of_stems()}
+
+
+# Claims over families of cases: name, the paper's words, what varies, and relations of quantities.
+Row = tuple[Relation, str, str]
+CLAIMS: tuple[tuple[str, str, Callable[[Cases], Families], list[Row]], ...] = (
+    (
+        "T-a",
+        "At the cement-bone interface the stem's material does not matter",
+        material,
+        [(constant(0.02), BONE, "slip"), (constant(0.05), BONE, "shear")],
+    ),
+    (
+        "T-b",
+        "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
+        thickness,
+        [(far_more_when_thin, BONE, "slip"), (far_more_when_thin, BONE, "gap")],
+    ),
+    (
+        "T-c",
+        "Stresses do not depend on the thickness beyond 3 mm",
+        thick,
+        [(constant(FLAT), place, q) for place in INTERFACES for q in ("pressure", "shear")],
+    ),
+    (
+        "T-d",
+        "The rougher the cement-bone interface, the less it slips, the more it opens and the "
+        "higher its pressure; shear stays",
+        friction,
+        [
+            (falls, BONE, "slip"),
+            (rises, BONE, "gap"),
+            (rises, BONE, "pressure"),
+            (constant(FLAT), BONE, "shear"),
+        ],
+    ),
+    (
+        "T-e",
+        "The rougher the cement-bone interface, the more the stem slips in the cement and the "
+        "less it opens",
+        friction,
+        [(rises, "stem_cement", "slip"), (falls, "stem_cement", "gap")],
+    ),
+)
+
+
+def judge(cases: Cases) -> list[Trend]:
+    """All trends."""
+    found = []
+    for name, claim, families, rows in CLAIMS:
+        over, own = families(cases)
+        parts, by_peaks = ([*_statements(rows, over, own, how)] for how in ("percentile", "max"))
+        found.append(Trend(name, claim, parts, _all(by_peaks)))
+    parts, by_peaks = (_order(cases, how) for how in ("percentile", "max"))
+    claim = "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear"
+    found.append(Trend("T-f", claim, parts, _all(by_peaks)))
+    claim = (
+        "Tension remains near the interfaces as the cement cools; where the interface is "
+        "unilateral it can only be compression"
+    )
+    return [*found, *_heat(cases), Trend("T-h", claim, _residual(cases))]
+
+
+def _name(place: str, quantity: str) -> str:
+    return f"{WORDS[place]} {WORDS[quantity]}"
+
+
+def _statements(
+    rows: Sequence[Row], over: str, families: Mapping[str, Mapping[Any, SweptCase]], how: str
+) -> Iterator[Statement]:
+    for relation, place, quantity in rows:
+        for label, family in families.items():
+            values = series(family, contact(place, quantity, how))
+            yield relation(label + _name(place, quantity), values, QUANTITIES[quantity][0], over)
+
+
+def _order(cases: Cases, how: str) -> list[Statement]:
+    """T-f."""
+    pairs = [
+        *((("stem_cement", q), (BONE, q)) for q in ("pressure", "shear")),
+        *(((place, "pressure"), (place, "shear")) for place in INTERFACES),
+    ]
+    return [
+        above(
+            f"{_name(*more)} above {_name(*less)}",
+            {c.name: (contact(*more, how)(c), contact(*less, how)(c)) for c in cases.stances},
+        )
+        for more, less in pairs
+    ]
+
+
+def _heat(cases: Cases) -> list[Trend]:
+    """T-g, for each reading of "100 degrees"."""
+    claim = "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest"
+    trends = []
+    for (model, reading), family in cases.heats().items():
+        cement = rises("cement", series(family, cement_peak), "°C", "mm")
+        hottest = above(
+            "cement above all else after 10 s",
+            {c.name: (cement_peak(c), _hottest_beside(c)) for c in family.values()},
+        )
+        by_peak = rises("bone at the interface", series(family, bone_peak), "°C", "mm")
+        known = series(family, bone_p99)  # where fields were written
+        p99 = rises("bone at the interface, p99", known, "°C", "mm")
+        parts = [cement, p99 if len(known) > 1 else by_peak, hottest]
+        peaks = _all([cement, by_peak, hottest])
+        trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, peaks))
+    return trends or [Trend("T-g", claim, [_missing("cement of 100 °C")])]
+
+
+def _hottest_beside(case: SweptCase) -> Number | None:
+    """The hottest region but cement after ten seconds [degC]."""
+    others = [r for r in case.summary.get("thermal", {}).get("regions", {}) if r != "cement"]
+    known = [n for r in others if (n := at_ten_seconds(case, r)) is not None]
+    return max(known, key=lambda n: n.value) if known else None
+
+
+def _residual(cases: Cases) -> list[Statement]:
+    """T-h."""
+    parts: list[Statement] = []
+    for kind, key, what in (
+        ("bonded", "normal_max", "tension"),
+        ("unilateral", "pressure_max", "compression"),
+    ):
+        known = len(parts)
+        for place in INTERFACES:
+            found = [n.value for c in cases.hot if (n := c.number(f"{place}.{key}"))]
+            if found:
+                low, high = min(found), max(found)
+                text = f"{WORDS[place]} {kind}: {what} of {low:.3g} to {high:.3g} MPa at most in "
+                verdict = CONFIRMED if low > 0 else NOT_CONFIRMED
+                parts.append(Statement(verdict, f"{text}{len(found)} case{'s' * (len(found) > 1)}"))
+        if len(parts) == known:
+            parts.append(_missing(f"a case that cools with a {kind} interface and mechanics"))
+    return parts
