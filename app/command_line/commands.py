@@ -183,11 +183,11 @@ def _mantle_pictures(data: Any, folder: Path) -> None:
     Raises:
         InputError: They cannot be written.
     """
-    from meshes import mantle_picture
+    from meshes import picture
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for draw in (mantle_picture.sections, mantle_picture.interfaces):
+        for draw in (picture.sections, picture.interfaces):
             path = folder / f"{draw.__name__}.png"
             draw(data, path)
             print(path)

@@ -215,7 +215,8 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
     found: Blocks = []
     for section, named in _sections(summary):
         own = TABLE[section]
-        keys = [key for column in TABLES.get(section, ()) for key in column.keys.split()]
+        columns = TABLES[section][1] if section in TABLES else ()
+        keys = [key for column in columns for key in column.keys.split()]
         keys = [*keys, *MORE.get(section, ()), *(k for k, q in own.items() if q.compute)]
         chosen = [own[k] for k in keys or own if not own[k].vector]
         found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))

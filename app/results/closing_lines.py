@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from app.results import tables
 
 if TYPE_CHECKING:
     from app.stepping.heat_steps import HeatStep
+    from app.stepping.load_steps import LoadStep
 
 log = logging.getLogger("mantle")
 
@@ -46,22 +47,23 @@ def step_header() -> str:
 
 
 def step_line(
-    number: int,
-    time: float,
-    newton: int,
-    krylov: int,
-    residual: float,
-    open_fraction: float,
-    slip_fraction: float,
-    penetration: float,
-    wall: float,
-    left: float,
+    step: LoadStep, fractions: Sequence[float], penetration: float, wall: float, left: float
 ) -> str:
-    """One line for a converged step; lengths in mm, times in s."""
+    """One line for a converged step.
+
+    Args:
+        step: The step.
+        fractions: Open and slipping part of the contact area.
+        penetration: The largest of all interfaces [mm].
+        wall: Time since the run began [s].
+        left: Estimated time to its end [s].
+    """
+    outcome = step.outcome
+    apart, slipping = (f"{100 * part:>5.1f}%" for part in fractions)
     return (
-        f"{number:>4} {time:>7.4g} {newton:>6} {krylov:>6} {residual:>9.1e} "
-        f"{100 * open_fraction:>5.1f}% {100 * slip_fraction:>5.1f}% {penetration:>9.1e} mm "
-        f"{wall:>6.1f} s {left:>6.1f} s"
+        f"{step.number:>4} {step.time:>7.4g} {outcome.iterations:>6} "
+        f"{outcome.linear_iterations:>6} {outcome.residuals[-1]:>9.1e} {apart} {slipping} "
+        f"{penetration:>9.1e} mm {wall:>6.1f} s {left:>6.1f} s"
     )
 
 

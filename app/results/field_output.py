@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -25,13 +24,7 @@ from app.results.interface_heat import W_PER_M2
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
 from app.results.thermal_record import Interfaces, ThermalRecord
-from app.results.vtkhdf import (
-    QUADRATIC_NODES,
-    QUADRATIC_TETRAHEDRON,
-    TETRAHEDRON,
-    GridFile,
-    write_last_step,
-)
+from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
 from app.scene.bodies import Bodies, cell_tags
 from app.stepping.heat_steps import HeatState
 from meshes.distribute import TaggedMesh
@@ -106,18 +99,11 @@ class Fields:
         ]
         place = np.where(mine, np.cumsum(mine), mine.sum() + np.cumsum(~mine)) - 1
         cells = place[cells.reshape(dofs.shape)]
-        quadratic = dofs.shape[1] > 4
-        self._make = partial(
-            GridFile,
-            comm,
-            path,
-            space.tabulate_dof_coordinates()[dof[mine]],
-            cells[:, QUADRATIC_NODES] if quadratic else cells,
-            QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
-            {"region": tags.astype(np.int32)},
-            {"region_names": tuple(tagged.regions)},
-            ghosts=number[~mine],
-        )
+        cells = cells[:, QUADRATIC_NODES] if dofs.shape[1] > 4 else cells
+        region = {"region": tags.astype(np.int32)}
+        names = {"region_names": tuple(tagged.regions)}
+        x = space.tabulate_dof_coordinates()[dof[mine]]
+        self._grid = Grid(x, cells, number[~mine], region, names)
         of_cells = tagged.mesh.topology.original_cell_index[:owned]
         self._keys = [comm.gather(k) for k in (keys[mine], of_cells)]
 
@@ -135,13 +121,13 @@ class Fields:
         Raises:
             OSError: It cannot be written.
         """
-        self._grid = self._make()
+        self._file = GridFile(self._comm, self._path, self._grid)
         self._order: list[Ints] = [np.concatenate(keys) if keys else none() for keys in self._keys]
 
     def state(self) -> State:
         """How many steps there are, of what points and cells; collective."""
         points, cells = (Rows(np.arange(len(keys)), keys) for keys in self._order)
-        return {"steps": self._grid.steps, "points": points, "cells": cells}
+        return {"steps": self._file.steps, "points": points, "cells": cells}
 
     def resume(self, state: State) -> bool:
         """Go on after some steps of the file that is there, if it is; collective."""
@@ -155,7 +141,7 @@ class Fields:
                 place = np.minimum(np.searchsorted(have[sort], wanted), len(have) - 1)
                 order.append(sort[place])
         try:
-            self._grid = self._make(order=order, steps=state["steps"])
+            self._file = GridFile(self._comm, self._path, self._grid, order, state["steps"])
         except OSError:
             return False
         return True
@@ -175,7 +161,7 @@ class Fields:
         for layer, nodes in zip(self._layers, self._nodes, strict=True):
             point |= layer.point(nodes, samples)
             cell |= layer.cell(self._cells)
-        self._grid.write(time, point, cell)
+        self._file.write(time, point, cell)
 
 
 def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:

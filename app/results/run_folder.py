@@ -11,7 +11,7 @@ import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,11 +36,9 @@ T = TypeVar("T")
 
 UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
-HISTORY, SECTION = "temperature.png", "temperature_section.png"
+SECTION = "temperature_section.png"
 # What is written at the end; all that a run directory has.
-ENDS = (
-    *("DONE", "summary.json", "provenance.json", "final.vtkhdf", HISTORY, SECTION, "report.html"),
-)
+ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 log = logging.getLogger("mantle")
 
@@ -184,11 +182,8 @@ class Writer:
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
-    def pictures(self, conduction: Conduction, record: ThermalRecord) -> None:
-        """Draw temperatures over time, and in a section when the bone was hottest; collective."""
-        path = self.folder / HISTORY
-        draw = partial(temperature_section.history, path, record.seconds, record.curves())
-        _write(self._comm, draw, str(path))
+    def section(self, conduction: Conduction, record: ThermalRecord) -> None:
+        """Draw the temperature in a section when the bone was hottest; collective."""
         with _full_disk(SECTION):
             temperature_section.section(
                 self.folder / SECTION,

@@ -193,19 +193,6 @@ class ThermalRecord:
         """Columns of history.csv for the state last taken in."""
         return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
-    def curves(self) -> dict[str, Floats]:
-        """Temperatures over time by what they are of [degC]: hottest nodes, and probes."""
-        labels = {}
-        for name, sides in self._interfaces.items():
-            for which, regions in zip(("first", "second"), sides, strict=True):
-                column = f"{name} temperature_max_{which} [degC]"
-                labels[column] = f"{name}, {' + '.join(regions)} side"
-        labels |= {f"{name} temperature_max [degC]": f"{name}, hottest" for name in self._nodes}
-        labels |= {f"{p} [degC]": f"probe {p}" for p in self._probes.names}
-        return {
-            label: np.array([row[column] for row in self.rows]) for column, label in labels.items()
-        }
-
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that has moved since the state before the last step, however it went [N mm].
 
@@ -251,9 +238,6 @@ class ThermalRecord:
             function.x.array[: self._forms.owned] = found.of(nodes)
             function.x.scatter_forward()
             self.hottest.append(function.x.array.copy())
-        curves = [np.array(self.seconds), *self.curves().values()]
-        if not all(c.shape == (len(self.rows),) and c.dtype.kind in "fi" for c in curves):
-            raise ValueError("temperatures over time that are no numbers")
         self._extremes = {
             name: InterfaceExtremes(**found) for name, found in state["extremes"].items()
         }
