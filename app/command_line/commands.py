@@ -141,7 +141,6 @@ def _check(options: argparse.Namespace) -> int:
     print(found.description)
     if options.mesh:
         configure_log("info", sys.stderr)
-        log.info("meshing")
         found = mantle.check(case, meshed=True)
     print(found.size)
     for message in found.notes:

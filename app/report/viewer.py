@@ -233,7 +233,6 @@ def outsides(run: Run, curved: bool) -> dict[str, Ints]:
 
 
 def _used(triangles: dict[str, Ints]) -> Ints:
-    """Nodes of all triangles, in rising order."""
     return np.unique(np.concatenate([t.ravel() for t in triangles.values()]))
 
 

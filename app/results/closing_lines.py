@@ -97,7 +97,7 @@ def closing_table(summary: dict[str, Any]) -> str:
 
 
 def unbalanced(summary: Mapping[str, Any]) -> list[str]:
-    """What is not in balance; a number that is none is not either."""
+    """Balances above their limit; NaN counts as above."""
     b = summary.get("balance", {})
     return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
 
@@ -111,7 +111,7 @@ def too_far(summary: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def faults(summary: Mapping[str, Any]) -> list[str]:
+def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
     """Why the numbers of a solved case are not to be used; nothing if they are."""
     lost = [
         f"the balance of {name} is {summary['balance'][name]:.1e}, not below {BALANCES[name]:g}"
@@ -129,7 +129,7 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
     Raises:
         UnusableError: With the reasons of each.
     """
-    found = {folder: "; ".join(faults(s)) for folder, s in summaries.items()}
+    found = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
     if bad := [f"do not use the numbers in {f}: {why}" for f, why in found.items() if why]:
         raise UnusableError("\n".join(bad))
 
@@ -202,7 +202,7 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
 
 
 def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
-    """What the mesh and the step leave wrong, as far as it is estimated."""
+    """Error of mesh and step, as far as it is estimated."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
         return Verdict(f"{BOTH}: error not estimated (--error does)")

@@ -47,7 +47,7 @@ class OutputNodes:
     ends: Ints
 
 
-class Layer(Protocol):
+class FieldGroup(Protocol):
     """One physics of a run: what it has to write."""
 
     bodies: Bodies
@@ -63,21 +63,14 @@ class Layer(Protocol):
 class Fields:
     """The field file."""
 
-    def __init__(self, tagged: TaggedMesh, layers: Sequence[Layer], path: Path) -> None:
-        """Make the grid; `begin` or `resume` comes next; collective.
-
-        Args:
-            tagged: The mesh.
-            layers: The mechanics, if there are any, then the heat; at least one of them.
-            path: The file.
-        """
-        self._layers, self._path = tuple(layers), path
-        space, owned = layers[0].space, tagged.mesh.topology.index_map(3).size_local
+    def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
+        self._layers, self._path = tuple(groups), path
+        space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
         dofs = space.dofmap.list[:owned]
         self._cells = owned
         bodies, group = np.unique(
-            np.stack([layer.bodies.of_tag[tags] for layer in layers], axis=1),
+            np.stack([layer.bodies.of_tag[tags] for layer in groups], axis=1),
             axis=0,
             return_inverse=True,
         )
@@ -88,7 +81,7 @@ class Fields:
         cell, local = np.divmod(first, dofs.shape[1])
         # What the points and cells of the file are, in the order of the ranks.
         of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for k, layer in enumerate(layers):
+        for k, layer in enumerate(groups):
             of_points = of_points * len(layer.bodies.names) + bodies[group, k]
         keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
         comm = self._comm = tagged.mesh.comm
@@ -194,13 +187,6 @@ class HeatFields:
     """Temperature, heat doses, cure, and what passes interfaces of finite conductance."""
 
     def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
-        """Write these of a run.
-
-        Args:
-            heating: The heat.
-            record: Its doses.
-            interfaces: Regions on the first and second side of each interface.
-        """
         self._heating, self._record, self._interfaces = heating, record, interfaces
         self._conduction = heating.conduction
         self.bodies, self.space = self._conduction.bodies, self._conduction.space
@@ -246,7 +232,6 @@ class HeatFields:
         return {}
 
     def _doses(self) -> dict[str, list[Floats]]:
-        """Doses of bone at the nodes of each body, by name."""
         zero = np.zeros(len(self._work.x.array))
         names = ("seconds_over_47", "cem43", "henriques_moritz")
         found: dict[str, list[Floats]] = {

@@ -22,7 +22,6 @@ class RegionCells:
     """Cells of a region that this rank owns."""
 
     def __init__(self, forms: HeatForms, region: str) -> None:
-        """Find them; collective."""
         self._comm = forms.comm
         self._dofs = forms.space.dofmap.list[forms.cells(region)].astype(np.int64)
         self._x = forms.space.tabulate_dof_coordinates()[self._dofs]

@@ -24,7 +24,7 @@ from app.errors import StoppedError, everywhere
 from app.heat.conduction import Conduction
 from app.numerics.saved_state import State
 from app.results import temperature_section
-from app.results.field_output import Fields, Layer
+from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.thermal_record import ThermalRecord
 from app.system import identity
@@ -79,32 +79,28 @@ def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
 
 
 class Writer:
-    """Writes a run directory step by step."""
+    """Writes a run directory step by step.
+
+    Args:
+        groups: What the fields are of: the mechanics, if there are any, then the heat.
+        resolved: The resolved configuration, as YAML.
+        record: Gives the provenance when the run ends.
+        again: Whether `resume` follows: what is there may stay.
+
+    Raises:
+        StoppedError: The directory cannot be written.
+    """
 
     def __init__(
         self,
         tagged: TaggedMesh,
-        layers: Sequence[Layer],
+        groups: Sequence[FieldGroup],
         folder: Path,
         resolved: str,
         fields: bool,
         record: Callable[[], dict[str, Any]],
         again: bool = False,
     ) -> None:
-        """Create the directory and the field file, or go on with them; collective.
-
-        Args:
-            tagged: The mesh.
-            layers: What the fields are of: the mechanics, if there are any, then the heat.
-            folder: The run directory; exists.
-            resolved: The resolved configuration, as YAML.
-            fields: Whether fields are written.
-            record: Gives the provenance when the run ends.
-            again: Whether `resume` follows: what is there may stay.
-
-        Raises:
-            StoppedError: The directory cannot be written.
-        """
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
         self._rows: list[dict[str, Any]] = []
 
@@ -118,7 +114,7 @@ class Writer:
 
         _write(self._comm, start, str(folder))
         self._grids: tuple[Fields, ...] = (
-            (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
+            (Fields(tagged, groups, folder / "fields.vtkhdf"),) if fields else ()
         )
         if not again:
             self._begin()
@@ -178,7 +174,6 @@ class Writer:
         self._table()
 
     def _table(self) -> None:
-        """Write history.csv; collective."""
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
@@ -250,7 +245,6 @@ def _processor() -> str:
 
 @cache
 def _packages() -> dict[str, str]:
-    """Versions of what the solver stands on."""
     packages = {}
     for name in (
         "fenics-dolfinx",

@@ -103,7 +103,6 @@ def _table(section: str, rows: Rows) -> list[str]:
 
 
 def _necrosis(regions: Rows) -> list[str]:
-    """Dead bone by every criterion, because they disagree."""
     own = TABLE["thermal.regions"]
     bone = {name: q for name, q in regions.items() if "necrosis_47C_1min_volume" in q}
     head = ["dead bone", *(f"{name}{what}" for name in bone for what in ("", ", depth"))]

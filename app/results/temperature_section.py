@@ -85,7 +85,6 @@ def _corners(
 
 
 def _cut(corners: Floats, tags: Ints, axis: int, level: float) -> Piece:
-    """Triangles and edges of cells where a plane cuts them."""
     cells = np.arange(4 * len(corners)).reshape(-1, 4)
     triangles: list[Floats] = [np.zeros((0, 3, 4))]
     edges: list[Floats] = [np.zeros((0, 2, 4))]

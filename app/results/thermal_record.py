@@ -56,6 +56,14 @@ class ThermalRecord:
             of the interfaces, or without bone the whole model after the start, was hottest.
         hottest_time: When that was [s].
         hottest_at: Where it was hottest then (3,) [mm].
+
+    Args:
+        of_region: Thermal body of each region.
+        interfaces: Regions on the first and second side of each interface, in the order of the
+            case.
+
+    Raises:
+        InputError: A probe is not in its region.
     """
 
     def __init__(
@@ -67,20 +75,6 @@ class ThermalRecord:
         bone: Sequence[str],
         probes: Sequence[ProbedPoint],
     ) -> None:
-        """Find nodes, sides and probes; collective. `start` comes next.
-
-        Args:
-            tagged: The mesh.
-            forms: The forms of heat on it.
-            of_region: Thermal body of each region.
-            interfaces: Regions on the first and second side of each interface, in the order of the
-                case.
-            bone: Regions of bone.
-            probes: Named points.
-
-        Raises:
-            InputError: A probe is not in its region.
-        """
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
         self._interfaces = interfaces

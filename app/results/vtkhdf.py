@@ -60,7 +60,17 @@ class Grid:
 
 
 class GridFile:
-    """One grid and its fields in time, from the arrays of each rank."""
+    """One grid and its fields in time, from the arrays of each rank.
+
+    Args:
+        order: To go on, on rank 0: for each point and for each cell of the file the row of
+            those of all ranks that it is, in the order of the ranks.
+        steps: After how many steps to go on; later ones are overwritten.
+
+    Raises:
+        OSError: The file cannot be written, or has not so many steps of such a grid (on every
+            rank).
+    """
 
     def __init__(
         self,
@@ -70,20 +80,6 @@ class GridFile:
         order: Sequence[Array] | None = None,
         steps: int = 0,
     ) -> None:
-        """Write the geometry to a new file, or go on with one that is there (collective).
-
-        Args:
-            comm: The ranks that share the grid.
-            path: The file, replaced if it exists.
-            grid: The part of this rank.
-            order: To go on, on rank 0: for each point and for each cell of the file the row of
-                those of all ranks that it is, in the order of the ranks.
-            steps: After how many steps to go on; later ones are overwritten.
-
-        Raises:
-            OSError: The file cannot be written, or has not so many steps of such a grid (on every
-                rank).
-        """
         self.comm = comm
         self.path = path
         self.steps = 0
@@ -136,7 +132,6 @@ class GridFile:
     def _of_step(
         self, point: Mapping[str, Array], cell: Mapping[str, Array]
     ) -> dict[str, tuple[Array, int]]:
-        """Names of the datasets of a step, with values and rows of each."""
         arrays = {f"PointData/{name}": (values, self._points) for name, values in point.items()}
         return arrays | {f"CellData/{name}": (v, self._cells) for name, v in cell.items()}
 
@@ -190,7 +185,6 @@ class GridFile:
 def _create(
     path: Path, points: int, cells: int, nodes: int, texts: Mapping[str, Sequence[str]]
 ) -> None:
-    """Make the file with everything that does not come from other ranks."""
     with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = (2, 0)

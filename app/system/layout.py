@@ -44,6 +44,11 @@ def count(number: float) -> str:
     return f"{round(number):,}".replace(",", " ")
 
 
+def point_text(x: Iterable[float]) -> str:
+    """A point [mm]."""
+    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*(round(float(v), 4) + 0.0 for v in x))
+
+
 def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
     """Each note of some cases once, with the cases that have it: all, or their names.
 
