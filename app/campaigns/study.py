@@ -19,7 +19,7 @@ from app.case.case import Case
 from app.case.planned_run import PlannedRun
 from app.case.study import PlannedStudy, Study
 from app.errors import InputError, StoppedError, gravest
-from app.schema.yaml_file import words
+from app.schema.yaml_file import key_parts
 from app.system import folders
 from app.system.layout import duration
 
@@ -127,7 +127,7 @@ def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
     """The value of a key as a positive number, if it is one, and its internal unit."""
     value: Any = ranks if key == "ranks" else case.model_dump(mode="json")
-    for item in words(key) if key != "ranks" else ():
+    for item in key_parts(key) if key != "ranks" else ():
         if isinstance(value, list):
             value = value[int(item)]
         else:

@@ -67,7 +67,7 @@ def plan(
             case = load(base, changes).config
         except InputError as error:
             for message in error.messages:
-                if found := yaml_file.located(message, {key: point.places[key] for key in own}):
+                if found := yaml_file.at_override(message, {key: point.places[key] for key in own}):
                     problems.append(found)
                 else:
                     failed.setdefault((base, message), []).append(point)

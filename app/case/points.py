@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
-from app.schema.yaml_file import Path, words
+from app.schema.yaml_file import Path, key_parts
 
 # Random designs of samples to choose from.
 DESIGNS = 20
@@ -293,7 +293,7 @@ def _labels(values: Sequence[Any]) -> list[str]:
 
 def short_keys(keys: Sequence[str]) -> dict[str, str]:
     """Each key by as many of its last words as tell it from the others."""
-    split = {key: words(key) for key in keys}
+    split = {key: key_parts(key) for key in keys}
 
     def shortened(key: str) -> str:
         own = split[key]

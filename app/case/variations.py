@@ -14,7 +14,7 @@ from pydantic import BeforeValidator
 
 from app.case.points import short_keys
 from app.schema.section import MAPPING, Name, did_you_mean, fail, show
-from app.schema.yaml_file import CaseFile, words
+from app.schema.yaml_file import CaseFile, key_parts
 from app.system.layout import plain
 
 OF_LOADS = ("force", "at", "pressure", "density", "history")
@@ -97,7 +97,7 @@ def title_with_changes(title: str, file: CaseFile) -> str:
         title: The title; nothing is added to none, nor to one that is changed itself.
         file: The case.
     """
-    keys = {place: words(place) for place in file.places.values() if isinstance(place, str)}
+    keys = {place: key_parts(place) for place in file.places.values() if isinstance(place, str)}
     if not title or ["title"] in keys.values():
         return title
     told = {key: path for key, path in keys.items() if path[0] not in UNTITLED}
