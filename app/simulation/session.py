@@ -127,6 +127,7 @@ class Session:
             if i in rows:
                 continue
             v, folder = varied[i], output / varied[i].name
+            log.info("variation %d of %d: %s", number, len(chain), v.name)
             place = f"variation {v.name} (number {number} of {len(chain)})"
             if summary := self._variation(v, folder, place):
                 solved[folder] = summary
@@ -151,7 +152,6 @@ class Session:
         Raises:
             StoppedError: With its place among all.
         """
-        log.info("%s", place)
         on_root(self._comm, partial(_prepare, folder), share=False)
         try:
             summary = self.solve(varied.case, varied.overrides, folder)
