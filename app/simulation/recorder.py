@@ -107,10 +107,8 @@ class Recorder:
     def state(self) -> State:
         """Everything recorded so far, to be saved; collective."""
         contact = [
-            {"pressures": j.rows(t.law.pressures), "status": j.rows(t.law.status)}
+            {name: t.contact.rows(getattr(t.law, name)) for name in ("pressures", "status")}
             for t in self._trials
-            for m in self._model.mechanics
-            for j in m.problem.jumps
         ]
         return {
             "step": self._rows,
@@ -138,9 +136,10 @@ class Recorder:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
             balance.resume(found, u, trial)
-            for j, law in zip(m.problem.jumps, state["contact"], strict=False):
+            for law in state["contact"]:
                 assert trial is not None
-                pressures, status = (law[k].of(j.mine) for k in ("pressures", "status"))
+                rows = trial.contact.mine
+                pressures, status = (law[k].of(rows) for k in ("pressures", "status"))
                 then = replace(trial.law, pressures=pressures, status=status.ravel())
                 self._trials = (replace(trial, law=then),)
                 self.samples = ContactSamples(m.problem, *self._trials)

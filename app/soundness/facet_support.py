@@ -55,10 +55,10 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     """
     if all(c.law.frictional or not c.law.can_open for c in problem.scene.contacts):
         return ""
-    (j,) = problem.jumps
-    n, points = len(problem.bodies.names), j.points
+    contact = trial.contact
+    n, points = len(problem.bodies.names), contact.points
     size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
-    R = rigid_modes((points.x[j.mine] - points.x.mean(axis=0)) / size)
+    R = rigid_modes((points.x[contact.mine] - points.x.mean(axis=0)) / size)
     A, N = _resistances(problem, trial, R)
     free = np.setdiff1d(np.arange(n), sorted(held_bodies(problem)))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
@@ -75,10 +75,10 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     # The part of the jumps in the span of such motions, by least squares.
     soft = np.zeros((6 * n, int(few.sum())))
     soft[rows] = scale.T @ vectors[:, few]
-    master, slave = points.bodies[j.mine].T
+    master, slave = points.bodies[contact.mine].T
     parts = soft.reshape(n, 6, -1)
     moved = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
-    w, q = j.weight, trial.jump
+    w, q = contact.weight, trial.jump
     turned, gram, everything = (
         problem.comm.allreduce(np.asarray(own), MPI.SUM)
         for own in (
@@ -111,23 +111,23 @@ def _resistances(problem: Problem, trial: TrialState, R: Floats) -> tuple[Floats
     Returns:
         Two matrices (6 n, 6 n) for n bodies, in six motions each.
     """
-    (j,) = problem.jumps
-    points, n = j.points, len(problem.bodies.names)
+    contact = trial.contact
+    points, n = contact.points, len(problem.bodies.names)
     laws = [c.law for c in problem.scene.contacts]
-    smooth = np.array([law.can_open and not law.frictional for law in laws])[j.interface]
-    r = np.where(trial.law.status == OPEN, 0.0, j.stiffness * j.weight)[:, None, None]
+    smooth = np.array([law.can_open and not law.frictional for law in laws])[contact.interface]
+    r = np.where(trial.law.status == OPEN, 0.0, contact.stiffness * contact.weight)[:, None, None]
     B = trial.law.jacobian
     # Friction holds what it touches, though no stiffness tells so while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
-    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), j.normals)
+    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.normals)
     mean = r[:, :, 0] * np.einsum("pij,pi->pj", R, touching)
     law, noise = (
-        r * (R.transpose(0, 2, 1) @ own @ R) for own in (S, spread_of_normals(points)[j.mine])
+        r * (R.transpose(0, 2, 1) @ own @ R) for own in (S, spread_of_normals(points)[contact.mine])
     )
     A, N = np.zeros((2, 6 * n, 6 * n))
     sides = np.column_stack([points.interface, points.bodies])
     for group in np.unique(sides, axis=0):
-        here = (sides[j.mine] == group).all(axis=1)
+        here = (sides[contact.mine] == group).all(axis=1)
         local = (law, noise, mean, r, np.ones(len(here)))
         stiff, rough, g, weight, count = (
             problem.comm.allreduce(np.asarray(x[here].sum(axis=0)), MPI.SUM) for x in local

@@ -11,7 +11,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import Reason
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import Contact
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.active_set import ActiveSet
 from app.numerics.newton import NewtonResult, Solver
@@ -98,12 +98,11 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
     oscillating: tuple[str, ...] = ()
     u, q = solver.u_and_q(x)
     if q is not None:
-        (j,) = problem.jumps
         trial = problem.trial(u, q)
-        where = _largest(problem, j, trial)
-        oscillating = _restless(problem, j, solver.system.active)
+        where = _largest(problem, trial)
+        oscillating = _oscillating(problem, trial.contact, solver.system.active)
         free = tuple(free_bodies(problem, trial))
-        notes = (*(() if free else sliding(problem)), *uniqueness.beyond(problem))
+        notes = (*(() if free else sliding(problem, trial.contact)), *uniqueness.beyond(problem))
     if free:
         short = free[0]
     elif outcome.linear_failed:
@@ -130,15 +129,15 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
     return text + halved
 
 
-def _restless(problem: Problem, j: Jumps, active: ActiveSet) -> tuple[str, ...]:
+def _oscillating(problem: Problem, contact: Contact, active: ActiveSet) -> tuple[str, ...]:
     """Contact points that change their states most in the last iterations, in words; collective."""
     local = [
         (
             r.changes,
             f"{' <-> '.join(STATES[s] for s in r.states)} at "
-            f"{_place(j.points.x[j.mine[r.row]])} on interface "
-            f"'{problem.scene.contacts[j.interface[r.row]].name}', in {r.changes} of the last "
-            f"{r.iterations} iterations",
+            f"{_place(contact.points.x[contact.mine[r.row]])} on interface "
+            f"'{problem.scene.contacts[contact.interface[r.row]].name}', "
+            f"in {r.changes} of the last {r.iterations} iterations",
         )
         for r in active.oscillating()[:SHOWN]
     ]
@@ -146,16 +145,17 @@ def _restless(problem: Problem, j: Jumps, active: ActiveSet) -> tuple[str, ...]:
     return tuple(text for _, text in every[:SHOWN])
 
 
-def _largest(problem: Problem, j: Jumps, trial: TrialState) -> str:
+def _largest(problem: Problem, trial: TrialState) -> str:
     """Interface, place and state of the largest residual in the jump block."""
-    r = np.linalg.norm(j.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
+    contact = trial.contact
+    r = np.linalg.norm(contact.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
     best = (float(r.max(initial=0.0)), problem.comm.rank)
     size, rank = problem.comm.allreduce(best, MPI.MAX)
     text = ""
     if rank == problem.comm.rank and len(r):
         k = int(np.argmax(r))
-        x = j.points.x[j.mine[k]]
-        name = problem.scene.contacts[j.interface[k]].name
+        x = contact.points.x[contact.mine[k]]
+        name = problem.scene.contacts[contact.interface[k]].name
         state = STATES[trial.law.status[k]]
         text = f"{size:.2e} N on interface '{name}' at {_place(x)}, {state}"
     return str(problem.comm.bcast(text, root=rank))
@@ -171,60 +171,60 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     The resistance of the contacts is the generalized Jacobian at each point, seen through the
     relative rigid motions of the two bodies; its null space beyond the supports is what is free.
     """
-    (j,) = problem.jumps
-    names = problem.bodies.names
+    contact, names = trial.contact, problem.bodies.names
     held = held_bodies(problem)
     n = len(names)
-    centre = j.points.x.mean(axis=0)
-    size = np.linalg.norm(np.ptp(j.points.x, axis=0)) or 1.0
+    centre = contact.points.x.mean(axis=0)
+    size = np.linalg.norm(np.ptp(contact.points.x, axis=0)) or 1.0
     A = np.zeros((6 * n, 6 * n))
-    x = (j.points.x[j.mine] - centre) / size
+    x = (contact.points.x[contact.mine] - centre) / size
     B = trial.law.jacobian
     S = np.where((trial.law.status == OPEN)[:, None, None], 0.0, (B + B.transpose(0, 2, 1)) / 2)
     R = rigid_modes(x)
-    K = j.weight[:, None, None] * (R.transpose(0, 2, 1) @ S @ R)
-    sides = j.points.bodies[j.mine]
+    K = contact.weight[:, None, None] * (R.transpose(0, 2, 1) @ S @ R)
+    sides = contact.points.bodies[contact.mine]
     for m, s, k in zip(sides[:, 0], sides[:, 1], K, strict=True):
         add_relative(A, int(m), int(s), k)
     A = problem.comm.allreduce(A, MPI.SUM)
-    total = float(np.sum(j.points.weight)) or 1.0
+    total = float(np.sum(contact.points.weight)) or 1.0
     for body in held:
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free = vectors[:, values <= _FREE * max(values[-1], total)]
-    every = j.points.bodies
+    every = contact.points.bodies
     centres = np.array(
         [
-            j.points.x[here].mean(axis=0) if (here := (every == b).any(axis=1)).any() else centre
+            contact.points.x[here].mean(axis=0)
+            if (here := (every == b).any(axis=1)).any()
+            else centre
             for b in range(n)
         ]
     )
     return describe(free, [f"'{name}'" for name in names], centres, centre, float(size))
 
 
-def sliding(problem: Problem) -> list[str]:
+def sliding(problem: Problem, contact: Contact) -> list[str]:
     """Bodies that friction alone held in the last converged state, and hardly did; collective.
 
     Pulled further they may come off. That is no proof: smaller steps are tried all the same.
     """
-    (j,) = problem.jumps
-    old, names = j.history, problem.bodies.names
+    old, names = contact.history, problem.bodies.names
     normal = np.einsum("pi,pi->p", old.force - old.friction, old.force - old.friction) ** 0.5
     shear = np.linalg.norm(old.friction, axis=1)
-    sides = j.points.bodies[j.mine]
+    sides = contact.points.bodies[contact.mine]
     found = []
-    for i, contact in enumerate(problem.scene.contacts):
-        on = (j.interface == i) & (normal > 0)
-        slips = on & (shear >= ALL_OF_IT * contact.law.friction * normal)
-        local = np.array([j.weight[slips].sum(), j.weight[on].sum()])
+    for i, term in enumerate(problem.scene.contacts):
+        on = (contact.interface == i) & (normal > 0)
+        slips = on & (shear >= ALL_OF_IT * term.law.friction * normal)
+        local = np.array([contact.weight[slips].sum(), contact.weight[on].sum()])
         slip, touch = problem.comm.allreduce(local, MPI.SUM)
         pairs = problem.comm.allgather({tuple(map(int, s)) for s in sides[on]})
         loose = {b for pair in set().union(*pairs) for b in pair} - _held_every_way(problem)
-        if contact.law.frictional and touch and slip >= SLIDES * touch and loose:
+        if term.law.frictional and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(names[b] for b in sorted(loose))
             found.append(
                 f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
-                f"on interface '{contact.name}' slips in the last converged state "
+                f"on interface '{term.name}' slips in the last converged state "
                 f"[{Reason.LOOSE_BODY}]"
             )
     return found
@@ -236,18 +236,18 @@ def runaway(problem: Problem, trial: TrialState) -> str:
     A body that contact does not hold may still be caught by the facets of a curved interface. It
     has then moved further than small displacements allow, and against hardly any stiffness.
     """
-    (j,) = problem.jumps
+    contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
     pushed = any(unit.any() for unit in problem.reduction.unit)
     if problem.comm.allreduce(pushed, MPI.LOR) or not forces:
         return ""  # where supports move the model, they may move it far
-    size = float(np.linalg.norm(np.ptp(j.points.x, axis=0)))
+    size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0)))
     # What closes a gap or makes room for an interference is no running away.
-    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(j.gap, axis=1)
-    for i, contact in enumerate(problem.scene.contacts):
-        local = float(moved[j.interface == i].max(initial=0.0))
+    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
+    for i, term in enumerate(problem.scene.contacts):
+        local = float(moved[contact.interface == i].max(initial=0.0))
         largest = problem.comm.allreduce(local, MPI.MAX)
-        elastic = forces / (contact.modulus * size)
+        elastic = forces / (term.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
             free = free_bodies(problem, trial)
             how = (
@@ -257,7 +257,7 @@ def runaway(problem: Problem, trial: TrialState) -> str:
                 else "left each other for good"
             )
             by = "" if free else ": nothing holds them but the facets of the mesh"
-            return "; ".join([*free, f"the sides of interface '{contact.name}' {how}{by}"])
+            return "; ".join([*free, f"the sides of interface '{term.name}' {how}{by}"])
     return ""
 
 

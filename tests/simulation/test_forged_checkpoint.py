@@ -211,10 +211,10 @@ def at(*way: Any) -> Callable[[Told], Any]:
 
 jumps, solver = at("model", "mechanics", 0, "problem"), at("model", "mechanics", 0, "solver")
 STATES: dict[str, Callable[[Told], Any]] = {
-    "no rows": lambda text: jumps(text)["contact"][0].update(slip=0.5),
+    "no rows": lambda text: jumps(text)["contact"].update(slip=0.5),
     "other rows": lambda text: (
-        jumps(text)["contact"][0].update(slip=solver(text)["x"]["jump"])
-        or jumps(text)["contact"][0].update(path=solver(text)["x"]["jump"])
+        jumps(text)["contact"].update(slip=solver(text)["x"]["jump"])
+        or jumps(text)["contact"].update(path=solver(text)["x"]["jump"])
     ),
     "no key": lambda text: jumps(text).pop("contact"),
     "text for a number": lambda text: solver(text).update(augmentation="large"),
