@@ -28,15 +28,12 @@ class Balance:
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
     forces. What sets has no energy to come back to: there the work of its stress in its strain,
     trapezoidal too, takes the place of stored energy and of the work of free strain.
+
+    Args:
+        about: Point that moments are taken about (3,) [mm].
     """
 
     def __init__(self, problem: Problem, about: Floats) -> None:
-        """Compile the forms; collective.
-
-        Args:
-            problem: At rest, before any temperature is set.
-            about: Point that moments are taken about (3,) [mm].
-        """
         self._problem = problem
         mechanics, scene = problem.mechanics, problem.scene
         dx = mechanics.cells()
@@ -112,13 +109,11 @@ class Balance:
         return self._strain_work_of(e, elasticity.symmetric(components))
 
     def _swelling_work(self, e: Elastic) -> object:
-        """Work by nodal swelling."""
         return self._strain_work_of(
             e, elasticity.swelling(ufl.TestFunction(self._problem.mechanics.scalars))
         )
 
     def _strain_work_of(self, e: Elastic, strain: Expr) -> Any:
-        """Work of a region's stress in a free strain."""
         mechanics, problem = self._problem.mechanics, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(
@@ -127,7 +122,6 @@ class Balance:
         return -loads.mechanical_work(σ, strain) * mechanics.over(e, mechanics.cells())
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
-        """Everything that enters the balances at the current time and state."""
         problem = self._problem
         internal = np.zeros(len(problem.reduction.reacting))
         for form in self._internal:
@@ -223,7 +217,6 @@ class Balance:
 
 
 def _owned(function: fem.Function) -> int:
-    """Own values of a scalar function."""
     return int(function.function_space.dofmap.index_map.size_local)
 
 

@@ -31,16 +31,12 @@ class CureRecord:
 
     The time at which a node reaches a degree is interpolated within the step by a cubic of time
     over degree, from degrees and rates at both ends of the step.
+
+    Args:
+        degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
     """
 
     def __init__(self, comm: MPI.Comm, degrees: Mapping[str, Floats], seconds: float = 0.0) -> None:
-        """Take in the initial state.
-
-        Args:
-            comm: Communicator.
-            degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
-            seconds: Time [s].
-        """
         self._comm, self._seconds = comm, seconds
         self._regions = {
             name: _CuringRegion(

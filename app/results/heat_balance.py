@@ -26,17 +26,15 @@ class HeatBalance:
             had moved.
         quadrature: What is missing in the trapezoidal sum.
         heats: Heat that came in by each condition so far, by the integrator's sum [N mm].
+
+    Args:
+        stored: Heat stored at the start [N mm].
+        flows: Flow into the model by each condition at the start [N mm/s]; empty if it is not
+            known (it is infinite where temperatures differ from given ones): the first step is
+            then summed with the flows at its end.
     """
 
     def __init__(self, stored: float, flows: Flows) -> None:
-        """Begin.
-
-        Args:
-            stored: Heat stored at the start [N mm].
-            flows: Flow into the model by each condition at the start [N mm/s]; empty if it is not
-                known (it is infinite where temperatures differ from given ones): the first step is
-                then summed with the flows at its end.
-        """
         self._stored = self._now = stored
         self._last = dict(flows)
         self._stage_sum = self._end_sum = self._moved = 0.0

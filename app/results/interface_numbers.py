@@ -39,7 +39,6 @@ class ContactSamples:
         interface: Interface of each point (n,).
         x: Position (n, 3) [mm].
         weight: Area (n,) [mm2].
-        sign: -1 where the second side as declared is the master, else 1 (n,).
         gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
         opening: Opening of the point, the largest of its faces (n,) [mm].
         slip: Net sliding while in contact (n, 3) [mm].
@@ -58,14 +57,12 @@ class ContactSamples:
     """
 
     def __init__(self, problem: Problem, trial: TrialState) -> None:
-        """Gather a committed state; collective."""
         self.found: dict[int, dict[str, Any]] = {}
         contact, history = trial.contact, trial.contact.history
         opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, contact.normals)
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
-        signs = np.array([-1.0 if c.turned else 1.0 for c in contacts])
-        sign, self.sign = signs[contact.interface][:, None], signs[contact.points.interface]
+        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[contact.interface][:, None]
         used = np.arange(3)[None, :] < contact.faces[:, None]
         local = {
             "row": contact.mine,
@@ -86,11 +83,8 @@ class ContactSamples:
         whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
         order = np.argsort(whole.pop("row"))
         self.points, self.edge_lengths = contact.points, contact.edge_lengths
-        self.interface, self.x, self.weight = (
-            contact.points.interface,
-            contact.points.x,
-            contact.points.weight,
-        )
+        self.interface, self.x = contact.points.interface, contact.points.x
+        self.weight = contact.points.weight
         self.gap, self.opening, self.slip, self.path, self.motion = (
             whole[k][order] for k in ("gap", "opening", "slip", "path", "motion")
         )
@@ -166,12 +160,6 @@ class Facets:
     """
 
     def __init__(self, s: ContactSamples, i: int) -> None:
-        """Find them.
-
-        Args:
-            s: The contact points.
-            i: Number of the interface.
-        """
         self.triangles: Ints = s.points.triangles[i]
         x = s.x[self.triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])

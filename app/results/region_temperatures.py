@@ -171,7 +171,6 @@ class RegionTemperatures:
 
 
 def _longest(comm: MPI.Comm, dose: Floats) -> float:
-    """Largest dose of a region; collective."""
     return float(comm.allreduce(float(dose.max(initial=0.0)), MPI.MAX))
 
 

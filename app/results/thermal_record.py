@@ -56,6 +56,14 @@ class ThermalRecord:
             of the interfaces, or without bone the whole model after the start, was hottest.
         hottest_time: When that was [s].
         hottest_at: Where it was hottest then (3,) [mm].
+
+    Args:
+        of_region: Thermal body of each region.
+        interfaces: Regions on the first and second side of each interface, in the order of the
+            case.
+
+    Raises:
+        InputError: A probe is not in its region.
     """
 
     def __init__(
@@ -67,20 +75,6 @@ class ThermalRecord:
         bone: Sequence[str],
         probes: Sequence[ProbedPoint],
     ) -> None:
-        """Find nodes, sides and probes; collective. `start` comes next.
-
-        Args:
-            tagged: The mesh.
-            forms: The forms of heat on it.
-            of_region: Thermal body of each region.
-            interfaces: Regions on the first and second side of each interface, in the order of the
-                case.
-            bone: Regions of bone.
-            probes: Named points.
-
-        Raises:
-            InputError: A probe is not in its region.
-        """
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
         self._interfaces = interfaces
@@ -193,19 +187,6 @@ class ThermalRecord:
         """Columns of history.csv for the state last taken in."""
         return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
-    def curves(self) -> dict[str, Floats]:
-        """Temperatures over time by what they are of [degC]: hottest nodes, and probes."""
-        labels = {}
-        for name, sides in self._interfaces.items():
-            for which, regions in zip(("first", "second"), sides, strict=True):
-                column = f"{name} temperature_max_{which} [degC]"
-                labels[column] = f"{name}, {' + '.join(regions)} side"
-        labels |= {f"{name} temperature_max [degC]": f"{name}, hottest" for name in self._nodes}
-        labels |= {f"{p} [degC]": f"probe {p}" for p in self._probes.names}
-        return {
-            label: np.array([row[column] for row in self.rows]) for column, label in labels.items()
-        }
-
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that has moved since the state before the last step, however it went [N mm].
 
@@ -251,9 +232,6 @@ class ThermalRecord:
             function.x.array[: self._forms.owned] = found.of(nodes)
             function.x.scatter_forward()
             self.hottest.append(function.x.array.copy())
-        curves = [np.array(self.seconds), *self.curves().values()]
-        if not all(c.shape == (len(self.rows),) and c.dtype.kind in "fi" for c in curves):
-            raise ValueError("temperatures over time that are no numbers")
         self._extremes = {
             name: InterfaceExtremes(**found) for name, found in state["extremes"].items()
         }

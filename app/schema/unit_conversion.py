@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import re
 from contextlib import suppress
 from fractions import Fraction
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from app import files
@@ -83,14 +83,11 @@ def _known(entry: object) -> tuple[Fraction, Fraction] | None:
 
 @lru_cache(maxsize=1)
 def _kept() -> dict[str, list[str]]:
-    """Conversions that pint has made before, in the cache or in that of an image."""
+    """Conversions that pint has made before, in the cache."""
     found: dict[str, list[str]] = {}
-    with suppress(OSError, ValueError):
-        if seeded := folders.seeded("mantle/units", KEPT):
-            found |= folders.unsealed(Path(KEPT), seeded)
-    with suppress(OSError, ValueError, TypeError):
+    with suppress(OSError, ValueError, TypeError, RecursionError):
         if folder := folders.cache("units"):
-            found |= folders.unsealed(folder / KEPT, files.read_own(folder / KEPT))
+            found |= json.loads((folder / KEPT).read_text())
     return found
 
 
@@ -103,7 +100,7 @@ def _keep(key: str, conversion: tuple[Fraction, Fraction]) -> None:
                 files.clear(folder)
                 _kept.cache_clear()
                 _kept()[key] = [str(number) for number in conversion]
-                folders.write_sealed(folder / KEPT, _kept())
+                folders.write_json(folder / KEPT, _kept())
 
 
 def _by_pint(unit: str, text: str, internal: str) -> tuple[Fraction, Fraction]:

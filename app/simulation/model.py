@@ -22,7 +22,7 @@ from app.numerics.newton import Solver
 from app.numerics.saved_state import State
 from app.numerics.system import System
 from app.results import gruen, interface_numbers
-from app.results.field_output import HeatFields, Layer
+from app.results.field_output import FieldGroup, HeatFields
 from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
 from app.results.run_folder import on_root
@@ -182,7 +182,7 @@ class Model:
         parts += [m.solver.block_sizes for m in self.mechanics]
         return {name: size for part in parts for name, size in part.items()}
 
-    def layers(self) -> list[Layer]:
+    def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanical, and of heat."""
         sides = self._case.geometry.interface_sides
         return [

@@ -184,13 +184,8 @@ class Recorder:
         log.info(
             "%s",
             text.step_line(
-                step.number,
-                step.time,
-                step.outcome.iterations,
-                step.outcome.linear_iterations,
-                step.outcome.residuals[-1],
-                self._fraction(OPEN),
-                self._fraction(SLIP),
+                step,
+                (self._fraction(OPEN), self._fraction(SLIP)),
                 max((q["penetration_max"] for q in interfaces.values()), default=0.0),
                 clock.perf_counter() - self._begin,
                 solved * rate,
@@ -251,7 +246,7 @@ class Recorder:
             self._fields()
         self._writer.last_fields()
         for t in self._model.thermal:
-            self._writer.pictures(t.conduction, t.record)
+            self._writer.section(t.conduction, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""

@@ -84,9 +84,7 @@ def run(
     if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
         log.warning("note: %s", crowd)
     signalled = stopping.signals() if signals else str
-    if comm.rank == 0:
-        form_cache.mend()
-    form_cache.share()
+    form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
     session = Session(
         comm,
@@ -303,7 +301,7 @@ class Session:
             summary = recorder.summary("converged", total)
         summary["notes"] = [*notes, *well_posedness.doubts(case, summary["regions"])]
         summary["notes"] += [note for t in model.thermal for note in t.heating.notes]
-        if text.faults(summary):
+        if text.reasons_not_to_use(summary):
             summary["status"] = text.UNUSABLE
         self.note(summary["notes"])
         if case.output.condition:
@@ -384,7 +382,7 @@ def _errors(
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
-        "of": error_estimate.of_what([c for c, _ in solved]),
+        "of": error_estimate.error_sources([c for c, _ in solved]),
         "failed": failed,
         "unsettled": error_estimate.estimate(summary, case, solved),
     }

@@ -53,6 +53,7 @@ from app.arrays import Floats
 from app.errors import Reason
 from app.mechanics.contact import Contact
 from app.mechanics.problem import Problem
+from app.system.layout import point_text
 
 log = logging.getLogger("mantle")
 
@@ -152,10 +153,9 @@ def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
             continue
         found[term.name] = least
         if over:
-            place = "({:.2f}, {:.2f}, {:.2f}) mm".format(*x)
             sentences.append(
                 f"interface '{term.name}': friction coefficient {term.law.friction:g} "
                 f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
-                f"{place}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
+                f"{point_text(x)}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
             )
     return found, sentences

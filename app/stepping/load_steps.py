@@ -18,8 +18,8 @@ from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.numerics.saved_state import State
 from app.scene.terms import SceneStage
-from app.soundness.facet_support import held_by_facets
-from app.soundness.failure import explain, runaway
+from app.soundness.failure import explain
+from app.soundness.loose_bodies import held_by_facets, runaway
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0

@@ -85,7 +85,7 @@ def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
 )
 def test_an_error_is_of_what_was_compared(text: str, coarsening: float, what: str) -> None:
     alone = support.case(HEAT) if text else case()
-    assert error_estimate.of_what([error_estimate.Companion(alone, coarsening, 0.5)]) == what
+    assert error_estimate.error_sources([error_estimate.Companion(alone, coarsening, 0.5)]) == what
 
 
 def test_one_increment_is_compared_with_two() -> None:
