@@ -14,7 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app.case.case import Case, LoadedCase, plain
+from app.case.case import Case, LoadedCase, dump
 from app.errors import (
     ConvergenceError,
     EnvironmentProblem,
@@ -28,7 +28,6 @@ from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, on_root, provenance
-from app.schema import yaml_file
 from app.simulation import checkpoint, checkpoint_file, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
@@ -262,7 +261,7 @@ class Session:
             model.tagged,
             model.layers(),
             output,
-            yaml_file.written(plain(case)),
+            dump(case),
             case.output.fields,
             lambda: provenance(
                 comm.size,
