@@ -117,7 +117,8 @@ def _oscillating(problem: Problem, contact: Contact, active: ActiveSet) -> list[
         (
             r.changes,
             f"changing: {' <-> '.join(STATES[s] for s in r.states)} "
-            f"{_place(problem, contact, r.row)}, in {r.changes} of the last {r.iterations} iterations",
+            f"{_place(problem, contact, r.row)}, "
+            f"in {r.changes} of the last {r.iterations} iterations",
         )
         for r in active.oscillating()[:SHOWN]
     ]
