@@ -14,11 +14,8 @@ from ufl.core.expr import Expr
 
 from app.arrays import Floats
 from app.mechanics.problem import Problem, TrialState
-from app.numerics.saved_state import State
 from app.scene.terms import Elastic, amplitude
 from forms import elasticity, loads
-
-_SUMS = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 
 
 class Balance:
@@ -32,6 +29,8 @@ class Balance:
     Args:
         about: Point that moments are taken about (3,) [mm].
     """
+
+    saved = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 
     def __init__(self, problem: Problem, about: Floats) -> None:
         self._problem = problem
@@ -95,14 +94,8 @@ class Balance:
         self._last = self._rest
         self.force = self.moment = self.energy = 0.0
 
-    def state(self) -> State:
-        """The sums."""
-        return {name: getattr(self, name) for name in _SUMS}
-
-    def resume(self, state: State, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Restore the sums and the committed state, whose displacements are spread; collective."""
-        for name in _SUMS:
-            setattr(self, name, state[name])
+    def go_on(self, u: PETSc.Vec, trial: TrialState | None) -> None:
+        """Measure a restored state, whose displacements are spread; collective."""
         self._last = self._measure(u, trial)
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:

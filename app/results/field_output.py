@@ -19,7 +19,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.numerics.saved_state import ENDS, Rows, State
+from app.numerics.saved_state import ENDS
 from app.results.interface_heat import W_PER_M2
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
@@ -61,7 +61,13 @@ class FieldGroup(Protocol):
 
 
 class Fields:
-    """The field file."""
+    """The field file.
+
+    Attributes:
+        steps: Steps in it.
+    """
+
+    saved = ("steps", "_order")
 
     def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
         self._layers, self._path = tuple(groups), path
@@ -99,6 +105,7 @@ class Fields:
         self._grid = Grid(x, cells, number[~mine], region, names)
         of_cells = tagged.mesh.topology.original_cell_index[:owned]
         self._keys = [comm.gather(k) for k in (keys[mine], of_cells)]
+        self._order, self.steps = self._own_order(), 0
 
     @staticmethod
     def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
@@ -108,6 +115,15 @@ class Fields:
         ends = np.take_along_axis(corners, ENDS[local], axis=1)
         return np.asarray(ends.min(axis=1) * geometry.index_map().size_global + ends.max(axis=1))
 
+    @property
+    def row_keys(self) -> dict[str, list[Ints]]:
+        """Places of points and cells in the file, on rank 0."""
+        return {"_order": [np.arange(len(keys)) for keys in self._order]}
+
+    def _own_order(self) -> list[Ints]:
+        """Keys of points and cells in the order of these ranks, on rank 0."""
+        return [np.concatenate(keys) if keys else none() for keys in self._keys]
+
     def begin(self) -> None:
         """Write the grid; collective.
 
@@ -115,26 +131,19 @@ class Fields:
             OSError: It cannot be written.
         """
         self._file = GridFile(self._comm, self._path, self._grid)
-        self._order: list[Ints] = [np.concatenate(keys) if keys else none() for keys in self._keys]
+        self._order, self.steps = self._own_order(), 0
 
-    def state(self) -> State:
-        """How many steps there are, of what points and cells; collective."""
-        points, cells = (Rows(np.arange(len(keys)), keys) for keys in self._order)
-        return {"steps": self._file.steps, "points": points, "cells": cells}
-
-    def resume(self, state: State) -> bool:
-        """Go on after some steps of the file that is there, if it is; collective."""
-        self._order = [none(), none()]
+    def go_on(self) -> bool:
+        """Go on after the restored number of steps of the file, if it is there; collective."""
         order: list[Ints] = []
         if self._comm.rank == 0:
-            self._order = [state[name].values for name in ("points", "cells")]
             for wanted, keys in zip(self._order, self._keys, strict=True):
                 have = np.concatenate(keys)
                 sort = np.argsort(have, kind="stable")
                 place = np.minimum(np.searchsorted(have[sort], wanted), len(have) - 1)
                 order.append(sort[place])
         try:
-            self._file = GridFile(self._comm, self._path, self._grid, order, state["steps"])
+            self._file = GridFile(self._comm, self._path, self._grid, order, self.steps)
         except OSError:
             return False
         return True
@@ -155,6 +164,7 @@ class Fields:
             point |= layer.point(nodes, samples)
             cell |= layer.cell(self._cells)
         self._file.write(time, point, cell)
+        self.steps = self._file.steps
 
 
 def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
@@ -239,7 +249,7 @@ class HeatFields:
         }
         for region in self._record.bone:
             own, e = self._record.exposure(region)
-            for name, dose in zip(names, (e.over[0], e.cem43, e.damage), strict=True):
+            for name, dose in zip(names, (e.over[:, 0], e.cem43, e.damage), strict=True):
                 # Regions of one body agree on the nodes that they share.
                 of_body = found[name][own.body]
                 np.maximum(of_body, self._spread(own.dof, dose), out=of_body)

@@ -28,7 +28,7 @@ from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, on_root, provenance
-from app.simulation import checkpoint, checkpoint_file, finished_runs, variations
+from app.simulation import checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
@@ -118,7 +118,7 @@ class Session:
         stop: Callable[[], str],
         begin: float,
         started: datetime,
-        restart: Callable[..., checkpoint_file.Checkpoint | None] | None,
+        restart: Callable[..., checkpoint.Checkpoint | None] | None,
         back: bool,
         progress: OnAccepted,
     ) -> None:
@@ -228,7 +228,7 @@ class Session:
             found = self._restart(folder=output, case=case, passed=passed)
             try:
                 return self._solve(case, changes, output, found)
-            except checkpoint_file.DamagedError as damaged:
+            except checkpoint.DamagedError as damaged:
                 assert found is not None
                 if not self._back:
                     raise InputError(f"--restart {found.path}: cannot be used: {damaged}") from None
@@ -242,7 +242,7 @@ class Session:
         case: Case,
         changes: Sequence[str],
         output: Path,
-        found: checkpoint_file.Checkpoint | None,
+        found: checkpoint.Checkpoint | None,
     ) -> dict[str, Any]:
         """Solve a case from a checkpoint, if there is one; collective."""
         comm, timing = self._comm, self._timing
