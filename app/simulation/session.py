@@ -48,7 +48,6 @@ def run(
     output: Path,
     petsc_options: Sequence[str] = (),
     *,
-    keep: bool = False,
     restart: str = "",
     force: bool = False,
     walltime: float | None = None,
@@ -61,7 +60,6 @@ def run(
         case: The case.
         output: The run directory.
         petsc_options: Raw PETSc options from the command line.
-        keep: Whether variations that are finished stay.
         restart: A checkpoint to go on from, ``auto`` or nothing.
         force: Whether it may be of another configuration.
         walltime: How long the run may take [s].
@@ -103,7 +101,7 @@ def run(
             text.tell(summary)
             text.check_usable({output: summary})
         else:
-            session.vary(output, keep)
+            session.vary(output, keep=not force and restart in ("", "auto"))
     log.info("results in %s", output)
 
 
@@ -149,7 +147,7 @@ class Session:
                 log.warning("note: %s", message)
         self._noted.update(messages)
 
-    def vary(self, output: Path, keep: bool) -> None:
+    def vary(self, output: Path, *, keep: bool) -> None:
         """Solve the variations of the case, each in a folder of its own; collective.
 
         Args:

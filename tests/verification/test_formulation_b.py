@@ -207,7 +207,7 @@ def solve_a(
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    run_stages(terms.stages, (LoadStepper(problem, solver, on_step, print),), ())
+    run_stages(terms.stages, LoadStepper(problem, solver, on_step, print), None)
     return times, states, jumps
 
 
