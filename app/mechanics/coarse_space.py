@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from app.arrays import Bools, Floats, Ints
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import block_diagonal, fill, from_triplets, matrix_sum
@@ -235,7 +235,7 @@ def _frame(x: Floats) -> Floats:
     return frame
 
 
-def _components(problem: Problem, contact: Contact, body: int) -> Bools:
+def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
     """Own nodal components of a body, those that jumps move left out (n, 3); collective."""
     space = problem.space
     cells = np.flatnonzero(problem.bodies.of_tag[cell_tags(problem.tagged)] == body)

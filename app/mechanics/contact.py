@@ -47,7 +47,7 @@ from meshes.distribute import TaggedMesh
 CLOSED = 1e-6
 
 
-class Contact:
+class ContactInterfaces:
     """Contact of all interfaces on this rank: points, coupling to the bodies, law, state.
 
     Attributes:

@@ -18,7 +18,7 @@ import ufl
 
 from app.arrays import Floats
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.loads import LoadTerm
 from app.scene.terms import Elastic, Scene, amplitude
@@ -40,7 +40,7 @@ class Forces:
         scene: Scene,
         mechanics: BodyForms,
         bodies: Bodies,
-        contact: Contact | None,
+        contact: ContactInterfaces | None,
         known: Forces | None = None,
     ) -> None:
         """Assemble loads and eigenstrains at full amplitude; collective.

@@ -10,7 +10,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.mechanics.constraints import Reduction
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 
 
 class ConstrainedRows:
@@ -34,7 +34,7 @@ class ConstrainedRows:
         self.typical = float(diagonal.sum()) / diagonal.getSize()
         K.zeroRowsColumns(self.rows, diag=self.typical)
 
-    def couple(self, contact: Contact | None) -> None:
+    def couple(self, contact: ContactInterfaces | None) -> None:
         """Take what the supports meet of the coupling to the jumps."""
         if contact:
             self._by_jumps = contact.C.createSubMatrix(self._index)

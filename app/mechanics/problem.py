@@ -18,7 +18,7 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import near_null_space, reduction_of
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.contact_law import PointForces
 from app.mechanics.curing_stress import CuringStress
 from app.mechanics.external_forces import Forces
@@ -41,7 +41,7 @@ ROUNDING = 2.0
 class TrialState:
     """Contact at a trial state: equilibrium (n, 3) [N], jumps (n, 3) [mm], the law."""
 
-    contact: Contact
+    contact: ContactInterfaces
     equilibrium: Floats
     jump: Floats
     law: PointForces
@@ -108,7 +108,9 @@ class Problem:
         own = inverse_of(self)
         self.inverse: Inverse = like.inverse if like is not None else own
         parts = scene, tagged, self.bodies, self.mechanics, self.reduction, self.frames
-        self.contact = Contact(*parts, augmentation_factor, timing) if scene.contacts else None
+        self.contact = (
+            ContactInterfaces(*parts, augmentation_factor, timing) if scene.contacts else None
+        )
         self.supports.couple(self.contact)
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Reduction
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.terms import Expansion, Scene
 
@@ -73,7 +73,7 @@ class ThermalStrain:
         self,
         moves: Mapping[str, PETSc.Mat],
         reduction: Reduction,
-        contact: Contact | None,
+        contact: ContactInterfaces | None,
         supported: NDArray[np.int32],
     ) -> ThermalStiffness:
         """How the forces change with temperature.

@@ -26,7 +26,7 @@ from meshes.contact_faces import spread_of_normals
 from meshes.pieces import Parts, Piece
 
 if TYPE_CHECKING:
-    from app.mechanics.contact import Contact
+    from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem, TrialState
 
 # A motion is free if what resists it is below this part of what resists any; contact without
@@ -241,7 +241,7 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     return describe(free, [f"'{name}'" for name in names], centres, centre, size)
 
 
-def _assembled(problem: Problem, contact: Contact, resistance: Floats) -> Floats:
+def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats) -> Floats:
     """Resistance to the motions of all n bodies (6 n, 6 n), from that of own points (p, 6, 6)."""
     n = len(problem.bodies.names)
     A = np.zeros((6 * n, 6 * n))
@@ -251,7 +251,7 @@ def _assembled(problem: Problem, contact: Contact, resistance: Floats) -> Floats
     return np.asarray(problem.comm.allreduce(A))
 
 
-def sliding(problem: Problem, contact: Contact) -> list[str]:
+def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """Bodies that friction alone held in the last converged state, and hardly did; collective.
 
     Pulled further they may come off. That is no proof: smaller steps are tried all the same.

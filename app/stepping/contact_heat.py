@@ -1,9 +1,9 @@
 r"""Contact as the heat sees it: pressures, the power of friction, and how both change.
 
-Friction heats by what it dissipates (`Contact.rubbing`): w = F_T · s per area since the time step
-began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty stretch. A
-stage of length h that starts from the work w* has the power (w - w*)/h: w is one more unknown of
-the integrator, so that its sum over the stages is the work of the whole step.
+Friction heats by what it dissipates (`ContactInterfaces.rubbing`): w = F_T · s per area since the
+time step began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty
+stretch. A stage of length h that starts from the work w* has the power (w - w*)/h: w is one more
+unknown of the integrator, so that its sum over the stages is the work of the whole step.
 
 With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
 pressure p = |F_n| and friction work change by
@@ -28,7 +28,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import ROUNDING, Problem, TrialState
 from app.numerics.sparse import from_triplets, owners
@@ -172,7 +172,11 @@ class ContactHeat:
 
 
 def _heats(
-    scene: Scene, problem: Problem, contact: Contact, operators: HeatOperators, number: Ints
+    scene: Scene,
+    problem: Problem,
+    contact: ContactInterfaces,
+    operators: HeatOperators,
+    number: Ints,
 ) -> dict[int, PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
     points, space = contact.points, operators.forms.space

@@ -17,7 +17,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.heat.implicit_step import ImplicitStep
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import ContactSystem
 from app.numerics.deflation import CoarseSpace
@@ -245,7 +245,7 @@ class CoupledSystem(System):
             return up, []
         return up, [[E.matMult(G) for G in self._forces[1]] for E, _ in rows]
 
-    def _matrices(self, contact: Contact, rows: PointDerivatives) -> list[PETSc.Mat]:
+    def _matrices(self, contact: ContactInterfaces, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
         start = contact.D.getOwnershipRange()[0]
