@@ -34,6 +34,9 @@ class CoupledSystem(ContactSystem):
 
     Attributes:
         exchange: Contact as the heat sees it.
+
+    Args:
+        committed: Their converged state: displacement and jumps, kept up to date.
     """
 
     # Watts and newtons in one norm: a step that lowers it may be cut to nothing at a kink of the
@@ -43,14 +46,6 @@ class CoupledSystem(ContactSystem):
     def __init__(
         self, scene: Scene, heat: ImplicitStep, problem: Problem, committed: list[PETSc.Vec]
     ) -> None:
-        """Set up the blocks between the two; collective.
-
-        Args:
-            scene: The scene.
-            heat: Its heat.
-            problem: Its mechanics.
-            committed: Their converged state: displacement and jumps, kept up to date.
-        """
         super().__init__(problem)
         self._heat, self._committed = heat, committed
         self.exchange = ContactHeat(scene, problem, heat.operators)
