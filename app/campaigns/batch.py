@@ -180,7 +180,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             for kind in ("ok", "slurm", "status"):
                 file_of(folder, id, kind).unlink(missing_ok=True)
             ranks = runs[0].ranks
-            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--keep"]
+            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve()]
             command += ["--restart", "auto"]
             command += ["-n", ranks] if ranks > 1 else []
             alone = any(r.alone for r in runs)

@@ -105,7 +105,7 @@ class Case(Section):
     replace; `null` removes an entry."""
     library: Text | None = None
     """File of more materials and loads by name, relative to this one, such as `mine.yaml`;
-    `mantle library` prints those that are known without it."""
+    `mantle explain materials` and `loads` list those that are known without it."""
 
     @field_validator("*", mode="wrap")
     @classmethod

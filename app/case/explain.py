@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator
 from functools import cache
 
-from app.case import keys
+from app.case import keys, library
 from app.case.case import Case
 from app.case.keys import Key
 from app.errors import InputError
@@ -19,10 +19,11 @@ WITHIN = {"loads.library": "loads"}
 
 
 def explained(key: str) -> str:
-    """Meaning, value, unit, default and an example of a key.
+    """Meaning, value, unit, default and an example of a key; or an entry of the library.
 
     Args:
-        key: As after ``--set``; names may be left out, and all before the last word.
+        key: As after ``--set``; names may be left out, and all before the last word. Else a name of
+            the library, or ``materials`` or ``loads`` for all of them.
 
     Raises:
         InputError: There is no such key.
@@ -31,10 +32,13 @@ def explained(key: str) -> str:
     asked = key.strip().strip(".")
     asked = WITHIN.get(asked, asked)
     found = [k for k in every if _matches(k, asked)] or [k for k in every if k.name == asked]
+    listed = library.listed(key).replace("`", "") if key in library.KINDS else ""
+    if not found and (listed or key in library.names()):
+        return listed or library.described(key)
     if not found:
         names = {re.sub(r"\.<name>|\[\]", "", k.path): None for k in every}
         ends = {name.rpartition(".")[2]: name for name in reversed(names)}
-        near = difflib.get_close_matches(asked, list(names), 3)
+        near = difflib.get_close_matches(asked, [*names, *library.names()], 3)
         near += [ends[w] for w in difflib.get_close_matches(asked.rpartition(".")[2], ends, 3)]
         nearest = ", ".join(dict.fromkeys(near)) or ", ".join(Case.model_fields)
         raise InputError(f"{key}: no key of a case; nearest: {nearest}")
@@ -42,7 +46,8 @@ def explained(key: str) -> str:
     for k in found:
         kind = f"  (kind {k.kind})" if k.kind else ""
         heads.setdefault("\n".join(_body(k)), []).append(k.path + kind)
-    return "\n\n".join("\n".join([*own, body]) for body, own in heads.items())
+    parts = ["\n".join([*own, body]) for body, own in heads.items()]
+    return "\n\n".join([*parts, *([listed] if listed else [])])
 
 
 @cache

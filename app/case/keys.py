@@ -36,8 +36,8 @@ An *expression* is arithmetic in the coordinates x, y, z in mm, for example
 `tan`, `exp`, `log`, `abs`, `min`, `max`, `atan2`, `hypot` and `pi`.
 
 `<name>` stands for a name that you choose or that the geometry gives. A key without a default is
-required; *none* means that it may be left out. `mantle schema` prints the same as a JSON schema,
-for completion in editors.
+required; *none* means that it may be left out. `mantle explain --schema` prints the same as a JSON
+schema, for completion in editors.
 """
 CAMPAIGNS = """# Keys of sweep and study files
 

@@ -14,11 +14,8 @@ from ufl.core.expr import Expr
 
 from app.arrays import Floats
 from app.mechanics.problem import Problem, TrialState
-from app.numerics.saved_state import State
 from app.scene.terms import Elastic, amplitude
 from forms import elasticity, loads
-
-_SUMS = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 
 
 class Balance:
@@ -32,6 +29,8 @@ class Balance:
     Args:
         about: Point that moments are taken about (3,) [mm].
     """
+
+    saved = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 
     def __init__(self, problem: Problem, about: Floats) -> None:
         self._problem = problem
@@ -51,14 +50,15 @@ class Balance:
             [mechanics.form(sum(ufl.derivative(e, U, v) for e, U in energy))] if energy else []
         )
         self._strain_work = [
-            (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
+            (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.components))))
             for e in scene.elastic
             for s in e.eigenstrains
         ]
         elastic = {e.region: e for e in scene.elastic}
         self._swelling = [
-            (free, mechanics.form(self._swelling_work(elastic[region])))
+            (free, mechanics.form(self._work_of(elastic[region], elasticity.swelling(test))))
             for region, free in mechanics.swelling.items()
+            for test in [ufl.TestFunction(mechanics.scalars)]
         ]
         self._setting = [
             (displacements[b], mechanics.form(s.internal_work(b, v)))
@@ -96,25 +96,12 @@ class Balance:
         self._last = self._rest
         self.force = self.moment = self.energy = 0.0
 
-    def state(self) -> State:
-        """The sums."""
-        return {name: getattr(self, name) for name in _SUMS}
-
-    def resume(self, state: State, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Restore the sums and the committed state, whose displacements are spread; collective."""
-        for name in _SUMS:
-            setattr(self, name, state[name])
+    def go_on(self, u: PETSc.Vec, trial: TrialState | None) -> None:
+        """Measure a restored state, whose displacements are spread; collective."""
         self._last = self._measure(u, trial)
 
-    def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
-        return self._strain_work_of(e, elasticity.symmetric(components))
-
-    def _swelling_work(self, e: Elastic) -> object:
-        return self._strain_work_of(
-            e, elasticity.swelling(ufl.TestFunction(self._problem.mechanics.scalars))
-        )
-
-    def _strain_work_of(self, e: Elastic, strain: Expr) -> Any:
+    def _work_of(self, e: Elastic, strain: Expr) -> Any:
+        """Work of a region's stress in a free strain."""
         mechanics, problem = self._problem.mechanics, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(

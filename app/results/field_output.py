@@ -19,20 +19,20 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.numerics.saved_state import ENDS, Rows, State
+from app.numerics.saved_state import ENDS
 from app.results.interface_heat import W_PER_M2
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
 from app.results.thermal_record import Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
 from app.scene.bodies import Bodies, cell_tags
-from app.stepping.heat_steps import HeatState
+from app.stepping.heat_state import HeatState
 from meshes.distribute import TaggedMesh
 
 
 @dataclass(frozen=True)
 class OutputNodes:
-    """Nodes of the grid that this rank writes, as one layer sees them.
+    """Nodes of the grid that this rank writes, as one part sees them.
 
     Attributes:
         body: Body of each node (n,).
@@ -61,16 +61,22 @@ class FieldGroup(Protocol):
 
 
 class Fields:
-    """The field file."""
+    """The field file.
+
+    Attributes:
+        steps: Steps in it.
+    """
+
+    saved = ("steps", "_order")
 
     def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
-        self._layers, self._path = tuple(groups), path
+        self._groups, self._path = tuple(groups), path
         space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
         dofs = space.dofmap.list[:owned]
         self._cells = owned
         bodies, group = np.unique(
-            np.stack([layer.bodies.of_tag[tags] for layer in groups], axis=1),
+            np.stack([part.bodies.of_tag[tags] for part in groups], axis=1),
             axis=0,
             return_inverse=True,
         )
@@ -81,8 +87,8 @@ class Fields:
         cell, local = np.divmod(first, dofs.shape[1])
         # What the points and cells of the file are, in the order of the ranks.
         of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for k, layer in enumerate(groups):
-            of_points = of_points * len(layer.bodies.names) + bodies[group, k]
+        for k, part in enumerate(groups):
+            of_points = of_points * len(part.bodies.names) + bodies[group, k]
         keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
         comm = self._comm = tagged.mesh.comm
         mine, number = _owners(comm, keys)
@@ -99,6 +105,7 @@ class Fields:
         self._grid = Grid(x, cells, number[~mine], region, names)
         of_cells = tagged.mesh.topology.original_cell_index[:owned]
         self._keys = [comm.gather(k) for k in (keys[mine], of_cells)]
+        self._order, self.steps = self._own_order(), 0
 
     @staticmethod
     def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
@@ -108,6 +115,15 @@ class Fields:
         ends = np.take_along_axis(corners, ENDS[local], axis=1)
         return np.asarray(ends.min(axis=1) * geometry.index_map().size_global + ends.max(axis=1))
 
+    @property
+    def row_keys(self) -> dict[str, list[Ints]]:
+        """Places of points and cells in the file, on rank 0."""
+        return {"_order": [np.arange(len(keys)) for keys in self._order]}
+
+    def _own_order(self) -> list[Ints]:
+        """Keys of points and cells in the order of these ranks, on rank 0."""
+        return [np.concatenate(keys) if keys else none() for keys in self._keys]
+
     def begin(self) -> None:
         """Write the grid; collective.
 
@@ -115,26 +131,19 @@ class Fields:
             OSError: It cannot be written.
         """
         self._file = GridFile(self._comm, self._path, self._grid)
-        self._order: list[Ints] = [np.concatenate(keys) if keys else none() for keys in self._keys]
+        self._order, self.steps = self._own_order(), 0
 
-    def state(self) -> State:
-        """How many steps there are, of what points and cells; collective."""
-        points, cells = (Rows(np.arange(len(keys)), keys) for keys in self._order)
-        return {"steps": self._file.steps, "points": points, "cells": cells}
-
-    def resume(self, state: State) -> bool:
-        """Go on after some steps of the file that is there, if it is; collective."""
-        self._order = [none(), none()]
+    def go_on(self) -> bool:
+        """Go on after the restored number of steps of the file, if it is there; collective."""
         order: list[Ints] = []
         if self._comm.rank == 0:
-            self._order = [state[name].values for name in ("points", "cells")]
             for wanted, keys in zip(self._order, self._keys, strict=True):
                 have = np.concatenate(keys)
                 sort = np.argsort(have, kind="stable")
                 place = np.minimum(np.searchsorted(have[sort], wanted), len(have) - 1)
                 order.append(sort[place])
         try:
-            self._file = GridFile(self._comm, self._path, self._grid, order, state["steps"])
+            self._file = GridFile(self._comm, self._path, self._grid, order, self.steps)
         except OSError:
             return False
         return True
@@ -151,10 +160,11 @@ class Fields:
         """Append a step; collective."""
         point: dict[str, Floats] = {}
         cell: dict[str, Floats] = {}
-        for layer, nodes in zip(self._layers, self._nodes, strict=True):
-            point |= layer.point(nodes, samples)
-            cell |= layer.cell(self._cells)
+        for part, nodes in zip(self._groups, self._nodes, strict=True):
+            point |= part.point(nodes, samples)
+            cell |= part.cell(self._cells)
         self._file.write(time, point, cell)
+        self.steps = self._file.steps
 
 
 def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
@@ -188,8 +198,8 @@ class HeatFields:
 
     def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
         self._heating, self._record, self._interfaces = heating, record, interfaces
-        self._conduction = heating.conduction
-        self.bodies, self.space = self._conduction.bodies, self._conduction.space
+        self._operators = heating.operators
+        self.bodies, self.space = self._operators.bodies, self._operators.forms.space
         # On nodes of this rank, ghosts too.
         self._work = fem.Function(self.space)
 
@@ -202,7 +212,7 @@ class HeatFields:
         [W/m2], zero away from it.
         """
         x = self._heating.vectors()
-        temperatures = [t.x.array - CELSIUS for t in self._conduction.temperatures(x)]
+        temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
         found = {"temperature": self._at(nodes, temperatures)}
         if self._record.bone:
             found |= {name: self._at(nodes, dose) for name, dose in self._doses().items()}
@@ -212,16 +222,17 @@ class HeatFields:
             degrees[own.body] += self._spread(own.dof, values)
         if self._heating.degrees():
             found["degree_of_cure"] = self._at(nodes, degrees)
-        for j, τ in zip(self._conduction.jumps, x[1:], strict=True):
-            flux = W_PER_M2 * j.flux(τ.array)[0]
-            for i, c in enumerate(self._conduction.scene.thermal_contacts):
+        if (j := self._operators.jumps) is not None:
+            τ = x[1].array
+            flux = W_PER_M2 * j.flux(τ)[0]
+            for i, c in enumerate(self._operators.scene.thermal_contacts):
                 here = j.interface == i
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
                 sign = 1.0 if forward else -1.0
                 sides = {self.bodies.of_region[r] for r in (*c.master, *c.slave)}
                 on = np.isin(nodes.body, list(sides)) & (nodes.ends[:, 0] == nodes.ends[:, 1])
-                for what, values in (("temperature_jump", τ.array), ("heat_flux", flux)):
+                for what, values in (("temperature_jump", τ), ("heat_flux", flux)):
                     spread = self._spread(j.dof[here], sign * values[here])
                     table = [spread for _ in self.bodies.names]
                     found[f"{c.name}_{what}"] = np.where(on, self._at(nodes, table), 0.0)
@@ -239,7 +250,7 @@ class HeatFields:
         }
         for region in self._record.bone:
             own, e = self._record.exposure(region)
-            for name, dose in zip(names, (e.over[0], e.cem43, e.damage), strict=True):
+            for name, dose in zip(names, (e.over[:, 0], e.cem43, e.damage), strict=True):
                 # Regions of one body agree on the nodes that they share.
                 of_body = found[name][own.body]
                 np.maximum(of_body, self._spread(own.dof, dose), out=of_body)

@@ -13,7 +13,6 @@ is missing in it is the error of that rule.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 Flows = Mapping[str, float]
 
@@ -33,6 +32,11 @@ class HeatBalance:
             known (it is infinite where temperatures differ from given ones): the first step is
             then summed with the flows at its end.
     """
+
+    saved = (
+        *("_stored", "_now", "_last", "_stage_sum", "_end_sum", "_moved"),
+        *("heat", "quadrature", "heats"),
+    )
 
     def __init__(self, stored: float, flows: Flows) -> None:
         self._stored = self._now = stored
@@ -91,14 +95,6 @@ class HeatBalance:
         self._end_sum += stored - self._now
         self._stage_sum += stored - self._now
         self._now, self._last = stored, dict(flows)
-
-    def state(self) -> dict[str, Any]:
-        """The sums."""
-        return {k: dict(v) if isinstance(v, dict) else v for k, v in vars(self).items()}
-
-    def resume(self, state: Mapping[str, Any]) -> None:
-        """Restore the sums."""
-        vars(self).update(state)
 
     def _compare(self, stored: float) -> None:
         gained = stored - self._stored

@@ -21,8 +21,7 @@ from mpi4py import MPI
 from app import files
 from app.case import quantities
 from app.errors import StoppedError, everywhere
-from app.heat.conduction import Conduction
-from app.numerics.saved_state import State
+from app.heat.operators import HeatOperators
 from app.results import temperature_section
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
@@ -85,11 +84,16 @@ class Writer:
         groups: What the fields are of: the mechanics, if there are any, then the heat.
         resolved: The resolved configuration, as YAML.
         record: Gives the provenance when the run ends.
-        again: Whether `resume` follows: what is there may stay.
+        again: Whether a restart follows: what is there may stay.
+
+    Attributes:
+        grids: The field file, if fields are written.
 
     Raises:
         StoppedError: The directory cannot be written.
     """
+
+    saved = ("_rows",)
 
     def __init__(
         self,
@@ -113,7 +117,7 @@ class Writer:
             write_text(folder / "case.yaml", resolved)
 
         _write(self._comm, start, str(folder))
-        self._grids: tuple[Fields, ...] = (
+        self.grids: tuple[Fields, ...] = (
             (Fields(tagged, groups, folder / "fields.vtkhdf"),) if fields else ()
         )
         if not again:
@@ -121,33 +125,22 @@ class Writer:
 
     def _begin(self) -> None:
         with _full_disk("fields.vtkhdf"):
-            for grid in self._grids:
+            for grid in self.grids:
                 grid.begin()
 
-    def state(self) -> State:
-        """Rows and steps written so far, to be saved; collective."""
-        return {"rows": list(self._rows), "fields": [g.state() for g in self._grids]}
-
-    def resume(self, state: State) -> bool:
+    def restored(self) -> None:
         """Go on with what has been written; collective.
-
-        Returns:
-            Whether the fields of earlier steps are still there, if there are to be any.
 
         Raises:
             StoppedError: The directory cannot be written.
         """
-        self._rows = list(state["rows"])
         self._table()
-        found = state["fields"]
-        if len(found) == len(self._grids) and all(
-            [g.resume(f) for g, f in zip(self._grids, found, strict=True)]
-        ):
-            return True
-        if self._grids:
-            log.info("fields.vtkhdf is missing or not usable: a new one starts here")
-        self._begin()
-        return False
+        for grid in self.grids:
+            if grid.steps and grid.go_on():
+                continue
+            if grid.steps:
+                log.info("fields.vtkhdf is missing or not usable: a new one starts here")
+            self._begin()
 
     def fields(self, time: float, samples: ContactSamples | None) -> None:
         """Append a step to the field file; collective.
@@ -156,7 +149,7 @@ class Writer:
             StoppedError: The disk is full; earlier steps stay readable.
         """
         with _full_disk("fields.vtkhdf"):
-            for grid in self._grids:
+            for grid in self.grids:
                 grid.write(time, samples)
 
     def last_fields(self) -> None:
@@ -165,7 +158,7 @@ class Writer:
         Raises:
             StoppedError: The disk is full.
         """
-        for grid in self._grids:
+        for grid in self.grids:
             _write(self._comm, grid.close, "final.vtkhdf")
 
     def history(self, row: dict[str, Any]) -> None:
@@ -177,14 +170,14 @@ class Writer:
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
-    def section(self, conduction: Conduction, record: ThermalRecord) -> None:
+    def section(self, operators: HeatOperators, record: ThermalRecord) -> None:
         """Draw the temperature in a section when the bone was hottest; collective."""
         with _full_disk(SECTION):
             temperature_section.section(
                 self.folder / SECTION,
-                conduction.tagged,
-                conduction.space.dofmap.list,
-                conduction.bodies.of_region,
+                operators.tagged,
+                operators.forms.space.dofmap.list,
+                operators.bodies.of_region,
                 record.hottest,
                 record.hottest_time,
                 record.hottest_at,

@@ -28,7 +28,7 @@ from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, on_root, provenance
-from app.simulation import checkpoint, checkpoint_file, finished_runs, variations
+from app.simulation import checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
@@ -48,7 +48,6 @@ def run(
     output: Path,
     petsc_options: Sequence[str] = (),
     *,
-    keep: bool = False,
     restart: str = "",
     force: bool = False,
     walltime: float | None = None,
@@ -61,7 +60,6 @@ def run(
         case: The case.
         output: The run directory.
         petsc_options: Raw PETSc options from the command line.
-        keep: Whether variations that are finished stay.
         restart: A checkpoint to go on from, ``auto`` or nothing.
         force: Whether it may be of another configuration.
         walltime: How long the run may take [s].
@@ -103,7 +101,7 @@ def run(
             text.tell(summary)
             text.check_usable({output: summary})
         else:
-            session.vary(output, keep)
+            session.vary(output, keep=not force and restart in ("", "auto"))
     log.info("results in %s", output)
 
 
@@ -118,7 +116,7 @@ class Session:
         stop: Callable[[], str],
         begin: float,
         started: datetime,
-        restart: Callable[..., checkpoint_file.Checkpoint | None] | None,
+        restart: Callable[..., checkpoint.Checkpoint | None] | None,
         back: bool,
         progress: OnAccepted,
     ) -> None:
@@ -149,7 +147,7 @@ class Session:
                 log.warning("note: %s", message)
         self._noted.update(messages)
 
-    def vary(self, output: Path, keep: bool) -> None:
+    def vary(self, output: Path, *, keep: bool) -> None:
         """Solve the variations of the case, each in a folder of its own; collective.
 
         Args:
@@ -228,7 +226,7 @@ class Session:
             found = self._restart(folder=output, case=case, passed=passed)
             try:
                 return self._solve(case, changes, output, found)
-            except checkpoint_file.DamagedError as damaged:
+            except checkpoint.DamagedError as damaged:
                 assert found is not None
                 if not self._back:
                     raise InputError(f"--restart {found.path}: cannot be used: {damaged}") from None
@@ -242,7 +240,7 @@ class Session:
         case: Case,
         changes: Sequence[str],
         output: Path,
-        found: checkpoint_file.Checkpoint | None,
+        found: checkpoint.Checkpoint | None,
     ) -> dict[str, Any]:
         """Solve a case from a checkpoint, if there is one; collective."""
         comm, timing = self._comm, self._timing

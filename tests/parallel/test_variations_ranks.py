@@ -70,7 +70,9 @@ def test_variations_on_two_ranks(tmp_path: Path) -> None:
     # What is finished stays, on two ranks too; what failed is tried again.
     output = tmp_path / "2"
     before = {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")}
-    again = support.on_ranks(2, "-m", "mantle", "run", case, "-o", output, "--keep", code=4)
+    again = support.on_ranks(
+        2, "-m", "mantle", "run", case, "-o", output, "--restart", "auto", code=4
+    )
     assert again.stdout.count("5 of 6 variations are finished already") == 1
     assert {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")} == before
     table = json.loads((output / "variations.json").read_text())

@@ -60,7 +60,7 @@ def test_shipped_case_names_an_existing_schema(path: Path) -> None:
 
 
 def test_schema_for_editors_is_current() -> None:
-    """``mantle schema > configs/schema.json`` renews it."""
+    """``mantle explain --schema > configs/schema.json`` renews it."""
     assert json.loads((CONFIGS / "schema.json").read_text()) == json_schema(Case)
 
 
