@@ -15,8 +15,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from app.case.case import Case
-from app.case.study_options import StudyFile
-from app.case.sweep_options import Sweep
+from app.case.study import StudyFile
+from app.case.sweep import Sweep
 from app.schema.expressions import Varying
 from app.schema.section import Scalar, docstrings
 from app.schema.units import ConductancePerArea, Dimension, Plain
@@ -101,12 +101,9 @@ def case_page() -> str:
 
 def campaigns_page() -> str:
     """Every key of sweep and study files, in Markdown."""
-    sweep, study = (
-        _page(Sweep, "Sections of a sweep file"),
-        _page(StudyFile, "Sections of a study file"),
-    )
-    text = "A study may also be the section `study` of a case.\n"
-    return "\n".join([CAMPAIGNS, *sweep, text, *study])
+    sweep = _page(Sweep, "Sections of a sweep file")
+    study = _page(StudyFile, "Sections of a study file")
+    return "\n".join([CAMPAIGNS, *sweep, *study])
 
 
 def _page(root: type[BaseModel], title: str) -> Iterator[str]:
