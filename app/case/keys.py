@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from app.case.case import Case
-from app.case.study_options import StudyFile
-from app.case.sweep_options import Sweep
+from app.case.study import StudyFile
+from app.case.sweep import Sweep
 from app.schema.expressions import Varying
 from app.schema.section import Scalar, docstrings
 from app.schema.units import ConductancePerArea, Dimension, Plain
@@ -56,8 +56,7 @@ ranks of a run.
 """
     sweep = _tables(Sweep, "Sections of a sweep file", "##")
     study = _tables(StudyFile, "Sections of a study file", "##")
-    text = "A study may also be the section `study` of a case.\n"
-    return "\n".join([intro, *sweep, text, *study])
+    return "\n".join([intro, *sweep, *study])
 
 
 Place = tuple[str, type[BaseModel]]

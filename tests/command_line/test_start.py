@@ -171,8 +171,6 @@ def test_a_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
     for key in ("interfaces.friction_coefficient", "interfaces.stem_cement.friction_coefficient"):
         assert main(["explain", key]) == 0
         assert "interfaces.<name>.friction_coefficient  (kind contact)" in capsys.readouterr().out
-    assert main(["explain", "study"]) == 0  # which stance_cocr.yaml takes away
-    assert "null" not in capsys.readouterr().out
     assert main(["explain", "stages.0.increments"]) == 0
     assert capsys.readouterr().out.startswith("stages[].increments\n")
     assert main(["explain", "loads.library"]) == 0
