@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from app.campaigns import batch, many
-from app.campaigns.many import Options
+from app.campaigns import batch, plan
+from app.campaigns.plan import Options
 from app.campaigns.runs import Job, Result
 from app.campaigns.work_precision import fitted_order
 from app.case.case import load
@@ -154,7 +154,7 @@ def dry_run(suite: str, options: Options) -> str:
     """
     checks = _chosen(suite, options)
     jobs = [job for c in checks for job, why in _planned(c, options.folder) if not why]
-    return many.plan(f"{suite}: {len(checks)} checks", jobs, options)
+    return plan.describe(f"{suite}: {len(checks)} checks", jobs, options)
 
 
 def _chosen(suite: str, options: Options) -> list[Check]:

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from app.campaigns import batch, study, study_picture
-from app.campaigns.many import Options
+from app.campaigns.plan import Options
 from app.campaigns.runs import Result
 from app.case import quantities
 from app.case import study as study_file
