@@ -85,12 +85,12 @@ def run(
         every = {r.id: r for r in runs}
         pending = {id: r for id, r in every.items() if r.summary() is None}
         log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
-        if any(r.alone for r in pending.values()) and (load := os.getloadavg()[0]) > BUSY:
+        if any(r.job.alone for r in pending.values()) and (load := os.getloadavg()[0]) > BUSY:
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
             _write(pending.values(), folder, here)
             progress = _Progress(pending, len(every), lambda: so_far(_so_far(jobs, runs)))
-            alone = any(r.alone for r in pending.values())
+            alone = any(r.job.alone for r in pending.values())
             try:
                 engine.execute(folder, cores, slurm, alone, progress.watch)
             except KeyboardInterrupt:
@@ -161,10 +161,10 @@ class _Progress:
     def _tell(self, ended: Iterable[BatchRun]) -> None:
         for r in ended:
             del self._open[r.id]
-            result = result_of(Job(r.name, r.path), r)
+            result = result_of(r.job, r)
             code = result.exit_code
             how = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
-            log.info("[%d/%d] %s %s", self.count, self._total, r.name, how)
+            log.info("[%d/%d] %s %s", self.count, self._total, r.job.name, how)
 
 
 @contextmanager
@@ -210,10 +210,10 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             old = [path for r in runs for path in (r.path / FAILED, r.path / "DONE")]
             for path in old + [runs[0].file(kind) for kind in ("ok", "slurm", "status")]:
                 path.unlink(missing_ok=True)
-            ranks = runs[0].ranks
+            ranks = runs[0].job.ranks
             command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--restart", "auto"]
             command += ["-n", ranks] if ranks > 1 else []
-            alone = any(r.alone for r in runs)
+            alone = any(r.job.alone for r in runs)
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(), *command])),
                 "threads": ranks if not cores else cores if alone else min(ranks, cores),

@@ -82,18 +82,14 @@ class BatchRun:
 
     Attributes:
         id: Its name.
-        name: For people.
+        job: The first job that wants it; alone if any of them is.
         case: Its case.
-        ranks: Number of MPI ranks.
-        alone: As of the job.
         path: Its run directory: that of its process, or within that of a process that it shares.
     """
 
     id: str
-    name: str
+    job: Job
     case: Case
-    ranks: int
-    alone: bool
     path: Path
 
     @property
@@ -174,9 +170,8 @@ def runs_of(
     found: dict[str, BatchRun] = {}
     for job, case, id in zip(jobs, cases, ids, strict=True):
         path = begun.get(id, folder / "runs" / processes.get(id, "") / id)
-        alone = job.alone or (id in found and found[id].alone)
-        run = found.get(id, BatchRun(id, job.name, case, job.ranks, alone, path))
-        found[id] = replace(run, alone=alone)
+        first = found[id].job if id in found else job
+        found[id] = BatchRun(id, replace(first, alone=first.alone or job.alone), case, path)
     return [found[id] for id in ids]
 
 

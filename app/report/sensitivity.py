@@ -26,10 +26,10 @@ def table(cases: Sequence[SweptCase]) -> tuple[list[str], list[list[str | Sequen
             levels[key] = [x for c in own if (x := number(c.overrides.get(key))) is not None]
         varied = {k: x for k, x in levels.items() if len(x) == len(own) and len(set(x)) > 1}
         for name in headlines(own)[:MOST] if len(varied) > 1 and len(own) >= FEWEST else ():
-            y = [number.value for c in own if (number := c.number(name)) is not None]
+            y = [found.value for c in own if (found := c.number(name)) is not None]
             ranks = {k: correlation(x, y) for k, x in varied.items() if len(y) == len(own)}
-            found = [(r, title(key)) for key, r in ranks.items() if r is not None]
-            found.sort(key=lambda pair: -abs(pair[0]))
-            if found:
-                rows.append([part or "all", label(name)[0], [f"{r:+.2f} {k}" for r, k in found]])
+            known = [(r, title(key)) for key, r in ranks.items() if r is not None]
+            known.sort(key=lambda pair: -abs(pair[0]))
+            if known:
+                rows.append([part or "all", label(name)[0], [f"{r:+.2f} {k}" for r, k in known]])
     return ["part", "number", "rank correlation with"], rows
