@@ -124,7 +124,8 @@ def constant(tolerance: float, beyond: float = 0.0) -> Relation:
         spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
         text = (
             f"{label}: {a} to {b} {unit} (at {over.format(plain(low))} and "
-            f"{over.format(plain(high))}), spread {100 * spread:.2g} % (allowed {100 * tolerance:g} %)"
+            f"{over.format(plain(high))}), spread {100 * spread:.2g} % "
+            f"(allowed {100 * tolerance:g} %)"
         )
         return Statement(alike(a, b, tolerance), text)
 
