@@ -121,10 +121,7 @@ def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
 
 
 def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
-    """Refuse results that are not to be used.
-
-    Args:
-        summaries: The summary of each run directory.
+    """Refuse results that are not to be used, by run directory.
 
     Raises:
         UnusableError: With the reasons of each.
@@ -136,24 +133,14 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A line on one thing that numbers are trusted for, or not.
-
-    Attributes:
-        text: The line.
-        tone: ``good``, ``doubtful``, ``bad``, or nothing where it is neither.
-    """
+    """A line on one thing: ``good``, ``doubtful``, ``bad``, or nothing where it is neither."""
 
     text: str
     tone: str = ""
 
 
 def tell(summary: dict[str, Any], table: bool = True) -> None:
-    """Log the end of a run: its tables, and what of it is good.
-
-    Args:
-        summary: Of the run.
-        table: Whether all numbers are wanted.
-    """
+    """Log the end of a run: how good it is, below all its numbers if these are wanted."""
     if table:
         log.info("%s", closing_table(summary))
     for clause in (*verdict(summary), *peaks(summary)):
