@@ -139,7 +139,7 @@ class Verdict:
     tone: str = ""
 
 
-def tell(summary: dict[str, Any], table: bool = True) -> None:
+def report(summary: dict[str, Any], table: bool = True) -> None:
     """Log the end of a run: how good it is, below all its numbers if these are wanted."""
     if table:
         log.info("%s", closing_table(summary))
@@ -211,11 +211,13 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
 
 def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
     """Peaks that change most with the mesh, with their values on every mesh that was solved."""
-    told = []
+    lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
         if q := quantities.get(name):
             on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
-            told.append(", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others]))
-    more = [f"{len(told) - MOST} more in error.unsettled of summary.json"] if told[MOST:] else []
-    text = f"peaks that still change with the mesh: {'; '.join(told[:MOST] + more)}"
-    return [Verdict(text, "doubtful")] if told else []
+            lines.append(
+                ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])
+            )
+    more = [f"{len(lines) - MOST} more in error.unsettled of summary.json"] if lines[MOST:] else []
+    text = f"peaks that still change with the mesh: {'; '.join(lines[:MOST] + more)}"
+    return [Verdict(text, "doubtful")] if lines else []
