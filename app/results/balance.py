@@ -38,17 +38,15 @@ class Balance:
         dx = mechanics.cells()
         v = ufl.TestFunction(problem.space)
         displacements = problem.displacements()
-        # A rigid body has no energy.
         energy = [
             (e, U)
             for b, U in enumerate(displacements)
             if (e := mechanics.body_energy(b, U, dx)) != 0
         ]
-        # One form of all bodies each.
-        self._energy = [mechanics.form(sum(e for e, _ in energy))] if energy else []
-        self._internal = (
-            [mechanics.form(sum(ufl.derivative(e, U, v) for e, U in energy))] if energy else []
-        )
+        # Energy of all bodies and its derivative; a rigid body has none.
+        whole = sum(e for e, _ in energy)
+        forces = sum(ufl.derivative(e, U, v) for e, U in energy)
+        self._elastic = [(mechanics.form(whole), mechanics.form(forces))] if energy else []
         self._strain_work = [
             (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.components))))
             for e in scene.elastic
@@ -60,11 +58,10 @@ class Balance:
             for region, free in mechanics.swelling.items()
             for test in [ufl.TestFunction(mechanics.scalars)]
         ]
-        self._setting = [
-            (displacements[b], mechanics.form(s.internal_work(b, v)))
-            for s in problem.setting
-            for b in s.bodies
-        ]
+        self._setting: list[tuple[fem.Function, fem.Form]] = []
+        if s := problem.setting:
+            forms = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
+            self._setting = [(displacements[b], form) for b, form in forms]
         # The traction k_i U_i of each bed of springs on each body.
         beds = [
             ([k[i] * U[i] for i in range(3)], ds)
@@ -112,7 +109,7 @@ class Balance:
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
         problem = self._problem
         internal = np.zeros(len(problem.reduction.reacting))
-        for form in self._internal:
+        for _, form in self._elastic:
             internal += self._assemble(form)
         setting = [self._assemble(form) for _, form in self._setting]
         internal += sum(setting)
@@ -122,20 +119,18 @@ class Balance:
         def scalar(form: fem.Form) -> float:
             return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
 
-        held_q = np.zeros(0)
-        jump = np.zeros(0)
-        for j in problem.jumps:
-            jump = trial.jump.ravel().copy() if trial is not None else np.zeros(3 * len(j.mine))
-            e = trial.equilibrium if trial is not None else np.zeros((len(j.mine), 3))
-            held_q = (e - j.let(e)).ravel()
+        jump = held_q = np.zeros_like(loads_q)
+        if trial is not None:
+            jump, e = trial.jump.ravel().copy(), trial.equilibrium
+            held_q = (e - trial.contact.let(e)).ravel()
         return {
             "u": problem.reduction.expand(u).array.copy(),
             "q": jump,
             "loads_u": loads_u,
-            "loads_q": loads_q if len(loads_q) else np.zeros_like(jump),
+            "loads_q": loads_q,
             "reaction": reaction,
             "reaction_q": held_q,
-            "energy": sum(scalar(f) for f in self._energy),
+            "energy": sum(scalar(f) for f, _ in self._elastic),
             "amplitudes": [amplitude(h, problem.time) for h, _ in self._strain_work],
             "strain_work": [scalar(f) for _, f in self._strain_work],
             "swelling": [e.x.array[: _owned(e)].copy() for e, _ in self._swelling],
@@ -174,7 +169,7 @@ class Balance:
         external = float(comm.allreduce(external, MPI.SUM)) + works("strain_work", "amplitudes")
         self._spent += float(comm.allreduce(works("setting_forces", "setting"), MPI.SUM))
         self._work += external
-        contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
+        contact = float(comm.allreduce(trial.contact.history.work.sum(), MPI.SUM)) if trial else 0.0
         spent = (new["energy"], self._spent, contact)
         free = problem.forces.free_work(problem.reduction.expand(u))
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
