@@ -91,7 +91,7 @@ class ContactSystem(System):
         contact = self._contact = problem.contact
         self._C = contact.C.copy()
         self._C.zeroRows(problem.supports.rows, diag=0.0)
-        self._coupled = self.version
+        self._coupled = self._problem.version
         self._rows = block_diagonal(contact.comm, len(contact.mine))
         self._A_qu = self._rows.matMult(contact.Ct)
         self._A_qq = self._rows.matMult(contact.D)
@@ -160,8 +160,8 @@ class ContactSystem(System):
 
     def _couple(self) -> None:
         """Take in the coupling, if it has changed."""
-        if self._coupled != self.version:
-            self._coupled = self.version
+        if self._coupled != self._problem.version:
+            self._coupled = self._problem.version
             self._contact.C.copy(self._C)
             self._C.zeroRows(self._problem.supports.rows, diag=0.0)
 
@@ -175,8 +175,9 @@ class ContactSystem(System):
 
     def coarse_space(self) -> SlidingMotions:
         """Motions of bodies that slide, lift off or bend away."""
-        if self._coarse_version != self.version:
-            self._coarse, self._coarse_version = SlidingMotions(self._problem), self.version
+        version = self._problem.version
+        if self._coarse_version != version:
+            self._coarse, self._coarse_version = SlidingMotions(self._problem), version
         self._coarse.follow(self.trial.law.jacobian)
         return self._coarse
 
