@@ -138,9 +138,9 @@ class SlidingMotions:
         contact = problem.contact
         assert contact is not None
         comm, space, reduction = problem.comm, problem.space, problem.reduction
-        self._comm, self._allowing = comm, np.eye(3) - contact.held
+        self._comm, self._allowing = comm, np.eye(3) - contact.own.projector
         nodes = space.dofmap.index_map.size_local
-        x, y = space.tabulate_dof_coordinates()[:nodes], contact.points.x[contact.mine]
+        x, y = space.tabulate_dof_coordinates()[:nodes], contact.own.x
         large = Boxes(contact.points.x)
         small = Boxes(
             contact.points.x, SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
@@ -153,7 +153,7 @@ class SlidingMotions:
         first, stiffest = 0, _stiffest(problem)
         for body, name in enumerate(problem.bodies.names):
             own = _components(problem, contact, body)
-            master, slave = (contact.points.bodies[contact.mine] == body).T
+            master, slave = (contact.own.bodies == body).T
             sign = slave.astype(float) - master
             if rigid.issuperset(name.split(" + ")):
                 moves = _unknowns(problem, own)[:, None]
@@ -243,9 +243,9 @@ def _components(problem: Problem, contact: Contact, body: int) -> Bools:
     marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)
     own = np.asarray(marks.x.array[: 3 * space.dofmap.index_map.size_local] > 0)
-    if body in contact.moves:
+    if body in contact.coupling.jump_to_displacement:
         # There nodes are those of the other bodies.
-        own &= np.diff(contact.moves[body].getValuesCSR()[0]) == 0
+        own &= np.diff(contact.coupling.jump_to_displacement[body].getValuesCSR()[0]) == 0
     return own.reshape(-1, 3)
 
 

@@ -37,7 +37,7 @@ class ConstrainedRows:
     def couple(self, contact: Contact | None) -> None:
         """Take what the supports meet of the coupling to the jumps."""
         if contact:
-            self._by_jumps = contact.C.createSubMatrix(self._index)
+            self._by_jumps = contact.coupling.C.createSubMatrix(self._index)
 
     def move(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
         """Displacements that supports give at amplitudes (n,); add what these bring to f [N]."""

@@ -7,7 +7,6 @@ displacement block is assembled once; see `mechanics.contact` for the equations 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -15,11 +14,10 @@ from petsc4py import PETSc
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats, Ints
+from app.arrays import Ints
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import near_null_space, reduction_of
-from app.mechanics.contact import Contact
-from app.mechanics.contact_law import PointForces
+from app.mechanics.contact import Contact, TrialState
 from app.mechanics.curing_stress import CuringStress
 from app.mechanics.external_forces import Forces
 from app.mechanics.held_rows import ConstrainedRows
@@ -35,16 +33,6 @@ from meshes.distribute import TaggedMesh
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
 ROUNDING = 2.0
-
-
-@dataclass(frozen=True)
-class TrialState:
-    """Contact at a trial state: equilibrium (n, 3) [N], jumps (n, 3) [mm], the law."""
-
-    contact: Contact
-    equilibrium: Floats
-    jump: Floats
-    law: PointForces
 
 
 class Problem:
@@ -112,7 +100,7 @@ class Problem:
         self.supports.couple(self.contact)
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
-            for b in (self.contact.moves if self.contact else ())
+            for b in (self.contact.coupling.jump_to_displacement if self.contact else ())
         }
         self.forces = Forces(scene, self.mechanics, self.bodies, self.contact)
         self.thermal_strain = (
@@ -182,7 +170,7 @@ class Problem:
         self.reduction.contract(self.u.x.petsc_vec).copy(u)
         if self.contact:
             assert q is not None
-            q.array[:] = self.contact.history.jump.ravel()
+            q.array[:] = self.contact.state.jump.ravel()
         self.spread(u, q)
 
     # State in time
@@ -277,11 +265,8 @@ class Problem:
 
     def trial(self, u: PETSc.Vec, q: PETSc.Vec) -> TrialState:
         """Contact at a trial state; only for scenes with contact."""
-        contact = self.contact
-        assert contact is not None
-        e = contact.equilibrium(u, q, self.f_q).copy()
-        jump = q.array.reshape(-1, 3).copy()
-        return TrialState(contact, e, jump, contact.law(e, jump))
+        assert self.contact is not None
+        return self.contact.trial(u, q, self.f_q)
 
     def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
         """K u + C q - f [N]; in supported rows what is missing to the given displacements.
@@ -290,7 +275,7 @@ class Problem:
         """
         self.K.mult(u, out)
         if self.contact:
-            self.contact.C.multAdd(q, out, out)
+            self.contact.coupling.C.multAdd(q, out, out)
         out.axpy(-1.0, self.f)
         out.array[self.held] = self.supports.typical * (u.array_r - self._given)[self.held]
 
@@ -302,8 +287,8 @@ class Problem:
         """
         scale = self.load_size
         if self.contact:
-            e = self.contact.equilibrium(u, q, self.f_q)
-            for forces in (self.contact.let(e), self.f_q):
+            e = self.contact.coupling.equilibrium(u, q, self.f_q)
+            for forces in (self.contact.own.project_free(e), self.f_q):
                 scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
         return scale + float(self.supports.forces(u, q).norm())
 
@@ -321,7 +306,7 @@ class Problem:
         if self.contact is None:
             return
         extra = nodal.duplicate()
-        for body, B in self.contact.moves.items():
+        for body, B in self.contact.coupling.jump_to_displacement.items():
             B.mult(q, extra)
             function = self.moved[body]
             function.x.petsc_vec.array[: self._owned] = nodal.array + extra.array
@@ -342,6 +327,6 @@ class Problem:
     def commit(self, trial: TrialState | None) -> None:
         """Make a converged state, whose displacements have been spread, the history."""
         if trial is not None:
-            trial.contact.commit(trial.equilibrium, trial.jump, trial.law)
+            trial.contact.state = trial.committed()
         if self.setting:
             self.setting.commit(self.displacements())

@@ -99,7 +99,7 @@ class ThermalStrain:
             return rows
 
         def on_q(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
-            by_jump = contact.moves if contact else {}
+            by_jump = contact.coupling.jump_to_displacement if contact else {}
             moved = [B.transposeMatMult(parts[b]) for b, B in by_jump.items() if b in parts]
             return reduce(add, moved) if moved else None
 

@@ -13,7 +13,8 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from app.arrays import Floats
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.scene.terms import Elastic, amplitude
 from forms import elasticity, loads
 
@@ -130,7 +131,7 @@ class Balance:
         jump = held_q = np.zeros_like(loads_q)
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
-            held_q = (e - trial.contact.let(e)).ravel()
+            held_q = (e - trial.contact.own.project_free(e)).ravel()
         return {
             "u": problem.reduction.expand(u).array.copy(),
             "q": jump,
@@ -177,7 +178,7 @@ class Balance:
         external = float(comm.allreduce(external, MPI.SUM)) + works("strain_work", "amplitudes")
         self._spent += float(comm.allreduce(works("setting_forces", "setting"), MPI.SUM))
         self._work += external
-        contact = float(comm.allreduce(trial.contact.history.work.sum(), MPI.SUM)) if trial else 0.0
+        contact = float(comm.allreduce(trial.contact.state.work.sum(), MPI.SUM)) if trial else 0.0
         spent = (new["energy"], self._spent, contact)
         free = problem.forces.free_work(problem.reduction.expand(u))
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))

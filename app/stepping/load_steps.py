@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from app.errors import ConvergenceError, Reason
+from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Extrapolation, Predictor, same
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.terms import SceneStage
