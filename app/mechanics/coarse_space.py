@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from app.arrays import Bools, Floats, Ints
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import block_diagonal, fill, from_triplets, matrix_sum
@@ -137,7 +137,7 @@ class SlidingMotions:
         """Find who moves where; collective."""
         contact = problem.contact
         assert contact is not None
-        comm, space, reduction = problem.comm, problem.space, problem.reduction
+        comm, space, constraints = problem.comm, problem.space, problem.stiffness.constraints
         self._comm, self._allowing = comm, np.eye(3) - contact.own.projector
         nodes = space.dofmap.index_map.size_local
         x, y = space.tabulate_dof_coordinates()[:nodes], contact.own.x
@@ -148,7 +148,10 @@ class SlidingMotions:
         grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
         frame = _frame(contact.points.x)
         rigid = {r.region for r in problem.scene.rigid}
-        nodal, others = _Entries(comm, 3 * nodes), _Entries(comm, len(problem.held))
+        nodal, others = (
+            _Entries(comm, 3 * nodes),
+            _Entries(comm, len(problem.stiffness.constraints.constrained)),
+        )
         jumps = _Entries(comm, 3 * len(y))
         first, stiffest = 0, _stiffest(problem)
         for body, name in enumerate(problem.bodies.names):
@@ -157,7 +160,7 @@ class SlidingMotions:
             sign = slave.astype(float) - master
             if rigid.issuperset(name.split(" + ")):
                 moves = _unknowns(problem, own)[:, None]
-                others.dense(moves * (reduction.modes.T @ frame), first)
+                others.dense(moves * (constraints.modes.T @ frame), first)
                 jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
                 first += 6
                 continue
@@ -171,8 +174,10 @@ class SlidingMotions:
         # A motion belongs to the rank that has most of it.
         votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
         owner = np.argmax(comm.allgather(votes), axis=0)
-        self.displacement = matrix_sum([reduction.rows(nodal.matrix(owner)), others.matrix(owner)])
-        self.displacement.zeroRows(problem.supports.rows, diag=0.0)
+        self.displacement = matrix_sum(
+            [constraints.rows(nodal.matrix(owner)), others.matrix(owner)]
+        )
+        self.displacement.zeroRows(problem.stiffness.rows.rows, diag=0.0)
         self._jump = jumps.matrix(owner)
         self._free = block_diagonal(comm, len(y))
         self.jump = self._free.matMult(self._jump)
@@ -235,7 +240,7 @@ def _frame(x: Floats) -> Floats:
     return frame
 
 
-def _components(problem: Problem, contact: Contact, body: int) -> Bools:
+def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
     """Own nodal components of a body, those that jumps move left out (n, 3); collective."""
     space = problem.space
     cells = np.flatnonzero(problem.bodies.of_tag[cell_tags(problem.tagged)] == body)
@@ -251,11 +256,11 @@ def _components(problem: Problem, contact: Contact, body: int) -> Bools:
 
 def _unknowns(problem: Problem, components: Bools) -> Bools:
     """Own unknowns that some of the own nodal components depend on."""
-    found = np.zeros(len(problem.held), dtype=bool)
-    vector = problem.K.createVecLeft()
-    for mode in problem.reduction.modes:
+    found = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
+    vector = problem.stiffness.K.createVecLeft()
+    for mode in problem.stiffness.constraints.modes:
         vector.array[:] = mode
-        nodal = problem.reduction.expand(vector)
+        nodal = problem.stiffness.constraints.expand(vector)
         nodal.array[~components.ravel()] = 0
-        found |= problem.reduction.vector(nodal).array != 0
+        found |= problem.stiffness.constraints.vector(nodal).array != 0
     return found

@@ -27,7 +27,7 @@ import numpy as np
 
 from app.arrays import Bools, Floats, Ints
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.constraints import Reduction
+from app.mechanics.constraints import Constraints
 from app.mechanics.contact_coupling import JumpCoupling
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_points import (
@@ -61,7 +61,7 @@ class TrialState:
         law: Forces by the laws, and their derivatives.
     """
 
-    contact: Contact
+    contact: ContactInterfaces
     equilibrium: Floats
     jump: Floats
     law: PointForces
@@ -129,7 +129,7 @@ class TrialState:
         )
 
 
-class Contact:
+class ContactInterfaces:
     """Contact of all interfaces on this rank: points, coupling to the bodies, laws, state.
 
     Attributes:
@@ -152,7 +152,7 @@ class Contact:
         tagged: TaggedMesh,
         bodies: Bodies,
         mechanics: BodyForms,
-        reduction: Reduction,
+        constraints: Constraints,
         frames: Frames | None,
         augmentation_factor: float,
         timing: Timing,
@@ -177,7 +177,7 @@ class Contact:
         self._by_supports = [
             prescribed_jump(self.points, k, s)[rows] for k, s in enumerate(scene.supports)
         ]
-        self.coupling = JumpCoupling(mechanics, reduction, entries, number, len(rows))
+        self.coupling = JumpCoupling(mechanics, constraints, entries, number, len(rows))
         self.law = PointLaw(self.comm, self.own, timing)
         self.begin(scene.contacts, augmentation_factor)
 
@@ -200,9 +200,9 @@ class Contact:
         self.set_time(0.0)
         self.state: ContactState = ContactState.at_rest(self.gap, self.law.history)
 
-    def update_stiffness(self, mechanics: BodyForms, reduction: Reduction) -> None:
+    def update_stiffness(self, mechanics: BodyForms, constraints: Constraints) -> None:
         """Assemble the coupling again: stiffness or supports have changed."""
-        self.coupling.update(mechanics, reduction)
+        self.coupling.update(mechanics, constraints)
         self.law.update_stiffness(self.coupling.local_stiffness())
 
     def set_time(self, time: float) -> None:

@@ -9,7 +9,7 @@ from dolfinx import fem
 
 from app.arrays import Bools, Floats, Ints
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.constraints import Reduction
+from app.mechanics.constraints import Constraints
 from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum
 from meshes.contact_points import Entries
 
@@ -25,13 +25,18 @@ class JumpCoupling:
     """
 
     def __init__(
-        self, mechanics: BodyForms, reduction: Reduction, entries: Entries, number: Ints, own: int
+        self,
+        mechanics: BodyForms,
+        constraints: Constraints,
+        entries: Entries,
+        number: Ints,
+        own: int,
     ) -> None:
         """Assemble; collective.
 
         Args:
             mechanics: The bonded bodies.
-            reduction: Their unknowns.
+            constraints: Their unknowns.
             entries: Of the displacement of all bodies by all jumps.
             number: Number of each contact point in the order of the ranks.
             own: Number of contact points of this rank.
@@ -53,21 +58,21 @@ class JumpCoupling:
                 np.unique(row // 3),
             )
             self._strips[body] = mechanics.strip_stiffness(body, moved)
-        self.C, self.D, self.Ct = self._assembled(mechanics, reduction)
+        self.C, self.D, self.Ct = self._assembled(mechanics, constraints)
         self._work = self.Ct.createVecLeft()
 
     def _assembled(
-        self, mechanics: BodyForms, reduction: Reduction
+        self, mechanics: BodyForms, constraints: Constraints
     ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         moves = self.jump_to_displacement
         KB = {b: mechanics.matrix(self._strips[b]).matMult(B) for b, B in moves.items()}
-        C = reduction.rows(matrix_sum(list(KB.values())))
+        C = constraints.rows(matrix_sum(list(KB.values())))
         D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
         return C, D, C.copy().transpose()
 
-    def update(self, mechanics: BodyForms, reduction: Reduction) -> None:
+    def update(self, mechanics: BodyForms, constraints: Constraints) -> None:
         """Assemble again, in the same matrices: stiffness or supports have changed."""
-        new = self._assembled(mechanics, reduction)
+        new = self._assembled(mechanics, constraints)
         for matrix, values in zip((self.C, self.D, self.Ct), new, strict=True):
             values.copy(matrix, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
 

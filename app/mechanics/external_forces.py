@@ -18,7 +18,7 @@ import ufl
 
 from app.arrays import Floats
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.loads import LoadTerm
 from app.scene.terms import Elastic, Scene, amplitude
@@ -40,7 +40,7 @@ class Forces:
         scene: Scene,
         mechanics: BodyForms,
         bodies: Bodies,
-        contact: Contact | None,
+        contact: ContactInterfaces | None,
         known: Forces | None = None,
     ) -> None:
         """Assemble loads and eigenstrains at full amplitude; collective.
@@ -108,7 +108,7 @@ class Forces:
         nodal = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
         return nodal, np.zeros(3 * len(self._contact.own) if self._contact else 0)
 
-    def set_free(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
+    def set_eigenforces(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
         self._free[cause] = self.action(parts)
 

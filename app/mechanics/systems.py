@@ -26,7 +26,9 @@ def mechanical(problem: Problem) -> BondedSystem | ContactSystem:
 
 def _stiffness(linear: str, problem: Problem) -> Options:
     """Direct or multigrid."""
-    return stiffness_options(linear, problem.K, problem.scene.order, problem.inverse.lower)
+    return stiffness_options(
+        linear, problem.stiffness.K, problem.scene.order, problem.stiffness.inverse.lower
+    )
 
 
 class BondedSystem(System):
@@ -39,21 +41,21 @@ class BondedSystem(System):
     def __init__(self, problem: Problem) -> None:
         """Take the stiffness as it is."""
         self._problem, self.comm = problem, problem.comm
-        self.inverses = {"displacement": problem.inverse}
+        self.inverses = {"displacement": problem.stiffness.inverse}
         self.active = ActiveSet(self.comm)
 
     @property
     def version(self) -> int:
         """Changes of the stiffness."""
-        return self._problem.version
+        return self._problem.stiffness.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """The displacement."""
-        return {"displacement": self._problem.K.createVecLeft()}
+        return {"displacement": self._problem.stiffness.K.createVecLeft()}
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The stiffness."""
-        return [[self._problem.K]]
+        return [[self._problem.stiffness.K]]
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid."""
@@ -70,7 +72,7 @@ class BondedSystem(System):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
         problem, u = self._problem, x[0]
-        return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
+        return [Measure(size(f), problem.force_scale(u, None), problem.stiffness.rounding(u))]
 
 
 class ContactSystem(System):
@@ -87,11 +89,11 @@ class ContactSystem(System):
     def __init__(self, problem: Problem) -> None:
         """Set up the blocks of the Jacobian."""
         self._problem, self.comm = problem, problem.comm
-        self.inverses = {"displacement": problem.inverse}
+        self.inverses = {"displacement": problem.stiffness.inverse}
         assert problem.contact is not None
         contact = self._contact = problem.contact
         self._C = contact.coupling.C.copy()
-        self._C.zeroRows(problem.supports.rows, diag=0.0)
+        self._C.zeroRows(problem.stiffness.rows.rows, diag=0.0)
         self._coupled = self.version
         self._rows = block_diagonal(contact.comm, len(contact.own))
         self._A_qu = self._rows.matMult(contact.coupling.Ct)
@@ -104,18 +106,18 @@ class ContactSystem(System):
     @property
     def version(self) -> int:
         """Changes of the stiffness."""
-        return self._problem.version
+        return self._problem.stiffness.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """Displacement and jumps."""
         return {
-            "displacement": self._problem.K.createVecLeft(),
+            "displacement": self._problem.stiffness.K.createVecLeft(),
             "jump": self._contact.coupling.D.createVecLeft(),
         }
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The stiffness, the coupling, and the rows of the jumps."""
-        return [[self._problem.K, self._C], [self._A_qu, self._A_qq]]
+        return [[self._problem.stiffness.K, self._C], [self._A_qu, self._A_qq]]
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid for the displacement, a sweep for the jumps."""
@@ -168,7 +170,7 @@ class ContactSystem(System):
         if self._coupled != self.version:
             self._coupled = self.version
             self._contact.coupling.C.copy(self._C)
-            self._C.zeroRows(self._problem.supports.rows, diag=0.0)
+            self._C.zeroRows(self._problem.stiffness.rows.rows, diag=0.0)
 
     def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
         """Set the rows of the jumps."""
@@ -197,7 +199,7 @@ class ContactSystem(System):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
         problem = self._problem
-        return [Measure(size(f), problem.force_scale(*x), problem.rounding(x[0]))]
+        return [Measure(size(f), problem.force_scale(*x), problem.stiffness.rounding(x[0]))]
 
     def scale_augmentation(self, factor: float) -> bool:
         """Solve with this multiple of the default augmentation."""

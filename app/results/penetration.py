@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 
 # Where a facet is looked at: corners, middles of edges, and between them (barycentric).
 LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4
 
 
-def overlap(contact: Contact, jump: Floats) -> list[dict[str, float]]:
+def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """Penetration of each interface on its facets: largest and mean over the area; collective.
 
     Args:
@@ -56,7 +56,7 @@ def gaps(
     return along + clearance @ LATTICE.T, area
 
 
-def _motion(contact: Contact, jump: Floats) -> Floats:
+def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
     """Displacement of the slave side against the master at the nodes of all facets (f, m, 3)."""
     dofs = np.concatenate([contact.facets.vertex_dofs, contact.facets.edge_dofs], axis=1)
     nodes, place = np.unique(dofs, return_inverse=True)
@@ -77,7 +77,7 @@ def _motion(contact: Contact, jump: Floats) -> Floats:
     )
 
 
-def _clearance(contact: Contact) -> Floats:
+def _clearance(contact: ContactInterfaces) -> Floats:
     """Initial gap at all contact points (n,) [mm]; 0 where supports hold every component."""
     here = np.zeros(len(contact.points.weight))
     here[contact.own.rows] = np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0])

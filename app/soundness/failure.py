@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.errors import Reason
-from app.mechanics.contact import Contact, TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.numerics.active_set import ActiveSet
 from app.numerics.newton import NewtonResult, Solver
@@ -106,12 +106,12 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
     return text + halved
 
 
-def _place(problem: Problem, contact: Contact, row: int) -> str:
+def _place(problem: Problem, contact: ContactInterfaces, row: int) -> str:
     name = problem.scene.contacts[contact.own.interface[row]].name
     return f"on interface '{name}' at {point_text(contact.own.x[row])}"
 
 
-def _oscillating(problem: Problem, contact: Contact, active: ActiveSet) -> list[str]:
+def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet) -> list[str]:
     """Contact points that change their states most in the last iterations; collective."""
     local = [
         (

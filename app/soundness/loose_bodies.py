@@ -26,7 +26,7 @@ from meshes.contact_faces import spread_of_normals
 from meshes.pieces import Parts, Piece
 
 if TYPE_CHECKING:
-    from app.mechanics.contact import Contact, TrialState
+    from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 
 # A motion is free if what resists it is below this part of what resists any; contact without
@@ -243,7 +243,7 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     return describe(free, [f"'{name}'" for name in names], centres, centre, size)
 
 
-def _assembled(problem: Problem, contact: Contact, resistance: Floats) -> Floats:
+def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats) -> Floats:
     """Resistance to the motions of all n bodies (6 n, 6 n), from that of own points (p, 6, 6)."""
     n = len(problem.bodies.names)
     A = np.zeros((6 * n, 6 * n))
@@ -253,7 +253,7 @@ def _assembled(problem: Problem, contact: Contact, resistance: Floats) -> Floats
     return np.asarray(problem.comm.allreduce(A))
 
 
-def sliding(problem: Problem, contact: Contact) -> list[str]:
+def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """Bodies that friction alone held in the last converged state, and hardly did; collective.
 
     Pulled further they may come off. That is no proof: smaller steps are tried all the same.
@@ -287,7 +287,7 @@ def runaway(problem: Problem, trial: TrialState) -> str:
     """
     contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
-    pushed = any(unit.any() for unit in problem.reduction.unit)
+    pushed = any(unit.any() for unit in problem.stiffness.constraints.unit)
     if any(problem.comm.allgather(pushed)) or not forces:
         return ""  # where supports move the model, they may move it far
     size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0)))
@@ -393,7 +393,7 @@ def _held(problem: Problem) -> dict[int, Floats]:
     """How much supports and foundations hold of each direction, by body (3, 3)."""
     from app.scene.bodies import bodies_at  # brings dolfinx, which checks of a case do without
 
-    scene, frames = problem.scene, problem.frames
+    scene, frames = problem.scene, problem.stiffness.frames
     conditions = [
         (s.boundary, frames.held_by(k) if s.normal and frames else np.diag(s.components))
         for k, s in enumerate(scene.supports)

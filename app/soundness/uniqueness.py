@@ -51,7 +51,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import Reason
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.system.layout import point_text
 
@@ -92,7 +92,7 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
     return critical
 
 
-def critical_friction_of_points(contact: Contact) -> Floats:
+def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     """Least critical coefficient of the faces of each own point, all else held (n,).
 
     An estimate, local and on the safe side. With the stiffness that a point meets while the bodies

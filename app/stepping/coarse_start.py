@@ -20,7 +20,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.errors import MantleError, StoppedError
-from app.mechanics.contact import Contact
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
@@ -125,7 +125,7 @@ class CoarseModelStart:
         r, du = u.duplicate(), u.duplicate()
         problem.residual_u(u, q, r)
         du.zeroEntries()
-        problem.inverse.solve(r, du, ROUGH)
+        problem.stiffness.inverse.solve(r, du, ROUGH)
         u.axpy(-1.0, du)
         solver.start_linear(force)
 
@@ -140,7 +140,7 @@ def between(known: list[tuple[float, Floats]], time: float) -> Floats:
     return (1 - s) * before + s * after
 
 
-def replicated(contact: Contact) -> Floats:
+def replicated(contact: ContactInterfaces) -> Floats:
     """Committed jumps and forces of all points, on every rank (n, 6) [mm, MPa]; collective."""
     every = np.zeros((len(contact.points.weight), 6))
     own = np.hstack([contact.state.jump, contact.state.force])

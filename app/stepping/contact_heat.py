@@ -28,9 +28,10 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.heat.conduction import Conduction
-from app.mechanics.contact import Contact, TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.contact_law import PointForces
-from app.mechanics.problem import ROUNDING, Problem
+from app.mechanics.problem import Problem
+from app.mechanics.stiffness import ROUNDING
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets
 from app.scene.terms import Scene
@@ -170,7 +171,7 @@ class ContactHeat:
 
 
 def _heats(
-    scene: Scene, problem: Problem, contact: Contact, conduction: Conduction, number: Ints
+    scene: Scene, problem: Problem, contact: ContactInterfaces, conduction: Conduction, number: Ints
 ) -> dict[int, PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
     points, space = contact.points, conduction.space

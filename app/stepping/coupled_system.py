@@ -17,7 +17,7 @@ import numpy as np
 
 from app.heat.conduction import Conduction
 from app.heat.system import HeatSystem
-from app.mechanics.contact import Contact, TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import ContactSystem
 from app.numerics.deflation import CoarseSpace
@@ -221,7 +221,7 @@ class CoupledSystem(System):
             return up, []
         return up, [[E.matMult(G) for G in self._forces[1]] for E, _ in rows]
 
-    def _matrices(self, contact: Contact, rows: PointDerivatives) -> list[PETSc.Mat]:
+    def _matrices(self, contact: ContactInterfaces, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
         start = contact.coupling.D.getOwnershipRange()[0]

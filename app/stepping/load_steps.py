@@ -231,7 +231,7 @@ class LoadStepper:
                 f"stage '{stage.name}' at {part:.3g} % of it: {away} [{Reason.LOOSE_BODY}]\n"
                 "  what to change: hold the body (a support, friction, an elastic foundation)"
             )
-        problem.spread(u, q)
+        problem.update_displacements(u, q)
         problem.commit(trial)
         for p in self.predictors:
             p.commit(time)

@@ -49,7 +49,7 @@ def test_taylor_remainder_is_of_second_order(
     held = [
         conduction.held,
         *(t.held for t in conduction.jumps),
-        problem.held,
+        problem.stiffness.constraints.constrained,
         j.points.held[j.own.rows].ravel(),
     ]
     free = dict(zip(solver.blocks_by_name(), map(np.logical_not, held), strict=True))

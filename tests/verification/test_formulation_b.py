@@ -163,7 +163,7 @@ CLAMPED_STEM = HALF_STEM.replace(
 
 def solve_a(
     case: Case, tagged: TaggedMesh
-) -> tuple[list[float], list[State], contact_block.Contact]:
+) -> tuple[list[float], list[State], contact_block.ContactInterfaces]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
     terms = build_scene(case)
     options, timing = case.solver, Timing()
