@@ -57,7 +57,7 @@ class Isotropic(Section):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -96,7 +96,7 @@ class TransverselyIsotropic(Section):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -152,7 +152,7 @@ class Rigid(Section):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -170,7 +170,7 @@ class Conductor(Section):
     thermal: Thermal
     """Conduction of heat."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 

@@ -37,7 +37,7 @@ LIGHT = 0.35  # how much darker facets are that are seen from the side
 def ends(sweep: SweepResults) -> list[Chosen]:
     """The first and the last case with fields, as one group to draw."""
     done = [c for c in sweep.cases if c.done and (c.folder / "fields.vtkhdf").exists()]
-    return [[(c.name, c) for c in dict.fromkeys((done[0], done[-1]))]] if done else []
+    return [[(c.name, c) for c in (*done[:1], *done[1:][-1:])]] if done else []
 
 
 def maps(groups: Sequence[Chosen], folder: Path) -> tuple[list[Figure], list[str]]:

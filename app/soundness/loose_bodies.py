@@ -26,7 +26,8 @@ from meshes.contact_faces import spread_of_normals
 from meshes.pieces import Parts, Piece
 
 if TYPE_CHECKING:
-    from app.mechanics.contact import ContactInterfaces, TrialState
+    from app.mechanics.contact import ContactInterfaces
+from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
 
 # A motion is free if what resists it is below this part of what resists any; contact without

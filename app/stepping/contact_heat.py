@@ -1,9 +1,9 @@
 r"""Contact as the heat sees it: pressures, the power of friction, and how both change.
 
-Friction heats by what it dissipates (`TrialState.rubbing`): w = F_T · s per area since the time
-step began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty stretch.
-A stage of length h that starts from the work w* has the power (w - w*)/h: w is one more unknown of
-the integrator, so that its sum over the stages is the work of the whole step.
+Friction heats by what it dissipates (`TrialState.rubbing`): w = F_T · s per area since the
+time step began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty
+stretch. A stage of length h that starts from the work w* has the power (w - w*)/h: w is one more
+unknown of the integrator, so that its sum over the stages is the work of the whole step.
 
 With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
 pressure p = |F_n| and friction work change by
@@ -27,7 +27,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.heat.conduction import Conduction
+from app.heat.operators import HeatOperators
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import Problem
@@ -52,22 +52,22 @@ class ContactHeat:
     Attributes:
         heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
-        work: Work of friction per area since the time step began, as the heat knows it [N/mm].
+        friction_work: Work of friction per area since the time step began, in the heat [N/mm].
         expands: Regions whose expansion follows temperature; that of what sets is history.
     """
 
-    def __init__(self, scene: Scene, problem: Problem, conduction: Conduction) -> None:
+    def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:
         """Find who is where; collective."""
-        self._problem, self._conduction = problem, conduction
+        self._problem, self._operators = problem, operators
         self.expands = set(problem.mechanics.swelling)
         assert problem.contact is not None
         contact = self._contact = problem.contact
         comm, points = problem.comm, contact.points
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
         self._n = len(contact.own)
-        self.start(np.inf, np.zeros(self._n))
-        self.work: Floats = np.zeros(self._n)
-        self.heats = _heats(scene, problem, contact, conduction, number)
+        self.begin(np.inf, self.zero_work())
+        self.friction_work: Floats = self.zero_work()
+        self.heats = _heats(scene, problem, contact, operators, number)
         heated = {f.interface for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
         self.rubbing = np.isin(
@@ -77,26 +77,29 @@ class ContactHeat:
             (names[i], v): n
             for i, v, n in zip(points.interface, points.vertex, number, strict=True)
         }
-        self.pressed: tuple[PETSc.Mat, ...] = ()
-        for t in conduction.jumps:
+        self.pressed: PETSc.Mat | None = None
+        if (t := operators.jumps) is not None:
             name = [scene.thermal_contacts[i].name for i in t.interface]
             found = np.array(
                 [known.get(key, -1) for key in zip(name, t.points.vertex[t.mine], strict=True)],
                 dtype=np.int64,
             )
             on = np.flatnonzero(found >= 0)
-            self.pressed = (
-                from_triplets(comm, len(found), self._n, on, found[on], np.ones(len(on))),
-            )
+            ones = np.ones(len(on))
+            self.pressed = from_triplets(comm, len(found), self._n, on, found[on], ones)
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
         """Set the temperatures that the mechanics use."""
         if self.expands:
-            self._conduction.temperatures(heat)
-            regions = {r: self._conduction.of_region(r) for r in self.expands}
+            self._operators.temperatures(heat)
+            regions = {r: self._operators.of_region(r) for r in self.expands}
             self._problem.set_temperature(regions)
 
-    def start(self, h: float, work: Floats) -> None:
+    def zero_work(self) -> Floats:
+        """Zero friction work per area at the start of a step (n,)."""
+        return np.zeros(self._n)
+
+    def begin(self, h: float, work: Floats) -> None:
         """Begin a stage.
 
         Args:
@@ -109,11 +112,12 @@ class ContactHeat:
         """Set the pressures and the friction heat that the heat equation uses."""
         contact = self._contact
         pressure = np.linalg.norm(_normal(trial.law, contact.own.normals), axis=1)
-        self.work = np.where(self.rubbing, _dot(*trial.rubbing()), 0.0)
-        power = np.asarray((self.work - self._before) / self._h, dtype=np.float64)
-        for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
-            t.pressure = _times(P, pressure)
-        for friction in self._conduction.frictions:
+        self.friction_work = np.where(self.rubbing, _dot(*trial.rubbing()), 0.0)
+        power = np.asarray((self.friction_work - self._before) / self._h, dtype=np.float64)
+        jumps, friction = self._operators.jumps, self._operators.friction
+        if jumps is not None and self.pressed is not None:
+            jumps.pressure = _times(self.pressed, pressure)
+        if friction is not None:
             friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
@@ -122,9 +126,9 @@ class ContactHeat:
 
     def report(self, seconds: float) -> None:
         """Tell the heat what friction heats per area in the mean of a step of so many seconds."""
-        power = np.asarray(self.work / seconds, dtype=np.float64)
-        for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
-            t.friction = _times(P, power)
+        power = np.asarray(self.friction_work / seconds, dtype=np.float64)
+        if self.pressed is not None and self._operators.jumps is not None:
+            self._operators.jumps.friction = _times(self.pressed, power)
 
     def rounding(self, trial: TrialState) -> float:
         """Rounding error of the power of friction by long slips; collective [N mm/s]."""
@@ -171,10 +175,14 @@ class ContactHeat:
 
 
 def _heats(
-    scene: Scene, problem: Problem, contact: ContactInterfaces, conduction: Conduction, number: Ints
+    scene: Scene,
+    problem: Problem,
+    contact: ContactInterfaces,
+    operators: HeatOperators,
+    number: Ints,
 ) -> dict[int, PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
-    points, space = contact.points, conduction.space
+    points, space = contact.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
     vertices, first = np.unique(facets.vertices, return_index=True)
     dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
@@ -182,16 +190,16 @@ def _heats(
     own = (dof >= start) & (dof < end)
     shares = {f.interface: f.slave_share for f in scene.friction_heat}
     β = np.array([shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
-    body_of = conduction.bodies.of_region
+    body_of = operators.bodies.of_region
     master = np.array([body_of[c.master[0]] for c in scene.contacts])
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
     found: dict[int, PETSc.Mat] = {}
-    for b in range(len(conduction.bodies.names)):
+    for b in range(len(operators.bodies.names)):
         value = sum(np.where(body[points.interface] == b, share, 0.0) for body, share in sides)
         found[b] = from_triplets(
             problem.comm,
-            conduction.owned,
+            operators.forms.owned,
             len(contact.own),
             dof[own] - start,
             number[own],

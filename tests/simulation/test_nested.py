@@ -259,11 +259,11 @@ def test_interpolation_is_exact_for_linear_jumps() -> None:
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].contact
         for size in ("3.1", "1.3")
     )
-    weights = coarse_start.interpolation(coarse.points, fine.points, fine.mine)
+    weights = coarse_start.interpolation(coarse.points, fine.points, fine.own.rows)
     slope = np.random.default_rng(5).normal(size=(3, 3))
     found = weights @ (coarse.points.x @ slope + 1.0)
-    assert len(fine.mine) > 2 * len(coarse.mine)
-    assert support.difference(found, fine.points.x[fine.mine] @ slope + 1.0) < 1e-12
+    assert len(fine.own.rows) > 2 * len(coarse.own.rows)
+    assert support.difference(found, fine.own.x @ slope + 1.0) < 1e-12
 
 
 def test_between_the_last_two() -> None:

@@ -17,8 +17,7 @@ import meshes
 from app.arrays import Floats, Ints
 from app.case.case import Case, load
 from app.laws.interface_laws import Contact
-from app.mechanics import contact as contact_block
-from app.mechanics.contact import TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
@@ -161,9 +160,7 @@ CLAMPED_STEM = HALF_STEM.replace(
 )
 
 
-def solve_a(
-    case: Case, tagged: TaggedMesh
-) -> tuple[list[float], list[State], contact_block.ContactInterfaces]:
+def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], ContactInterfaces]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
     terms = build_scene(case)
     options, timing = case.solver, Timing()
@@ -208,7 +205,7 @@ def solve_a(
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    run_stages(terms.stages, (LoadStepper(problem, solver, on_step, print),), ())
+    run_stages(terms.stages, LoadStepper(problem, solver, on_step, print), None)
     return times, states, jumps
 
 
