@@ -137,10 +137,10 @@ class SlidingMotions:
         """Find who moves where; collective."""
         contact = problem.contact
         assert contact is not None
-        comm, space, reduction = problem.comm, problem.space, problem.reduction
-        self._comm, self._allowing = comm, np.eye(3) - contact.held
+        comm, space, constraints = problem.comm, problem.space, problem.stiffness.constraints
+        self._comm, self._allowing = comm, np.eye(3) - contact.own.projector
         nodes = space.dofmap.index_map.size_local
-        x, y = space.tabulate_dof_coordinates()[:nodes], contact.points.x[contact.mine]
+        x, y = space.tabulate_dof_coordinates()[:nodes], contact.own.x
         large = Boxes(contact.points.x)
         small = Boxes(
             contact.points.x, SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
@@ -148,16 +148,19 @@ class SlidingMotions:
         grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
         frame = _frame(contact.points.x)
         rigid = {r.region for r in problem.scene.rigid}
-        nodal, others = _Entries(comm, 3 * nodes), _Entries(comm, len(problem.held))
+        nodal, others = (
+            _Entries(comm, 3 * nodes),
+            _Entries(comm, len(problem.stiffness.constraints.constrained)),
+        )
         jumps = _Entries(comm, 3 * len(y))
         first, stiffest = 0, _stiffest(problem)
         for body, name in enumerate(problem.bodies.names):
             own = _components(problem, contact, body)
-            master, slave = (contact.points.bodies[contact.mine] == body).T
+            master, slave = (contact.own.bodies == body).T
             sign = slave.astype(float) - master
             if rigid.issuperset(name.split(" + ")):
                 moves = _unknowns(problem, own)[:, None]
-                others.dense(moves * (reduction.modes.T @ frame), first)
+                others.dense(moves * (constraints.modes.T @ frame), first)
                 jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
                 first += 6
                 continue
@@ -171,8 +174,10 @@ class SlidingMotions:
         # A motion belongs to the rank that has most of it.
         votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
         owner = np.argmax(comm.allgather(votes), axis=0)
-        self.displacement = matrix_sum([reduction.rows(nodal.matrix(owner)), others.matrix(owner)])
-        self.displacement.zeroRows(problem.supports.rows, diag=0.0)
+        self.displacement = matrix_sum(
+            [constraints.rows(nodal.matrix(owner)), others.matrix(owner)]
+        )
+        self.displacement.zeroRows(problem.stiffness.rows.rows, diag=0.0)
         self._jump = jumps.matrix(owner)
         self._free = block_diagonal(comm, len(y))
         self.jump = self._free.matMult(self._jump)
@@ -243,19 +248,19 @@ def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bool
     marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)
     own = np.asarray(marks.x.array[: 3 * space.dofmap.index_map.size_local] > 0)
-    if body in contact.moves:
+    if body in contact.coupling.jump_to_displacement:
         # There nodes are those of the other bodies.
-        own &= np.diff(contact.moves[body].getValuesCSR()[0]) == 0
+        own &= np.diff(contact.coupling.jump_to_displacement[body].getValuesCSR()[0]) == 0
     return own.reshape(-1, 3)
 
 
 def _unknowns(problem: Problem, components: Bools) -> Bools:
     """Own unknowns that some of the own nodal components depend on."""
-    found = np.zeros(len(problem.held), dtype=bool)
-    vector = problem.K.createVecLeft()
-    for mode in problem.reduction.modes:
+    found = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
+    vector = problem.stiffness.K.createVecLeft()
+    for mode in problem.stiffness.constraints.modes:
         vector.array[:] = mode
-        nodal = problem.reduction.expand(vector)
+        nodal = problem.stiffness.constraints.expand(vector)
         nodal.array[~components.ravel()] = 0
-        found |= problem.reduction.vector(nodal).array != 0
+        found |= problem.stiffness.constraints.vector(nodal).array != 0
     return found

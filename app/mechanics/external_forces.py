@@ -97,8 +97,8 @@ class Forces:
             own = total.duplicate()
             own.array[:] = part.array[: self._owned]
             total.axpy(1.0, own)
-            if self._contact and body in self._contact.moves:
-                B = self._contact.moves[body]
+            if self._contact and body in self._contact.coupling.jump_to_displacement:
+                B = self._contact.coupling.jump_to_displacement[body]
                 moved = B.createVecRight()
                 B.multTranspose(own, moved)
                 jump += moved.array
@@ -106,9 +106,9 @@ class Forces:
 
     def _nothing(self) -> tuple[PETSc.Vec, Floats]:
         nodal = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
-        return nodal, np.zeros(3 * len(self._contact.mine) if self._contact else 0)
+        return nodal, np.zeros(3 * len(self._contact.own) if self._contact else 0)
 
-    def set_free(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
+    def set_eigenforces(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
         self._free[cause] = self.action(parts)
 

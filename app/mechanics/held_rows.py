@@ -9,7 +9,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats
-from app.mechanics.constraints import Reduction
+from app.mechanics.constraints import Constraints
 from app.mechanics.contact import ContactInterfaces
 
 
@@ -21,11 +21,11 @@ class ConstrainedRows:
         typical: Mean diagonal of the stiffness: what held rows get, so that scales stay alike.
     """
 
-    def __init__(self, K: PETSc.Mat, reduction: Reduction) -> None:
+    def __init__(self, K: PETSc.Mat, constraints: Constraints) -> None:
         """Take from K what supports meet, then leave held rows their diagonal alone; collective."""
         first, _ = K.getOwnershipRange()
-        self.rows = (first + np.flatnonzero(reduction.held)).astype(np.int32)
-        self._unit = reduction.unit
+        self.rows = (first + np.flatnonzero(constraints.constrained)).astype(np.int32)
+        self._unit = constraints.unit
         self._lifts = [_lift(K, unit) for unit in self._unit]
         self._index = PETSc.IS().createGeneral(self.rows, comm=K.comm)
         self._by_displacement = K.createSubMatrix(self._index)
@@ -37,7 +37,7 @@ class ConstrainedRows:
     def couple(self, contact: ContactInterfaces | None) -> None:
         """Take what the supports meet of the coupling to the jumps."""
         if contact:
-            self._by_jumps = contact.C.createSubMatrix(self._index)
+            self._by_jumps = contact.coupling.C.createSubMatrix(self._index)
 
     def move(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
         """Displacements that supports give at amplitudes (n,); add what these bring to f [N]."""

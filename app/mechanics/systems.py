@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.mechanics.coarse_space import SlidingMotions
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill
@@ -25,7 +26,9 @@ def mechanical(problem: Problem) -> BondedSystem | ContactSystem:
 
 def _stiffness(linear: str, problem: Problem) -> Options:
     """Direct or multigrid."""
-    return stiffness_options(linear, problem.K, problem.scene.order, problem.inverse.lower)
+    return stiffness_options(
+        linear, problem.stiffness.K, problem.scene.order, problem.stiffness.inverse.lower
+    )
 
 
 class BondedSystem(System):
@@ -38,21 +41,21 @@ class BondedSystem(System):
     def __init__(self, problem: Problem) -> None:
         """Take the stiffness as it is."""
         self._problem, self.comm = problem, problem.comm
-        self.inverses = {"displacement": problem.inverse}
+        self.inverses = {"displacement": problem.stiffness.inverse}
         self.active = ActiveSet(self.comm)
 
     @property
     def version(self) -> int:
         """Changes of the stiffness."""
-        return self._problem.version
+        return self._problem.stiffness.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """The displacement."""
-        return {"displacement": self._problem.K.createVecLeft()}
+        return {"displacement": self._problem.stiffness.K.createVecLeft()}
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The stiffness."""
-        return [[self._problem.K]]
+        return [[self._problem.stiffness.K]]
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid."""
@@ -69,7 +72,7 @@ class BondedSystem(System):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
         problem, u = self._problem, x[0]
-        return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
+        return [Measure(size(f), problem.force_scale(u, None), problem.stiffness.rounding(u))]
 
 
 class ContactSystem(System):
@@ -86,16 +89,16 @@ class ContactSystem(System):
     def __init__(self, problem: Problem) -> None:
         """Set up the blocks of the Jacobian."""
         self._problem, self.comm = problem, problem.comm
-        self.inverses = {"displacement": problem.inverse}
+        self.inverses = {"displacement": problem.stiffness.inverse}
         assert problem.contact is not None
         contact = self._contact = problem.contact
-        self._C = contact.C.copy()
-        self._C.zeroRows(problem.supports.rows, diag=0.0)
+        self._C = contact.coupling.C.copy()
+        self._C.zeroRows(problem.stiffness.rows.rows, diag=0.0)
         self._coupled = self.version
-        self._rows = block_diagonal(contact.comm, len(contact.mine))
-        self._A_qu = self._rows.matMult(contact.Ct)
-        self._A_qq = self._rows.matMult(contact.D)
-        self._added = block_diagonal(contact.comm, len(contact.mine))
+        self._rows = block_diagonal(contact.comm, len(contact.own))
+        self._A_qu = self._rows.matMult(contact.coupling.Ct)
+        self._A_qq = self._rows.matMult(contact.coupling.D)
+        self._added = block_diagonal(contact.comm, len(contact.own))
         self._coarse_version = -1
         self._forces: Floats | None = None
         self.active = ActiveSet(self.comm)
@@ -103,18 +106,18 @@ class ContactSystem(System):
     @property
     def version(self) -> int:
         """Changes of the stiffness."""
-        return self._problem.version
+        return self._problem.stiffness.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """Displacement and jumps."""
         return {
-            "displacement": self._problem.K.createVecLeft(),
-            "jump": self._contact.D.createVecLeft(),
+            "displacement": self._problem.stiffness.K.createVecLeft(),
+            "jump": self._contact.coupling.D.createVecLeft(),
         }
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The stiffness, the coupling, and the rows of the jumps."""
-        return [[self._problem.K, self._C], [self._A_qu, self._A_qq]]
+        return [[self._problem.stiffness.K, self._C], [self._A_qu, self._A_qq]]
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid for the displacement, a sweep for the jumps."""
@@ -125,7 +128,9 @@ class ContactSystem(System):
         u, q = x
         self._problem.impose(u)
         contact = self._contact
-        q.array[:] = (contact.let(q.array_r.reshape(-1, 3)) + contact.given).ravel()
+        q.array[:] = (
+            contact.own.project_free(q.array_r.reshape(-1, 3)) + contact.prescribed
+        ).ravel()
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
@@ -153,8 +158,10 @@ class ContactSystem(System):
         if self._forces is None:
             return trial
         contact, known = self._contact, self._forces
-        law = contact.law(-contact.weight[:, None] * known, trial.jump)
-        change = contact.share[:, None] * (contact.forces(trial.equilibrium) - contact.let(known))
+        law = contact.evaluate(-contact.own.weight[:, None] * known, trial.jump)
+        change = contact.law.multiplier_share[:, None] * (
+            contact.forces(trial.equilibrium) - contact.own.project_free(known)
+        )
         force = law.force + np.einsum("pij,pj->pi", law.jacobian, change)
         return replace(trial, law=replace(law, force=force))
 
@@ -162,15 +169,15 @@ class ContactSystem(System):
         """Take in the coupling, if it has changed."""
         if self._coupled != self.version:
             self._coupled = self.version
-            self._contact.C.copy(self._C)
-            self._C.zeroRows(self._problem.supports.rows, diag=0.0)
+            self._contact.coupling.C.copy(self._C)
+            self._C.zeroRows(self._problem.stiffness.rows.rows, diag=0.0)
 
     def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
         """Set the rows of the jumps."""
         fill(self._rows, times)
         fill(self._added, added)
-        self._rows.matMult(self._contact.Ct, result=self._A_qu)
-        self._rows.matMult(self._contact.D, result=self._A_qq)
+        self._rows.matMult(self._contact.coupling.Ct, result=self._A_qu)
+        self._rows.matMult(self._contact.coupling.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def coarse_space(self) -> SlidingMotions:
@@ -192,11 +199,11 @@ class ContactSystem(System):
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
         problem = self._problem
-        return [Measure(size(f), problem.force_scale(*x), problem.rounding(x[0]))]
+        return [Measure(size(f), problem.force_scale(*x), problem.stiffness.rounding(x[0]))]
 
     def scale_augmentation(self, factor: float) -> bool:
         """Solve with this multiple of the default augmentation."""
-        self._contact.scale_augmentation(factor)
+        self._contact.law.scale_augmentation(factor)
         return True
 
     def augmentation(self) -> dict[str, float]:
@@ -205,7 +212,7 @@ class ContactSystem(System):
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen; collective."""
-        return self._contact.usual_augmentation()
+        return self._contact.law.usual_augmentation()
 
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""

@@ -19,7 +19,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.constraints import Reduction
+from app.mechanics.constraints import Constraints
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.terms import Expansion, Scene
@@ -72,7 +72,7 @@ class ThermalStrain:
     def stiffness(
         self,
         moves: Mapping[str, PETSc.Mat],
-        reduction: Reduction,
+        constraints: Constraints,
         contact: ContactInterfaces | None,
         supported: NDArray[np.int32],
     ) -> ThermalStiffness:
@@ -80,7 +80,7 @@ class ThermalStrain:
 
         Args:
             moves: For each region whose temperatures jumps move, what they add to those.
-            reduction: From nodal displacements to unknowns.
+            constraints: From nodal displacements to unknowns.
             contact: Contact, if any.
             supported: Rows of the displacement that supports hold: zero.
         """
@@ -94,12 +94,12 @@ class ThermalStrain:
         def on_u(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
             if not parts:
                 return None
-            rows = reduction.rows(reduce(add, parts.values()))
+            rows = constraints.rows(reduce(add, parts.values()))
             rows.zeroRows(supported, diag=0.0)
             return rows
 
         def on_q(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
-            by_jump = contact.moves if contact else {}
+            by_jump = contact.coupling.jump_to_displacement if contact else {}
             moved = [B.transposeMatMult(parts[b]) for b, B in by_jump.items() if b in parts]
             return reduce(add, moved) if moved else None
 

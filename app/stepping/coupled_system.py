@@ -17,8 +17,8 @@ import numpy as np
 
 from app.arrays import Floats
 from app.heat.implicit_step import ImplicitStep
-from app.mechanics.contact import ContactInterfaces
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
+from app.mechanics.problem import Problem
 from app.mechanics.systems import ContactSystem
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import INTERFACE, Options
@@ -240,7 +240,10 @@ class CoupledSystem(System):
             rows[1] = [
                 _plus(A, squeezed.matMult(R)) for A, R in zip(rows[1], pressure, strict=True)
             ]
-        up = [[E.matMult(contact.Ct), _plus(E.matMult(contact.D), Q)] for E, Q in rows]
+        up = [
+            [E.matMult(contact.coupling.Ct), _plus(E.matMult(contact.coupling.D), Q)]
+            for E, Q in rows
+        ]
         if self._forces is None:
             return up, []
         return up, [[E.matMult(G) for G in self._forces[1]] for E, _ in rows]
@@ -248,7 +251,7 @@ class CoupledSystem(System):
     def _matrices(self, contact: ContactInterfaces, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
-        start = contact.D.getOwnershipRange()[0]
+        start = contact.coupling.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())

@@ -217,7 +217,7 @@ def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.Mon
     problem, _ = support.assemble(support.case(PUSHED))
     j = problem.contact
     motions = SlidingMotions(problem)
-    n = len(j.mine)
+    n = len(j.own.rows)
     assert motions.version == 0
     # Six at least for each of the two bodies; sticking points stick.
     assert motions.jump.getSize()[1] >= 12
@@ -237,7 +237,7 @@ def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.Mon
     # Two bodies shifted against each other: the jump of every point is the same.
     shift = motions.jump.createVecRight()
     shift.set(1.0)
-    u, q = problem.K.createVecRight(), j.D.createVecRight()
+    u, q = problem.stiffness.K.createVecRight(), j.coupling.D.createVecRight()
     motions.moved(shift, u, q)
     work = shift.duplicate()
     motions.work(u, q, work)
