@@ -184,7 +184,7 @@ class ContactSystem(System):
         """Motions of bodies that slide, lift off or bend away."""
         if self._coarse_version != self.version:
             self._coarse, self._coarse_version = SlidingMotions(self._problem), self.version
-        self._coarse.follow(self.trial.law.jacobian)
+        self._coarse.update(self.trial.law.jacobian)
         return self._coarse
 
     @property
