@@ -172,9 +172,9 @@ class Constraints:
         entries[turned, :, :3] = axes[turned]
         for k, body in enumerate(scene.rigid):
             here = np.flatnonzero(region == k)
-            values = [v[here] for v in prescribed]
+            by_support = [v[here] for v in prescribed]
             motions, basis, rank, amounts, whole = _rigid_unknowns(
-                comm, scene, body.region, x[here], axes[here], own[here], values
+                comm, scene, body.region, x[here], axes[here], own[here], by_support
             )
             place = tail + 6 * k
             columns[here] = place + np.arange(6)
@@ -189,13 +189,8 @@ class Constraints:
         self.reacting = reacting.ravel()
         keep = columns.reshape(-1, 6) >= 0
         pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
-        self._P = from_rows(
-            comm,
-            (3 * nodes, n),
-            pointer,
-            columns.reshape(-1, 6)[keep],
-            entries.reshape(-1, 6)[keep],
-        )
+        places, values = columns.reshape(-1, 6)[keep], entries.reshape(-1, 6)[keep]
+        self._P = from_rows(comm, (3 * nodes, n), pointer, places, values)
 
     @property
     def transforms(self) -> bool:
@@ -290,7 +285,7 @@ def _rigid_unknowns(
         Displacement of the nodes by the unknowns (n, 3, 6), basis, rank and amounts as of
         `_held_motions`, and the unknowns of the six rigid modes of the model, in columns.
     """
-    (points,) = gather(comm, x)
+    points = gather(comm, x)[0]
     centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
     local = rigid_modes((x - centre) / scale)
     held = own >= 0

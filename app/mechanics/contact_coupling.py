@@ -8,7 +8,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Bools, Floats, Ints
-from app.mechanics.body_forms import BodyForms
+from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.numerics.sparse import diagonal_blocks, from_triplets, matrix_sum
 from meshes.contact_points import Entries
@@ -41,7 +41,7 @@ class JumpCoupling:
             number: Number of each contact point in the order of the ranks.
             own: Number of contact points of this rank.
         """
-        comm, index_map = mechanics.comm, mechanics.space.dofmap.index_map
+        comm, index_map = mechanics.mesh.comm, mechanics.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
         self.jump_to_displacement: dict[int, PETSc.Mat] = {}
         self._strips: dict[int, fem.Form] = {}
@@ -65,7 +65,7 @@ class JumpCoupling:
         self, mechanics: BodyForms, constraints: Constraints
     ) -> tuple[PETSc.Mat, PETSc.Mat, PETSc.Mat]:
         moves = self.jump_to_displacement
-        KB = {b: mechanics.matrix(self._strips[b]).matMult(B) for b, B in moves.items()}
+        KB = {b: assembled_matrix(self._strips[b]).matMult(B) for b, B in moves.items()}
         C = constraints.rows(matrix_sum(list(KB.values())))
         D = matrix_sum([B.transposeMatMult(KB[b]) for b, B in moves.items()])
         return C, D, C.copy().transpose()

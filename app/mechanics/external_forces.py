@@ -17,7 +17,7 @@ import numpy as np
 import ufl
 
 from app.arrays import Floats
-from app.mechanics.body_forms import BodyForms
+from app.mechanics.body_forms import BodyForms, OnBody
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.loads import LoadTerm
@@ -53,7 +53,7 @@ class Forces:
             known: Forces of the same problem: what it has too is not assembled again.
         """
         self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
-        self.comm = mechanics.comm
+        self.comm = mechanics.mesh.comm
         self._owned = 3 * mechanics.space.dofmap.index_map.size_local
         self._full: dict[LoadTerm, Action] = {} if known is None else known._full
         self._full = {load: self._load(load) for load in map(_at_full, scene.loads)}
@@ -75,7 +75,7 @@ class Forces:
         v = ufl.TestFunction(self._mechanics.space)
         parts = {}
         for b in range(len(self._bodies.names)):
-            work = self._mechanics.load_work(load, b, v)
+            work = load.work(v, OnBody(self._mechanics, b))
             if work != 0:
                 parts[b] = self._mechanics.assemble(work)
         return self.action(parts)

@@ -75,7 +75,6 @@ class Problem:
         self.mechanics = BodyForms(scene, tagged, self.bodies, timing)
         self.space = self.mechanics.space
         self.u = self.mechanics.u
-        self._owned = 3 * self.space.dofmap.index_map.size_local
         self.setting = (
             CuringStress(scene, self.mechanics, self.bodies, timing) if scene.cures else None
         )
@@ -266,7 +265,8 @@ class Problem:
     def update_displacements(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Put a state into the displacement functions of all bodies."""
         nodal = self.stiffness.constraints.expand(u)
-        self.u.x.petsc_vec.array[: self._owned] = nodal.array
+        own = nodal.getLocalSize()
+        self.u.x.petsc_vec.array[:own] = nodal.array
         self.u.x.scatter_forward()
         if self.contact is None:
             return
@@ -274,12 +274,12 @@ class Problem:
         for body, B in self.contact.coupling.jump_to_displacement.items():
             B.mult(q, extra)
             function = self.moved[body]
-            function.x.petsc_vec.array[: self._owned] = nodal.array + extra.array
+            function.x.petsc_vec.array[:own] = nodal.array + extra.array
             function.x.scatter_forward()
 
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last spread."""
-        return self.mechanics.displacements(self.moved)
+        return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
 
     def augmentation(self, trial: bool = False) -> dict[str, float]:
         """Augmentation or penalty of each interface [MPa/mm]; collective.

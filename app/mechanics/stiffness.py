@@ -6,7 +6,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.mechanics.body_forms import BodyForms
+from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.held_rows import ConstrainedRows
 from app.numerics.p_multigrid import CoarseOrder, near_null_space
@@ -55,7 +55,6 @@ class Stiffness:
             reuse: One with the same matrix, which never changes: its inverse serves both.
         """
         space = mechanics.space
-        self._mechanics = mechanics
         self._parts = scene, tagged, bodies, space
         self.stage = self.version = 0
         self.frames = frames_of(*self._parts)
@@ -75,7 +74,7 @@ class Stiffness:
 
     def _constrained(self) -> PETSc.Mat:
         """The stiffness with the supports of the current stage."""
-        K = self.constraints.matrix(self._mechanics.matrix(self._form))
+        K = self.constraints.matrix(assembled_matrix(self._form))
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.rows = ConstrainedRows(K, self.constraints)
         self._diagonal = K.getDiagonal()
