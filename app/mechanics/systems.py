@@ -87,7 +87,7 @@ class ContactSystem(BondedSystem):
         contact = self._contact = problem.contact
         self._C = contact.coupling.C.copy()
         self._C.zeroRows(problem.stiffness.rows.rows, diag=0.0)
-        self._coupled = self.version
+        self._coupled = problem.stiffness.version
         self.rows = block_diagonal(contact.comm, len(contact.own))
         self._A_qu = self.rows.matMult(contact.coupling.Ct)
         self._A_qq = self.rows.matMult(contact.coupling.D)
@@ -122,8 +122,8 @@ class ContactSystem(BondedSystem):
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
         contact = self._contact
-        if self._coupled != self.version:
-            self._coupled = self.version
+        if self._coupled != self._problem.stiffness.version:
+            self._coupled = self._problem.stiffness.version
             contact.coupling.C.copy(self._C)
             self._C.zeroRows(self._problem.stiffness.rows.rows, diag=0.0)
         self.trial = self._trial(x)
@@ -157,8 +157,9 @@ class ContactSystem(BondedSystem):
 
     def coarse_space(self) -> SlidingMotions:
         """Motions of bodies that slide, lift off or bend away."""
-        if self._coarse_version != self.version:
-            self._coarse, self._coarse_version = SlidingMotions(self._problem), self.version
+        version = self._problem.stiffness.version
+        if self._coarse_version != version:
+            self._coarse, self._coarse_version = SlidingMotions(self._problem), version
         self._coarse.update(self.trial.law.jacobian)
         return self._coarse
 

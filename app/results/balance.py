@@ -39,17 +39,15 @@ class Balance:
         dx = mechanics.cells()
         v = ufl.TestFunction(problem.space)
         displacements = problem.displacements()
-        # A rigid body has no energy.
         energy = [
             (e, U)
             for b, U in enumerate(displacements)
             if (e := mechanics.body_energy(b, U, dx)) != 0
         ]
-        # One form of all bodies each.
-        self._energy = [mechanics.form(sum(e for e, _ in energy))] if energy else []
-        self._internal = (
-            [mechanics.form(sum(ufl.derivative(e, U, v) for e, U in energy))] if energy else []
-        )
+        # Energy of all bodies and its derivative; a rigid body has none.
+        whole = sum(e for e, _ in energy)
+        forces = sum(ufl.derivative(e, U, v) for e, U in energy)
+        self._elastic = [(mechanics.form(whole), mechanics.form(forces))] if energy else []
         self._strain_work = [
             (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.components))))
             for e in scene.elastic
@@ -114,7 +112,7 @@ class Balance:
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
         problem = self._problem
         internal = np.zeros(len(problem.stiffness.constraints.reacting))
-        for form in self._internal:
+        for _, form in self._elastic:
             internal += self._assemble(form)
         setting = [self._assemble(form) for _, form in self._setting]
         internal += sum(setting)
@@ -135,7 +133,7 @@ class Balance:
             "loads_q": loads_q,
             "reaction": reaction,
             "reaction_q": held_q,
-            "energy": sum(scalar(f) for f in self._energy),
+            "energy": sum(scalar(f) for f, _ in self._elastic),
             "amplitudes": [amplitude(h, problem.time) for h, _ in self._strain_work],
             "strain_work": [scalar(f) for _, f in self._strain_work],
             "swelling": [e.x.array[: _owned(e)].copy() for e, _ in self._swelling],

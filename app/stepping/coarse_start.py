@@ -41,16 +41,13 @@ NEAREST = 8
 
 
 class CoarseModelStart:
-    """The jumps and forces of a cheaper model as starts of this one."""
+    """The jumps and forces of a cheaper model as starts of this one.
+
+    Args:
+        make: Makes the cheaper model, at rest; collective.
+    """
 
     def __init__(self, problem: Problem, solver: Solver, make: Callable[[], LoadStepper]) -> None:
-        """Begin with nothing: the cheaper model is made when it is asked for the first time.
-
-        Args:
-            problem: What is solved.
-            solver: Its solver.
-            make: Makes the cheaper model, at rest; collective.
-        """
         assert problem.contact is not None
         self._contact = problem.contact
         self._problem, self._solver, self._make = problem, solver, make

@@ -57,7 +57,6 @@ class ContactHeat:
     """
 
     def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:
-        """Find who is where; collective."""
         self._problem, self._operators = problem, operators
         self.expands = set(problem.mechanics.swelling)
         assert problem.contact is not None
