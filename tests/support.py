@@ -45,11 +45,8 @@ TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]
 CONFIGS = ROOT / "configs"
 
-# A tapered stem in its cement and bone, on a mesh that is solved at once.
-STEM = """
-geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-           length: 20 mm, taper: 1.5 deg}
-mesh: {order: 1, size: 5 mm}
+# Materials and contact of a stem in its cement and bone.
+TISSUES = """\
 regions:
   stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
   cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
@@ -57,10 +54,16 @@ regions:
 interfaces:
   stem_cement: {kind: contact, friction_coefficient: 0.4}
   cement_bone: {kind: contact, friction_coefficient: 1.0}
-supports:
-  outer: {kind: fixed, boundary: bone_surface}
+"""
+# A tapered stem in its cement and bone, on a mesh that is solved at once.
+STEM = f"""
+geometry: {{kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
+           length: 20 mm, taper: 1.5 deg}}
+mesh: {{order: 1, size: 5 mm}}
+{TISSUES}supports:
+  outer: {{kind: fixed, boundary: bone_surface}}
 loads:
-  hip: {kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}
+  hip: {{kind: force, boundary: stem_top, force: [300 N, 0 N, -900 N]}}
 """
 
 
@@ -197,6 +200,27 @@ def difference(a: Any, b: Any) -> float:
     """Largest difference over the largest value of b."""
     one, two = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     return float(np.abs(one - two).max() / np.abs(two).max())
+
+
+def python(
+    *arguments: str | Path,
+    code: int | None = 0,
+    cwd: Path = ROOT,
+    timeout: float = TIMEOUT,
+    **environ: str,
+) -> subprocess.CompletedProcess[str]:
+    """Run Python with these arguments, to an exit code (None: to any)."""
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=cwd,
+        env=environment() | environ,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+    )
+    assert code is None or done.returncode == code, done.stdout + done.stderr
+    return done
 
 
 def mpirun(ranks_: int, *arguments: str | Path) -> list[str]:

@@ -18,22 +18,11 @@ from app.case.points import Point
 from app.errors import InputError
 from app.schema import yaml_file
 from tests import support
+from tests.schema.test_layers import BLOCKS
 
-CASE = """\
-geometry:
-  kind: blocks
-  blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
-mesh: {order: 1, size: 4 mm, far_size: 6 mm}
-regions:
-  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-interfaces:
-  lower_upper: {kind: contact, friction_coefficient: 1.0}
-supports:
-  base: {kind: fixed, boundary: bottom}
-loads:
-  press: {kind: pressure, boundary: top, pressure: 2 MPa}
-"""
+CASE = BLOCKS.replace("size: 4 mm}", "size: 4 mm, far_size: 6 mm}").replace(
+    "  push: {kind: force, boundary: top, force: [3 N, 0 N, -4 N]}\n", ""
+)
 FRICTION = "interfaces.lower_upper.friction_coefficient"
 SWEEP = f"""\
 base: case.yaml

@@ -8,7 +8,6 @@ import re
 import resource
 import subprocess
 import sys
-import textwrap
 from pathlib import Path
 
 import pytest
@@ -19,101 +18,91 @@ from app.cli import main
 from app.command_line.parser import REMOVED
 from app.errors import ConvergenceError
 from app.soundness import plausibility
-from app.system import folders, ranks
-from app.version import __version__
+from app.system import ranks
+from tests import support
+from tests.support import CONFIGS, ROOT
 
-ROOT = Path(__file__).parents[2]
-CONFIGS = ROOT / "configs"
-
-
-def python(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh interpreter in the checkout."""
-    return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code), *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+CHECK = """
+import sys
+from app.cli import main
+assert main(["check", "configs/stance.yaml"]) == 0
+heavy = {"dolfinx", "mpi4py", "petsc4py", "gmsh", "ufl", "h5py", "scipy", "matplotlib"}
+print("loaded:", heavy & sys.modules.keys())
+"""
 
 
-def test_check_imports_neither_solver_nor_mesher() -> None:
-    result = python(
-        """
-        import sys
-        from app.cli import main
-        assert main(["check", "configs/stance.yaml"]) == 0
-        heavy = ("dolfinx", "mpi4py", "petsc4py", "gmsh", "ufl", "h5py", "scipy", "matplotlib")
-        print("loaded:", [m for m in heavy if m in sys.modules])
-        """
-    )
-    assert result.stdout.splitlines()[-1] == "loaded: []", result.stderr
-
-
-def test_check_takes_less_than_two_seconds() -> None:
+def test_check_imports_neither_solver_nor_mesher_and_takes_less_than_two_seconds() -> None:
     """Processor time, which on an idle machine is the wall time: others may be busy here."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, "-m", "mantle", "check", "configs/stance.yaml"]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=60)
+    assert support.python("-c", CHECK).stdout.splitlines()[-1] == "loaded: set()"
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime < 2.0
 
 
-def test_check_tells_what_it_understood(capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(CONFIGS / "stance.yaml")
-    assert main(["check", path, "--set", "geometry.cement_thickness=0.3 cm"]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
-    for line in (
-        "Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm",
-        "  cement_thickness: 3 mm  (0.3 cm)",
-        "  stem_length: 147 mm  [default]",
-        "  neck_angle: 130 deg  [default]",
-        "  stem: isotropic",
-        "    youngs_modulus: 110000 MPa  (110 GPa)",
-        "  cortical_bone: transversely_isotropic",
-        "  stem_cement (stem | cement): contact",
-        "    friction_coefficient: 0.4",
-        "  shaft: fixed on distal_cut",
-        "  hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm",
-        "  psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm",
-        "  sum at the end: [0.1, -0.1, -503.4] N, 503.4 N",
-        "  stance: 2 increments, adaptive",
-    ):
-        assert line in out.splitlines()
-    assert "size (estimated; --mesh counts)" in out
-    assert all(len(line) <= 120 for line in out.splitlines())
+STANCE = """
+Single-limb stance, titanium stem, 4 mm mantle; changed: cement_thickness 0.3 cm
+  cement_thickness: 3 mm  (0.3 cm)
+  stem_length: 147 mm  [default]
+  neck_angle: 130 deg  [default]
+  stem: isotropic
+    youngs_modulus: 110000 MPa  (110 GPa)
+  cortical_bone: transversely_isotropic
+  stem_cement (stem | cement): contact
+    friction_coefficient: 0.4
+  shaft: fixed on distal_cut
+  hip: force on stem_trunnion, force [-399.5, -159.9, -1747.8] N, at [43, 0, 54] mm
+  psoas: force on psoas, force [11.8, 35.3, 100] N, at [21.035, -1.503, -7] mm
+  sum at the end: [0.1, -0.1, -503.4] N, 503.4 N
+  stance: 2 increments, adaptive
+"""
+HEAT = """
+    thermal:
+      initial_temperature: 22 degC
+      density: 1.2e-09 tonne/mm^3  (1200 kg/m^3)
+      cure:
+        kinetics: autocatalytic
+          activation_energy: 62866 J/mol
+        heat: 155 J/cm^3  (1.55e+08 J/m^3)
+        exponent: 1
+    conductance: 1 mW/(mm^2*K)  (1000 W/(m^2 K))
+    conductance: perfect, one temperature
+  hold: fixed on stem_trunnion, stages [setting, cooling]
+  tissue: convection on bone_surface, coefficient 0.02 mW/(mm^2*K), ambient 37 degC
+  setting: 3600 s, 1 increment, adaptive
+  stance: 2 increments, adaptive
+  method: sdirk4  [default]
+  first_step: 0.001 s  (1 ms)
+  tip: at [0, 0, -130] mm
+"""
 
 
-def test_check_tells_heat(capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(CONFIGS / "residual.yaml")
-    changes = ["time.first_step=1 ms", "interfaces.cement_bone.conductance=perfect"]
-    changes += ["output.probes={tip: [0 mm, 0 mm, -130 mm]}"]
-    assert main(["check", path, *(a for c in changes for a in ("--set", c))]) == 0
+@pytest.mark.parametrize(
+    ("name", "changes", "lines", "size"),
+    [
+        ("stance", ["geometry.cement_thickness=0.3 cm"], STANCE, "size (estimated; --mesh counts)"),
+        (
+            "residual",
+            [
+                "time.first_step=1 ms",
+                "interfaces.cement_bone.conductance=perfect",
+                "output.probes={tip: [0 mm, 0 mm, -130 mm]}",
+            ],
+            HEAT,
+            "temperature jumps",
+        ),
+    ],
+    ids=["stance", "residual"],
+)
+def test_check_tells_what_it_understood(
+    name: str, changes: list[str], lines: str, size: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = [word for change in changes for word in ("--set", change)]
+    assert main(["check", str(CONFIGS / f"{name}.yaml"), *options]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    for line in (
-        "    thermal:",
-        "      initial_temperature: 22 degC",
-        "      density: 1.2e-09 tonne/mm^3  (1200 kg/m^3)",
-        "      cure:",
-        "        kinetics: autocatalytic",
-        "          activation_energy: 62866 J/mol",
-        "        heat: 155 J/cm^3  (1.55e+08 J/m^3)",
-        "        exponent: 1",
-        "    conductance: 1 mW/(mm^2*K)  (1000 W/(m^2 K))",
-        "    conductance: perfect, one temperature",
-        "  hold: fixed on stem_trunnion, stages [setting, cooling]",
-        "  tissue: convection on bone_surface, coefficient 0.02 mW/(mm^2*K), ambient 37 degC",
-        "  setting: 3600 s, 1 increment, adaptive",
-        "  stance: 2 increments, adaptive",
-        "  method: sdirk4  [default]",
-        "  first_step: 0.001 s  (1 ms)",
-        "  tip: at [0, 0, -130] mm",
-    ):
-        assert line in out.splitlines(), line
-    assert "displacement nodes" in out
-    assert "temperature jumps" in out
+    assert set(lines.splitlines()) <= set(out.splitlines())
+    assert size in out and "displacement nodes" in out
+    assert name == "residual" or all(len(line) <= 120 for line in out.splitlines())
 
 
 def test_check_of_conductors_tells_nothing_of_mechanics(capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,29 +138,23 @@ def test_estimated_temperatures_are_those_of_the_mesh(capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize(
-    ("change", "place"),
+    "change",
     [
-        ("regions.stem.thermal.conductivity=14.8 kW/(m mK)", "regions.stem.thermal.conductivity"),
-        ("regions.cement.thermal.conductivity=0.2 mW/(m K)", "regions.cement.thermal.conductivity"),
-        ("regions.stem.thermal.density=8.3 kg/m^3", "regions.stem.thermal.density"),
-        (
-            "regions.cement.thermal.specific_heat=1450 J/(g K)",
-            "regions.cement.thermal.specific_heat",
-        ),
-        (
-            "regions.stem.thermal.initial_temperature=37 K",
-            "regions.stem.thermal.initial_temperature",
-        ),
-        ("regions.cement.thermal.cure.heat=155 J/m^3", "regions.cement.thermal.cure.heat"),
-        ("heat.tissue.ambient=37 K", "heat.tissue.ambient"),
-        ("heat.blood_cortical.temperature=37 K", "heat.blood_cortical.temperature"),
+        "regions.stem.thermal.conductivity=14.8 kW/(m mK)",
+        "regions.cement.thermal.conductivity=0.2 mW/(m K)",
+        "regions.stem.thermal.density=8.3 kg/m^3",
+        "regions.cement.thermal.specific_heat=1450 J/(g K)",
+        "regions.stem.thermal.initial_temperature=37 K",
+        "regions.cement.thermal.cure.heat=155 J/m^3",
+        "heat.tissue.ambient=37 K",
+        "heat.blood_cortical.temperature=37 K",
     ],
 )
-def test_data_that_no_material_has_are_asked_about(change: str, place: str) -> None:
+def test_data_that_no_material_has_are_asked_about(change: str) -> None:
     cure = CONFIGS / "cure.yaml"
     assert plausibility.warnings(load(cure).config) == []
     (note,) = plausibility.warnings(load(cure, [change]).config)
-    assert note.startswith(f"{place} is ")
+    assert note.startswith(f"{change.partition('=')[0]} is ")
     assert note.endswith(": a wrong unit?")
 
 
@@ -259,7 +242,7 @@ def test_mesh_draws_the_mantle(
     assert main(["mesh", str(CONFIGS / "stance.yaml"), "-o", str(tmp_path), *sizes]) == 0
     out = capsys.readouterr().out.splitlines()
     assert [Path(line).name for line in out[:4]] == [
-        *("stance.msh", "stance.png", "stance_sections.png", "stance_interfaces.png"),
+        *("stance.msh", "stance.png", "stance_sections.png", "stance_interfaces.png")
     ]
     for line in out[1:4]:
         assert Path(line).read_bytes().startswith(b"\x89PNG")
@@ -290,13 +273,6 @@ def test_schema_is_json(capsys: pytest.CaptureFixture[str]) -> None:
     schema = json.loads(capsys.readouterr().out)
     femur = schema["$defs"]["Femur"]["properties"]["cement_thickness"]
     assert femur["default"] == "4.0 mm"
-
-
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["--version"])
-    assert caught.value.code == 0
-    assert capsys.readouterr().out == f"mantle {__version__}\n"
 
 
 @pytest.mark.parametrize("words", sorted(REMOVED))
@@ -380,24 +356,6 @@ def test_one_rank_speaks(
     assert ranks.rank() == 3
     assert main(["check", "none.yaml"]) == 2
     assert capsys.readouterr() == ("", "")
-
-
-def test_run_folder_is_made_once_and_refused_when_full(tmp_path: Path) -> None:
-    folder = tmp_path / "a" / "b"
-    folders.prepare_run(folder, force=False)
-    folders.prepare_run(folder, force=False)
-    (folder / "DONE").touch()
-    with pytest.raises(Exception, match="is not empty"):
-        folders.prepare_run(folder, force=False)
-    folders.prepare_run(folder, force=True)
-
-
-def test_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert folders.cache("meshes") == tmp_path / "mantle" / "meshes"
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert folders.cache("meshes") is None
 
 
 def test_states_that_depend_on_the_start_are_told() -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -20,7 +18,8 @@ from app.errors import GeometryError, InputError
 from app.schema import yaml_file, yaml_text
 from app.schema.units import LONGEST_VALUE
 from app.soundness import cost, memory
-from tests.support import CONFIGS, environment
+from tests import support
+from tests.support import CONFIGS
 
 BLOCKS = CONFIGS / "blocks.yaml"
 SCRIPT = """\
@@ -216,15 +215,8 @@ def test_a_script_that_is_trusted_is_run(tmp_path: Path) -> None:
     (tmp_path / "sweep.yaml").write_text(
         "base: case.yaml\nset: {output.fields: false}\ngrid: {mesh.size: [0.5 mm]}\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "mantle", "sweep", "sweep.yaml", "-o", "out", "--allow-scripts"],
-        cwd=tmp_path,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    command = ["-m", "mantle", "sweep", "sweep.yaml", "-o", "out", "--allow-scripts"]
+    support.python(*command, cwd=tmp_path)
     assert list(tmp_path.glob("out/runs/*/DONE"))
 
 

@@ -22,8 +22,8 @@ import mantle
 from app.command_line.parser import parser
 from tests.meshes.test_scripts import CASE, LAYERS
 from tests.misleading import mislead
+from tests.support import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
 MANTLE = ROOT / "mantle"
 
 # A stand-in for the application on every rank.
@@ -59,9 +59,12 @@ sys.exit(ranks.launch(int(sys.argv[1]), sys.argv[2:]))
 """
 
 
-def run(*arguments: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
+def run(
+    *arguments: str | Path, cwd: Path | None = None, **more: str
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         ["sh", MANTLE, *arguments],
+        cwd=cwd,
         capture_output=True,
         text=True,
         timeout=120,
@@ -73,7 +76,7 @@ def run(*arguments: str | Path, **more: str) -> subprocess.CompletedProcess[str]
 def on_ranks(number: int, tmp_path: Path, *arguments: str) -> list[str]:
     script = tmp_path / "rank.py"
     script.write_text(RANK)
-    return [sys.executable, "-c", LAUNCH, str(number), sys.executable, str(script), *arguments]
+    return ["-c", LAUNCH, str(number), sys.executable, str(script), *arguments]
 
 
 def test_no_command_is_a_usage_error() -> None:
@@ -116,15 +119,12 @@ def test_dolfinx_is_found_natively_and_one_thread_is_the_default() -> None:
 
 
 def test_the_working_folder_and_the_exit_code_stay(tmp_path: Path) -> None:
-    result = subprocess.run(
-        ["sh", MANTLE, "shell", "-c", "pwd; exit 4"], cwd=tmp_path, capture_output=True, text=True
-    )
+    result = run("shell", "-c", "pwd; exit 4", cwd=tmp_path)
     assert (result.returncode, result.stdout.strip()) == (4, str(tmp_path))
 
 
 # Finds all that it is asked for, notes what it runs under which kernel, and fails under Haswell.
-PYTHON = """#!/bin/sh
-[ "$1" != - ] || exit 0
+PYTHON = """[ "$1" != - ] || exit 0
 echo "${OPENBLAS_CORETYPE:-}|${GLIBC_TUNABLES:-}|$*" >>"$CALLS"
 [ "${OPENBLAS_CORETYPE:-}" != Haswell ]
 """
@@ -133,9 +133,8 @@ echo "${OPENBLAS_CORETYPE:-}|${GLIBC_TUNABLES:-}|$*" >>"$CALLS"
 @pytest.mark.skipif("avx2" not in Path("/proc/cpuinfo").read_text(), reason="no processor for it")
 def test_all_tests_come_as_on_other_processors_and_in_another_order(tmp_path: Path) -> None:
     """With the same arguments; one that fails fails the whole. The order is told by a seed."""
-    python, calls = tmp_path / "python3", tmp_path / "calls"
-    python.write_text(PYTHON)
-    python.chmod(0o755)
+    calls = tmp_path / "calls"
+    program(tmp_path / "python3", PYTHON)
     more = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "CALLS": str(calls)}
     more |= {"MANTLE_BACKEND": "native", "MANTLE_INSIDE": "", "XDG_CACHE_HOME": str(tmp_path)}
     result = run("test", "--all", OPENBLAS_CORETYPE="", GLIBC_TUNABLES="", **more)
@@ -165,16 +164,20 @@ def test_a_home_that_cannot_be_written_does_no_harm(home: str) -> None:
 # ------------------------------------------------------------------------------------- set-up
 
 
-def set_up(tmp_path: Path, mmdebstrap: str) -> subprocess.Popen[str]:
+def program(path: Path, text: str) -> None:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+
+
+def set_up(tmp_path: Path, mmdebstrap: str, *arguments: str) -> subprocess.Popen[str]:
     """Start a set-up in which ``mmdebstrap`` is a script; TARGET is what it shall make."""
     programs = tmp_path / "bin"
-    programs.mkdir(exist_ok=True)
-    tool = programs / "mmdebstrap"
     head = 'for word; do case $word in *.part) TARGET=$word ;; esac; done; echo run >>"$LOG"\n'
-    tool.write_text("#!/bin/sh\n" + head + mmdebstrap)
-    tool.chmod(0o755)
+    program(programs / "mmdebstrap", head + mmdebstrap)
+    program(programs / "apt-config", APT)
     return subprocess.Popen(
-        ["sh", MANTLE, "setup"],
+        ["sh", MANTLE, "setup", *arguments],
         env={
             **os.environ,
             "PATH": f"{programs}:{os.environ['PATH']}",
@@ -190,12 +193,32 @@ def set_up(tmp_path: Path, mmdebstrap: str) -> subprocess.Popen[str]:
     )
 
 
-def trees(tmp_path: Path) -> list[str]:
-    return sorted(path.name for path in (tmp_path / "cache" / "mantle").glob("tree-*"))
+def trees(tmp_path: Path) -> list[Path]:
+    return list((tmp_path / "cache" / "mantle").glob("tree-*"))
+
+
+def set_ups(tmp_path: Path) -> int:
+    """How often mmdebstrap was asked."""
+    return (tmp_path / "log").read_text().count("run")
+
+
+def made(tmp_path: Path, mmdebstrap: str, *arguments: str) -> tuple[Path, str]:
+    """The one tree after a set-up, and what was said."""
+    _, said = set_up(tmp_path, mmdebstrap, *arguments).communicate(timeout=60)
+    (tree,) = trees(tmp_path)
+    return tree, said
 
 
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="others unpack an archive instead")
 EMPTY_TREE = 'mkdir -p "$TARGET/etc" "$TARGET/mnt"\n'
+# As mmdebstrap keeps the options of apt and the archives.
+KEEPING = """
+for word; do case $word in --aptopt=*) OPTIONS=${word#*=} ;; esac; done
+mkdir -p "$TARGET/etc/apt/apt.conf.d"
+cp "$OPTIONS" "$TARGET/etc/apt/apt.conf.d/99mmdebstrap"
+echo "deb http://me:secret@archive/debian trixie main" >"$TARGET/etc/apt/sources.list"
+"""
+APT = """[ "$1" = dump ] && echo 'Acquire::http::Proxy "http://me:secret@proxy:3128/";'"""
 
 
 @as_root
@@ -204,11 +227,9 @@ def test_a_failed_set_up_is_never_used_and_is_cleared_by_the_next(tmp_path: Path
     _, told = failed.communicate(timeout=60)
     assert failed.returncode == 69
     assert "mmdebstrap failed" in told
-    assert all(".part" in name for name in trees(tmp_path))
-    set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
-    (tree,) = trees(tmp_path)
-    assert ".part" not in tree
-    assert not (tmp_path / "cache" / "mantle" / tree / "half").exists()
+    assert all(".part" in tree.name for tree in trees(tmp_path))
+    tree, _ = made(tmp_path, EMPTY_TREE)
+    assert ".part" not in tree.name and not (tree / "half").exists()
 
 
 @as_root
@@ -218,9 +239,8 @@ def test_a_killed_set_up_is_done_again(tmp_path: Path) -> None:
         time.sleep(0.05)
     first.kill()
     first.communicate(timeout=60)
-    set_up(tmp_path, EMPTY_TREE).communicate(timeout=60)
-    assert len(trees(tmp_path)) == 1
-    assert (tmp_path / "log").read_text().split() == ["run", "run"]
+    made(tmp_path, EMPTY_TREE)
+    assert set_ups(tmp_path) == 2
 
 
 @as_root
@@ -228,15 +248,50 @@ def test_two_set_ups_at_once_make_one_tree(tmp_path: Path) -> None:
     both = [set_up(tmp_path, EMPTY_TREE + "sleep 1\n") for _ in range(2)]
     told = "".join(process.communicate(timeout=60)[1] for process in both)
     assert "another set-up is running; waiting for it" in told
-    assert (tmp_path / "log").read_text().split() == ["run"]
-    assert len(trees(tmp_path)) == 1
+    assert set_ups(tmp_path) == len(trees(tmp_path)) == 1
+
+
+@as_root
+def test_a_umask_that_lets_a_group_write_makes_a_tree_that_is_used(tmp_path: Path) -> None:
+    before = os.umask(0o002)
+    try:
+        for _ in range(2):
+            assert "not used" not in made(tmp_path, EMPTY_TREE)[1]
+    finally:
+        os.umask(before)
+    assert set_ups(tmp_path) == 1
+
+
+@as_root
+def test_no_password_stays_in_a_tree(tmp_path: Path) -> None:
+    tree, _ = made(tmp_path, EMPTY_TREE + KEEPING)
+    options = (tree / "etc/apt/apt.conf.d/99mmdebstrap").read_text()
+    assert "Install-Recommends" in options and "Proxy" not in options
+    sources = (tree / "etc/apt/sources.list").read_text()
+    assert sources == "deb http://archive/debian trixie main\n"
+    for path in (tmp_path / "cache").rglob("*"):
+        assert not path.is_file() or "secret" not in path.read_text(), path
+
+
+@as_root
+def test_a_tree_is_made_again_if_it_is_older_than_asked(tmp_path: Path) -> None:
+    made(tmp_path, EMPTY_TREE + 'touch "$TARGET/first"\n')
+    tree, _ = made(tmp_path, EMPTY_TREE, "--update", "2001-01-01")
+    assert set_ups(tmp_path) == 1 and (tree / "first").exists()
+    os.utime(tree / "etc/mantle-tree", (1e9, 1e9))
+    tree, _ = made(tmp_path, EMPTY_TREE, "--update", "yesterday")
+    assert set_ups(tmp_path) == 2 and not (tree / "first").exists()
+
+
+@pytest.mark.parametrize("words", [["--update", "someday"], ["--upgrade"]])
+def test_other_options_of_setup_are_refused(words: list[str]) -> None:
+    result = run("setup", *words)
+    assert result.returncode == 2 and "--update" in result.stderr
 
 
 def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> None:
     for name in ("docker", "podman"):
-        client = tmp_path / name
-        client.write_text("#!/bin/sh\necho 'cannot connect' >&2; exit 1\n")
-        client.chmod(0o755)
+        program(tmp_path / name, "echo 'cannot connect' >&2; exit 1")
     path = f"{tmp_path}:{os.environ['PATH']}"
     result = run("setup", PATH=path, MANTLE_BACKEND="container", MANTLE_INSIDE="")
     assert result.returncode == 69
@@ -249,25 +304,19 @@ def test_a_container_client_without_an_engine_is_not_enough(tmp_path: Path) -> N
 @pytest.mark.parallel
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_the_exit_code_of_the_ranks_arrives_without_noise(number: int, tmp_path: Path) -> None:
-    result = subprocess.run(
-        on_ranks(number, tmp_path, "leave", "4"), capture_output=True, text=True, timeout=60
-    )
-    assert (result.returncode, result.stdout, result.stderr) == (4, "", "")
+    result = python(*on_ranks(number, tmp_path, "leave", "4"), code=4)
+    assert (result.stdout, result.stderr) == ("", "")
 
 
 @pytest.mark.parallel
 def test_a_crash_of_one_rank_ends_all(tmp_path: Path) -> None:
-    result = subprocess.run(
-        on_ranks(2, tmp_path, "crash", "0"), capture_output=True, text=True, timeout=60
-    )
-    assert result.returncode == 70
-    assert "signal 11" in result.stderr
+    assert "signal 11" in python(*on_ranks(2, tmp_path, "crash", "0"), code=70).stderr
 
 
 def ready(command: list[str]) -> subprocess.Popen[str]:
-    """Start a program in a group of its own, and wait until it says that it is ready."""
+    """Start Python in a group of its own, and wait until it says that it is ready."""
     process = subprocess.Popen(
-        command,
+        [sys.executable, *command],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -290,7 +339,7 @@ def test_ranks_have_time_to_save_their_state(number: signal.Signals, tmp_path: P
 
 @pytest.mark.parallel
 def test_a_signal_before_the_ranks_listen_is_a_stop_too() -> None:
-    process = ready([sys.executable, "-c", LAUNCH, "2", "sh", "-c", "echo ready; exec sleep 30"])
+    process = ready(["-c", LAUNCH, "2", "sh", "-c", "echo ready; exec sleep 30"])
     os.killpg(process.pid, signal.SIGINT)
     _, message = process.communicate(timeout=30)
     assert process.returncode == 5

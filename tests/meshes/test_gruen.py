@@ -64,25 +64,20 @@ def test_rounding_moves_no_point_between_zones() -> None:
 
 def test_what_the_operation_takes_is_in_no_zone() -> None:
     """Stem, cement and neck; the bone beside them stays."""
+
+    def left(*points: tuple[float, float, float]) -> list[bool]:
+        found: list[bool] = ZONES.is_left(np.array(points)).tolist()
+        return found
+
     cavity = femur_stem.body(GEOMETRY).offset(GEOMETRY.cement_thickness)
     medial = float(cavity.section(0.0)[0])
-    assert ZONES.is_left(
-        np.array([(medial - 0.1, 0.0, 0.0), (medial + 0.1, 0.0, 0.0)])
-    ).tolist() == [
-        False,
-        True,
-    ]
+    assert left((medial - 0.1, 0.0, 0.0), (medial + 0.1, 0.0, 0.0)) == [False, True]
     # Where the canal has no room all of the cancellous bone goes, and none of the cortex.
     canal = float(femur_bone.canal(-200.0, 0.0).radius(np.array(0.0), np.array(-80.0)))
     assert canal < cavity.section(-80.0)[0]
-    assert ZONES.is_left(
-        np.array([(canal - 0.1, 0.0, -80.0), (canal + 0.1, 0.0, -80.0)])
-    ).tolist() == [
-        False,
-        True,
-    ]
+    assert left((canal - 0.1, 0.0, -80.0), (canal + 0.1, 0.0, -80.0)) == [False, True]
     head, below_plug = (43.0, 0.0, 54.0), (0.0, 0.0, -118.0 - 10.1)
-    assert ZONES.is_left(np.array([head, below_plug])).tolist() == [False, True]
+    assert left(head, below_plug) == [False, True]
 
 
 def test_only_a_femur_has_zones() -> None:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import gmsh
 import numpy as np
 import pytest
 
@@ -33,10 +31,11 @@ from meshes.data import (
     order,
     region_volumes,
 )
-from meshes.gmsh_child import MILLIMETRES
+from meshes.gmsh_child import MILLIMETRES, session
 from meshes.picture import cut, picture
 from meshes.tags import assemble
 from tests import support
+from tests.robustness.faulty import DAMAGES, damage
 
 STACK = Blocks(
     blocks=(
@@ -63,6 +62,11 @@ def mesh(geometry: Any, size: float, **more: Any) -> MeshData:
     return meshes.build(geometry, options(size, **more))
 
 
+def digest(data: MeshData) -> str:
+    arrays = (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+
 @pytest.fixture(scope="module")
 def rod() -> MeshData:
     return mesh(ROD, 2.0)
@@ -70,8 +74,7 @@ def rod() -> MeshData:
 
 def test_a_package_that_only_checks_input_loads_neither_gmsh_nor_dolfinx() -> None:
     heavy = {"gmsh", "dolfinx", "mpi4py"}
-    program = f"import sys; import meshes; assert not {heavy} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", program], check=True)
+    support.python("-c", f"import sys; import meshes; assert not {heavy} & set(sys.modules)")
 
 
 @pytest.mark.parametrize("curved", [False, True])
@@ -148,18 +151,8 @@ def test_impossible_tapers_are_refused() -> None:
 
 
 def test_same_input_same_mesh_in_another_process(rod: MeshData) -> None:
-    program = f"""
-import hashlib, sys; sys.path.insert(0, {str(support.ROOT)!r})
-from tests.meshes.test_meshes import ROD, mesh
-d = mesh(ROD, 2.0)
-print(hashlib.sha256(d.points.tobytes() + d.cells.tobytes() + d.facets.tobytes()).hexdigest())
-"""
-    import hashlib
-
-    run = [sys.executable, "-c", program]
-    other = subprocess.run(run, check=True, capture_output=True, text=True).stdout.strip()
-    own = hashlib.sha256(rod.points.tobytes() + rod.cells.tobytes() + rod.facets.tobytes())
-    assert own.hexdigest() == other
+    program = "from tests.meshes.test_meshes import *; print(digest(mesh(ROD, 2.0)))"
+    assert support.python("-c", program).stdout.strip() == digest(rod)
 
 
 def test_order_is_canonical_and_no_node_is_unused(rod: MeshData) -> None:
@@ -173,14 +166,10 @@ def test_order_is_canonical_and_no_node_is_unused(rod: MeshData) -> None:
 def test_quality_is_that_of_gmsh(tmp_path: Path, curved: bool) -> None:
     data = mesh(ROD, 3.0, curved=curved)
     meshes.write_msh(data, tmp_path / "a.msh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with session("theirs") as gmsh:
         gmsh.open(str(tmp_path / "a.msh"))
         _, tags, _ = gmsh.model.mesh.getElements(3)
         theirs = gmsh.model.mesh.getElementQualities(np.concatenate(tags), "minSICN")
-    finally:
-        gmsh.finalize()
     ours = quality.sicn(data.points, data.cells)
     assert np.sort(ours) == pytest.approx(np.sort(theirs), abs=1e-10)
 
@@ -206,11 +195,19 @@ def test_cache_returns_the_same_and_survives_damage(tmp_path: Path, rod: MeshDat
         assert data.boundaries == rod.boundaries
         assert data.interfaces == rod.interfaces
         assert data.notes == rod.notes
-    file.write_bytes(file.read_bytes()[:1000])
-    assert cache.load(file) is None
-    third = meshes.build(ROD, options(2.0), tmp_path)
-    assert np.array_equal(third.cells, rod.cells)
-    assert cache.load(file) is not None
+    good = file.read_bytes()
+    for how in DAMAGES:
+        damage(file, how)
+        assert cache.load(file) is None
+        third = meshes.build(ROD, options(2.0), tmp_path)
+        assert np.array_equal(third.cells, rod.cells)
+        assert file.stat().st_size == len(good) and not list(tmp_path.glob("*.part"))
+
+
+def test_a_mesh_that_cannot_be_kept_is_a_mesh(caplog: pytest.LogCaptureFixture) -> None:
+    one = Blocks(blocks=(Block(name="a", size=["4 mm"] * 3),))
+    assert len(meshes.build(one, options(4.0), Path("/proc/nowhere")).cells)
+    assert "the mesh cannot be kept in /proc/nowhere" in caplog.text
 
 
 def test_cache_tells_cases_apart() -> None:
@@ -269,28 +266,14 @@ def test_written_files_are_read_back(tmp_path: Path, unit: str, curved: bool) ->
     assert back.notes["cells_without_region"] == 0
 
 
-def old_format(tmp_path: Path, data: MeshData) -> Path:
-    """The same mesh in format 2.2, ASCII."""
-    path = tmp_path / "old.msh"
+def test_files_in_the_old_format_are_read(tmp_path: Path) -> None:
+    """2.2, ASCII."""
+    data, path = mesh(STACK, 3.0), tmp_path / "old.msh"
     meshes.write_msh(data, tmp_path / "new.msh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with session("old") as gmsh:
         gmsh.open(str(tmp_path / "new.msh"))
         gmsh.option.setNumber("Mesh.MshFileVersion", 2.2)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
-    return path
-
-
-def test_old_files_are_read_and_mirrored_cells_turned(tmp_path: Path) -> None:
-    data = mesh(STACK, 3.0)
-    path = old_format(tmp_path, data)
-    back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
-    assert region_volumes(back) == pytest.approx(region_volumes(data))
-    mirrored = replace(data, points=data.points * [-1, 1, 1])
-    meshes.write_msh(mirrored, path)
     back = meshes.build(MeshFile(path=path, interfaces=STACK.interface_sides), options(1.0))
     assert region_volumes(back) == pytest.approx(region_volumes(data))
 

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import os
-import subprocess
-import sys
 from functools import cache
 from typing import Any
 
@@ -27,6 +23,7 @@ from meshes.data import (
 )
 from meshes.femur_surfaces import FemurSurfaces as Surfaces
 from tests import support
+from tests.meshes.test_meshes import digest
 
 
 def hip(**values: float) -> Femur:
@@ -195,10 +192,13 @@ def random_hip(rng: np.random.Generator) -> tuple[dict[str, float], float, bool]
     return values, float(rng.uniform(2.0, 8.0)), bool(rng.integers(2))
 
 
-def check_random_hips(seed: int, number: int, least_size: float) -> None:
+@pytest.mark.parametrize(
+    ("seed", "number", "least_size"),
+    [(20, 20, 5.01), pytest.param(200, 200, 2.0, marks=pytest.mark.slow)],
+)
+def test_random_hips_mesh_at_the_first_attempt(seed: int, number: int, least_size: float) -> None:
     """Those that anatomy forbids are refused in words; all others mesh, and well."""
     rng = np.random.default_rng(seed)
-    print(f"seed {seed}")
     made = refused = 0
     while made < number:
         values, size, curved = random_hip(rng)
@@ -220,10 +220,6 @@ def check_random_hips(seed: int, number: int, least_size: float) -> None:
     assert refused < number
 
 
-def test_random_hips_mesh_at_the_first_attempt() -> None:
-    check_random_hips(20, 20, 5.01)
-
-
 def test_random_hips_mesh_as_coarse_companions() -> None:
     """With four lines around no cell is inverted, curved or not."""
     rng = np.random.default_rng(7)
@@ -235,11 +231,6 @@ def test_random_hips_mesh_as_coarse_companions() -> None:
             data = femur.build(hip(**values), options)
             worst = quality.sicn(data.points, data.cells).min()
             assert worst > 0.02, (values, size, curved)
-
-
-@pytest.mark.slow
-def test_two_hundred_random_hips_mesh_at_the_first_attempt() -> None:
-    check_random_hips(200, 200, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -355,40 +346,21 @@ def test_patches_have_the_area_of_discs() -> None:
 
 # ------------------------------------------------------------------------------ the same bytes
 
-DIGEST = """
-import sys
-sys.path.insert(0, {root!r})
-from tests.meshes import test_swept
-print(test_swept.own_digest())
-"""
+DIGEST = "from tests.meshes import test_swept; print(test_swept.own_digest())"
 PROCESSORS = {
-    "Nehalem": {"OPENBLAS_CORETYPE": "Nehalem"},
     "no vector units": {
         "OPENBLAS_CORETYPE": "Nehalem",
         "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX512F,-AVX2,-FMA",
         "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3",
-    },
+    }
 }
-
-
-def digest(**environment: str) -> str:
-    return subprocess.run(
-        [sys.executable, "-c", DIGEST.format(root=str(support.ROOT))],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.strip()
 
 
 @cache
 def own_digest() -> str:
-    total = hashlib.sha256()
     options = MeshOptions(size="3 mm", curved=True)
-    for data in (built(3.0), built(3.0, True), femur_intact.build(IntactFemur(), options)):
-        for array in (data.points, data.cells, data.cell_tags, data.facets, data.facet_tags):
-            total.update(array.tobytes())
-    return total.hexdigest()
+    data = (built(3.0), built(3.0, True), femur_intact.build(IntactFemur(), options))
+    return " ".join(map(digest, data))
 
 
 @pytest.mark.parametrize(
@@ -399,4 +371,5 @@ def own_digest() -> str:
     ],
 )
 def test_the_same_bytes_on_every_processor(name: str) -> None:
-    assert digest(**PROCESSORS.get(name, {"OPENBLAS_CORETYPE": name})) == own_digest()
+    environ = PROCESSORS.get(name, {"OPENBLAS_CORETYPE": name})
+    assert support.python("-c", DIGEST, **environ).stdout.strip() == own_digest()

@@ -10,7 +10,8 @@ import pytest
 
 from tests import support
 
-CASE = """
+CASE = (
+    """
 geometry:
   kind: cylinders
   stem_radius: 7 mm
@@ -19,13 +20,9 @@ geometry:
   length: 18 mm
   taper: 3 deg
 mesh: {order: 1, size: 4 mm, far_size: 4 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.4}
-  cement_bone: {kind: contact, friction_coefficient: 1.0}
+"""
+    + support.TISSUES
+    + """\
 supports:
   foot: {kind: fixed, boundary: bone_bottom}
 loads:
@@ -43,6 +40,7 @@ variations:
   slippery_twice: {interfaces.stem_cement.friction_coefficient: 0.3, loads.*.history: [2, 2]}
   twice: {loads.*.history: [2, 2]}
 """
+)
 
 
 @pytest.mark.parallel

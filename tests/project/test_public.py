@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -19,22 +16,14 @@ import pytest
 import mantle
 from app.errors import InputError
 from app.simulation.recorder import AcceptedStep
+from tests import support
 from tests.support import CONFIGS, ROOT
 
 COARSE = {"mesh.size": "4 mm", "mesh.order": 1}
 
 
 def python(*arguments: str, **more: str) -> str:
-    """What a Python of its own prints, which finds mantle as this one does."""
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        env={**os.environ, **more},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return support.python(*arguments, **more).stdout
 
 
 def test_importing_mantle_imports_nothing_of_the_stack() -> None:

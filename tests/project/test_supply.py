@@ -31,15 +31,13 @@ OWN = {"app", "configs", "forms", "mantle", "meshes"}
 
 def imported() -> set[str]:
     found: set[str] = set()
-    for path in (
-        p for f in ("app", "forms", "meshes", "configs") for p in (ROOT / f).rglob("*.py")
-    ):
+    for path in (p for name in OWN - {"mantle"} for p in (ROOT / name).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
                 found |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 found.add(node.module.split(".")[0])
-    return found - set(sys.stdlib_module_names) - {"app", "configs", "forms", "mantle", "meshes"}
+    return found - set(sys.stdlib_module_names) - OWN
 
 
 def test_all_that_is_imported_is_a_dependency_and_nothing_else() -> None:
@@ -65,6 +63,14 @@ def test_dolfinx_is_of_one_series() -> None:
     """Its interface changes with every one."""
     (dolfinx,) = (Requirement(t) for t in PROJECT["dependencies"] if "dolfinx" in t)
     assert "0.9.5" in dolfinx.specifier and "0.10.0" not in dolfinx.specifier
+
+
+def test_the_linter_is_the_one_with_these_digests() -> None:
+    """In a form that pip believes nothing else of."""
+    text = (ROOT / "tests" / "ruff.txt").read_text()
+    assert re.findall(r"^ruff\S*", text, re.MULTILINE) == EXTRA["lint"]
+    assert len(re.findall(r"--hash=sha256:[0-9a-f]{64}\b", text)) >= 2
+    assert "--require-hashes" in (ROOT / "mantle").read_text()
 
 
 def test_the_base_of_the_image_is_named_by_its_digest() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests import support
 from tests.robustness import faulty
 
 
@@ -19,9 +19,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def warmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def warmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cache in which everything is that the small run needs."""
     folder = tmp_path_factory.mktemp("warm")
-    done = faulty.run(folder / "out", faulty.HERE, folder / "cache")
-    assert done.returncode == 0, done.stderr
-    yield folder / "cache"
+    support.python(*faulty.arguments(folder / "out"), XDG_CACHE_HOME=str(folder / "cache"))
+    return folder / "cache"

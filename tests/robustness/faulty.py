@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.support import CONFIGS, environment
+from tests import support
 
-CASE = CONFIGS / "blocks.yaml"
-OPTIONS = ("--set", "mesh.order=1", "--set", "mesh.size=5 mm", "--set", "mesh.far_size=5 mm")
+CASE = support.CONFIGS / "blocks.yaml"
+# A run of some steps with all that is written.
+OPTIONS = (
+    *("--set", "mesh.order=1", "--set", "mesh.size=5 mm", "--set", "mesh.far_size=5 mm"),
+    *("--set", "output.checkpoint.steps=1", "--set", "stages=[{name: press, increments: 3}]"),
+)
 UNSHARE = ("unshare", "-m", "--propagation", "unchanged")
 DAMAGES = ["truncated", "garbage", "zero length", "tail lost"]
+
+mounts = pytest.mark.skipif(
+    os.geteuid() != 0
+    or not shutil.which("mount")
+    or subprocess.run([*UNSHARE, "true"], check=False).returncode != 0,
+    reason="only root may mount a small disk",
+)
 
 
 def damage(path: Path, how: str) -> None:
@@ -24,25 +37,28 @@ def damage(path: Path, how: str) -> None:
     path.write_bytes(cut.get(how, bytes(range(256)) * (len(raw) // 256)))
 
 
-def run(
-    output: Path, path: str, cache: Path | str | None, *before: str, **more: str
-) -> subprocess.CompletedProcess[str]:
-    """Run a small case, after some commands of the shell in a mount namespace of its own."""
-    command = [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS]
-    environ = environment() | {"PYTHONPATH": path} | more
-    environ |= {"XDG_CACHE_HOME": str(cache)} if cache else {}
-    if before:
-        private = 'mount --make-rprivate "$(findmnt -n -o TARGET --target "$PWD")"'
-        script = "; ".join(["set -e", private, *before])
-        command = [*UNSHARE, "sh", "-c", script + '; exec "$@"', "sh", *command]
-    return subprocess.run(command, env=environ, capture_output=True, text=True, timeout=300)
+def arguments(output: Path, *more: str) -> list[str]:
+    """Of Python, which runs the case."""
+    return ["-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS, *more]
 
 
-HERE = environment()["PYTHONPATH"]
-slow = pytest.mark.slow
-mounts = pytest.mark.skipif(
-    os.geteuid() != 0
-    or not shutil.which("mount")
-    or subprocess.run([*UNSHARE, "true"], check=False).returncode != 0,
-    reason="only root may mount a small disk",
-)
+def command(output: Path, *more: str) -> list[str]:
+    return [sys.executable, *arguments(output, *more)]
+
+
+def start(output: Path, *more: str, session: bool = False, **environ: str) -> subprocess.Popen[str]:
+    """The same, not waited for; with ``session``, leader of a process group."""
+    return subprocess.Popen(
+        command(output, *more),
+        env=support.environment() | environ,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=session,
+    )
+
+
+def numbers(output: Path) -> dict[str, Any]:
+    """Rounded, as they depend on who comes first in a sum."""
+    q = json.loads((output / "summary.json").read_text())["interfaces"]
+    return {name: round(v["pressure_mean"], 8) for name, v in q.items()}

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.robustness.faulty import CASE, OPTIONS, mounts, slow
+from app.system import folders
+from tests.robustness.faulty import UNSHARE, command, mounts, start
 from tests.support import environment
-
-# Whatever a run writes, in an order that small disks interrupt at other places.
-ALL = ("--set", "output.checkpoint.steps=1", "--set", "stages=[{name: press, increments: 3}]")
 
 
 def script(lines: list[str], command: list[str], cache: Path, codes: int) -> tuple[list[str], str]:
@@ -22,7 +20,7 @@ def script(lines: list[str], command: list[str], cache: Path, codes: int) -> tup
     private = 'mount --make-rprivate "$(findmnt -n -o TARGET --target "$PWD")"'
     text = "\n".join([private, *lines])
     done = subprocess.run(
-        ["unshare", "-m", "--propagation", "unchanged", "sh", "-c", text, "sh", *command],
+        [*UNSHARE, "sh", "-c", text, "sh", *command],
         env=environment() | {"XDG_CACHE_HOME": str(cache)},
         capture_output=True,
         text=True,
@@ -46,18 +44,13 @@ def twice(command: list[str], size: int, disk: Path, cache: Path) -> tuple[list[
     return [int(code) for code in codes], said
 
 
-def command(output: Path) -> list[str]:
-    return [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS, *ALL]
-
-
-@slow
 @mounts
 @pytest.mark.parametrize("size", [4, 12, 32, 64, 96, 160])
 def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Path) -> None:
     """Fields, history, checkpoints, summary: whichever comes last before the disk is full."""
     (tmp_path / "out").mkdir()
     codes, said = twice(command(tmp_path / "out"), size, tmp_path / "out", warmed)
-    assert codes[0] in (0, 5) and codes[1] == 0, said
+    assert codes[0] in ((0, 5) if size > 64 else (5,)) and codes[1] == 0, said
     if codes[0]:
         assert "No space left" in said
     kept = tmp_path / "out.kept"
@@ -65,20 +58,18 @@ def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Pa
     assert not list(kept.glob("*.partial"))
 
 
-@slow
 @mounts
 @pytest.mark.parametrize("size", [16, 128, 512, 1024, 2048])
 def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
     """Forms have to be kept, meshes need not."""
     (tmp_path / "cache").mkdir()
     codes, said = twice(command(tmp_path / "out"), size, tmp_path / "cache", tmp_path / "cache")
-    assert codes[0] in (0, 69) and codes[1] == 0, said
+    assert codes[0] in ((0, 69) if size > 64 else (69,)) and codes[1] == 0, said
     if codes[0]:
-        assert "a form cannot be compiled: " in said
+        assert "a form cannot be compiled: " in said and "MB free" in said
     assert not list((tmp_path / "cache.kept").rglob("*.part"))
 
 
-@slow
 @mounts
 @pytest.mark.parametrize("number", range(4))
 def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path) -> None:
@@ -102,19 +93,13 @@ def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path
         assert "Read-only file system" in said or "is not writable" in said
 
 
-@slow
 @pytest.mark.parametrize("number", range(4))
 def test_two_runs_in_one_folder(number: int, warmed: Path, tmp_path: Path) -> None:
     """One of them gets it, at whatever moment the other comes."""
     out = tmp_path / "out"
-    environ = environment() | {"XDG_CACHE_HOME": str(warmed)}
     both = []
     for _ in range(2):
-        both.append(
-            subprocess.Popen(
-                [*command(out), "--force"], env=environ, stderr=subprocess.PIPE, text=True
-            )
-        )
+        both.append(start(out, "--force", XDG_CACHE_HOME=str(warmed)))
         try:
             both[0].wait(timeout=0.15 * number)
         except subprocess.TimeoutExpired:
@@ -126,3 +111,23 @@ def test_two_runs_in_one_folder(number: int, warmed: Path, tmp_path: Path) -> No
         assert code == 0 or "another run is writing into it" in text
     assert (out / "DONE").exists()
     assert json.loads((out / "summary.json").read_text())["status"] == "converged"
+
+
+@mounts
+def test_an_output_folder_on_a_read_only_disk_is_refused(warmed: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    lines = [f"mount -t tmpfs -o ro none {out}", '"$@"; echo "codes $?" >&2']
+    codes, said = script(lines, command(out), warmed, 1)
+    assert codes == ["2"] and f"-o {out}: is not writable" in said
+
+
+def test_a_folder_belongs_to_one_run(tmp_path: Path) -> None:
+    held = folders.claim(tmp_path)
+    child = start(tmp_path)
+    said = child.communicate(timeout=60)[1]
+    assert child.returncode == 2
+    assert f"-o {tmp_path}: another run is writing into it" in said
+    assert not list(tmp_path.iterdir())
+    os.close(held)
+    os.close(folders.claim(tmp_path))

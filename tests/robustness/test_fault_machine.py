@@ -18,7 +18,7 @@ from app.errors import EnvironmentProblem
 from app.soundness import memory
 from app.system import blas_check, form_cache
 from tests import support
-from tests.robustness.faulty import CASE, HERE, OPTIONS, run, slow
+from tests.robustness.faulty import CASE, DAMAGES, arguments, damage, start
 
 # ------------------------------------------------------------------------------------ clocks
 
@@ -103,7 +103,7 @@ def test_threads_that_have_no_core_are_told() -> None:
 # ------------------------------------------------------------------------------- compilations
 
 
-COMPILERS = {
+COMPILERS: dict[str, str | None] = {
     "fails": "exit 1",
     "makes nothing": "exit 0",
     "is killed": "kill -9 $$",
@@ -114,21 +114,34 @@ COMPILERS = {
     "links nothing": 'for w; do [ "$w" = -shared ] && exit 0; done; exec cc "$@"',
     "makes garbage": 'for o; do :; done; while [ "$1" != -o ]; do shift; done; echo x >"$2"',
     "is not executable": "",
+    "is not there": None,
 }
 
 
-@slow
-@pytest.mark.parametrize("how", COMPILERS)
-def test_a_compiler_that(how: str, tmp_path: Path) -> None:
-    compiler = tmp_path / "cc"
-    compiler.write_text(f"#!/bin/sh\n{COMPILERS[how]}\n")
-    compiler.chmod(0o755 if COMPILERS[how] else 0o644)
-    done = run(tmp_path / "out", HERE, tmp_path / "cache", CC=str(compiler))
-    assert done.returncode == 69, done.stderr
+@pytest.mark.parametrize(("how", "ranks"), [*((how, 1) for how in COMPILERS), ("is not there", 2)])
+def test_a_compiler_that(how: str, ranks: int, tmp_path: Path) -> None:
+    compiler, text, cache = tmp_path / "cc", COMPILERS[how], str(tmp_path / "cache")
+    if text is not None:
+        compiler.write_text(f"#!/bin/sh\n{text}\n")
+        compiler.chmod(0o755 if text else 0o644)
+    command = [*arguments(tmp_path / "out"), "-n", str(ranks)]
+    done = support.python(*command, code=69, CC=str(compiler), XDG_CACHE_HOME=cache)
     assert done.stderr.count("a form cannot be compiled: ") == 1
     assert "Traceback" not in done.stderr
-    again = run(tmp_path / "out", HERE, tmp_path / "cache")
-    assert again.returncode == 0, again.stderr
+    if text is None:
+        assert str(compiler) in done.stderr
+        assert "mantle doctor tells whether there is a C compiler" in done.stderr
+    support.python(*command, XDG_CACHE_HOME=cache)
+
+
+@pytest.mark.parametrize("how", DAMAGES)
+def test_damaged_forms_are_compiled_again(how: str, warmed: Path, tmp_path: Path) -> None:
+    shutil.copytree(warmed, tmp_path / "cache")
+    modules = list((tmp_path / "cache" / "fenics").glob("*.so"))
+    assert modules
+    for path in modules:
+        damage(path, how)
+    support.python(*arguments(tmp_path / "out"), XDG_CACHE_HOME=str(tmp_path / "cache"))
 
 
 def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
@@ -172,20 +185,16 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> No
     assert found == {form: False, other: False} and not form_cache._compiling
 
 
-@slow
 @pytest.mark.parametrize("number", range(3))
 def test_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
     """A compiler that takes longer than anybody would wait without asking."""
     compiler = tmp_path / "cc"
     compiler.write_text(f'#!/bin/sh\nsleep {12 if number == 0 else 1}\nexec cc "$@"\n')
     compiler.chmod(0o755)
-    environ = support.environment() | {"XDG_CACHE_HOME": str(tmp_path / "c"), "CC": str(compiler)}
+    environ = {"XDG_CACHE_HOME": str(tmp_path / "c"), "CC": str(compiler)}
     both = []
     for k in range(2):
-        command = [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(tmp_path / f"{k}")]
-        both.append(
-            subprocess.Popen([*command, *OPTIONS], env=environ, stderr=subprocess.PIPE, text=True)
-        )
+        both.append(start(tmp_path / f"{k}", **environ))
         time.sleep(0.2 * number)
     for child in both:
         assert child.communicate(timeout=600)[1] == ""

@@ -2,37 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
 from tests import support
-from tests.robustness.faulty import CASE, OPTIONS, slow
+from tests.robustness.faulty import arguments, numbers, start
 
 pytestmark = pytest.mark.parallel
 HANGS = 300.0  # s; what takes so long waits for ever, on any machine
 CODES = {"internal": 70, "memory": 69, "stop": 5, "divergence": 4, "interrupt": 5}
-# A run with all that is written.
-ALL = (
-    *OPTIONS,
-    "--set",
-    "output.checkpoint.steps=1",
-    "--set",
-    "stages=[{name: press, increments: 3}]",
-)
-
-
-def command(output: Path, *more: str) -> list[str]:
-    """The small case on two ranks."""
-    program = [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output)]
-    return [*program, *ALL, "-n", "2", *more]
+TWO = ("-n", "2")
 
 
 def processes(output: Path) -> dict[int, list[str]]:
@@ -63,29 +48,20 @@ def ranks(output: Path) -> list[int]:
 
 
 @pytest.fixture(scope="module")
-def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, str]:
+def usual(tmp_path_factory: pytest.TempPathFactory) -> tuple[float, object]:
     """How long the run takes where nothing happens, and its numbers."""
     folder = tmp_path_factory.mktemp("usual")
     begin = time.monotonic()
-    subprocess.run(command(folder / "out"), env=support.environment(), check=True, timeout=HANGS)
+    support.python(*arguments(folder / "out", *TWO))
     return time.monotonic() - begin, numbers(folder / "out")
 
 
-def numbers(output: Path) -> str:
-    """Rounded, as they depend on who comes first in a sum."""
-    q = json.loads((output / "summary.json").read_text())["interfaces"]
-    return str({name: round(v["pressure_mean"], 8) for name, v in q.items()})
-
-
-@pytest.mark.parametrize("number", [0, *(pytest.param(k, marks=slow) for k in range(1, 11))])
-def test_a_killed_rank_ends_all(number: int, usual: tuple[float, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", range(11))
+def test_a_killed_rank_ends_all(number: int, usual: tuple[float, object], tmp_path: Path) -> None:
     chance = random.Random(number)
     output, temporary = tmp_path / "out", tmp_path / "tmp"
     temporary.mkdir()
-    environ = support.environment() | {"TMPDIR": str(temporary)}
-    child = subprocess.Popen(
-        command(output), env=environ, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    child = start(output, *TWO, TMPDIR=str(temporary))
     while len(ranks(output)) < 2:
         time.sleep(0.01)
     time.sleep(chance.uniform(0.05, 0.7 if number else 0.3) * usual[0])
@@ -103,31 +79,25 @@ def test_a_killed_rank_ends_all(number: int, usual: tuple[float, str], tmp_path:
     else:
         assert child.returncode
     assert not processes(output)
-    again = subprocess.run(
-        command(output, "--force"), env=environ, capture_output=True, text=True, timeout=HANGS
-    )
-    assert again.returncode == 0, again.stderr
+    support.python(*arguments(output, *TWO, "--force"), TMPDIR=str(temporary))
     assert numbers(output) == usual[1]
     assert not list(output.glob("*.partial")) and not list(temporary.iterdir())
 
 
-FIRST = [("solve", "internal", 1), ("output", "stop", 1)]
-REST = [
-    (phase, error, rank)
-    for phase in ("mesh", "distribution", "assembly", "solve", "output", "checkpoint")
-    for error in CODES
-    for rank in (0, 1)
-    if (phase, error, rank) not in FIRST and (phase, rank) != ("mesh", 1)
-]
-
-
 @pytest.mark.parametrize(
-    ("phase", "error", "rank"), [*FIRST, *(pytest.param(*case, marks=slow) for case in REST)]
+    ("phase", "error", "rank"),
+    [
+        (phase, error, rank)
+        for phase in ("mesh", "distribution", "assembly", "solve", "output", "checkpoint")
+        for error in CODES
+        for rank in (0, 1)
+        if (phase, rank) != ("mesh", 1)
+    ],
 )
 def test_an_error_on_one_rank_ends_all(phase: str, error: str, rank: int, tmp_path: Path) -> None:
     output = tmp_path / "out"
     done = subprocess.run(
-        support.mpirun(2, "-m", "tests.robustness.faulty_rank", "run", CASE, "-o", output, *ALL),
+        support.mpirun(2, "-m", "tests.robustness.faulty_rank", *arguments(output)[2:]),
         env=support.environment() | {"PHASE": phase, "ERROR": error, "RANK": str(rank)},
         capture_output=True,
         text=True,
@@ -139,13 +109,12 @@ def test_an_error_on_one_rank_ends_all(phase: str, error: str, rank: int, tmp_pa
     assert not processes(output)
 
 
-@pytest.mark.parametrize("number", [pytest.param(k, marks=slow) for k in range(10)])
+@pytest.mark.parametrize("number", range(10))
 def test_ranks_end_with_a_killed_mpirun(number: int, tmp_path: Path) -> None:
     """They would wait for each other for ever, at full speed."""
     output = tmp_path / "out"
-    words = support.mpirun(2, "-m", "mantle", "run", CASE, "-o", output, *ALL)
     child = subprocess.Popen(
-        [*words, "--set", "mesh.size=1 mm"],
+        support.mpirun(2, *arguments(output, "--set", "mesh.size=1 mm")),
         env=support.environment(),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

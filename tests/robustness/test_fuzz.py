@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support import environment
+from tests import support
 
 
 def fuzz(module: str, seed: str, first: int, last: int, folder: Path) -> None:
     """Try a range of mutants in a process of its own."""
-    done = subprocess.run(
-        [
-            *(sys.executable, "-W", "error::SyntaxWarning", "-m", f"tests.robustness.{module}"),
-            *(seed, str(first), str(last), str(folder)),
-        ],
-        env=environment() | {"XDG_CACHE_HOME": str(folder / "cache")},
-        capture_output=True,
-        text=True,
-        timeout=3600,
+    done = support.python(
+        *("-W", "error::SyntaxWarning", "-m", f"tests.robustness.{module}"),
+        *(seed, str(first), str(last), folder),
+        timeout=3600.0,
+        XDG_CACHE_HOME=str(folder / "cache"),
     )
-    assert done.returncode == 0, done.stderr
     *found, last_line = (json.loads(line) for line in done.stdout.splitlines())
     assert not found, json.dumps(found[:3], indent=1)
     assert last_line == {"tried": last - first}
@@ -34,7 +27,6 @@ def test_some_files(tmp_path: Path) -> None:
     fuzz("fuzz", "default", 0, 200, tmp_path)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("part", range(6))
 def test_many_files(part: int, tmp_path: Path) -> None:
     fuzz("fuzz", "all", 1000 * part, 1000 * (part + 1), tmp_path)
@@ -45,6 +37,5 @@ def test_some_mesh_files(first: int, tmp_path: Path) -> None:
     fuzz("fuzz_meshes", "all", first, first + 12, tmp_path)
 
 
-@pytest.mark.slow
 def test_many_mesh_files(tmp_path: Path) -> None:
     fuzz("fuzz_meshes", "all", 0, 2000, tmp_path)

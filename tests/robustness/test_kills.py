@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from tests.robustness.faulty import CASE, OPTIONS
-from tests.support import environment
+from tests.robustness import faulty
+from tests.robustness.faulty import numbers
 
-pytestmark = pytest.mark.slow
 # Every fifth begins with an empty cache: it is killed while it meshes and compiles.
 COLD = 5
 FILES = {"case.yaml", "fields.vtkhdf", "history.csv", "provenance.json", "summary.json", "DONE"}
@@ -27,23 +24,13 @@ FILES |= {"final.vtkhdf", "report.html"}
 def start(output: Path, folder: Path, *more: str) -> subprocess.Popen[str]:
     """A run with cache and temporary files in a folder, leader of a process group."""
     (folder / "tmp").mkdir(exist_ok=True)
-    return subprocess.Popen(
-        [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(output), *OPTIONS, *more],
-        env=environment() | {"XDG_CACHE_HOME": str(folder / "cache"), "TMPDIR": f"{folder}/tmp"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    environ = {"XDG_CACHE_HOME": str(folder / "cache"), "TMPDIR": f"{folder}/tmp"}
+    return faulty.start(output, *more, session=True, **environ)
 
 
 def finish(child: subprocess.Popen[str]) -> None:
     said = child.communicate(timeout=600)[1]
     assert child.returncode == 0, said
-
-
-def numbers(output: Path) -> object:
-    return json.loads((output / "summary.json").read_text())["interfaces"]
 
 
 @pytest.fixture(scope="module")

@@ -26,8 +26,6 @@ from app.campaigns.runs import Job, Result
 from app.errors import EnvironmentProblem
 from tests import support
 
-pytestmark = pytest.mark.slow
-
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scontrol", "unshare")
 NAMESPACES = ("unshare", "-m", "-p", "-f", "--kill-child", "--propagation", "unchanged")
 RANKS, CASES = 2, 6
@@ -262,9 +260,15 @@ def test_an_interrupted_batch_leaves_no_job_behind(cluster: Cluster, tmp_path: P
     assert cluster.queue() == {} and len(calls(tmp_path)) == done
 
 
-def test_a_job_that_slurm_ends_is_a_failed_run(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def here(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have this process use the cluster."""
+    for name, value in cluster.environ.items():
+        monkeypatch.setenv(name, value)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_job_that_slurm_ends_is_a_failed_run(cluster: Cluster, tmp_path: Path) -> None:
     """With options for sbatch that are not easily quoted."""
     process = start(cluster, tmp_path, 1)
     wait(lambda: "RUNNING" in cluster.queue().values())
@@ -275,8 +279,6 @@ def test_a_job_that_slurm_ends_is_a_failed_run(
     assert "failed with exit code 70" in told, told
     (said,) = (tmp_path / "out put" / "runs").glob("*.slurm")
     assert "CANCELLED" in said.read_text()
-    for name, value in cluster.environ.items():
-        monkeypatch.setenv(name, value)
     comment = '{it\'s} a "test"'
     (result,) = batch_of(tmp_path, 1, f"--comment={comment}")
     assert result.exit_code == 0 and result.summary["solver"]["ranks"] == RANKS
@@ -286,10 +288,7 @@ def test_a_job_that_slurm_ends_is_a_failed_run(
     assert f"Comment={comment} " in cluster.ask("scontrol", "show", "job", "-o", newest)
 
 
-def test_what_slurm_refuses_is_told(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, value in cluster.environ.items():
-        monkeypatch.setenv(name, value)
+@pytest.mark.usefixtures("here")
+def test_what_slurm_refuses_is_told(tmp_path: Path) -> None:
     with pytest.raises(EnvironmentProblem, match="invalid partition specified: nowhere"):
         batch_of(tmp_path, 1, "--partition", "nowhere")

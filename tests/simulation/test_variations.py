@@ -25,7 +25,8 @@ from app.system.timing import Timing
 from tests import coupled, support
 
 # A tapered stem pushed down and aside in two steps: the first sticks in part, the second slips.
-STEM = """
+STEM = (
+    """
 geometry:
   kind: cylinders
   stem_radius: 7 mm
@@ -35,13 +36,9 @@ geometry:
   taper: 3 deg
   sector: half
 mesh: {order: 1, size: 4 mm, far_size: 4 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.4}
-  cement_bone: {kind: contact, friction_coefficient: 1.0}
+"""
+    + support.TISSUES
+    + """\
 supports:
   cut: {kind: roller, boundary: symmetry_y, axis: y}
   foot: {kind: fixed, boundary: bone_bottom}
@@ -53,6 +50,7 @@ stages:
   - {name: aside, increments: 2}
 solver: {tolerance: 1.0e-12}
 """
+)
 MU = "interfaces.stem_cement.friction_coefficient"
 SECTION = f"""
 variations:

@@ -48,10 +48,7 @@ def test_an_error_leaves_the_streams_as_they_were(capfd: pytest.CaptureFixture[s
 
 def test_surfaces_that_cross_are_told_in_words(capfd: pytest.CaptureFixture[str]) -> None:
     """gmsh prints a "PLC Error" of its own, past its log."""
-    with (
-        pytest.raises(GeometryError, match=CROSS),
-        session("crossing") as gmsh,
-    ):
+    with pytest.raises(GeometryError, match=CROSS), session("crossing") as gmsh:
         loops = []
         for x, y, z, *size in ((0, 0, 0, 4, 4, 4), (1, 1, 1, 5.3, 2, 2)):
             box = gmsh.model.occ.addBox(x, y, z, *size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 
 from petsc4py import PETSc
@@ -33,14 +32,7 @@ def told(**environ: str) -> dict[str, str]:
         "import json, sys; from app.system import identity; print(json.dumps(identity.parts()));"
         "assert not {'mpi4py.MPI', 'petsc4py.PETSc', 'dolfinx'} & sys.modules.keys()"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=support.environment() | environ,
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    return dict(json.loads(done.stdout))
+    return dict(json.loads(support.python("-c", code, **environ).stdout))
 
 
 def test_the_kernel_of_the_blas_belongs_to_it() -> None:

@@ -120,41 +120,36 @@ def test_only_ranks_of_one_node_do_without_a_network(
     assert environ.get("OMPI_MCA_btl") == expected
 
 
-def filtered(text: str, received: tuple[int, ...] = ()) -> str:
+TABLE = RULE + "interface   gap\n" + RULE + "\nlast words without an end"
+ABORT = (
+    RULE
+    + "MPI_ABORT was invoked on rank 1 in communicator MPI_COMM_WORLD\n"
+    + RULE
+    + RULE
+    + 'prterun has exited due to process rank 1 with PID 0 on node host calling\n"abort".\n'
+    + RULE
+    + "\n\0"
+)
+
+
+@pytest.mark.parametrize(
+    ("said", "received", "left"),
+    [
+        ("step 1\n" + NON_ZERO + "case.yaml:1:2: no\n", (), "step 1\ncase.yaml:1:2: no\n"),
+        (CRASH, (), CRASH),
+        (CRASH, (2,), ""),
+        (TABLE, (), TABLE),
+        (RULE, (), RULE),
+        ("mantle: internal error\n" + ABORT, (), "mantle: internal error\n"),
+    ],
+    ids=["exit code", "crash", "crash after a signal", "table", "rule", "abort"],
+)
+def test_banners_that_are_no_news_are_left_out(
+    said: str, received: tuple[int, ...], left: str
+) -> None:
     target = io.BytesIO()
-    ranks.filter_messages(io.BytesIO(text.encode()), target, received)
-    return target.getvalue().decode()
-
-
-def test_a_banner_that_repeats_the_exit_code_is_left_out() -> None:
-    assert filtered("step 1\n" + NON_ZERO + "case.yaml:1:2: no\n") == "step 1\ncase.yaml:1:2: no\n"
-
-
-def test_a_crash_is_told() -> None:
-    assert filtered(CRASH) == CRASH
-
-
-def test_a_crash_is_no_news_after_a_signal() -> None:
-    assert filtered(CRASH, received=(2,)) == ""
-
-
-def test_tables_and_unfinished_lines_pass() -> None:
-    text = RULE + "interface   gap\n" + RULE + "\nlast words without an end"
-    assert filtered(text) == text
-    assert filtered(RULE) == RULE
-
-
-def test_the_end_of_an_abort_is_left_out() -> None:
-    abort = (
-        RULE
-        + "MPI_ABORT was invoked on rank 1 in communicator MPI_COMM_WORLD\n"
-        + RULE
-        + RULE
-        + 'prterun has exited due to process rank 1 with PID 0 on node host calling\n"abort".\n'
-        + RULE
-        + "\n\0"
-    )
-    assert filtered("mantle: internal error\n" + abort) == "mantle: internal error\n"
+    ranks.filter_messages(io.BytesIO(said.encode()), target, received)
+    assert target.getvalue().decode() == left
 
 
 @pytest.mark.parametrize(("usual", "heard"), [(signal.SIG_IGN, False), (signal.SIG_DFL, True)])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from fractions import Fraction
 from pathlib import Path
 from types import ModuleType
@@ -11,6 +9,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+import gmsh
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
@@ -22,6 +21,7 @@ from app.numerics import kernel_cache, pointwise
 from app.numerics.sparse import from_triplets
 from app.schema import unit_conversion
 from app.system import folders
+from meshes import cache
 from meshes.contact_faces import _connected, distinct_rows
 from tests import support
 
@@ -36,20 +36,13 @@ def test_a_run_on_a_mesh_at_hand_imports_no_mesher_no_pictures_and_no_scipy(tmp_
         f"assert main(['run', {str(path)!r}, '-o', {str(tmp_path)!r}]) == 0; "
         "print(*sys.modules)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=support.ROOT, capture_output=True, text=True, check=True
-    )
-    loaded = set(done.stdout.splitlines()[-1].split())
+    loaded = set(support.python("-c", script).stdout.splitlines()[-1].split())
     assert "dolfinx" in loaded
     assert not loaded & {"gmsh", "matplotlib", "pandas", "pint", "scipy.sparse", "scipy.spatial"}
 
 
 def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:
-    import gmsh
-
-    from meshes.cache import _gmsh_version
-
-    assert _gmsh_version() == gmsh.__version__
+    assert cache._gmsh_version() == gmsh.__version__
 
 
 def test_a_conversion_is_asked_of_pint_once(
@@ -61,15 +54,18 @@ def test_a_conversion_is_asked_of_pint_once(
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     forget()
-    found = unit_conversion.conversion("kN/inch^2", "MPa")
+    name = "kN/inch^2"
+    found = unit_conversion.conversion(name, "MPa")
     assert found[0] == Fraction(1000) / Fraction("25.4") ** 2
     forget()
     with monkeypatch.context() as without:
         without.setattr(unit_conversion, "registry", lambda: pytest.fail("asked again"))
-        assert unit_conversion.conversion("kN/inch^2", "MPa") == found
-    (tmp_path / "mantle/units/conversions.json").write_text("{broken")
-    forget()
-    assert unit_conversion.conversion("kN/inch^2", "MPa") == found
+        assert unit_conversion.conversion(name, "MPa") == found
+    kept = tmp_path / "mantle/units/conversions.json"
+    for text in ("{broken", "[]", "\0", *(f'{{"{name} in MPa": {v}}}' for v in (1, '["x"]'))):
+        kept.write_text(text)
+        forget()
+        assert unit_conversion.conversion(name, "MPa") == found
     forget()
 
 

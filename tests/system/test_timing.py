@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
 
 from app.system import timing
@@ -23,9 +20,7 @@ class Clock:
         return self.now
 
 
-def test_a_phase_is_told_with_what_is_expected_of_it_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_phase_is_told_with_what_is_expected_of_it_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("DEBUG", "mantle")
     t = timing.Timing(about={"factorize": 6.3, "mesh": 0.4, "stiffness": 7.0})
     for phase in (("factorize",), ("mesh",), ("compile", "stiffness"), ("factorize",)):
@@ -74,6 +69,4 @@ def test_peak_memory_is_that_of_the_arrays_there_were() -> None:
         "size = int(before + 100); assert np.ones((size, 125_000)).nbytes == size * 1e6;"
         "print(timing.peak_memory() - size)"
     )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, env=support.environment(), capture_output=True, check=True)
-    assert float(done.stdout) >= 0  # MB
+    assert float(support.python("-c", code).stdout) >= 0  # MB

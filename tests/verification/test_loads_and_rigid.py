@@ -14,22 +14,11 @@ from app.mechanics.constraints import _held_motions
 from app.numerics.rigid_motions import rigid_modes
 from tests import support
 
-CYLINDERS = """
-geometry: {kind: cylinders, stem_radius: 7 mm, cement_thickness: 4 mm, bone_thickness: 5 mm,
-           length: 30 mm, taper: 1.5 deg}
-mesh: {order: 1, size: 4 mm}
-regions:
-  stem: {youngs_modulus: 110 GPa, poisson_ratio: 0.3}
-  cement: {youngs_modulus: 2200 MPa, poisson_ratio: 0.3}
-  bone: {youngs_modulus: 17 GPa, poisson_ratio: 0.3}
-interfaces:
-  stem_cement: {kind: contact, friction_coefficient: 0.4}
-  cement_bone: {kind: contact, friction_coefficient: 1.0}
-supports:
-  outer: {kind: fixed, boundary: bone_surface}
-loads:
-  hip: {kind: force, boundary: stem_top, force: [150 N, -80 N, -900 N]}
-"""
+CYLINDERS = (
+    support.STEM.replace("length: 20 mm", "length: 30 mm")
+    .replace("size: 5 mm", "size: 4 mm")
+    .replace("[300 N, 0 N, -900 N]", "[150 N, -80 N, -900 N]")
+)
 
 
 def nodal_moment(solved: support.Solved, about: tuple[float, float, float]) -> np.ndarray:
