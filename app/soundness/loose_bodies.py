@@ -163,10 +163,7 @@ class BodiesOnMesh:
 
     @staticmethod
     def _free(left: Floats, K: Floats, M: Floats, below: float) -> tuple[Floats, Floats]:
-        """Motions that contact resists by less than this part of bonded contact, and by which part.
-
-        Motions (6 n, k) of those that supports leave; parts (k,).
-        """
+        """Motions (6 n, k) that contact resists less than a part of bonded contact; parts (k,)."""
         if not left.shape[1]:
             return left, np.zeros(0)
         scale = max(float(np.trace(M)), 1.0) / len(M)
