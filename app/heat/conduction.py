@@ -33,7 +33,7 @@ from app.heat.temperature_jumps import TemperatureJumps, cut_off
 from app.numerics.saved_state import State, keyed, node_keys
 from app.numerics.system import Measure
 from app.scene.bodies import Bodies, bodies_of
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
@@ -87,18 +87,19 @@ class Conduction:
         self.held = self.fixed.base >= 0
         self.capacity = self.forms.capacities(scene.conductors)
         # Heat is counted from a temperature that is near all of them: less is lost to rounding.
-        self.reference = float(np.mean([c.initial for c in scene.conductors]))
+        self.reference = float(np.mean([c.initial_temperature for c in scene.conductors]))
         self._exchange, self._brought = self.loads.exchanges(self.reference)
         self.cures: tuple[CureHeat, ...] = (
             (CureHeat(scene, self.bodies, self.forms),) if scene.cures else ()
         )
-        heated = {f"friction {f.interface}": 0.0 for f in scene.friction_heat}
+        heated = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
         self.frictions: tuple[FrictionHeating, ...] = (
             (FrictionHeating(self.forms.zeros(), heated),) if heated else ()
         )
         K = self.forms.conduction_by_body(scene.conductors)
         self._monotone = MaximumPrinciple(self.comm, K, self.capacity)
-        data = [c.initial for c in scene.conductors] + [e.outside for e in self.loads.exchange]
+        data = [c.initial_temperature for c in scene.conductors]
+        data += [e.outside for e in self.loads.exchange]
         self._data = Extremes(
             self.comm, min(data), max(data), bool(scene.cures or scene.friction_heat)
         )
@@ -132,8 +133,9 @@ class Conduction:
         """
         heat = self.forms.zeros()
         for c in self.scene.conductors:
+            above = c.initial_temperature - self.reference
             nodal = c.capacity * self.forms.volumes(c.region)
-            heat[self.bodies.of_region[c.region]] += nodal * (c.initial - self.reference)
+            heat[self.bodies.of_region[c.region]] += nodal * above
         T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, self.capacity, strict=True)]
         T = [self.reference + above for above in T]
         for b, condition in self.fixed.of_body.items():

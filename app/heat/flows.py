@@ -9,7 +9,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.heat.conduction import Conduction
-from app.scene.terms import multiplier
+from app.laws.values import multiplier
 
 
 def flows(conduction: Conduction, x: Sequence[PETSc.Vec]) -> dict[str, float]:

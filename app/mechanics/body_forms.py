@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from app.arrays import Floats
+from app.arrays import Field, Floats
 from app.errors import InputError, everywhere
+from app.laws.loads import Load, Patch
+from app.laws.materials import Elastic
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
-from app.scene.loads import Field, LoadTerm, Patch
-from app.scene.terms import Elastic, Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import elasticity
 from meshes.contact_facets import shape_functions, surface
@@ -44,7 +45,7 @@ MOMENT_DEGREE = 8
 
 
 class OnBody:
-    """One body of the mechanics as loads see it (`scene.loads.Acting`)."""
+    """One body of the mechanics as loads see it (`laws.loads.Acting`)."""
 
     def __init__(self, mechanics: BodyForms, body: int) -> None:
         """Look at a body."""
@@ -64,10 +65,13 @@ class OnBody:
         """A constant, in UFL."""
         return self._mechanics.constant(value)
 
-    def spread(self, density: Field, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
-        """A field (3,) and the measure of each of the body's regions among some."""
+    def spread(
+        self, density: Field, regions: Sequence[str] | None
+    ) -> list[tuple[Expr, ufl.Measure]]:
+        """A field (3,) and the measure of each of the body's regions among some, or of all."""
         mechanics = self._mechanics
-        tags = [mechanics.tag(r) for r in regions if mechanics.body_of(r) == self._body]
+        among = mechanics.elastic_regions if regions is None else regions
+        tags = [mechanics.tag(r) for r in among if mechanics.body_of(r) == self._body]
         if not tags:
             return []
         b, degree = mechanics.density(density, tags)
@@ -199,7 +203,7 @@ class BodyForms:
         """Strain of a displacement minus the region's eigenstrains and its swelling."""
         ε = elasticity.strain(v)
         for k, s in enumerate(e.eigenstrains):
-            ε = ε - self._amplitude[e.region, k] * elasticity.symmetric(s.components)
+            ε = ε - self._amplitude[e.region, k] * elasticity.symmetric(s.strain)
         if e.region in self.swelling:
             ε = ε - elasticity.swelling(self.swelling[e.region])
         return ε
@@ -275,9 +279,14 @@ class BodyForms:
         second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
         return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
 
-    def load_work(self, load: LoadTerm, body: int, v: Any) -> Any:
+    def load_work(self, load: Load, body: int, v: Any) -> Any:
         """Work of a load at full amplitude on one body in a displacement v [N mm]; 0 if none."""
         return load.work(v, OnBody(self, body))
+
+    @property
+    def elastic_regions(self) -> list[str]:
+        """Names of all elastic regions."""
+        return [e.region for e in self._scene.elastic]
 
     def body_of(self, region: str) -> int:
         """The body that a region belongs to."""

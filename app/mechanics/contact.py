@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.arrays import Bools, Floats
-from app.case.run_options import USUAL_AUGMENTATION
+from app.laws.interface_laws import USUAL_AUGMENTATION, InterfaceLaw
+from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Reduction
 from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
@@ -39,8 +40,7 @@ from app.numerics.saved_state import Rows, State, keyed
 from app.numerics.sparse import diagonal_blocks, matrix_sum, owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.frames import Frames, held_at
-from app.scene.laws import InterfaceLaw
-from app.scene.terms import ContactTerm, Scene, amplitude, gap_at
+from app.scene.scene import Interface, Scene
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP, STICK
 from meshes.contact_facets import InterfaceFacets
@@ -109,7 +109,7 @@ class Jumps:
         self._timing = timing
         self.begin(scene.contacts, augmentation_factor)
 
-    def begin(self, contacts: Sequence[ContactTerm], augmentation_factor: float) -> None:
+    def begin(self, contacts: Sequence[Interface], augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other laws of the same interfaces; collective.
 
         Args:
@@ -176,7 +176,7 @@ class Jumps:
         self._met = np.linalg.eigvalsh(self.local_stiffness())[:, 0] / self.weight
         return self._by_law(lambda law, here, met: law.trial_stiffness(met, self._factor))
 
-    def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats]) -> Floats:
+    def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats | float]) -> Floats:
         """Values of own points (n,), as the law of each interface has them.
 
         Args:

@@ -18,14 +18,14 @@ from ufl import as_ufl
 from ufl.core.expr import Expr
 
 from app.arrays import Floats, Ints
+from app.laws import interface_laws
+from app.laws.interface_laws import AtPoint, InterfaceLaw
 from app.numerics import kernel_cache, pointwise
 from app.numerics.pointwise import Pointwise
-from app.scene import laws
-from app.scene.laws import AtPoint, InterfaceLaw
 from forms import contact
 
 # All that says what a law is, beside the module it is in: another text is another law.
-SOURCES = (contact, laws, pointwise, sys.modules[__name__])
+SOURCES = (contact, interface_laws, pointwise, sys.modules[__name__])
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from app.arrays import Bools
 from app.mechanics.constraints import AllFree, Reduction, near_null_space
 from app.numerics.preconditioners import Inverse, stiffness_options
 from app.numerics.rigid_motions import rigid_modes
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 
 
 class CoarseOrder:

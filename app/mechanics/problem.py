@@ -17,6 +17,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats, Ints
+from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import near_null_space, reduction_of
 from app.mechanics.contact import Jumps
@@ -30,7 +31,7 @@ from app.numerics.preconditioners import Inverse
 from app.numerics.saved_state import State, keyed, node_keys
 from app.scene.bodies import bodies_of
 from app.scene.frames import frames_of
-from app.scene.terms import Scene, amplitude
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
@@ -246,7 +247,8 @@ class Problem:
             u: The displacement, which stays.
         """
         then, self._stage = self._stage, stage
-        if all(s.holds(then) == s.holds(stage) for s in self.scene.supports):
+        holds = self.scene.holds
+        if all(holds(s, then) == holds(s, stage) for s in self.scene.supports):
             return
         old = self.reduction
         self._reduce()

@@ -13,9 +13,10 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from app.arrays import Floats
+from app.laws.materials import Elastic
+from app.laws.values import amplitude
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.saved_state import State
-from app.scene.terms import Elastic, amplitude
 from forms import elasticity, loads
 
 _SUMS = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
@@ -54,7 +55,7 @@ class Balance:
             [mechanics.form(sum(ufl.derivative(e, U, v) for e, U in energy))] if energy else []
         )
         self._strain_work = [
-            (s.history, mechanics.form(self._eigenstrain_work(e, s.components)))
+            (s.history, mechanics.form(self._eigenstrain_work(e, s.strain)))
             for e in scene.elastic
             for s in e.eigenstrains
         ]

@@ -12,10 +12,10 @@ from ufl import as_vector
 
 from app.arrays import Floats
 from app.case.quantities import computed
+from app.laws.fibres import Circumferential, Vector
+from app.laws.materials import Elastic
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
-from app.scene.fibres import Vector
-from app.scene.terms import Elastic
 from app.system.timing import Timing
 from forms import elasticity
 
@@ -151,7 +151,7 @@ class Stresses:
         """
         σ = self.evaluate(region)
         (e,) = (e for e in self._problem.scene.elastic if e.region == region)
-        if e.fibre and e.fibre.turns:
+        if isinstance(e.fibre, Circumferential):
             # In axes that turn with it.
             Q = e.fibre.frames(self.places(region)[0]).reshape(σ.shape)
             σ = np.einsum("cqki,cqkl,cqlj->cqij", Q, σ, Q)
@@ -202,7 +202,7 @@ class Stresses:
 
 def _lay(e: Elastic) -> str:
     """What regions whose stresses are of one form have in common."""
-    return e.fibre.lay if e.fibre else ""
+    return e.fibre.kind if e.fibre else ""
 
 
 def _stiffness(e: Elastic) -> Floats:

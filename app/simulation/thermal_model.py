@@ -40,7 +40,7 @@ class ThermalModel:
         self.conduction, self.heating = conduction, heating
         self._capacities = {c.region: c.capacity for c in conduction.scene.conductors}
         self._names = [c.name for c in conduction.scene.thermal_contacts]
-        shares = {f.interface: f.slave_share for f in conduction.scene.friction_heat}
+        shares = {f.name: f.slave_share for f in conduction.scene.friction_heat}
         self._shares = np.array([shares.get(name, 0.0) for name in self._names])
         self.record = ThermalRecord(
             conduction.tagged,

@@ -135,7 +135,7 @@ def _restless(problem: Problem, j: Jumps, active: ActiveSet) -> tuple[str, ...]:
     local = [
         (
             r.changes,
-            f"{' <-> '.join(STATES[s] for s in r.states)} at "
+            f"{' <-> '.join(map(_state, r.states))} at "
             f"{_place(j.points.x[j.mine[r.row]])} on interface "
             f"'{problem.scene.contacts[j.interface[r.row]].name}', in {r.changes} of the last "
             f"{r.iterations} iterations",
@@ -156,9 +156,13 @@ def _largest(problem: Problem, j: Jumps, trial: TrialState) -> str:
         k = int(np.argmax(r))
         x = j.points.x[j.mine[k]]
         name = problem.scene.contacts[j.interface[k]].name
-        state = STATES[trial.law.status[k]]
+        state = _state(trial.law.status[k])
         text = f"{size:.2e} N on interface '{name}' at {_place(x)}, {state}"
     return str(problem.comm.bcast(text, root=rank))
+
+
+def _state(status: int) -> str:
+    return STATES[status] if status < len(STATES) else f"state {status}"
 
 
 def _place(x: Floats) -> str:

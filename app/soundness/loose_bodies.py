@@ -10,9 +10,8 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
+from app.laws.values import field, gap_at
 from app.numerics.rigid_motions import describe, rigid_modes
-from app.scene.build_heat import field
-from app.scene.terms import gap_at
 from meshes.pieces import Parts, Piece
 
 # A motion is free if what resists it is below this part of what resists any; contact without

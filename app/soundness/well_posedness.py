@@ -15,7 +15,7 @@ from app.arrays import Floats
 from app.case.case import Case
 from app.errors import InputError
 from app.laws.materials import Conductor, Rigid
-from app.scene.build_heat import field
+from app.laws.values import field
 from app.soundness.fibre_axes import on_axis
 from app.soundness.loose_bodies import (
     directions,

@@ -32,7 +32,7 @@ from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import ROUNDING, Problem, TrialState
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from forms import interface_heat
 
 
@@ -65,7 +65,7 @@ class ContactHeat:
         self.start(np.inf, np.zeros(self._n))
         self.work: Floats = np.zeros(self._n)
         self.heats = _heats(scene, problem, conduction, number)
-        heated = {f.interface for f in scene.friction_heat}
+        heated = {f.name for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
         self.rubbing = np.isin(j.interface, [i for i, name in enumerate(names) if name in heated])
         known = {
@@ -176,7 +176,7 @@ def _heats(
     dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
     start, end = space.dofmap.index_map.local_range
     own = (dof >= start) & (dof < end)
-    shares = {f.interface: f.slave_share for f in scene.friction_heat}
+    shares = {f.name: f.slave_share for f in scene.friction_heat}
     β = np.array([shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
     body_of = conduction.bodies.of_region
     master = np.array([body_of[c.master[0]] for c in scene.contacts])

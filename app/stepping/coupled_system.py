@@ -24,7 +24,7 @@ from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.saved_state import State
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure, System
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from app.stepping.contact_heat import ContactHeat, PointDerivatives
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN

@@ -24,7 +24,7 @@ from app.numerics.integrator import METHODS, Method, State
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.numerics.saved_state import State as SavedState
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from app.stepping import stability
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
@@ -98,7 +98,8 @@ class HeatState:
             conduction: Its heat.
             solver: Solver of its heat, or of heat and mechanics.
         """
-        (self.options,) = scene.time
+        assert scene.time is not None
+        self.options = scene.time
         self.conduction, self.solver = conduction, solver
         self.beside: tuple[Beside, ...] = ()
         self.system: CoupledSystem | None = None
@@ -301,7 +302,7 @@ class HeatState:
     def events(self) -> tuple[float, ...]:
         """Times that no step may cross [s]."""
         scene = self.conduction.scene
-        courses = [t for c in scene.heat for t, _ in getattr(c, "course", ())]
+        courses = [t for c in scene.heat for t, _ in getattr(c, "course", None) or ()]
         curing = [t for cure in self.conduction.cures for t in cure.curing.events]
         return tuple(sorted({*courses, *curing}))
 

@@ -17,7 +17,7 @@ from app.mechanics.problem import Problem, TrialState
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.numerics.saved_state import State
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.soundness.facet_support import held_by_facets
 from app.soundness.failure import explain, runaway
 

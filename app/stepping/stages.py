@@ -21,7 +21,7 @@ from app.arrays import Floats
 from app.errors import ConvergenceError
 from app.numerics.integrator import Controller
 from app.numerics.saved_state import State
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.soundness.failure import attempts
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_steps import HeatState, HeatStep

@@ -16,7 +16,7 @@ from app.heat.conduction import Conduction
 from app.heat.curing import FreeStrain, since_gelation
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import Rows, State, keyed
-from app.scene.terms import Expansion, Scene
+from app.scene.scene import Scene
 
 # Parts of a way are whole up to this.
 SAME = 1e-9
@@ -47,16 +47,16 @@ class ThermalLoading:
             scene: The scene.
             conduction: Its heat.
         """
-        (options,) = scene.time
-        self._conduction, self._step = conduction, options.mechanical_step
+        assert scene.time is not None
+        self._conduction, self._step = conduction, scene.time.mechanical_step
         n = len(conduction.bodies.names)
         self._temperatures = [fem.Function(conduction.space) for _ in range(n)]
         self._curing = [node for cure in conduction.cures for node in cure.nodes]
         self._degrees = [fem.Function(conduction.space) for _ in self._curing]
         self._strains = [fem.Function(conduction.space) for _ in self._curing]
-        expansion = {x.region: x for x in scene.expansions}
+        expansion = {x.region: x.expansion for x in scene.expansions}
         self._free = [
-            FreeStrain(conduction.comm, c, expansion.get(c.region, Expansion(c.region, 0, 0)), n)
+            FreeStrain(conduction.comm, c, expansion.get(c.region, 0.0), n)
             for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
         ]
 

@@ -23,9 +23,9 @@ from scipy.optimize import nnls
 from ufl.algorithms import expand_derivatives, strip_variables
 
 from app.arrays import Floats
+from app.laws.interface_laws import Coulomb
 from app.mechanics import contact_law as point_law
 from app.mechanics.contact_law import PointLaw, gap_vectors
-from app.scene.laws import Coulomb
 from forms.contact import OPEN, SLIP, STICK, contact_law
 
 ALL = [(faces, friction) for faces in (1, 2, 3) for friction in (False, True)]
@@ -152,7 +152,7 @@ def law_of(p: Points, friction: bool) -> PointLaw:
     normals = np.zeros((n, 3, 3))
     normals[:, : p.faces] = p.normals
     faces = np.full(n, p.faces)
-    laws = [Coulomb(μ if friction else 0.0) for μ in p.μ]
+    laws = [Coulomb.model_construct(friction_coefficient=μ if friction else 0.0) for μ in p.μ]
     return PointLaw(MPI.COMM_SELF, normals, faces, laws, np.arange(n))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from app.case.case import dump, load
 from app.case.geometries import Cylinders
-from app.laws.interface_laws import Bonded, Contact
+from app.laws.interface_laws import Bonded, Coulomb
 from app.verification import benchmarks
 from app.verification.benchmarks import INTERFACES, RUNGS, growth, later_steps, spread
 from app.verification.check import CONFIGS, Check, within
@@ -140,7 +140,7 @@ def test_every_goal_runs_cases_that_are_right() -> None:
             if "bonded" in check.name:
                 bonded = any("kind: bonded" in o for o in run.overrides)
                 kinds = {type(i) for i in case.interfaces.values()}
-                assert kinds == {Bonded if bonded else Contact}, check.name
+                assert kinds == {Bonded if bonded else Coulomb}, check.name
             if run.case == "stance.yaml":
                 assert not case.output.error
     twelve = goal("variations_12").runs[1:]
