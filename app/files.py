@@ -1,23 +1,17 @@
-"""Files that are whole or not there, and caches that nobody else can have written."""
+"""Files that are whole or not there, and folders of one user alone."""
 
 from __future__ import annotations
 
-import logging
+import errno
 import os
-import pwd
 import re
 import secrets
-import stat
 from contextlib import suppress
 from pathlib import Path
-
-log = logging.getLogger("mantle")
 
 # A file under this name is not finished.
 PARTIAL = ".partial"
 LEFT = re.compile(r"\.[0-9a-f]{16}\.partial$")
-OTHERS = stat.S_IWGRP | stat.S_IWOTH
-ROOT, EVERYBODY = 0, 2**32  # user id, number of user ids
 
 
 def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
@@ -64,86 +58,17 @@ def lock_file(path: Path) -> int:
     return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
 
 
-def read_own(path: Path) -> bytes:
-    """Read a file of a cache, if nobody but its user and root can have written it.
+def make_private(folder: Path) -> None:
+    """Make a folder that nobody but its user can read or write (mode 0700), unless it is there.
 
     Raises:
-        OSError: It is missing, a link, or another could have written it, which is logged.
+        OSError: It cannot be made or written, or it belongs to somebody else.
     """
-    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    with open(file, "rb") as opened:
-        status = os.fstat(file)
-        why = fault_of(status) or ("" if stat.S_ISREG(status.st_mode) else "is no file")
-        if why:
-            log.warning("%s is not used: it %s", path, why)
-            raise PermissionError(f"{path} {why}")
-        return opened.read()
-
-
-def fault_of(status: os.stat_result) -> str:
-    """Why others than this user and root could have written a file; empty if they could not."""
-    if status.st_uid not in (ROOT, os.geteuid()):
-        return f"is owned by {_name(status.st_uid)}"
-    return "can be written by others" if status.st_mode & OTHERS else ""
-
-
-def fault_of_folder(folder: Path) -> str:
-    """Why others could change what a folder holds, or exchange it; empty if they could not.
-
-    A folder that is missing has no fault. In folders above, where others may write, each has to
-    own what is in it (as in ``/tmp``).
-    """
-    folder = Path(os.path.realpath(folder))
-    for place in (folder, *folder.parents):
-        try:
-            status = os.lstat(place)
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            return f"{place} cannot be looked at: {error.strerror}"
-        above = place != folder
-        owner = status.st_uid
-        # In a namespace that knows one user, root owns what the namespace does not tell.
-        if owner not in (ROOT, os.geteuid()) and not (above and owner == _overflow()):
-            return f"{place} is owned by {_name(owner)}"
-        if status.st_mode & OTHERS and not (above and status.st_mode & stat.S_ISVTX):
-            return f"{place} can be written by others"
-    return ""
-
-
-def make_own(folder: Path) -> str:
-    """Make a folder that is of this user alone, unless it is there; why it is of no use, or ""."""
-    umask = os.umask(0o022)  # what a group can write is not used
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError):
-            folder.mkdir(mode=0o700)
-        if not os.access(folder, os.W_OK | os.X_OK):
-            return f"{folder} cannot be written"
-    except OSError as error:
-        return f"{folder} cannot be made: {error.strerror}"
-    finally:
-        os.umask(umask)
-    if why := fault_of_folder(folder):
-        return why
-    with suppress(OSError):  # root's
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.stat().st_uid == os.geteuid():
         folder.chmod(0o700)
-    return ""
-
-
-def _overflow() -> int:
-    """User id that stands for users unknown to this namespace; -1 where it knows all."""
-    try:
-        *_, known = Path("/proc/self/uid_map").read_text().split()
-        every = int(known) >= EVERYBODY - 1
-        return -1 if every else int(Path("/proc/sys/kernel/overflowuid").read_text())
-    except (OSError, ValueError):
-        return -1
-
-
-def _name(user: int) -> str:
-    """Name of a user, or the number."""
-    try:
-        return pwd.getpwuid(user).pw_name
-    except KeyError:
-        return f"user {user}"
+    elif os.geteuid():
+        raise PermissionError(errno.EPERM, "belongs to somebody else", folder)
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, "is not writable", folder)

@@ -11,7 +11,7 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.data import MeshData, exterior_facets
-from meshes.session import extract, generate, grade, session
+from meshes.gmsh_child import extract, generate, grade, session
 from meshes.tags import assemble, number
 
 

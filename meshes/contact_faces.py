@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
@@ -154,3 +156,28 @@ def shared(vertex: Ints) -> list[Ints]:
     ends = np.concatenate([[0], np.flatnonzero(np.diff(vertex[order])) + 1, [len(order)]])
     many = np.flatnonzero(np.diff(ends) > 1)
     return [order[a:b] for a, b in zip(ends[many], ends[many + 1], strict=True)]
+
+
+def spread_of_normals(x: Floats, normals: Floats, triangles: Sequence[Ints]) -> Floats:
+    """Covariance of the normals of facets about those of their points (n, 3, 3) [-].
+
+    Facets count for the face of their point that they are closest to.
+
+    Args:
+        x: Points (n, 3).
+        normals: Unit normals of their faces (n, k, 3).
+        triangles: Points of the facets (f, 3), by interface.
+    """
+    total, area = np.zeros((len(x), 3, 3)), np.zeros(len(x))
+    for corners in triangles:
+        a, b, c = x[corners].transpose(1, 0, 2)
+        n = np.cross(b - a, c - a)
+        size = np.linalg.norm(n, axis=1)
+        n = n / size[:, None]
+        for corner in corners.T:
+            along = np.einsum("fki,fi->fk", normals[corner], n)
+            rows, best = np.arange(len(n)), np.abs(along).argmax(axis=1)
+            off = n * np.sign(along[rows, best])[:, None] - normals[corner, best]
+            np.add.at(total, corner, size[:, None, None] * off[:, :, None] * off[:, None, :])
+            np.add.at(area, corner, size)
+    return total / np.where(area > 0, area, 1.0)[:, None, None]

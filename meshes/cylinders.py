@@ -10,8 +10,8 @@ import numpy as np
 from app.arrays import Floats
 from app.errors import GeometryError
 from meshes.data import MeshData, exterior_facets
+from meshes.gmsh_child import extract, generate, grade, session
 from meshes.quality import POOR, sicn
-from meshes.session import extract, generate, grade, session
 from meshes.tags import assemble, number
 
 REGIONS = ("stem", "cement", "bone")

@@ -10,12 +10,11 @@ import numpy as np
 
 from app.arrays import Ints
 from app.errors import GeometryError
-from meshes import gmsh_process
 from meshes.curving import bent, untangle
 from meshes.data import MeshData, cell_volumes, exterior_facets
+from meshes.gmsh_child import MILLIMETRES, Content, read, session
 from meshes.quality import overlapping, places
-from meshes.session import session
-from meshes.tags import assemble
+from meshes.tags import assemble, number
 
 # Exchanging the first two vertices of a tetrahedron mirrors it; its edge nodes follow.
 _MIRROR = {4: [1, 0, 2, 3], 10: [1, 0, 2, 3, 4, 6, 5, 9, 8, 7]}
@@ -41,12 +40,12 @@ def build(geometry: Any, mesh: Any) -> MeshData:
     """
     if not geometry.path.is_file():
         raise GeometryError(f"{geometry.path}: no such mesh file")
-    return _named(geometry, gmsh_process.read(geometry, mesh))
+    return _named(geometry, read(geometry, mesh))
 
 
-def _named(geometry: Any, found: gmsh_process.Content) -> MeshData:
+def _named(geometry: Any, found: Content) -> MeshData:
     """Put the pieces of the file together."""
-    regions = found.regions
+    regions = number(found.cells)
     if not len(found.node_tags):
         raise GeometryError(f"{geometry.path}: the mesh has no nodes")
     order = np.argsort(found.node_tags, kind="stable")
@@ -72,7 +71,7 @@ def _named(geometry: Any, found: gmsh_process.Content) -> MeshData:
     )
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
         raise GeometryError(f"{geometry.path}: some cells belong to two physical volumes")
-    points = found.points * gmsh_process.MILLIMETRES[geometry.unit]
+    points = found.points * MILLIMETRES[geometry.unit]
     if width == 10 and geometry.is_script and not bent(points, cells):
         cells, width = cells[:, :4], 4
     negative = cell_volumes(points, cells) < 0

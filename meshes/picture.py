@@ -1,17 +1,17 @@
-"""Sections through a mesh as a picture: which region is where, and how fine it is."""
+"""A mesh as pictures: sections through it, and both interfaces of a cemented stem's mantle."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from app import figures
-from app.arrays import Floats, Ints
-from meshes.data import EDGES, MeshData
+from app.arrays import Bools, Floats, Ints
+from meshes.data import EDGES, MeshData, interface_facets
+from meshes.refine import AROUND, CORNERS
 
 COLOURS = {
     "stem": "#7f8fa6",
@@ -22,6 +22,13 @@ COLOURS = {
 }
 OTHERS = ("#8fb7d9", "#f2b880", "#a8cf9b", "#c7a7d8", "#d9d07c", "#88c9c3")
 AXES = "xyz"
+INTERFACES = ("stem_cement", "cement_bone")
+INSIDE = 1.0  # mm of the sections from the tip and from the lowest point of the neck cut
+# The horizontal axis, whether it points to the left, and the axis towards the viewer.
+VIEWS = {"anterior": (0, True, 1), "medial": (1, False, 0)}
+LIGHT = np.array([-0.5, 0.4, 0.77])  # from the left, from above, from the viewer
+DARKEST = 0.45
+METAL, PLUG, CORTEX = "#b8c0cc", "0.85", "#d62728"  # the last: the line around what touches it
 # Edges cut by a plane, in order around the section, by the signs of the four vertices: bit v is
 # set where vertex v is on the positive side. Edges are numbered as in data.EDGES.
 _RINGS = {
@@ -35,9 +42,7 @@ _RINGS = {
 }
 
 
-def cut(
-    points: Floats, cells: Ints, axis: int, at: float
-) -> list[tuple[Floats, npt.NDArray[np.int64]]]:
+def cut(points: Floats, cells: Ints, axis: int, at: float) -> list[tuple[Floats, Ints]]:
     """Cut tetrahedra by the plane x_axis = at, exactly (curved cells: their corners).
 
     Args:
@@ -51,7 +56,7 @@ def cut(
     """
     height = points[cells[:, :4], axis] - at
     code = (height >= 0) @ (1 << np.arange(4))
-    sections: dict[int, list[tuple[Floats, npt.NDArray[np.int64]]]] = {3: [], 4: []}
+    sections: dict[int, list[tuple[Floats, Ints]]] = {3: [], 4: []}
     for signs, ring in _RINGS.items():
         own = np.flatnonzero((code == signs) | (code == 15 - signs))
         ends = np.array(EDGES)[list(ring)]
@@ -65,34 +70,87 @@ def cut(
     ]
 
 
-def picture(data: MeshData, path: Path) -> None:
-    """Write a PNG with the sections y = 0, x = 0 (through the mesh's middle) and one transverse.
+def section(data: MeshData, axis: int, at: float) -> tuple[list[tuple[Floats, Ints]], Floats, Ints]:
+    """Cut cells by a plane as `cut`, curved ones as the eight straight ones that share their nodes.
 
-    Args:
-        data: The mesh.
-        path: The file to write.
+    Returns:
+        Corners of polygons and their cells; the edges of the cells' sections (n, 2, 3) and the cell
+        of each (n,).
     """
+    pieces = [(0, 1, 2, 3)]
+    if data.curved:
+        (p, q), ring = next(iter(AROUND.items()))
+        pieces = [*CORNERS, *((p, q, ring[k], ring[(k + 1) % 4]) for k in range(4))]
+    parts = cut(data.points, data.cells[:, pieces].reshape(-1, 4), axis, at)
+    polygons = [(corners, piece // len(pieces)) for corners, piece in parts]
+    edges = [np.stack([x, np.roll(x, -1, axis=1)], axis=2).reshape(-1, 2, 3) for x, _ in polygons]
+    ends = np.concatenate(edges)
+    owner = np.concatenate([np.repeat(cell, x.shape[1]) for x, cell in polygons])
+    # What two pieces of a cell share is inside it.
+    span = np.abs(ends[:, 1] - ends[:, 0])
+    keys = np.column_stack([owner, np.round(ends.sum(axis=1), 6), np.round(span, 6)])
+    _, first, times = np.unique(keys, axis=0, return_index=True, return_counts=True)
+    outer = first[times == 1]
+    return polygons, ends[outer], owner[outer]
+
+
+def picture(data: MeshData, path: Path) -> None:
+    """Write a PNG with the sections y = 0, x = 0 (through the mesh's middle) and one transverse."""
     low, high = data.points.min(axis=0), data.points.max(axis=0)
     levels = [middle_plane(low[i], high[i]) for i in range(3)]
-    planes = [(1, levels[1]), (0, levels[0]), (2, levels[2])]
     extent = high - low
     widths = [extent[0], extent[1], max(extent[0], extent[1])]
     height = 9.0
     scale = (height - 1.5) / max(extent[2], 0.4 * max(extent[:2]))
     figure = figures.new(float(np.clip(scale * sum(widths) + 4.0, 9.0, 24.0)), height)
     axes = figure.subplots(1, 3, width_ratios=np.maximum(widths, 0.15 * max(widths)))
-    colours = colours_of(data.regions)
-    for ax, (axis, at) in zip(axes, planes, strict=True):
-        _draw(ax, data, axis, at, colours)
-    add_legend(figure, colours)
+    planes = [("", axis, levels[axis]) for axis in (1, 0, 2)]
     figure.suptitle(f"{len(data.cells)} cells, {len(data.points)} nodes")
+    _sections(data, figure, axes, planes)
     figure.savefig(path, dpi=130, format="png")
 
 
-def add_legend(figure: Any, colours: Mapping[str, str]) -> None:
-    """Name the regions below a figure."""
+def sections(data: MeshData, path: Path) -> None:
+    """Write a PNG with sections near the neck cut, in the middle of the stem and above its tip."""
+    stem = data.points[interface_facets(data, "stem_cement")[0], 2]
+    top = stem.max()
+    if tags := data.boundaries.get("resection"):
+        top = data.points[data.facets[np.isin(data.facet_tags, tags)], 2].min()
+    high, low = top - INSIDE, stem.min() + INSIDE
+    planes = [
+        ("near the neck cut, ", 2, float(np.floor(high))),
+        ("middle of the stem, ", 2, float(np.round(0.5 * (high + low)))),
+        ("above the tip, ", 2, float(np.ceil(low))),
+    ]
+    figure = figures.new(12.0, 4.0)
+    _sections(data, figure, figure.subplots(1, 3, sharex=True, sharey=True), planes)
+    figure.savefig(path, dpi=110, format="png")
+
+
+def _sections(
+    data: MeshData, figure: Any, axes: Iterable[Any], planes: Iterable[tuple[str, int, float]]
+) -> None:
+    """Sections side by side, with names of the regions below: filled cells and their outlines."""
+    from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Patch
 
+    colours = colours_of(data.regions)
+    shown = {tag: colours[name] for name, tag in data.regions.items()}
+    for ax, (place, axis, at) in zip(axes, planes, strict=True):
+        u, v = (i for i in range(3) if i != axis)
+        polygons, outlines, _ = section(data, axis, at)
+        for x, cell in polygons:
+            face = [shown[int(tag)] for tag in data.cell_tags[cell]]
+            flat = list(x[:, :, [u, v]])
+            ax.add_collection(
+                PolyCollection(flat, facecolors=face, edgecolors=face, linewidths=0.3)
+            )
+        lines = list(outlines[:, :, [u, v]])
+        ax.add_collection(LineCollection(lines, colors="k", linewidths=0.25))
+        ax.set_aspect("equal")
+        ax.autoscale_view()
+        ax.set(xlabel=f"{AXES[u]} (mm)", ylabel=f"{AXES[v]} (mm)")
+        ax.set_title(f"{place}{AXES[axis]} = {at:.4g} mm")
     handles = [Patch(facecolor=c, edgecolor="k", label=n) for n, c in colours.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(6, len(handles)))
 
@@ -110,21 +168,109 @@ def colours_of(names: Iterable[str]) -> dict[str, str]:
     return {name: COLOURS.get(name) or next(free) for name in names}
 
 
-def _draw(ax: Any, data: MeshData, axis: int, at: float, colours: dict[str, str]) -> None:
-    """One section: filled polygons with thin outlines."""
+def interfaces(data: MeshData, path: Path) -> None:
+    """Write a PNG with both interfaces as they look from anterior and from medial.
+
+    The one at the bone is coloured by the thickness of the cement; below the tip, where the plug
+    is, it has none.
+    """
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize, to_rgb
+    from matplotlib.lines import Line2D
+
+    from meshes.mantle import distance, triangles  # imports scipy
+
+    stem, bone = (interface_facets(data, name) for name in INTERFACES)
+    patches = [triangles(data.points, facets) for facets, _, _ in (stem, bone)]
+    middle = patches[1].mean(axis=1)
+    thickness = distance(middle, patches[0])
+    beside = middle[:, 2] > patches[0][:, :, 2].min()
+    shown = ScalarMappable(
+        Normalize(np.floor(thickness.min()), np.ceil(thickness[beside].max())),
+        colormaps["viridis"],
+    )
+    grey = np.tile(to_rgb(METAL), (len(patches[0]), 1))
+    tinted = np.where(beside[:, None], shown.to_rgba(thickness)[:, :3], to_rgb(PLUG))
+
+    widths = [np.ptp(p[:, :, VIEWS[view][0]]) for p in patches for view in VIEWS]
+    figure = figures.new(8.5, 10.5)
+    axes = figure.subplots(1, 4, sharey=True, width_ratios=widths).reshape(2, 2)
+    cortex = data.cell_tags[bone[2]] == data.regions.get("cortical_bone")
+    for row, name, (facets, _, _), pieces, colours in zip(
+        axes, INTERFACES, (stem, bone), patches, (grey, tinted), strict=True
+    ):
+        for ax, view in zip(row, VIEWS, strict=True):
+            _surface(ax, data.points, facets, pieces, colours, view)
+            if name == "cement_bone":
+                _outline(ax, data.points, facets, cortex, view)
+            ax.set_title(f"{name}\nfrom {view}")
+    axes[0, 0].set_ylabel("z (mm)")
+    figure.colorbar(shown, ax=list(axes.flat), label="thickness of the cement (mm)", shrink=0.5)
+    if cortex.any() and not cortex.all():
+        line = Line2D(
+            [], [], color=CORTEX, label="between cement on cancellous and on cortical bone"
+        )
+        figure.legend(handles=[line], loc="outside lower center")
+    figure.savefig(path, dpi=95, format="png")
+
+
+def _normals(corners: Floats) -> Floats:
+    """Unit normals of triangles (n, 3, 3)."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(across / np.linalg.norm(across, axis=1)[:, None])
+
+
+def _surface(
+    ax: Any, points: Floats, facets: Ints, pieces: Floats, colours: Floats, view: str
+) -> None:
+    """Draw what faces the viewer of a surface, lit from the upper left, and its facets' edges.
+
+    Args:
+        ax: Where to draw.
+        points: Nodes [mm].
+        facets: The surface's facets, outward (k, 3 or 6).
+        pieces: Flat triangles that they consist of (n, 3, 3), as many for each.
+        colours: Red, green and blue of each triangle (n, 3).
+        view: One of `VIEWS`.
+    """
     from matplotlib.collections import PolyCollection
 
-    u, v = [i for i in range(3) if i != axis]
-    shown = {tag: colours[name] for name, tag in data.regions.items()}
-    for corners, cell in cut(data.points, data.cells, axis, at):
-        face = [shown[int(tag)] for tag in data.cell_tags[cell]]
-        ax.add_collection(
-            PolyCollection(
-                list(corners[:, :, [u, v]]), facecolors=face, edgecolors="k", linewidths=0.15
-            )
-        )
+    across, leftward, toward = VIEWS[view]
+    normals = _normals(pieces)
+    normals[normals[:, toward] < 0] *= -1  # seen from inside, through the open top
+    right = -normals[:, across] if leftward else normals[:, across]
+    light = np.stack([right, normals[:, 2], normals[:, toward]], axis=1) @ LIGHT
+    lit = colours * (DARKEST + (1 - DARKEST) * np.clip(light, 0.0, 1.0))[:, None]
+    order = np.argsort(pieces[:, :, toward].mean(axis=1))
+    flat = pieces[order][:, :, [across, 2]]
+    ax.add_collection(
+        PolyCollection(list(flat), facecolors=lit[order], edgecolors=lit[order], linewidths=0.3)
+    )
+    near = _normals(points[facets[:, :3]])[:, toward] > 0
+    ring = [0, 3, 1, 4, 2, 5] if facets.shape[1] == 6 else [0, 1, 2]
+    rings = points[facets[near][:, ring]][:, :, [across, 2]]
+    ax.add_collection(
+        PolyCollection(list(rings), facecolors="none", edgecolors="k", linewidths=0.2)
+    )
     ax.set_aspect("equal")
     ax.autoscale_view()
-    ax.set_xlabel(f"{AXES[u]} (mm)")
-    ax.set_ylabel(f"{AXES[v]} (mm)")
-    ax.set_title(f"{AXES[axis]} = {at:.4g} mm")
+    if leftward:
+        ax.invert_xaxis()
+    ax.set_xlabel(f"{AXES[across]} (mm)")
+
+
+def _outline(ax: Any, points: Floats, facets: Ints, chosen: Bools, view: str) -> None:
+    """Draw the line around some facets of a surface, where it faces the viewer."""
+    from matplotlib.collections import LineCollection
+
+    across, _, toward = VIEWS[view]
+    ends = facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, edge, times = np.unique(
+        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    owned = np.bincount(edge.ravel(), weights=np.repeat(chosen, 3))
+    near = np.repeat(_normals(points[facets[:, :3]])[:, toward] > 0, 3)
+    drawn = near & (owned == 1)[edge.ravel()] & (times == 2)[edge.ravel()]
+    lines = points[ends[drawn]][:, :, [across, 2]]
+    ax.add_collection(LineCollection(list(lines), colors=CORTEX, linewidths=1.6))

@@ -38,8 +38,7 @@ from app.system.timing import Timing
 from meshes.distribute import TaggedMesh, distribute
 
 # Tests compile into the cache that runs of other tests use at the same time.
-form_cache.mend()
-form_cache.share()
+form_cache.guard()
 
 TIMEOUT = 300.0  # of a program on ranks [s]
 ROOT = Path(__file__).resolve().parents[1]

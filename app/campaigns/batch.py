@@ -47,7 +47,7 @@ from app.campaigns.scheduler import MEGABYTE, execute
 from app.case.case import dump, plain
 from app.case.variation_options import split
 from app.errors import InputError, StoppedError
-from app.schema import yaml_file
+from app.schema import yaml_text
 from app.soundness import memory
 from app.system.folders import FAILED, write_json, write_text
 
@@ -206,7 +206,7 @@ def _text(runs: Sequence[BatchRun]) -> str:
         _, own = split(plain(r.case))
         keys = [key for key in base | own if base.get(key) != own.get(key)]
         variations[r.id] = {key: own.get(key) for key in keys}
-    return yaml_file.written(data | {"variations": variations})
+    return yaml_text.to_yaml(data | {"variations": variations})
 
 
 def _environment() -> list[str]:

@@ -18,7 +18,7 @@ from app.case.case import Case, dump, load, plain
 from app.case.geometries import MeshFile
 from app.case.variation_options import CHANGED, split
 from app.errors import ConvergenceError, InputError, UnusableError
-from app.results.closing_lines import faults
+from app.results.closing_lines import reasons_not_to_use
 from app.system import identity
 from app.system.folders import FAILED
 
@@ -247,7 +247,7 @@ def result_of(job: Job, folder: Path, run: BatchRun) -> Result:
         # that was killed before it could tell how long it took.
         own = status_of(folder, run.path.name) if run.path.parent == folder / "runs" else None
         total = summary.get("timing", {}).get("total", 0.0)
-        why = "; ".join(faults(summary))
+        why = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if why else 0
         return result(code, own[1] if own else total, summary, f"do not use: {why}" if why else "")
     with suppress(OSError):

@@ -148,7 +148,7 @@ def _resolve(points: Sequence[PlannedRun], source: Source) -> list[Case]:
 
 def _located(point: PlannedRun, message: str, file: CaseFile) -> Fault:
     """A defect of a point, where its cause stands in the study."""
-    if found := yaml_file.located(message, {k: (*point.path, k) for k in point.changes}):
+    if found := yaml_file.at_override(message, {k: (*point.path, k) for k in point.changes}):
         item = (*found.path, point.index)
         return Fault(item, found.text) if item in file.places else found
     at = f"with {point.key} = {point.label}: " if point.key else ""

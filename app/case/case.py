@@ -37,7 +37,7 @@ from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import AnyLoad
 from app.laws.materials import Region
 from app.laws.supports import AnySupport
-from app.schema import section, yaml_file
+from app.schema import section, yaml_file, yaml_text
 from app.schema.section import (
     ITEMS,
     MAPPING,
@@ -234,7 +234,8 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         except InputError as error:
             places = {full: v.places[key] for full, key in keys.items()}
             faults += [
-                yaml_file.located(message, places) or Fault(("variations",), f"{v.name}: {message}")
+                yaml_file.at_override(message, places)
+                or Fault(("variations",), f"{v.name}: {message}")
                 for message in error.messages
             ]
     file.raise_all(faults)
@@ -290,7 +291,7 @@ def plain(case: Case) -> dict[str, Any]:
 
 def dump(case: Case) -> str:
     """A case alone, as YAML in internal units; without study and variations reads back equal."""
-    return yaml_file.written(plain(case))
+    return yaml_text.to_yaml(plain(case))
 
 
 def _renew() -> None:

@@ -69,9 +69,7 @@ def _groups_of_mesh(path: Path) -> list[tuple[int, str]]:
 
 def _groups_of_script(path: Path) -> list[tuple[int, str]]:
     if not (os.environ.get(ALLOWED) or path.resolve().is_relative_to(configs.FOLDER)):
-        raise ValueError(
-            "a gmsh script is a program; --allow-scripts runs it, in a process that is confined"
-        )
+        raise ValueError("a gmsh script is a program; --allow-scripts runs it")
     text = COMMENT.sub(lambda m: m[1] or " ", path.read_text("utf-8", "replace"))
     if not re.search(r"\bsize\b", text):
         raise ValueError("the script has no parameter 'size'; expected DefineConstant[ size = 1 ];")

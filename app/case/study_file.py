@@ -111,7 +111,9 @@ def _blame(file: CaseFile, case: Path, message: str, problems: list[Fault]) -> N
     """Note a defect of the case where its cause is: in an override of it, or in itself."""
     if message.startswith(f"{case}: "):  # it cannot be read
         problems.append(Fault(("base",), message))
-    elif found := yaml_file.located(message, {k: ("set", k) for k in file.data.get("set") or {}}):
+    elif found := yaml_file.at_override(
+        message, {k: ("set", k) for k in file.data.get("set") or {}}
+    ):
         problems.append(found)
     else:
         file.complaints.append((yaml_file.LAST, message))

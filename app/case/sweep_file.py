@@ -92,7 +92,7 @@ def _located(
     if message.startswith(f"{base}: "):  # it cannot be read
         at = (*part, "base")
         return Fault(at if at in file.places else ("base",), message)
-    if found := yaml_file.located(message, {key: point.places[key] for key in own}):
+    if found := yaml_file.at_override(message, {key: point.places[key] for key in own}):
         return found
     if re.match(r"--set |[^ ]+:\d+:\d+: ", message):
         return Fault(part, message)

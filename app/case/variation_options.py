@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from app.schema.section import MAPPING, Name, did_you_mean, fail, show
-from app.schema.yaml_file import CaseFile, Path, words
+from app.schema.yaml_file import CaseFile, Path, key_parts
 from app.system.layout import plain
 
 # The name of the entry whose lists multiply.
@@ -196,7 +196,7 @@ def titled(title: str, file: CaseFile) -> str:
         title: The title; nothing is added to none, nor to one that is changed itself.
         file: The case.
     """
-    keys = {place: words(place) for place in file.places.values() if isinstance(place, str)}
+    keys = {place: key_parts(place) for place in file.places.values() if isinstance(place, str)}
     if not title or ["title"] in keys.values():
         return title
     told = {key: path for key, path in keys.items() if path[0] not in UNTITLED}

@@ -141,7 +141,6 @@ def _check(options: argparse.Namespace) -> int:
     print(found.description)
     if options.mesh:
         configure_log("info", sys.stderr)
-        log.info("meshing")
         found = mantle.check(case, meshed=True)
     print(found.size)
     for message in found.notes:
@@ -183,11 +182,11 @@ def _mantle_pictures(data: Any, folder: Path) -> None:
     Raises:
         InputError: They cannot be written.
     """
-    from meshes import mantle_picture
+    from meshes import picture
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for draw in (mantle_picture.sections, mantle_picture.interfaces):
+        for draw in (picture.sections, picture.interfaces):
             path = folder / f"{draw.__name__}.png"
             draw(data, path)
             print(path)

@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--allow-scripts",
             action="store_true",
-            help="mesh .geo scripts that do not come with mantle, in a process that is confined",
+            help="mesh .geo scripts that do not come with mantle; a script is a program",
         )
 
     def add_case(command: argparse.ArgumentParser) -> None:

@@ -30,7 +30,7 @@ from app.heat.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
 from app.heat.matrices import HeatMatrices
 from app.heat.maximum_principle import Bounds, Extremes, MaximumPrinciple
 from app.heat.temperature_jumps import TemperatureJumps, cut_off
-from app.numerics.saved_state import State, keyed, node_keys
+from app.numerics.saved_state import node_keys
 from app.numerics.system import Measure
 from app.scene.bodies import Bodies, bodies_of
 from app.scene.scene import Scene
@@ -57,6 +57,8 @@ class Conduction:
         matrix: Blocks of the Jacobian: one, or two by two with jumps.
         version: Counts changes of the matrices other than those from one iteration to the next.
     """
+
+    saved = ("_data", "_monotone")
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, timing: Timing) -> None:
         """Assemble everything that does not change; collective.
@@ -178,45 +180,18 @@ class Conduction:
         """Temperature of a region as last spread by ``temperatures``."""
         return self._moved.get(self.bodies.of_region[region], self._θ)
 
-    # What a run remembers
-
     @cached_property
-    def nodes(self) -> Ints:
+    def row_keys(self) -> Ints:
         """Keys of own nodes."""
-        return node_keys(self.space)
+        return node_keys(self.space)[: self.owned]
 
-    def _keys(self) -> list[Ints]:
+    def block_keys(self) -> list[Ints]:
         """Keys of temperatures, jumps and degrees of cure, as far as there are any."""
-        setting = [self.nodes[n.dof] for cure in self.cures for n in cure.nodes]
-        return [self.nodes, *(j.mine for j in self.jumps), *setting]
+        curing = [self.row_keys[n.dof] for cure in self.cures for n in cure.nodes]
+        return [self.row_keys, *(j.mine for j in self.jumps), *curing]
 
-    def pack(self, values: Sequence[Floats]) -> State:
-        """Temperatures of own nodes, jumps of own points, degrees of cure, as they are kept."""
-        return {"parts": [keyed(k, v) for k, v in zip(self._keys(), values, strict=False)]}
-
-    def unpack(self, state: State) -> list[Floats]:
-        """Saved temperatures of nodes [K], temperature jumps [K] and degrees of cure."""
-        return [r.of(k) for k, r in zip(self._keys(), state["parts"], strict=False)]
-
-    def state(self) -> State:
-        """History of the steps so far: bounds of temperatures and memory of the cure."""
-        setting = self._keys()[1 + len(self.jumps) :]
-        curing = [m for cure in self.cures for m in cure.curing.memory]
-        return {
-            "extremes": self._data.state(),
-            "flagged": [keyed(self.nodes, f) for f in self._monotone.flags],
-            "curing": [keyed(k, m.T) for k, m in zip(setting, curing, strict=True)],
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore bounds of temperatures and memory of the cure; collective."""
-        self._data.resume(state["extremes"])
-        self._monotone.resume([r.of(self.nodes) for r in state["flagged"]])
-        setting = self._keys()[1 + len(self.jumps) :]
-        found = [r.of(k).T for k, r in zip(setting, state["curing"], strict=True)]
-        curing = [m for cure in self.cures for m in cure.curing.memory]
-        for memory, values in zip(curing, found, strict=True):
-            memory[:] = values
+    def restored(self) -> None:
+        """Fill the matrices with restored conduction; collective."""
         self._fill()
 
     # One implicit solve

@@ -59,10 +59,6 @@ class Kinetics(Protocol):
     def events(self) -> tuple[float, ...]:
         """Times [s] at which the rate has a kink."""
 
-    @property
-    def memory(self) -> Floats:
-        """Values kept of the step before at each node (k, n), to be written to."""
-
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Solve a = a* + h f(a, T)."""
 
@@ -87,11 +83,6 @@ class Curing:
     def events(self) -> tuple[float, ...]:
         """Times [s] that no time step should cross."""
         return tuple(sorted({t for k in self._kinetics for t in k.events}))
-
-    @property
-    def memory(self) -> list[Floats]:
-        """Values kept of the step before by the kinetics of each region, to be written to."""
-        return [k.memory for k in self._kinetics]
 
     def initial(self) -> list[Floats]:
         """Degrees of cure at the start."""
@@ -133,14 +124,13 @@ def kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
         case Autocatalytic():
             return _Autocatalytic(comm, cure.kinetics, nodes)
         case Prescribed():
-            return PrescribedKinetics(cure.kinetics, cure.initial, nodes)
+            return PrescribedKinetics(cure.kinetics, cure.initial)
 
 
 class PrescribedKinetics:
     """Cure that follows a clock, whatever the temperature."""
 
-    def __init__(self, terms: Prescribed, initial: float, nodes: int) -> None:
-        self.memory: Floats = np.zeros((0, nodes))
+    def __init__(self, terms: Prescribed, initial: float) -> None:
         self._course = terms.rate
         self._initial = initial
         times, rates = np.array(terms.rate).T
@@ -197,8 +187,7 @@ class _Autocatalytic:
             self._limits[0].set(**{k: np.full(nodes, constants[k]) for k in knots})
         # Mean rates of the last step, at what temperatures and how they grow with these: of the
         # next one they are not far.
-        self.memory: Floats = np.zeros((3, nodes))
-        self._mean, self._warmth, self._growth = self.memory
+        self._mean, self._warmth, self._growth = np.zeros((3, nodes))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Only nodes that still react are looked at."""

@@ -23,7 +23,6 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Bools, Floats
-from app.numerics.saved_state import State
 from app.numerics.sparse import from_rows
 
 # What counts as outside, and as near a bound, in parts of the range of the data.
@@ -58,6 +57,8 @@ class Extremes:
     anything has cooled no lower one.
     """
 
+    saved = ("_low", "_high", "_heated", "_cooled")
+
     def __init__(self, comm: MPI.Comm, low: float, high: float, heated: bool) -> None:
         """Begin with the least and largest temperature [K], and whether anything heats."""
         self._comm = comm
@@ -72,20 +73,6 @@ class Extremes:
         least, most = float(every[:, 2].min()), float(every[:, 3].max())
         self._cooled = self._cooled or least < -ZERO * most
         self._heated = self._heated or most > -ZERO * least
-
-    def state(self) -> State:
-        """Lowest and highest temperatures so far, and whether anything heated or cooled."""
-        return {
-            "low": self._low,
-            "high": self._high,
-            "heated": self._heated,
-            "cooled": self._cooled,
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore the lowest and highest temperatures so far."""
-        self._low, self._high = state["low"], state["high"]
-        self._heated, self._cooled = state["heated"], state["cooled"]
 
     def bounds(self, temperatures: Floats) -> Bounds:
         """Between what temperatures have to be, some of this rank given [K]; collective."""
@@ -103,6 +90,8 @@ class MaximumPrinciple:
     Attributes:
         matrices: The corrected matrices.
     """
+
+    saved = ("_flagged",)
 
     def __init__(self, comm: MPI.Comm, K: Sequence[PETSc.Mat], capacity: Sequence[Floats]) -> None:
         """Find the positive edges; collective.
@@ -149,13 +138,9 @@ class MaximumPrinciple:
             ]
         )
 
-    @property
-    def flags(self) -> list[Bools]:
-        """Own nodes of each body whose edges are out."""
-        return self._flagged
-
-    def resume(self, flagged: list[Bools]) -> None:
-        """Take out the edges of these nodes; collective."""
+    def restored(self) -> None:
+        """Take out the edges of flagged nodes; collective."""
+        flagged, self._flagged = self._flagged, [np.zeros_like(f) for f in self._flagged]
         self._flag(flagged)
 
     @property

@@ -9,7 +9,6 @@ from petsc4py import PETSc
 from app.heat.conduction import Conduction
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
-from app.numerics.saved_state import State
 from app.numerics.system import Measure, System
 
 # Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
@@ -74,12 +73,3 @@ class HeatSystem(System):
         """Heat that is lacking, beside that stored, brought in and let through [N mm/s]."""
         m = self._conduction.measure(x, f)
         return [replace(m, scale=STRICTER * m.scale)]
-
-    def pack(self, x: list[PETSc.Vec]) -> State:
-        """Temperatures, and temperature jumps."""
-        return self._conduction.pack([v.array_r for v in x])
-
-    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Fill x with saved temperatures and temperature jumps [K]."""
-        for v, values in zip(x, self._conduction.unpack(state), strict=True):
-            v.array[:] = values

@@ -90,6 +90,8 @@ class BodyForms:
         growth: Modulus of each region that sets over its final one, at the vertices [-].
     """
 
+    saved = ("growth",)
+
     def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
         """Set up the forms; nothing is compiled yet.
 

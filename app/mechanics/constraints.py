@@ -19,7 +19,6 @@ from dolfinx import fem
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
 from app.numerics.rigid_motions import rigid_modes
-from app.numerics.saved_state import State, keyed
 from app.scene.bodies import Bodies, boundary_facets, cell_tags
 from app.scene.frames import Frames
 from app.scene.scene import Scene
@@ -61,11 +60,8 @@ class Reduction(Protocol):
     def carry(self, u: PETSc.Vec, old: Self) -> None:
         """Express unknowns of the same scene with other supports as those of this one."""
 
-    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
-        """Own unknowns, given the keys of own nodes."""
-
-    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
-        """Fill u with the saved own unknowns."""
+    def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
+        """Find ũ from U = P ũ; collective."""
 
 
 def _support_of_dofs(
@@ -161,13 +157,9 @@ class AllFree:
     def carry(self, u: PETSc.Vec, old: Self) -> None:
         """Nothing to do: nodal displacements they stay."""
 
-    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
-        """Nodal displacements."""
-        return {"nodes": keyed(nodes, u.array_r)}
-
-    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
-        """Fill u with the saved nodal displacements."""
-        u.array[:] = state["nodes"].of(nodes).ravel()
+    def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
+        """Return a copy of U."""
+        return nodal.copy()
 
 
 class ByMatrix:
@@ -286,30 +278,19 @@ class ByMatrix:
             own = slice(place, place + 6)
             u.array[own] = basis.T @ old._bases[place] @ u.array[own]
 
-    def state(self, u: PETSc.Vec, nodes: Ints) -> State:
-        """Displacements of free nodes, motions of rigid regions and the axes that they are in."""
-        free = 3 * len(self._free)
-        nodal = self.expand(u).array_r.reshape(-1, 3)
-        regions = np.arange(len(self._bases))
-        axes = np.array(list(self._bases.values())).reshape(-1, 36)
-        return {
-            "nodes": keyed(nodes[self._free], nodal[self._free].ravel()),
-            "rigid": keyed(regions, u.array_r[free:].reshape(-1, 6)),
-            "axes": keyed(regions, axes),
-        }
+    def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
+        """Find ũ from U = P ũ by the normal equations; collective.
 
-    def resume(self, state: State, u: PETSc.Vec, nodes: Ints) -> None:
-        """Fill u with saved displacements and motions; other ranks may have chosen other axes."""
-        nodal = np.zeros((len(nodes), 3))
-        nodal[self._free] = state["nodes"].of(nodes[self._free]).reshape(-1, 3)
-        found = self._P.createVecLeft()
-        found.array[:] = nodal.ravel()
-        u.array[:] = self.vector(found).array
-        regions = np.arange(len(self._bases))
-        motions, axes = (state[name].of(regions) for name in ("rigid", "axes"))
-        for (place, basis), motion, old in zip(self._bases.items(), motions, axes, strict=True):
-            same = np.array_equal(basis.ravel(), old)
-            u.array[place : place + 6] = motion if same else basis.T @ old.reshape(6, 6) @ motion
+        P^T P has a block of 6 x 6 on rank 0 for each rigid region, else it is the identity: block
+        Jacobi solves with it exactly.
+        """
+        solver = PETSc.KSP().create(self._P.comm)
+        solver.setOperators(self._P.transposeMatMult(self._P))
+        solver.setType("preonly")
+        solver.getPC().setType("bjacobi")
+        u = self._P.createVecRight()
+        solver.solve(self.vector(nodal), u)
+        return u
 
 
 def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace) -> Ints:

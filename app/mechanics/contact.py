@@ -18,16 +18,13 @@ that stick (P' = 1) say that the jump does not change: all points sticking is th
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import asdict
-from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
-from app.arrays import Bools, Floats
+from app.arrays import Bools, Floats, Ints
 from app.laws.interface_laws import USUAL_AUGMENTATION, InterfaceLaw
 from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
@@ -36,7 +33,6 @@ from app.mechanics.contact_law import PointForces, PointLaw, gap_vectors
 from app.mechanics.contact_state import ContactState
 from app.mechanics.held_jumps import refuse_moving_rigid, refuse_released
 from app.mechanics.jump_moves import jump_moves
-from app.numerics.saved_state import Rows, State, keyed
 from app.numerics.sparse import diagonal_blocks, matrix_sum, owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.frames import Frames, held_at
@@ -64,6 +60,8 @@ class Jumps:
         stiffness: Stiffness of the trial force of each own point (n,) [MPa/mm].
         share: Part of the force of equilibrium in the trial force: 1 for an augmentation (n,).
     """
+
+    saved = ("history",)
 
     def __init__(
         self,
@@ -314,23 +312,10 @@ class Jumps:
         """Stiffness that the jump of each own point meets with all else held (n, 3, 3) [N/mm]."""
         return diagonal_blocks(self.D, 3)
 
-    # What a run remembers
-
-    def rows(self, values: NDArray[Any]) -> Rows:
-        """Values of own points with their keys."""
-        return keyed(self.mine, values)
-
-    def state(self) -> State:
-        """The history."""
-        values = asdict(self.history)
-        own = {f"own {name}": found for name, found in values.pop("own").items()}
-        return {name: self.rows(found) for name, found in (values | own).items()}
-
-    def resume(self, state: State) -> None:
-        """Restore the history of the contact points."""
-        values = {name: found.of(self.mine) for name, found in state.items()}
-        own = {name: values.pop(f"own {name}") for name in self._law.history}
-        self.history = ContactState(**values, own=own)
+    @property
+    def row_keys(self) -> Ints:
+        """Keys of own contact points."""
+        return self.mine
 
     def commit(self, e: Floats, q: Floats, law: PointForces) -> None:
         """Make a converged state the history.

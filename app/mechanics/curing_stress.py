@@ -29,13 +29,13 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.errors import InputError
 from app.laws.cure import Cure
 from app.laws.materials import Elastic
 from app.mechanics.body_forms import BodyForms
 from app.numerics.pointwise import Pointwise
-from app.numerics.saved_state import State, keyed
+from app.numerics.saved_state import LEFT_OUT
 from app.scene.bodies import Bodies
 from app.scene.scene import Scene
 from app.system.timing import Timing
@@ -55,6 +55,8 @@ class CuringStress:
         points: Quadrature points in the reference cell (p, 3).
         weights: Their weights (p,).
     """
+
+    saved = ("_stress",)
 
     def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies, timing: Timing) -> None:
         """Start free of stress; collective.
@@ -178,17 +180,18 @@ class CuringStress:
         dofs = self._stress.function_space.dofmap.list[self._cells[region]]
         return np.asarray(self._stress.x.array.reshape(-1, 6)[dofs])
 
-    def state(self) -> State:
-        """Stress of own cells by region; the rest follows from displacement, cure and strain."""
+    @property
+    def row_keys(self) -> Ints:
+        """Keys of the quadrature points of own cells that set."""
+        dofs = self._stress.function_space.dofmap.list
         number = self._mechanics.mesh.topology.original_cell_index
-        return {r: keyed(number[cells], self._values(r)) for r, cells in self._cells.items()}
+        keys = np.full(len(self._stress.x.array) // 6, LEFT_OUT, dtype=np.int64)
+        for cells in self._cells.values():
+            keys[dofs[cells]] = number[cells, None] * dofs.shape[1] + np.arange(dofs.shape[1])
+        return keys
 
-    def resume(self, state: State, displacements: Sequence[fem.Function]) -> None:
-        """Restore stresses [MPa], once displacements are spread and cure and strain are set."""
-        number = self._mechanics.mesh.topology.original_cell_index
-        for region, cells in self._cells.items():
-            dofs = self._stress.function_space.dofmap.list[cells]
-            self._stress.x.array.reshape(-1, 6)[dofs] = state[region].of(number[cells])
+    def begin_at(self, displacements: Sequence[fem.Function]) -> None:
+        """Go on from restored stresses, at displacements of the bodies and given cure."""
         for b in self.bodies:
             self._before[b].x.array[:] = displacements[b].x.array
         self._old = dict(self._new)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -28,7 +27,7 @@ from app.mechanics.held_rows import ConstrainedRows
 from app.mechanics.p_multigrid import inverse_of
 from app.mechanics.thermal_strain import ThermalStiffness, ThermalStrain
 from app.numerics.preconditioners import Inverse
-from app.numerics.saved_state import State, keyed, node_keys
+from app.numerics.saved_state import node_keys
 from app.scene.bodies import bodies_of
 from app.scene.frames import frames_of
 from app.scene.scene import Scene
@@ -64,6 +63,8 @@ class Problem:
         forces: Loads, eigenstrains and free strains.
         load_size: Norm of the nodal forces of loads and free strains [N].
     """
+
+    saved = ("time", "_stage", "u", "mechanics", "jumps", "setting")
 
     def __init__(
         self,
@@ -166,74 +167,26 @@ class Problem:
 
     # What a run remembers
 
-    @cached_property
-    def nodes(self) -> Ints:
-        """Keys of own nodes of the displacement."""
-        return node_keys(self.space)
+    @property
+    def row_keys(self) -> dict[str, Ints]:
+        """Keys of nodes."""
+        return {"u": node_keys(self.space), "mechanics": node_keys(self.mechanics.scalars)}
 
-    @cached_property
-    def _vertices(self) -> Ints:
-        return node_keys(self.mechanics.scalars)
-
-    def pack(self, u: PETSc.Vec, q: PETSc.Vec | None) -> State:
-        """A state of the unknowns, as it is kept."""
-        state: State = {"displacement": self.reduction.state(u, self.nodes)}
-        for j in self.jumps:
-            assert q is not None
-            state["jump"] = j.rows(q.array_r.reshape(-1, 3))
-        return state
-
-    def unpack(self, state: State, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Fill u [mm], and q if there are jumps, with a saved displacement and saved jumps."""
-        self.reduction.resume(state["displacement"], u, self.nodes)
-        for j in self.jumps:
-            assert q is not None
-            q.array[:] = state["jump"].of(j.mine).ravel()
-
-    def _shape(self) -> State:
-        """State that the stiffness depends on: the stage, and the growth of setting regions."""
-        n = len(self._vertices) if self.mechanics.growth else 0
-        growth = self.mechanics.growth.items()
-        return {
-            "stage": self._stage,
-            "growth": {r: keyed(self._vertices, g.x.array[:n]) for r, g in growth},
-        }
-
-    def _reshape(self, shape: State) -> None:
-        """Make the stiffness that of a shape, of this stage or a later one."""
-        for k in range(self._stage + 1, shape["stage"] + 1):
-            self.set_stage(k, self.K.createVecRight())
-        changed = False
-        for region, found in shape["growth"].items():
-            g = self.mechanics.growth[region]
-            old = g.x.array.copy()
-            g.x.array[: len(self._vertices)] = found.of(self._vertices)
-            g.x.scatter_forward()
-            changed |= not np.array_equal(old, g.x.array)
-        if self.comm.allreduce(changed, MPI.LOR):
+    def restored(self) -> None:
+        """Make supports and stiffness those of the stage and of what has set; collective."""
+        stage, self._stage = self._stage, 0
+        self.set_stage(stage, self.K.createVecRight())
+        if self.mechanics.growth:
             self._renew()
+        self.set_time(self.time)
 
-    def state(self) -> State:
-        """All that is history."""
-        return {
-            "time": self.time,
-            "shape": self._shape(),
-            "contact": [j.state() for j in self.jumps],
-            "setting": [s.state() for s in self.setting],
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore the history of a problem in its unloaded state; collective. `settle` follows."""
-        self._reshape(state["shape"])
-        for j, history in zip(self.jumps, state["contact"], strict=True):
-            j.resume(history)
-
-    def settle(self, state: State, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Read back what depends on displacement, temperature and cure, once these are there."""
+    def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
+        """Fill the unknowns with the restored displacement and jumps; collective."""
+        self.reduction.contract(self.u.x.petsc_vec).copy(u)
+        for j in self.jumps:
+            assert q is not None
+            q.array[:] = j.history.jump.ravel()
         self.spread(u, q)
-        for s, stress in zip(self.setting, state["setting"], strict=True):
-            s.resume(stress, self.displacements())
-        self.set_time(state["time"])
 
     # State in time
 

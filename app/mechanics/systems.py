@@ -15,7 +15,6 @@ from app.mechanics.contact import Jumps
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
-from app.numerics.saved_state import State
 from app.numerics.sparse import block_diagonal, fill
 from app.numerics.system import Measure, System, size
 
@@ -72,14 +71,6 @@ class BondedSystem(System):
         """Forces out of balance, beside those there are [N]."""
         problem, u = self._problem, x[0]
         return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
-
-    def pack(self, x: list[PETSc.Vec]) -> State:
-        """The displacement."""
-        return self._problem.pack(x[0], None)
-
-    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Fill x with a saved displacement."""
-        self._problem.unpack(state, x[0], None)
 
 
 class ContactSystem(System):
@@ -220,11 +211,3 @@ class ContactSystem(System):
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""
         return self._jumps.tie(on)
-
-    def pack(self, x: list[PETSc.Vec]) -> State:
-        """Displacement and jumps."""
-        return self._problem.pack(x[0], x[1])
-
-    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Fill x with saved displacement and jumps."""
-        self._problem.unpack(state, x[0], x[1])

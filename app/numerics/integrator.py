@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -148,7 +147,9 @@ class Controller:
     (Gustafsson's predictive controller; Hairer and Wanner II, IV.8), which foresees an ignition.
     """
 
-    def __init__(self, method: Method, events: Sequence[float], first: float) -> None:
+    saved = ("_next", "_last")
+
+    def __init__(self, method: Method, events: Sequence[float] = (), first: float = 0.0) -> None:
         """Begin.
 
         Args:
@@ -157,23 +158,18 @@ class Controller:
             first: First step to try [s].
         """
         self._power = 1 / method.estimate_order
-        self._events = sorted(events)
+        self.events = sorted(events)
+        self.begin(first)
+
+    def begin(self, first: float) -> None:
+        """Begin a stage with a first step to try [s]."""
         self._next = first
         self._last: tuple[float, float] | None = None
-
-    def state(self) -> dict[str, Any]:
-        """Length of the next step [s], and length and error of the last, to be saved."""
-        return {"next": self._next, "last": self._last}
-
-    def resume(self, state: dict[str, Any]) -> None:
-        """Restore the lengths of the next and the last step."""
-        self._next = state["next"]
-        self._last = None if state["last"] is None else tuple(state["last"])
 
     def propose(self, seconds: float) -> float:
         """Step to try at a time [s]: it ends at the next event or well before it."""
         dt = self._next
-        ahead = [e - seconds for e in self._events if e - seconds > _SAME * e]
+        ahead = [e - seconds for e in self.events if e - seconds > _SAME * e]
         if not ahead or dt < ahead[0] / 2:
             return dt
         return ahead[0] if dt >= ahead[0] * (1 - _NEAR) else ahead[0] / 2

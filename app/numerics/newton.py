@@ -17,7 +17,6 @@ from app.arrays import Floats
 from app.errors import StoppedError
 from app.numerics.krylov import Linear
 from app.numerics.preconditioners import Options, options_set
-from app.numerics.saved_state import State
 from app.numerics.system import Measure, System
 from app.system.timing import Timing
 
@@ -93,6 +92,8 @@ class Solver:
         tolerance: Residual over scale at which a run has converged.
         augmentation: Multiple of the augmentation in force that the next solve begins with.
     """
+
+    saved = ("scales", "augmentation")
 
     def __init__(
         self,
@@ -184,28 +185,8 @@ class Solver:
         self.linear.sweep_interfaces()
         self.scales, self.tolerance, self.augmentation = [], tolerance, 1.0
 
-    def pack(self, x: PETSc.Vec) -> State:
-        """A vector of unknowns as rows to be saved."""
-        return self.system.pack(self.blocks(x))
-
-    def unpack(self, state: State) -> PETSc.Vec:
-        """Return the vector of unknowns that a saved state holds."""
-        x = self.vector()
-        self.system.unpack(state, self.blocks(x))
-        return x
-
-    def state(self) -> State:
-        """Unknowns, scales of the residuals and augmentation, to be saved."""
-        return {
-            "x": self.pack(self.x),
-            "scales": list(self.scales),
-            "augmentation": self.augmentation,
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore unknowns, scales of residuals and augmentation; collective."""
-        self.unpack(state["x"]).copy(self.x)
-        self.scales, self.augmentation = state["scales"], state["augmentation"]
+    def restored(self) -> None:
+        """Put the augmentation in force again; the preconditioners are made anew."""
         self.system.scale_augmentation(self.augmentation)
         self.linear.renew()
 

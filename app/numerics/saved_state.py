@@ -1,13 +1,17 @@
-"""Saved state of a run: plain values, and rows of arrays that do not depend on ranks.
+"""Saved state of a run: what objects list of themselves, in rows that do not depend on ranks.
 
-A state is a nesting of mappings and lists of what JSON knows, the same on every rank, and of
-`Rows`: values that ranks share, each with a key by which any number of ranks finds it again. Keys
-come from the numbers of vertices and cells in the mesh file.
+A class names its attributes: ``saved = ("jump", "force")``. Numbers, texts and None are the same on
+all ranks; lists, dicts and dataclasses hold more of the kind, other objects name their own. Arrays
+and functions are by contact point, node or cell: ``row_keys``, of the object or of one that holds
+it, numbers their rows, so that any number of ranks finds them again. It is one array of keys, or
+for attributes and items that differ a dict or list of them. Keys come from the numbers of vertices
+and cells in the mesh file.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import basix
@@ -18,8 +22,8 @@ from numpy.typing import NDArray
 from app.arrays import Ints
 
 Array = NDArray[Any]
-State = dict[str, Any]
-
+# Key of a row that is not saved.
+LEFT_OUT = -1
 # Vertices of each node of a tetrahedron in basix's order: itself, or the ends of its edge.
 ENDS = np.array(
     [*((v, v) for v in range(4)), *basix.topology(basix.CellType.tetrahedron)[1]], dtype=np.int64
@@ -28,34 +32,119 @@ ENDS = np.array(
 
 @dataclass(frozen=True)
 class Rows:
-    """Values with their keys.
-
-    Attributes:
-        keys: One for each row (n,): in a state that was read rising, and those of all ranks.
-        values: Rows (n, ...).
-    """
+    """Values (n, ...) with their keys (n,): of one rank, or of all ranks with the keys rising."""
 
     keys: Ints
     values: Array
 
     def of(self, keys: Ints) -> Array:
-        """The rows of some keys, of a state that was read."""
+        """The rows of some keys, of a state of all ranks.
+
+        Raises:
+            ValueError: Some are not there.
+        """
+        if not np.isin(keys, self.keys).all():
+            raise ValueError("rows are missing")
         return np.array(self.values[np.searchsorted(self.keys, keys)])
 
-    def has(self, keys: Ints) -> bool:
-        """Whether there is a row for each of some keys, in a state that was read."""
-        place = np.minimum(np.searchsorted(self.keys, keys), max(len(self.keys) - 1, 0))
-        return not len(keys) or bool(len(self.keys) and (self.keys[place] == keys).all())
+
+def collect(value: Any, keys: Any = None) -> Any:
+    """Copy what an object saves: dicts, lists, plain values, and arrays as `Rows`.
+
+    Args:
+        value: The object.
+        keys: Keys of the rows of its arrays, unless it has its own.
+    """
+    if isinstance(value, fem.Function):
+        return _rows(_by_node(value), keys)
+    if isinstance(value, np.ndarray):
+        return _rows(value, keys)
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, dict):
+        return {name: collect(v, _inner(keys, name)) for name, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [collect(v, _inner(keys, k)) for k, v in enumerate(value)]
+    if names := _names(value):
+        keys = getattr(value, "row_keys", keys)
+        return {name: collect(getattr(value, name), _inner(keys, name)) for name in names}
+    return value
 
 
-def keyed(keys: Ints, values: Array) -> Rows:
-    """A copy of values as rows; several to a key where there are more."""
-    values = np.array(values)
-    return Rows(keys, values if len(values) == len(keys) else values.reshape(len(keys), -1))
+def fill(value: Any, found: Any, keys: Any = None) -> Any:
+    """Put a saved state into an object; returns it, or what is to take its place.
+
+    Raises:
+        LookupError, TypeError, ValueError: The state is not that of such an object.
+    """
+    if isinstance(value, fem.Function):
+        own = keys != LEFT_OUT
+        _by_node(value)[own] = found.of(keys[own])
+        return value
+    if isinstance(found, Rows):
+        return found.of(keys)
+    if names := _names(value):
+        keys = getattr(value, "row_keys", keys)
+        new = {name: fill(getattr(value, name), found[name], _inner(keys, name)) for name in names}
+        if not hasattr(value, "saved"):
+            return replace(value, **new)
+        for name, v in new.items():
+            setattr(value, name, v)
+        return value
+    if isinstance(found, dict):
+        old = value or {}
+        return {name: fill(old.get(name), v, _inner(keys, name)) for name, v in found.items()}
+    if isinstance(found, list):
+        here = [*value, *[None] * (len(found) - len(value))] if value is not None else found
+        items = enumerate(zip(here, found, strict=True))
+        new_items = [fill(v, f, _inner(keys, k)) for k, (v, f) in items]
+        return tuple(new_items) if isinstance(value, tuple) else new_items
+    return found
+
+
+def restore(value: Any) -> None:
+    """Let objects that were filled find what follows from their values, inner ones first."""
+    inner: Iterator[Any] = iter(())
+    if isinstance(value, dict):
+        inner = iter(value.values())
+    elif isinstance(value, list | tuple):
+        inner = iter(value)
+    elif hasattr(value, "saved"):
+        inner = (getattr(value, name) for name in value.saved)
+    for part in inner:
+        restore(part)
+    if hasattr(value, "restored"):
+        value.restored()
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    """Attributes that an object saves."""
+    if is_dataclass(value) and not hasattr(value, "saved"):
+        return tuple(f.name for f in fields(value))
+    return getattr(value, "saved", ())
+
+
+def _inner(keys: Any, name: str | int) -> Any:
+    """Keys of an attribute or item."""
+    if isinstance(keys, dict):
+        return keys.get(name)
+    return keys[int(name)] if isinstance(keys, list) else keys
+
+
+def _rows(values: Array, keys: Ints) -> Rows:
+    assert len(values) == len(keys)
+    saved = keys != LEFT_OUT
+    return Rows(keys[saved], values[saved])
+
+
+def _by_node(function: fem.Function) -> Array:
+    """Values of a function at the nodes of this rank, ghosts too (n, components)."""
+    values: Array = function.x.array.reshape(-1, function.function_space.dofmap.bs)
+    return values
 
 
 def node_keys(space: fem.FunctionSpace) -> Ints:
-    """Keys of the own nodes of a space of first or second order (n,): of which vertices it is."""
+    """Keys of the nodes of a space of first or second order, ghosts last (n,): by its vertices."""
     geometry, index_map = space.mesh.geometry, space.dofmap.index_map
     dofs = space.dofmap.list
     vertices = geometry.input_global_indices[geometry.dofmap[:, :4]]
@@ -63,4 +152,4 @@ def node_keys(space: fem.FunctionSpace) -> Ints:
     stride = geometry.index_map().size_global
     keys = np.zeros(index_map.size_local + index_map.num_ghosts, dtype=np.int64)
     keys[dofs] = ends.min(axis=2) * stride + ends.max(axis=2)
-    return keys[: index_map.size_local]
+    return keys

@@ -18,7 +18,6 @@ from app.arrays import Floats
 from app.numerics.active_set import ActiveSet
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import Inverse, Options
-from app.numerics.saved_state import State
 
 
 @dataclass(frozen=True)
@@ -97,14 +96,6 @@ class System(Protocol):
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """How large the residual f of a state x is, by part; collective."""
-        raise NotImplementedError
-
-    def pack(self, x: list[PETSc.Vec]) -> State:
-        """The blocks x as rows to be saved."""
-        raise NotImplementedError
-
-    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Fill the blocks x with a saved state."""
         raise NotImplementedError
 
     def coarse_space(self) -> CoarseSpace | None:

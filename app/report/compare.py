@@ -11,7 +11,7 @@ from app.errors import InputError, StoppedError
 from app.report import page, run_report, sweep_figures, viewer
 from app.report.page import Blocks, bullets, paragraph, table
 from app.report.sweep_results import Number, SweptCase
-from app.results.closing_lines import UNUSABLE, faults
+from app.results.closing_lines import UNUSABLE, reasons_not_to_use
 from app.system.folders import write_text
 from app.system.layout import plain
 
@@ -83,8 +83,7 @@ def _page(folders: Sequence[Path]) -> str:
 
 
 def _status(name: str, summary: dict[str, Any]) -> str:
-    """A run's status and what it warns of."""
-    wrong = faults(summary)
+    wrong = reasons_not_to_use(summary)
     status = UNUSABLE if wrong else summary["status"]
     return "; ".join([f"{status}: {name}", *wrong, *summary.get("notes", [])])
 
@@ -129,7 +128,6 @@ def _exact(key: str) -> bool:
 
 
 def _keys(cases: Sequence[SweptCase]) -> list[str]:
-    """Main numbers that the first run has and another one, too."""
     names = sweep_figures.headlines(cases)
     return [n for n in names if sum(c.number(n) is not None for c in cases) > 1]
 
@@ -170,7 +168,6 @@ def _difference(a: Number | None, b: Number | None, key: str) -> str:
 
 
 def _input(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
-    """Keys of the cases that are not the same in all."""
     flat = [dict(_flat(case.data)) for case in cases]
     keys = dict.fromkeys(key for own in flat for key in own)
     rows = [

@@ -161,7 +161,6 @@ def _values(line: Line) -> list[float]:
 
 
 def _line(axes: Any, line: Line, shift: float) -> None:
-    """A curve with bars, its peaks, and what is published."""
     label, peak_label, star_label = _labels(line)
     if line.peaks:
         axes.plot(

@@ -109,7 +109,6 @@ def _family(cases: Iterable[SweptCase], key: Callable[[SweptCase], float | None]
 
 
 def _value(case: SweptCase, *path: str) -> Any:
-    """A value of a case; None where it has none."""
     found: Any = case.data
     for key in path:
         found = found.get(key) if isinstance(found, dict) else None

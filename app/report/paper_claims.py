@@ -90,35 +90,31 @@ def alike(a: Number, b: Number, tolerance: float) -> str:
     return NOT_CONFIRMED if difference - errors > tolerance else UNDECIDED
 
 
-# Four relations over a series of numbers: label, numbers over what varies, unit, what varies.
+# Relations over a series of numbers: label, numbers over what varies, unit, what varies.
 Series = Mapping[Any, Number]
 Relation = Callable[[str, Series, str, str], Statement]
 
 
-def rises(label: str, values: Series, unit: str, over: str) -> Statement:
-    """Whether a number is larger at the largest value of what varies than at the smallest."""
-    return _ends(label, values, unit, over, True)
-
-
-def falls(label: str, values: Series, unit: str, over: str) -> Statement:
-    """Whether it is smaller there."""
-    return _ends(label, values, unit, over, False)
-
-
-def _ends(label: str, values: Series, unit: str, over: str, rise: bool) -> Statement:
-    if len(values) < 2:
-        return _missing(f"{label} at two values of {over}")
-    low, high = min(values), max(values)
-    a, b = values[low], values[high]
-    should = "rise" if rise else "fall"
-    text = f"{label} should {should}: {a} {unit} at {over} {plain(low)}, {b} at {plain(high)}"
-    return Statement(exceeds(b, a) if rise else exceeds(a, b), text)
-
-
-def constant(tolerance: float) -> Relation:
-    """Whether all numbers are the same, up to a part of their mean."""
+def _goes(rise: bool) -> Relation:
+    """Whether a number is larger, or smaller, at the largest value of what varies."""
 
     def relation(label: str, values: Series, unit: str, over: str) -> Statement:
+        if len(values) < 2:
+            return _missing(f"{label} at two values of {over}")
+        low, high = min(values), max(values)
+        a, b = values[low], values[high]
+        should = "rise" if rise else "fall"
+        text = f"{label} should {should}: {a} {unit} at {over} {plain(low)}, {b} at {plain(high)}"
+        return Statement(exceeds(b, a) if rise else exceeds(a, b), text)
+
+    return relation
+
+
+def constant(tolerance: float, beyond: float = 0.0) -> Relation:
+    """Whether numbers beyond a value of what varies are the same, up to a part of their mean."""
+
+    def relation(label: str, values: Series, unit: str, over: str) -> Statement:
+        values = {x: n for x, n in values.items() if isinstance(x, str) or x > beyond}
         if len(values) < 2:
             return _missing(f"{label} at two values of {over}")
         low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
@@ -131,6 +127,9 @@ def constant(tolerance: float) -> Relation:
         return Statement(alike(a, b, tolerance), text)
 
     return relation
+
+
+rises, falls = _goes(True), _goes(False)
 
 
 def far_more_when_thin(label: str, values: Series, unit: str, over: str) -> Statement:
@@ -162,58 +161,33 @@ def _missing(what: str) -> Statement:
     return Statement(UNDECIDED, f"no results of {what}")
 
 
-# What varies, and the families of cases over it by label.
-Families = tuple[str, Mapping[str, Mapping[Any, SweptCase]]]
-BONE = "cement_bone"
-
-
-def thickness(cases: Cases) -> Families:
-    """Stances by thickness of the mantle [mm]."""
-    return "mm", {f"{stem}, ": cases.thicknesses(stem) for stem in STEMS.values()}
-
-
-def thick(cases: Cases) -> Families:
-    """Those of more than 3 mm."""
-    over, families = thickness(cases)
-    return over, {s: {t: c for t, c in own.items() if t > 3} for s, own in families.items()}
-
-
-def friction(cases: Cases) -> Families:
-    """Stances by friction coefficient of the cement-bone interface."""
-    return "friction", {f"{stem}, ": cases.frictions(stem) for stem in STEMS.values()}
-
-
-def material(cases: Cases) -> Families:
-    """Stances of 4 mm by material of the stem."""
-    return "stem", {"": cases.of_stems()}
-
-
 # Claims over families of cases: name, the paper's words, what varies, and relations of quantities.
 Row = tuple[Relation, str, str]
-CLAIMS: tuple[tuple[str, str, Callable[[Cases], Families], list[Row]], ...] = (
+BONE = "cement_bone"
+CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
     (
         "T-a",
         "At the cement-bone interface the stem's material does not matter",
-        material,
+        "stem",
         [(constant(0.02), BONE, "slip"), (constant(0.05), BONE, "shear")],
     ),
     (
         "T-b",
         "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
-        thickness,
+        "mm",
         [(far_more_when_thin, BONE, "slip"), (far_more_when_thin, BONE, "gap")],
     ),
     (
         "T-c",
         "Stresses do not depend on the thickness beyond 3 mm",
-        thick,
-        [(constant(FLAT), place, q) for place in INTERFACES for q in ("pressure", "shear")],
+        "mm",
+        [(constant(FLAT, 3.0), place, q) for place in INTERFACES for q in ("pressure", "shear")],
     ),
     (
         "T-d",
         "The rougher the cement-bone interface, the less it slips, the more it opens and the "
         "higher its pressure; shear stays",
-        friction,
+        "friction",
         [
             (falls, BONE, "slip"),
             (rises, BONE, "gap"),
@@ -225,7 +199,7 @@ CLAIMS: tuple[tuple[str, str, Callable[[Cases], Families], list[Row]], ...] = (
         "T-e",
         "The rougher the cement-bone interface, the more the stem slips in the cement and the "
         "less it opens",
-        friction,
+        "friction",
         [(rises, "stem_cement", "slip"), (falls, "stem_cement", "gap")],
     ),
 )
@@ -234,9 +208,8 @@ CLAIMS: tuple[tuple[str, str, Callable[[Cases], Families], list[Row]], ...] = (
 def judge(cases: Cases) -> list[Trend]:
     """All trends."""
     found = []
-    for name, claim, families, rows in CLAIMS:
-        over, own = families(cases)
-        parts, by_peaks = ([*_statements(rows, over, own, how)] for how in ("percentile", "max"))
+    for name, claim, over, rows in CLAIMS:
+        parts, by_peaks = ([*_statements(cases, over, rows, how)] for how in ("percentile", "max"))
         found.append(Trend(name, claim, parts, _all(by_peaks)))
     parts, by_peaks = (_order(cases, how) for how in ("percentile", "max"))
     claim = "Stem-cement stresses exceed cement-bone stresses; pressure exceeds shear"
@@ -252,12 +225,14 @@ def _name(place: str, quantity: str) -> str:
     return f"{WORDS[place]} {WORDS[quantity]}"
 
 
-def _statements(
-    rows: Sequence[Row], over: str, families: Mapping[str, Mapping[Any, SweptCase]], how: str
-) -> Iterator[Statement]:
+def _statements(cases: Cases, over: str, rows: Sequence[Row], how: str) -> Iterator[Statement]:
+    families: dict[str, Mapping[Any, SweptCase]] = {"": cases.of_stems()}
+    if over != "stem":
+        family = cases.frictions if over == "friction" else cases.thicknesses
+        families = {f"{stem}, ": family(stem) for stem in STEMS.values()}
     for relation, place, quantity in rows:
-        for label, family in families.items():
-            values = series(family, contact(place, quantity, how))
+        for label, own in families.items():
+            values = series(own, contact(place, quantity, how))
             yield relation(label + _name(place, quantity), values, QUANTITIES[quantity][0], over)
 
 

@@ -21,7 +21,6 @@ from app.report.sweep_results import (
     QUANTITIES,
     WORDS,
     Number,
-    SweepResults,
     SweptCase,
     magnitude,
     named,
@@ -39,7 +38,7 @@ class Fact:
 
     Attributes:
         id: Its number.
-        model: ``stance``, ``heat`` or empty.
+        model: ``stance`` or ``heat``.
         stem: Material of the stem, ``both`` or empty.
         thickness: Of the mantle in mm: ``4``, ``2-3``, ``>7`` or empty.
         cement_bone_friction: Friction coefficient there; None if it does not matter.
@@ -47,7 +46,7 @@ class Fact:
         quantity: What.
         unit: ``um``, ``MPa``, ``degC``.
         value: The number.
-        kind: peak, exceeded, not exceeded, extreme, input, penalty.
+        kind: peak, exceeded, not exceeded, extreme.
         remark: What is to be said of it.
     """
 
@@ -119,7 +118,7 @@ class ComparedNumber:
         return peak, p99
 
 
-def compare(cases: Cases, sweep: SweepResults) -> list[ComparedNumber]:
+def compare(cases: Cases) -> list[ComparedNumber]:
     """Every number of the paper beside mantle's, or with the reason why there is none."""
     rows: list[ComparedNumber] = []
     for fact in facts():
@@ -128,10 +127,8 @@ def compare(cases: Cases, sweep: SweepResults) -> list[ComparedNumber]:
                 rows += _stance_rows(fact, cases)
             case "heat", "temperature":
                 rows += _heat_rows(fact, cases)
-            case "heat", _:
-                rows += _extreme_rows(fact, cases)
             case _:
-                rows.append(_other(fact, sweep))
+                rows += _extreme_rows(fact, cases)
     return rows
 
 
@@ -171,7 +168,6 @@ def _stance_row(
 
 
 def _why(case: SweptCase) -> str:
-    """Why a case has no result."""
     return f"the case {case.name} {'did not converge' if 'not' in case.status else case.status}"
 
 
@@ -218,24 +214,6 @@ def _extreme_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
         )
     why = "no case of this sweep computes stress in the heated femur"
     return rows or [ComparedNumber(fact, fact.stem, remark=why)]
-
-
-def _other(fact: Fact, sweep: SweepResults) -> ComparedNumber:
-    """Compare a fact that is not a result of the paper."""
-    if fact.kind == "input":
-        why = "not a result but a property of materials; mantle's unilateral contact has none"
-        return ComparedNumber(fact, "", remark=why)
-    found = [
-        (n.value, c.name)
-        for c in sweep.cases
-        for i in INTERFACES
-        if (n := c.number(f"{i}.penetration_max")) is not None
-    ]
-    if not found:
-        return ComparedNumber(fact, "", remark="no case of this sweep has contact")
-    value, name = max(found)
-    remark = "largest of all cases, to rounding zero"
-    return ComparedNumber(fact, "", None, name, value, remark=remark)
 
 
 def csv_rows(rows: Iterable[ComparedNumber]) -> list[dict[str, Any]]:

@@ -17,7 +17,7 @@ from urllib.parse import quote
 from app.case import quantities
 from app.case.quantities import NECROSIS, TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
-from app.report import gruen, history_curves, maps, page, sentence, stills, sweep_figures, viewer
+from app.report import gruen, history_curves, page, pictures, sentence, sweep_figures, viewer
 from app.report.curves import Figure
 from app.report.page import Blocks, bullets, heading, paragraph, table
 from app.report.sweep_results import CONVERGED, SweptCase
@@ -25,13 +25,12 @@ from app.results import closing_lines as text
 from app.results.reading import Run
 from app.results.tables import TABLES
 from app.system.folders import write_bytes, write_text
-from app.system.layout import duration, noted, plain
+from app.system.layout import noted, plain
 from app.system.ranks import rank
 
 PAGE, PICTURES = "report.html", "report"
 # The part of a run's time that its page may take, and what maps and the view take.
 SHARE, MAPS, VIEW = 0.05, 3.0, 0.3  # s
-MOST_NUMBERS = 11  # in the table of variations
 TITLES = {
     "interfaces": "Interfaces",
     "regions": "Stresses",
@@ -92,9 +91,7 @@ def write(folder: Path, share: float = math.inf) -> list[Path]:
 
 def opened(folder: Path, **more: Any) -> SweptCase:
     """A run directory; numbers of a run that has failed are read as well."""
-    return SweptCase(
-        folder.name, "", folder=folder, **{"overrides": {}, "status": CONVERGED} | more
-    )
+    return SweptCase(folder.name, folder, **{"status": CONVERGED} | more)
 
 
 def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
@@ -112,10 +109,10 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     view, lacking = _view(folder) if viewed else ("", [])
     sides: Blocks = []
     if complete and (folder / "fields.vtkhdf").exists():
-        figure = stills.draw(Run(folder), folder / PICTURES, ("png", "pdf"))
+        figure = pictures.sides(Run(folder), folder / PICTURES)
         if figure is not None:
             sides = page.figure(figure, folder / PICTURES)
-            files += [folder / PICTURES / f"{stills.NAME}.{kind}" for kind in ("png", "pdf")]
+            files += [folder / PICTURES / f"{pictures.SIDES}.{kind}" for kind in ("png", "pdf")]
     shown, missing = _maps(case, share * summary["timing"]["total"] >= MAPS)
     for f, png in shown if complete else ():
         files.append(folder / PICTURES / f.name)
@@ -165,7 +162,6 @@ def _view(folder: Path) -> tuple[str, list[str]]:
 
 
 def _facts(folder: Path, record: dict[str, Any]) -> str:
-    """Which run, when and by which program."""
     when = str(record.get("finished", "")).replace("T", " ")[:16]
     program = f"mantle {record['mantle']}" if "mantle" in record else ""
     return " · ".join(filter(None, (folder.resolve().name, when and f"{when} UTC", program)))
@@ -174,7 +170,7 @@ def _facts(folder: Path, record: dict[str, Any]) -> str:
 def _verdict(summary: dict[str, Any]) -> list[str]:
     """How far the numbers can be trusted, and what the run warned of."""
     status = summary["status"]
-    lines = [f"{text.UNUSABLE}: {why}" for why in text.faults(summary)]
+    lines = [f"{text.UNUSABLE}: {why}" for why in text.reasons_not_to_use(summary)]
     if status in (CONVERGED, text.UNUSABLE):
         lines += [clause.text for clause in text.verdict(summary)]
     else:
@@ -215,7 +211,8 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
     found: Blocks = []
     for section, named in _sections(summary):
         own = TABLE[section]
-        keys = [key for column in TABLES.get(section, ()) for key in column.keys.split()]
+        columns = TABLES[section][1] if section in TABLES else ()
+        keys = [key for column in columns for key in column.keys.split()]
         keys = [*keys, *MORE.get(section, ()), *(k for k, q in own.items() if q.compute)]
         chosen = [own[k] for k in keys or own if not own[k].vector]
         found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))
@@ -248,7 +245,6 @@ def _titled(title: str, content: Blocks) -> Blocks:
 
 
 def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
-    """Dead bone by every criterion."""
     own = TABLE["thermal.regions"]
     bone = {name: q for name, q in regions.items() if sentence.is_bone(q)}
     head = ["", *(f"{name}, {what}" for name in bone for what in ("volume (mm³)", "depth (mm)"))]
@@ -288,7 +284,7 @@ def _maps(case: SweptCase, wanted: bool) -> tuple[list[tuple[Figure, bytes]], li
         return [], [f"mantle report {case.folder} draws them: after a short run they take too long"]
     with tempfile.TemporaryDirectory() as scratch:
         try:
-            drawn, missing = maps.draw([[("", case)]], Path(scratch))
+            drawn, missing = pictures.maps([[("", case)]], Path(scratch))
         except (KeyError, OSError) as error:
             return [], [f"fields that cannot be read: {error}"]
         return [(f, (Path(scratch) / f.name).read_bytes()) for f in drawn], missing
@@ -309,7 +305,6 @@ def _pairs(values: dict[str, Any]) -> Blocks:
 
 
 def _variations(folder: Path, share: float) -> list[Path]:
-    """The pages of all variations, and one over them."""
     rows = _json(folder / "variations.json")
     cases, links = [], {}
     for row in rows:
@@ -319,28 +314,15 @@ def _variations(folder: Path, share: float) -> list[Path]:
         if (own / "summary.json").exists():
             links[own.name] = f"{quote(own.name)}/{_run(own, share, alone=False)[0].name}"
     every = sweep_figures.headlines(cases)
-    names = [n for n in every if not ((q := quantities.get(n)) and q.exact)][:MOST_NUMBERS]
-    labels = [sweep_figures.label(name) for name in names]
-    head = ["variation", "status", "changes"]
-    head += [f"{words} ({unit})" if unit else words for words, unit in labels] + ["time"]
-    lines = [
-        [
-            page.link(c.name, links.get(c.name, "")),
-            c.status,
-            [f"{key} = {plain(value)}" for key, value in c.overrides.items()],
-            *(_cell(c, name) for name in names),
-            duration(c.seconds),
-        ]
-        for c in cases
-    ]
-    pictures = folder / PICTURES
+    names = [n for n in every if not ((q := quantities.get(n)) and q.exact)]
+    drawings = folder / PICTURES
     figures: list[Figure] = []
     if share == math.inf:
-        pictures.mkdir(exist_ok=True)
-        figures = sweep_figures.multiples(cases, pictures)
-    drawn = [b for f in figures for b in page.figure(f, pictures)]
+        drawings.mkdir(exist_ok=True)
+        figures = sweep_figures.multiples(cases, drawings)
+    drawn = [b for f in figures for b in page.figure(f, drawings)]
     sections = [
-        ("cases", "All variations", table(head, lines)),
+        ("cases", "All variations", sweep_figures.cases_table(cases, names, links)),
         ("curves", "What varies", drawn),
         ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in cases))),
     ]
@@ -356,16 +338,8 @@ def _variations(folder: Path, share: float) -> list[Path]:
     return [
         folder / PAGE,
         *(folder / link for link in links.values()),
-        *(pictures / f.name for f in figures),
+        *(drawings / f.name for f in figures),
     ]
-
-
-def _cell(case: SweptCase, name: str) -> str:
-    """A number with its error; 0 where it is rounding."""
-    q, n = quantities.get(name), case.number(name)
-    if n is None or q is None:
-        return "-" if n is None else str(n)
-    return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
 
 
 def _text(path: Path) -> str:

@@ -47,7 +47,6 @@ def is_bone(region: Numbers) -> bool:
 
 
 def _load(case: SweptCase) -> str:
-    """The largest force at the end of the last stage, if it is a number."""
     sizes = {}
     for name, load in case.data.get("loads", {}).items():
         parts = [magnitude(x) for x in load.get("force") or ()]

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from app.case import explain, quantities
+from app.report import page
 from app.report.curves import ROUNDED, Figure, Line, Panel, draw, in_words, too_few
+from app.report.page import Blocks
 from app.report.sweep_results import PERCENTILES, SweptCase, magnitude, named
 from app.schema.unit_conversion import conversion
 from app.schema.units import NUMBER
+from app.system import layout
 from app.system.style import COLOURS, MARKERS
 
 MOST_PANELS = 12
+MOST_NUMBERS = 11  # in the table of cases
 MOST_SERIES = 8
 MOST_LEVELS = 8
 
@@ -85,8 +89,39 @@ def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
     return found
 
 
+def cases_table(
+    cases: Sequence[SweptCase], names: Sequence[str], links: Mapping[str, str] | None = None
+) -> Blocks:
+    """Every case with what became of it, the first of its numbers, and pages that it links to."""
+    names = names[:MOST_NUMBERS]
+    labels = [f"{words} ({unit})" if unit else words for words, unit in map(label, names)]
+    head = ["case", "status", "changes", *labels, "unknowns", "ranks", "time", "message"]
+    rows = [
+        [
+            page.link(c.name, links.get(c.name, "")) if links else c.name,
+            c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}",
+            [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items()],
+            *(_cell(c, name) for name in names),
+            f"{c.unknowns or '-'}",
+            f"{c.ranks}",
+            layout.duration(c.seconds),
+            c.message or ("" if not c.done or c.summary else "its folder has no summary.json"),
+        ]
+        for c in cases
+    ]
+    said = [k for k in range(len(head)) if k < 3 or {row[k] for row in rows} - {"-", "", "1"}]
+    return page.table([head[k] for k in said], [[row[k] for k in said] for row in rows])
+
+
+def _cell(case: SweptCase, name: str) -> str:
+    """A number with its error; 0 where it is rounding."""
+    q, n = quantities.get(name), case.number(name)
+    if n is None or q is None:
+        return "-" if n is None else str(n)
+    return str(n) if abs(n.value) > 0.01 * 10.0**-q.digits else "0"
+
+
 def _levels(values: Sequence[str]) -> str:
-    """Levels of an axis, or how many there are."""
     if len(values) <= MOST_LEVELS:
         return ", ".join(values)
     return f"{len(values)} levels from {values[0]} to {values[-1]}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import statistics
 from collections import Counter
 from collections.abc import Sequence
@@ -14,11 +13,11 @@ from app.case.quantities import printed
 from app.errors import StoppedError
 from app.report import (
     gruen,
-    maps,
     page,
     paper,
     paper_claims,
     paper_numbers,
+    pictures,
     sensitivity,
     sweep_figures,
 )
@@ -27,13 +26,12 @@ from app.report.page import Blocks, bullets, heading, paragraph, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, named, read
-from app.system.folders import csv_text, remove, write_json, write_text
+from app.system.folders import csv_text, remove, write_text
 from app.system.layout import duration, noted
 
 PAGE, PAPER, COMPARISON, PICTURES = "report.html", "paper.html", "comparison.csv", "report"
-# What the last report has written there, and the next may remove.
-WRITTEN = "written.json"
-MOST_NUMBERS = 11  # in the table of cases
+# What an earlier report may have left in the folder of its pictures.
+OURS = ("figure[3-8].*", "over_*.*", "map[0-9]_*.png", "shielding.png", COMPARISON)
 HONESTY = (
     "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
     "published; mantle's are its own and nothing was tuned. Agreement in size and in trend is the "
@@ -70,71 +68,53 @@ def run(folder: Path) -> Written:
     """
     sweep = read(folder)
     cases = paper.Cases(sweep)
-    groups = cases.representative() or maps.ends(sweep)
-    pictures = folder / PICTURES
+    groups = cases.representative() or pictures.ends(sweep)
+    drawings = folder / PICTURES
     try:
-        pictures.mkdir(exist_ok=True)
-        remove(pictures / name for name in _written(pictures))
-        before = _times(pictures)
-        multiples = sweep_figures.multiples([c for c in sweep.cases if c.done], pictures)
-        mapped, unmapped = maps.draw(groups, pictures)
+        drawings.mkdir(exist_ok=True)
+        remove(old for pattern in OURS for old in drawings.glob(pattern))
+        multiples = sweep_figures.multiples([c for c in sweep.cases if c.done], drawings)
+        mapped, unmapped = pictures.maps(groups, drawings)
         shown = cases.of_stems() or dict(c for group in groups for c in group)
-        shields = gruen.shielding_picture(shown, gruen.intact(sweep.cases), pictures)
+        shields = gruen.shielding_picture(shown, gruen.intact(sweep.cases), drawings)
         sections = [
-            ("varied", "What varies", _drawn(multiples, pictures)),
+            ("varied", "What varies", _drawn(multiples, drawings)),
             ("sensitive", "What matters most", table(*sensitivity.table(sweep.cases))),
             ("uncertain", "What is not known well", _uncertain(sweep)),
             ("cases", "All cases", _parts(sweep.cases)),
             ("notes", "Notes of the runs", bullets(noted((c.name, c.notes) for c in sweep.cases))),
-            ("maps", "Maps of the interfaces", _drawn(mapped, pictures) + bullets(unmapped)),
-            ("gruen", "Gruen zones", _drawn(shields, pictures) + _zones(groups)),
+            ("maps", "Maps of the interfaces", _drawn(mapped, drawings) + bullets(unmapped)),
+            ("gruen", "Gruen zones", _drawn(shields, drawings) + _zones(groups)),
             ("mantle", "Mantles", table(*gruen.mantles(sweep.cases))),
         ]
-        papers, trends = _paper(cases, sweep, pictures) if cases else ([], [])
+        papers, trends = _paper(cases, sweep, drawings) if cases else ([], [])
         summary = _summary(sweep)
         if papers:
             summary.append(f"The paper's figures, numbers and trends are beside it, in {PAPER}.")
         text = page.page(sweep.title, sections, facts=_facts(sweep), summary=summary)
         write_text(folder / PAGE, text)
-        every = (pictures / f.name for f in (*mapped, *shields, *multiples))
+        every = (drawings / f.name for f in (*mapped, *shields, *multiples))
         files = [folder / PAGE, *papers, *every]
-        own = [name for name, time in _times(pictures).items() if before.get(name) != time]
-        write_json(pictures / WRITTEN, own)
     except OSError as error:
         raise StoppedError(f"cannot write the report in {folder}: {error.strerror}") from error
     done = sum(c.done for c in sweep.cases)
     return Written(files, trends, done, len(sweep.cases))
 
 
-def _written(pictures: Path) -> list[str]:
-    """Files that an earlier report has written into its folder, and no others."""
-    try:
-        names = json.loads((pictures / WRITTEN).read_text(encoding="utf-8"))
-        return [name for name in names if name == Path(name).name and (pictures / name).is_file()]
-    except (OSError, TypeError, ValueError):
-        return []
-
-
-def _times(pictures: Path) -> dict[str, int]:
-    """When each file in a folder was written last."""
-    return {p.name: p.stat().st_mtime_ns for p in pictures.iterdir() if p.is_file()}
-
-
-def _drawn(figures: Sequence[Figure], pictures: Path) -> Blocks:
-    """Pictures with their captions."""
-    return [block for f in figures for block in page.figure(f, pictures)]
+def _drawn(figures: Sequence[Figure], folder: Path) -> Blocks:
+    return [block for f in figures for block in page.figure(f, folder)]
 
 
 def _paper(
-    cases: paper.Cases, sweep: SweepResults, pictures: Path
+    cases: paper.Cases, sweep: SweepResults, folder: Path
 ) -> tuple[list[Path], Sequence[Trend]]:
     """Write the page that compares the sweep with the paper; its files and its verdicts."""
-    figures, missing = paper_numbers.figures(cases, pictures)
-    rows = paper_numbers.compare(cases, sweep)
+    figures, missing = paper_numbers.figures(cases, folder)
+    rows = paper_numbers.compare(cases)
     trends = paper_claims.judge(cases)
     sections = [
         ("trends", "Trends", _trends(trends)),
-        ("paper", "The paper's figures", _drawn(figures, pictures) + bullets(missing)),
+        ("paper", "The paper's figures", _drawn(figures, folder) + bullets(missing)),
         ("comparison", "Number by number", _comparison(rows)),
     ]
     names = {v: [t.name for t in trends if t.verdict == v] for v in paper_claims.VERDICTS}
@@ -142,10 +122,10 @@ def _paper(
     summary = [f"Trends that the paper reports: {each}.", *_ratios(rows)]
     title = f"{sweep.title}: the paper beside it"
     text = page.page(title, sections, facts=_facts(sweep), summary=summary, note=HONESTY)
-    files = [sweep.folder / PAPER, *(pictures / f.name for f in figures)]
+    files = [sweep.folder / PAPER, *(folder / f.name for f in figures)]
     write_text(files[0], text)
     if rows:
-        files.append(pictures / COMPARISON)
+        files.append(folder / COMPARISON)
         write_text(files[-1], csv_text(paper_numbers.csv_rows(rows)))
     return files, trends
 
@@ -160,7 +140,6 @@ def _uncertain(sweep: SweepResults) -> Blocks:
 
 
 def _facts(sweep: SweepResults) -> str:
-    """Which sweep, how long it took, and by which program."""
     took = (
         [duration(sweep.seconds), "on", f"{sweep.cores} core{'s' * (sweep.cores > 1)}"]
         if sweep.seconds
@@ -200,7 +179,6 @@ def _ratios(rows: Sequence[ComparedNumber]) -> list[str]:
 
 
 def _trends(trends: Sequence[Trend]) -> Blocks:
-    """The verdicts with their reasons."""
     text = (
         "By percentiles, of motions the 99th, of tractions the 95th: undecided where the "
         "difference is smaller than the estimated errors in sum; numbers without ± have no "
@@ -216,7 +194,6 @@ def _trends(trends: Sequence[Trend]) -> Blocks:
 
 
 def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
-    """The paper's numbers beside mantle's."""
     if not rows:
         return []
     head = ["", "stem", "mm", "where", "what", "paper", "mantle, max", "mantle, percentile ± error"]
@@ -250,8 +227,7 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
     return paragraph(text) + table(head, lines)
 
 
-def _zones(groups: Sequence[maps.Chosen]) -> Blocks:
-    """A table for each representative case that has zones."""
+def _zones(groups: Sequence[pictures.Chosen]) -> Blocks:
     found: Blocks = []
     for group in groups:
         for title, case in group:
@@ -262,35 +238,11 @@ def _zones(groups: Sequence[maps.Chosen]) -> Blocks:
 
 
 def _parts(cases: Sequence[SweptCase]) -> Blocks:
-    """A table for each part of the sweep."""
     parts: dict[str, list[SweptCase]] = {}
     for case in cases:
         parts.setdefault(case.part, []).append(case)
-    blocks = (heading(part) * bool(part) + _cases(own) for part, own in parts.items())
-    return [block for own in blocks for block in own]
-
-
-def _cases(cases: Sequence[SweptCase]) -> Blocks:
-    """Every case with what became of it."""
-    names = sweep_figures.headlines(cases)[:MOST_NUMBERS]
-    labels = [sweep_figures.label(name) for name in names]
-    head = ["case", "status", "overrides"]
-    head += [f"{text} ({unit})" if unit else text for text, unit in labels]
-    head += ["unknowns", "ranks", "time", "message"]
-    rows = []
-    for c in cases:
-        numbers = [c.number(name) for name in names]
-        status = c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}"
-        rows.append(
-            [
-                c.name,
-                status,
-                [f"{k} = {v}" for k, v in c.overrides.items()],
-                *("-" if n is None else str(n) for n in numbers),
-                f"{c.unknowns}" if c.unknowns else "-",
-                f"{c.ranks}",
-                duration(c.seconds),
-                c.message or ("" if not c.done or c.summary else "its folder has no summary.json"),
-            ]
-        )
-    return table(head, rows)
+    found: Blocks = []
+    for part, own in parts.items():
+        found += heading(part) if part else []
+        found += sweep_figures.cases_table(own, sweep_figures.headlines(own))
+    return found

@@ -9,7 +9,7 @@ import csv
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -67,10 +67,10 @@ class SweptCase:
 
     Attributes:
         name: Its name, unique in the sweep.
-        part: The part of the sweep it belongs to.
-        overrides: What makes it out of the sweep's case, as after ``--set``.
         folder: Its run directory, which may be missing.
         status: One of `STATUSES`.
+        part: The part of the sweep it belongs to.
+        overrides: What makes it out of the sweep's case, as after ``--set``.
         exit_code: That of the run.
         message: Why it failed.
         seconds: Wall time.
@@ -82,10 +82,10 @@ class SweptCase:
     """
 
     name: str
-    part: str
-    overrides: dict[str, Any]
     folder: Path
     status: str
+    part: str = ""
+    overrides: dict[str, Any] = field(default_factory=dict)
     exit_code: int = 0
     message: str = ""
     seconds: float = 0.0
@@ -152,123 +152,57 @@ class SweepResults:
     Attributes:
         folder: Its directory.
         title: A line for people.
+        cases: All its cases, those that failed too.
         file: The sweep file.
         program: Version and hash of the program that ran it.
         cores: How many it used.
         seconds: How long it took.
-        cases: All its cases, those that failed too.
         uncertainty: What samples of uncertain inputs say, by part (`app/campaigns/uncertainty.py`).
         compare_with: The publication that it is compared with, or nothing.
     """
 
     folder: Path
     title: str
-    file: str
-    program: str
-    cores: int
-    seconds: float
     cases: Sequence[SweptCase]
+    file: str = ""
+    program: str = ""
+    cores: int = 1
+    seconds: float = 0.0
     uncertainty: dict[str, Any] = field(default_factory=dict)
     compare_with: str = ""
-
-
-# Keys of a case and the types they may have.
-_KEYS: dict[str, tuple[type, ...]] = {
-    "name": (str,),
-    "part": (str,),
-    "overrides": (dict,),
-    "folder": (str,),
-    "status": (str,),
-    "exit_code": (int,),
-    "message": (str,),
-    "seconds": (int, float),
-    "unknowns": (int, float),
-    "ranks": (int,),
-    "numbers": (dict,),
-    "errors": (dict,),
-    "notes": (list,),
-}
-_REQUIRED = ("name", "folder", "status")
 
 
 def read(folder: Path) -> SweepResults:
     """Read ``sweep.json``.
 
-    Args:
-        folder: The directory of a sweep.
-
     Raises:
-        InputError: It has no sweep.json, or that is damaged: everything that is wrong, at once.
+        InputError: It is not there or cannot be read.
     """
     path = folder / "sweep.json"
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
+        cases = [_case(entry, folder) for entry in data["cases"]]
+        known: dict[str, Any] = {
+            f.name: data[f.name] for f in fields(SweepResults) if data.get(f.name)
+        }
     except FileNotFoundError:
         raise InputError(
             f"{folder}: has no sweep.json; expected a directory written by mantle run or sweep"
         ) from None
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}:{error.colno}: {error.msg}") from error
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    problems = _problems(data)
-    if problems:
-        raise InputError([f"{path}: {text}" for text in problems])
-    cases = [_case(entry, folder) for entry in data["cases"]]
-    return SweepResults(
-        folder,
-        str(data.get("title") or folder.name),
-        str(data.get("file", "")),
-        str(data.get("program", "")),
-        int(data.get("cores") or 1),
-        float(data.get("seconds") or 0.0),
-        cases,
-        dict(data.get("uncertainty") or {}),
-        str(data.get("compare_with") or ""),
-    )
-
-
-def _problems(data: Any) -> list[str]:
-    """Faults in the content of sweep.json."""
-    if not isinstance(data, dict) or not isinstance(data.get("cases"), list):
-        return ["has no list of cases"]
-    if not data["cases"]:
-        return ["cases: is empty"]
-    found, names = [], set()
-    for i, entry in enumerate(data["cases"]):
-        if not isinstance(entry, dict):
-            found.append(f"cases[{i}]: is not a mapping")
-            continue
-        found += [f"cases[{i}]: {key} is missing" for key in _REQUIRED if key not in entry]
-        for key, types in _KEYS.items():
-            value = entry.get(key)
-            if value is not None and (not isinstance(value, types) or isinstance(value, bool)):
-                found.append(f"cases[{i}].{key}: {value!r} is not {_named(types)}")
-        status, name = entry.get("status"), str(entry.get("name"))
-        if isinstance(status, str) and status not in STATUSES:
-            found.append(f"cases[{i}].status: '{status}' is none of {', '.join(STATUSES)}")
-        if name in names:
-            found.append(f"cases[{i}].name: '{name}' is that of an earlier case too")
-        names.add(name)
-    return found
-
-
-def _named(types: tuple[type, ...]) -> str:
-    return {str: "a text", dict: "a mapping", list: "a list", int: "a number"}[types[0]]
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{path}: cannot be read: {error!r}") from error
+    if not cases:
+        raise InputError(f"{path}: has no cases")
+    known |= {"folder": folder, "title": known.get("title", folder.name), "cases": cases}
+    return SweepResults(**known)
 
 
 def _case(entry: dict[str, Any], folder: Path) -> SweptCase:
-    """A case; what is missing is as by default."""
-    own = {key: entry[key] for key in _KEYS if entry.get(key) is not None}
+    own = {f.name: entry[f.name] for f in fields(SweptCase) if entry.get(f.name) is not None}
     for key in ("numbers", "errors"):
-        table = own.get(key, {})
-        own[key] = {k: float(v) for k, v in table.items() if isinstance(v, int | float)}
-    own.setdefault("part", "")
-    own.setdefault("overrides", {})
-    own["notes"] = tuple(map(str, own.get("notes", ())))
-    own["unknowns"] = int(own.get("unknowns", 0))
-    own["folder"] = folder / own["folder"]
-    return SweptCase(**own)
+        own[key] = {k: v for k, v in own.get(key, {}).items() if v is not None}
+    own["notes"] = tuple(own.get("notes", ()))
+    return SweptCase(**own | {"folder": folder / own["folder"]})
 
 
 def named(name: str) -> str:

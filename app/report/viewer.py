@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Floats, Ints
 from app.results.reading import EDGES, FACES, Run
 
 THREE = Path("/usr/share/javascript/three")
@@ -112,23 +112,18 @@ def packed(
 ) -> tuple[dict[str, Any], bytes]:
     """What `viewer.js` draws: what there is and where it begins, and all numbers one by one.
 
+    Numbers are little-endian: places (n, 3) and values (n,) as 16-bit parts of their range, the
+    corners of triangles as 32-bit numbers of places.
+
     Args:
         run: What is drawn.
         minus: A run on the same mesh whose fields are taken off, at the end of the stage of the
             same name, or of the last.
         most_bytes: Of the numbers; corners alone and the last stages alone are drawn if need be.
-
-    Returns:
-        What there is, and the numbers.
-
-    Numbers are little-endian: places (n, 3) and values (n,) as 16-bit parts of their range, the
-    corners of triangles as 32-bit numbers of places.
     """
-    ends = run.written_stages
-    kinds = _kinds(run)
-    last = ends[-1]
+    ends, kinds = run.written_stages, _kinds(run)
     if minus is not None:
-        ends = [s for s in ends if s == last or s in minus.written_stages]
+        ends = [s for s in ends if s == ends[-1] or s in minus.written_stages]
         kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
     fine = outsides(run, curved=True)
     nodes = _used(fine)
@@ -136,53 +131,55 @@ def packed(
     if 2 * len(nodes) * (3 + len(ends) * (3 + len(kinds))) > most_bytes:
         fine = outsides(run, curved=False)
         nodes = _used(fine)
-    room = max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds))))
-    ends = ends[-room:]
-    pieces: list[bytes] = []
+    ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
+    numbers = bytearray()
 
     def add(array: NDArray[Any]) -> int:
-        at = sum(map(len, pieces))
-        pieces.append(array.tobytes())
+        at = len(numbers)
+        numbers.extend(array.tobytes())
         return at
 
     x = run.points[nodes]
     low, size = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
     number = np.full(len(run.points), -1)
     number[nodes] = np.arange(len(nodes))
-    bodies = [
-        {"name": name, "at": add(number[t].astype("<u4")), "triangles": len(t)}
-        for name, t in fine.items()
-    ]
     head: dict[str, Any] = {
         "points": {"at": add(_levels((x - low) / size)), "n": len(nodes)},
         "low": low.tolist(),
         "size": size,
-        "bodies": bodies,
+        "bodies": [
+            {"name": name, "at": add(number[t].astype("<u4")), "triangles": len(t)}
+            for name, t in fine.items()
+        ],
         "stages": ends,
         "signed": minus is not None,
-        "fields": [],
         "moves": [],
+        "fields": [],
     }
     for stage in ends:
         u = run.displacement(stage)[nodes] if "displacement" in run.point_fields else 0 * x
         most = float(np.abs(u).max()) or 1.0
-        at = add(_levels((u / most + 1) / 2))
-        head["moves"].append({"at": at, "most": most})
+        head["moves"].append({"at": add(_levels((u / most + 1) / 2)), "most": most})
     for name, where, label, unit, factor in kinds:
+        on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else True
         steps = []
-        on = run.at_interface(where, "status", -1)[nodes] >= 0 if where else None
         for stage in ends:
             v = factor * _sizes(run, name, stage)[nodes]
             if minus is not None:
-                v -= factor * _sizes(minus, name, -1 if stage == last else stage)[nodes]
-            known = np.isfinite(v) if on is None else np.isfinite(v) & on
-            least, most = (float(f(v[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
-            parts = _levels(np.where(known, (v - least) / ((most - least) or 1.0), 0.0))
-            parts[~known] = LEVELS + 1
+                v -= factor * _sizes(minus, name, -1 if stage == ends[-1] else stage)[nodes]
+            parts, least, most = _scaled(v, np.isfinite(v) & on)
             steps.append({"at": add(parts), "min": least, "max": most})
         title = f"{where.replace('_', '-')}: {label}" if where else label
         head["fields"].append({"name": name, "label": title, "unit": unit, "steps": steps})
-    return head, b"".join(pieces)
+    return head, bytes(numbers)
+
+
+def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:
+    """Values as parts of their range, and its ends; one more level stands for none."""
+    least, most = (float(f(values[known])) for f in (np.min, np.max)) if known.any() else (0, 0)
+    parts = _levels(np.where(known, (values - least) / ((most - least) or 1.0), 0.0))
+    parts[~known] = LEVELS + 1
+    return parts, least, most
 
 
 def _sizes(run: Run, name: str, step: int | str) -> Floats:
@@ -236,7 +233,6 @@ def outsides(run: Run, curved: bool) -> dict[str, Ints]:
 
 
 def _used(triangles: dict[str, Ints]) -> Ints:
-    """Nodes of all triangles, in rising order."""
     return np.unique(np.concatenate([t.ravel() for t in triangles.values()]))
 
 

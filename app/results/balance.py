@@ -16,10 +16,7 @@ from app.arrays import Floats
 from app.laws.materials import Elastic
 from app.laws.values import amplitude
 from app.mechanics.problem import Problem, TrialState
-from app.numerics.saved_state import State
 from forms import elasticity, loads
-
-_SUMS = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 
 
 class Balance:
@@ -29,15 +26,14 @@ class Balance:
     supports, eigenstrains, thermal strain) equals the stored energy plus the work of the interface
     forces. What sets has no energy to come back to: there the work of its stress in its strain,
     trapezoidal too, takes the place of stored energy and of the work of free strain.
+
+    Args:
+        about: Point that moments are taken about (3,) [mm].
     """
 
-    def __init__(self, problem: Problem, about: Floats) -> None:
-        """Compile the forms; collective.
+    saved = ("_work", "_spent", "_scale", "_largest", "force", "moment", "energy")
 
-        Args:
-            problem: At rest, before any temperature is set.
-            about: Point that moments are taken about (3,) [mm].
-        """
+    def __init__(self, problem: Problem, about: Floats) -> None:
         self._problem = problem
         mechanics, scene = problem.mechanics, problem.scene
         dx = mechanics.cells()
@@ -100,27 +96,19 @@ class Balance:
         self._last = self._rest
         self.force = self.moment = self.energy = 0.0
 
-    def state(self) -> State:
-        """The sums."""
-        return {name: getattr(self, name) for name in _SUMS}
-
-    def resume(self, state: State, u: PETSc.Vec, trial: TrialState | None) -> None:
-        """Restore the sums and the committed state, whose displacements are spread; collective."""
-        for name in _SUMS:
-            setattr(self, name, state[name])
+    def go_on(self, u: PETSc.Vec, trial: TrialState | None) -> None:
+        """Measure a restored state, whose displacements are spread; collective."""
         self._last = self._measure(u, trial)
 
     def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
         return self._strain_work_of(e, elasticity.symmetric(components))
 
     def _swelling_work(self, e: Elastic) -> object:
-        """Work by nodal swelling."""
         return self._strain_work_of(
             e, elasticity.swelling(ufl.TestFunction(self._problem.mechanics.scalars))
         )
 
     def _strain_work_of(self, e: Elastic, strain: Expr) -> Any:
-        """Work of a region's stress in a free strain."""
         mechanics, problem = self._problem.mechanics, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(
@@ -129,7 +117,6 @@ class Balance:
         return -loads.mechanical_work(σ, strain) * mechanics.over(e, mechanics.cells())
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
-        """Everything that enters the balances at the current time and state."""
         problem = self._problem
         internal = np.zeros(len(problem.reduction.reacting))
         for form in self._internal:
@@ -227,7 +214,6 @@ class Balance:
 
 
 def _owned(function: fem.Function) -> int:
-    """Own values of a scalar function."""
     return int(function.function_space.dofmap.index_map.size_local)
 
 

@@ -29,6 +29,10 @@ class Bond:
     Attributes:
         name: Its name.
         facets: How many of its facets this rank owns.
+
+    Args:
+        soft: Regions whose stress counts.
+        stiff: Regions on the other side.
     """
 
     def __init__(
@@ -39,15 +43,6 @@ class Bond:
         soft: Sequence[str],
         stiff: Sequence[str],
     ) -> None:
-        """Find its facets.
-
-        Args:
-            problem: The problem.
-            stresses: Its stresses.
-            name: Name of the interface.
-            soft: Regions whose stress counts.
-            stiff: Regions on the other side.
-        """
         self.name, self._comm, self._stresses = name, problem.comm, stresses
         self._sides = []
         self.facets = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from app.results import tables
 
 if TYPE_CHECKING:
     from app.stepping.heat_steps import HeatStep
+    from app.stepping.load_steps import LoadStep
 
 log = logging.getLogger("mantle")
 
@@ -46,22 +47,23 @@ def step_header() -> str:
 
 
 def step_line(
-    number: int,
-    time: float,
-    newton: int,
-    krylov: int,
-    residual: float,
-    open_fraction: float,
-    slip_fraction: float,
-    penetration: float,
-    wall: float,
-    left: float,
+    step: LoadStep, fractions: Sequence[float], penetration: float, wall: float, left: float
 ) -> str:
-    """One line for a converged step; lengths in mm, times in s."""
+    """One line for a converged step.
+
+    Args:
+        step: The step.
+        fractions: Open and slipping part of the contact area.
+        penetration: The largest of all interfaces [mm].
+        wall: Time since the run began [s].
+        left: Estimated time to its end [s].
+    """
+    outcome = step.outcome
+    apart, slipping = (f"{100 * part:>5.1f}%" for part in fractions)
     return (
-        f"{number:>4} {time:>7.4g} {newton:>6} {krylov:>6} {residual:>9.1e} "
-        f"{100 * open_fraction:>5.1f}% {100 * slip_fraction:>5.1f}% {penetration:>9.1e} mm "
-        f"{wall:>6.1f} s {left:>6.1f} s"
+        f"{step.number:>4} {step.time:>7.4g} {outcome.iterations:>6} "
+        f"{outcome.linear_iterations:>6} {outcome.residuals[-1]:>9.1e} {apart} {slipping} "
+        f"{penetration:>9.1e} mm {wall:>6.1f} s {left:>6.1f} s"
     )
 
 
@@ -95,7 +97,7 @@ def closing_table(summary: dict[str, Any]) -> str:
 
 
 def unbalanced(summary: Mapping[str, Any]) -> list[str]:
-    """What is not in balance; a number that is none is not either."""
+    """Balances above their limit; NaN counts as above."""
     b = summary.get("balance", {})
     return [name for name, limit in BALANCES.items() if name in b and not b[name] < limit]
 
@@ -109,7 +111,7 @@ def too_far(summary: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def faults(summary: Mapping[str, Any]) -> list[str]:
+def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
     """Why the numbers of a solved case are not to be used; nothing if they are."""
     lost = [
         f"the balance of {name} is {summary['balance'][name]:.1e}, not below {BALANCES[name]:g}"
@@ -127,7 +129,7 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
     Raises:
         UnusableError: With the reasons of each.
     """
-    found = {folder: "; ".join(faults(s)) for folder, s in summaries.items()}
+    found = {folder: "; ".join(reasons_not_to_use(s)) for folder, s in summaries.items()}
     if bad := [f"do not use the numbers in {f}: {why}" for f, why in found.items() if why]:
         raise UnusableError("\n".join(bad))
 
@@ -200,7 +202,7 @@ def _contact(interfaces: Mapping[str, Any]) -> Verdict:
 
 
 def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
-    """What the mesh and the step leave wrong, as far as it is estimated."""
+    """Error of mesh and step, as far as it is estimated."""
     estimated = summary.get("error", {})
     if not estimated.get("companions"):
         return Verdict(f"{BOTH}: error not estimated (--error does)")

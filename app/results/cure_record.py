@@ -11,19 +11,18 @@ from mpi4py import MPI
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.numerics.saved_state import Rows, State
 
 LEVELS = (0.5, 0.9)
 
 
 @dataclass
 class _CuringRegion:
-    """Cure recorded at the nodes of one region (n,)."""
+    """Cure recorded at the nodes of one region: (n,), and times that levels were reached (n, k)."""
 
     degree: Floats
     rate: Floats
     reached: Floats
-    fastest: float
+    fastest: Floats
 
 
 class CureRecord:
@@ -31,23 +30,29 @@ class CureRecord:
 
     The time at which a node reaches a degree is interpolated within the step by a cubic of time
     over degree, from degrees and rates at both ends of the step.
+
+    Args:
+        degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
+        keys: Keys of these nodes (n,).
     """
 
-    def __init__(self, comm: MPI.Comm, degrees: Mapping[str, Floats], seconds: float = 0.0) -> None:
-        """Take in the initial state.
+    saved = ("_regions", "_seconds")
 
-        Args:
-            comm: Communicator.
-            degrees: Degree of cure of this rank's own nodes of each region that sets (n,).
-            seconds: Time [s].
-        """
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        degrees: Mapping[str, Floats],
+        keys: Mapping[str, Ints],
+        seconds: float = 0.0,
+    ) -> None:
         self._comm, self._seconds = comm, seconds
+        self.row_keys = {"_regions": keys}
         self._regions = {
             name: _CuringRegion(
                 degree.copy(),
                 np.zeros(len(degree)),
-                np.where(degree >= np.array(LEVELS)[:, None], seconds, np.inf),
-                0.0,
+                np.where(degree[:, None] >= np.array(LEVELS), seconds, np.inf),
+                np.zeros(len(degree)),
             )
             for name, degree in degrees.items()
         }
@@ -66,36 +71,14 @@ class CureRecord:
         for name, r in self._regions.items():
             degree, rate = degrees[name], rates[name]
             for k, level in enumerate(LEVELS):
-                now = np.flatnonzero((degree >= level) & np.isinf(r.reached[k]))
+                now = np.flatnonzero((degree >= level) & np.isinf(r.reached[:, k]))
                 share = _crossing(
                     level, r.degree[now], degree[now], step * r.rate[now], step * rate[now]
                 )
-                r.reached[k, now] = self._seconds + step * share
-            r.fastest = max(r.fastest, float(rate.max(initial=0.0)))
+                r.reached[now, k] = self._seconds + step * share
+            r.fastest = np.maximum(r.fastest, rate)
             r.degree, r.rate = degree.copy(), rate.copy()
         self._seconds = seconds
-
-    def state(self, keys: Mapping[str, Ints]) -> State:
-        """All that is history; collective.
-
-        Args:
-            keys: Those of the nodes of each region.
-        """
-        return {
-            name: {
-                "nodes": Rows(keys[name], np.column_stack([r.degree, r.rate, *r.reached])),
-                "fastest": self._comm.allreduce(r.fastest, MPI.MAX),
-                "seconds": self._seconds,
-            }
-            for name, r in self._regions.items()
-        }
-
-    def resume(self, state: State, keys: Mapping[str, Ints]) -> None:
-        """Restore the recorded values, given the keys of the nodes of each region."""
-        for name, found in state.items():
-            degree, rate, *reached = (c.copy() for c in found["nodes"].of(keys[name]).T)
-            self._regions[name] = _CuringRegion(degree, rate, np.array(reached), found["fastest"])
-            self._seconds = found["seconds"]
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv for the state last taken in; collective."""
@@ -110,14 +93,14 @@ class CureRecord:
         result = {}
         for name, r in self._regions.items():
             low, high = self._range(r)
-            times = r.reached.max(axis=1, initial=-np.inf)
+            times = r.reached.max(axis=0, initial=-np.inf)
             self._comm.Allreduce(MPI.IN_PLACE, times, MPI.MAX)
             result[name] = {
                 "degree_min": low,
                 "degree_max": high,
                 "time_50": float(times[0]) if np.isfinite(times[0]) else None,
                 "time_90": float(times[1]) if np.isfinite(times[1]) else None,
-                "rate_max": self._comm.allreduce(r.fastest, MPI.MAX),
+                "rate_max": self._comm.allreduce(r.fastest.max(initial=0.0), MPI.MAX),
             }
         return result
 

@@ -95,7 +95,6 @@ def companions(case: Case) -> tuple[Companion, ...]:
 
 
 def _companion(case: Case, coarsening: float, steps: float) -> Companion:
-    """The case on a coarser mesh with another number of steps."""
     mesh = case.mesh.model_copy(
         update={"size": coarsening * case.mesh.size, "far_size": coarsening * case.mesh.far}
     )
@@ -116,8 +115,8 @@ def _coarsenings(case: Case) -> tuple[float, ...]:
     return tuple(dict.fromkeys(c for f in COARSER if (c := min(f, limit)) > LEAST))
 
 
-def of_what(solved: Sequence[Companion]) -> str:
-    """What the error is of, by the companions that were solved: mesh and step, or a step alone."""
+def error_sources(solved: Sequence[Companion]) -> str:
+    """Name the error sources covered: "mesh and step", "time step" or "load step"."""
     if any(c.coarsening > LEAST for c in solved):
         return "mesh and step"
     return "time step" if any(s.duration for c in solved for s in c.case.stages) else "load step"
@@ -184,7 +183,6 @@ def _on_meshes(
 
 
 def _of_zone(zone: Numbers, order: int, others: Sequence[tuple[Companion, Numbers]]) -> None:
-    """Put errors beside the means and the strain energy density of a Gruen zone."""
     for name, numbers in zone["interfaces"].items():
         own = [(c, o.get("interfaces", {}).get(name, {})) for c, o in others]
         for key in [k for k in numbers if k.endswith("_mean")]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -20,18 +19,12 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.arrays import Floats, Ints
-from app.numerics.saved_state import ENDS, Rows, State
+from app.numerics.saved_state import ENDS
 from app.results.interface_heat import W_PER_M2
 from app.results.interface_numbers import ContactSamples
 from app.results.necrosis import CELSIUS
 from app.results.thermal_record import Interfaces, ThermalRecord
-from app.results.vtkhdf import (
-    QUADRATIC_NODES,
-    QUADRATIC_TETRAHEDRON,
-    TETRAHEDRON,
-    GridFile,
-    write_last_step,
-)
+from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
 from app.scene.bodies import Bodies, cell_tags
 from app.stepping.heat_steps import HeatState
 from meshes.distribute import TaggedMesh
@@ -54,7 +47,7 @@ class OutputNodes:
     ends: Ints
 
 
-class Layer(Protocol):
+class FieldGroup(Protocol):
     """One physics of a run: what it has to write."""
 
     bodies: Bodies
@@ -68,23 +61,22 @@ class Layer(Protocol):
 
 
 class Fields:
-    """The field file."""
+    """The field file.
 
-    def __init__(self, tagged: TaggedMesh, layers: Sequence[Layer], path: Path) -> None:
-        """Make the grid; `begin` or `resume` comes next; collective.
+    Attributes:
+        steps: Steps in it.
+    """
 
-        Args:
-            tagged: The mesh.
-            layers: The mechanics, if there are any, then the heat; at least one of them.
-            path: The file.
-        """
-        self._layers, self._path = tuple(layers), path
-        space, owned = layers[0].space, tagged.mesh.topology.index_map(3).size_local
+    saved = ("steps", "_order")
+
+    def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
+        self._layers, self._path = tuple(groups), path
+        space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
         dofs = space.dofmap.list[:owned]
         self._cells = owned
         bodies, group = np.unique(
-            np.stack([layer.bodies.of_tag[tags] for layer in layers], axis=1),
+            np.stack([layer.bodies.of_tag[tags] for layer in groups], axis=1),
             axis=0,
             return_inverse=True,
         )
@@ -95,7 +87,7 @@ class Fields:
         cell, local = np.divmod(first, dofs.shape[1])
         # What the points and cells of the file are, in the order of the ranks.
         of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for k, layer in enumerate(layers):
+        for k, layer in enumerate(groups):
             of_points = of_points * len(layer.bodies.names) + bodies[group, k]
         keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
         comm = self._comm = tagged.mesh.comm
@@ -106,20 +98,14 @@ class Fields:
         ]
         place = np.where(mine, np.cumsum(mine), mine.sum() + np.cumsum(~mine)) - 1
         cells = place[cells.reshape(dofs.shape)]
-        quadratic = dofs.shape[1] > 4
-        self._make = partial(
-            GridFile,
-            comm,
-            path,
-            space.tabulate_dof_coordinates()[dof[mine]],
-            cells[:, QUADRATIC_NODES] if quadratic else cells,
-            QUADRATIC_TETRAHEDRON if quadratic else TETRAHEDRON,
-            {"region": tags.astype(np.int32)},
-            {"region_names": tuple(tagged.regions)},
-            ghosts=number[~mine],
-        )
+        cells = cells[:, QUADRATIC_NODES] if dofs.shape[1] > 4 else cells
+        region = {"region": tags.astype(np.int32)}
+        names = {"region_names": tuple(tagged.regions)}
+        x = space.tabulate_dof_coordinates()[dof[mine]]
+        self._grid = Grid(x, cells, number[~mine], region, names)
         of_cells = tagged.mesh.topology.original_cell_index[:owned]
         self._keys = [comm.gather(k) for k in (keys[mine], of_cells)]
+        self._order, self.steps = self._own_order(), 0
 
     @staticmethod
     def _vertices(tagged: TaggedMesh, cell: Ints, local: Ints) -> Ints:
@@ -129,33 +115,35 @@ class Fields:
         ends = np.take_along_axis(corners, ENDS[local], axis=1)
         return np.asarray(ends.min(axis=1) * geometry.index_map().size_global + ends.max(axis=1))
 
+    @property
+    def row_keys(self) -> dict[str, list[Ints]]:
+        """Places of points and cells in the file, on rank 0."""
+        return {"_order": [np.arange(len(keys)) for keys in self._order]}
+
+    def _own_order(self) -> list[Ints]:
+        """Keys of points and cells in the order of these ranks, on rank 0."""
+        return [np.concatenate(keys) if keys else none() for keys in self._keys]
+
     def begin(self) -> None:
         """Write the grid; collective.
 
         Raises:
             OSError: It cannot be written.
         """
-        self._grid = self._make()
-        self._order: list[Ints] = [np.concatenate(keys) if keys else none() for keys in self._keys]
+        self._file = GridFile(self._comm, self._path, self._grid)
+        self._order, self.steps = self._own_order(), 0
 
-    def state(self) -> State:
-        """How many steps there are, of what points and cells; collective."""
-        points, cells = (Rows(np.arange(len(keys)), keys) for keys in self._order)
-        return {"steps": self._grid.steps, "points": points, "cells": cells}
-
-    def resume(self, state: State) -> bool:
-        """Go on after some steps of the file that is there, if it is; collective."""
-        self._order = [none(), none()]
+    def go_on(self) -> bool:
+        """Go on after the restored number of steps of the file, if it is there; collective."""
         order: list[Ints] = []
         if self._comm.rank == 0:
-            self._order = [state[name].values for name in ("points", "cells")]
             for wanted, keys in zip(self._order, self._keys, strict=True):
                 have = np.concatenate(keys)
                 sort = np.argsort(have, kind="stable")
                 place = np.minimum(np.searchsorted(have[sort], wanted), len(have) - 1)
                 order.append(sort[place])
         try:
-            self._grid = self._make(order=order, steps=state["steps"])
+            self._file = GridFile(self._comm, self._path, self._grid, order, self.steps)
         except OSError:
             return False
         return True
@@ -175,7 +163,8 @@ class Fields:
         for layer, nodes in zip(self._layers, self._nodes, strict=True):
             point |= layer.point(nodes, samples)
             cell |= layer.cell(self._cells)
-        self._grid.write(time, point, cell)
+        self._file.write(time, point, cell)
+        self.steps = self._file.steps
 
 
 def _owners(comm: MPI.Comm, keys: Ints) -> tuple[NDArray[np.bool_], Ints]:
@@ -208,13 +197,6 @@ class HeatFields:
     """Temperature, heat doses, cure, and what passes interfaces of finite conductance."""
 
     def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
-        """Write these of a run.
-
-        Args:
-            heating: The heat.
-            record: Its doses.
-            interfaces: Regions on the first and second side of each interface.
-        """
         self._heating, self._record, self._interfaces = heating, record, interfaces
         self._conduction = heating.conduction
         self.bodies, self.space = self._conduction.bodies, self._conduction.space
@@ -260,7 +242,6 @@ class HeatFields:
         return {}
 
     def _doses(self) -> dict[str, list[Floats]]:
-        """Doses of bone at the nodes of each body, by name."""
         zero = np.zeros(len(self._work.x.array))
         names = ("seconds_over_47", "cem43", "henriques_moritz")
         found: dict[str, list[Floats]] = {
@@ -268,7 +249,7 @@ class HeatFields:
         }
         for region in self._record.bone:
             own, e = self._record.exposure(region)
-            for name, dose in zip(names, (e.over[0], e.cem43, e.damage), strict=True):
+            for name, dose in zip(names, (e.over[:, 0], e.cem43, e.damage), strict=True):
                 # Regions of one body agree on the nodes that they share.
                 of_body = found[name][own.body]
                 np.maximum(of_body, self._spread(own.dof, dose), out=of_body)

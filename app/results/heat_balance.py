@@ -13,7 +13,6 @@ is missing in it is the error of that rule.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 Flows = Mapping[str, float]
 
@@ -26,17 +25,20 @@ class HeatBalance:
             had moved.
         quadrature: What is missing in the trapezoidal sum.
         heats: Heat that came in by each condition so far, by the integrator's sum [N mm].
+
+    Args:
+        stored: Heat stored at the start [N mm].
+        flows: Flow into the model by each condition at the start [N mm/s]; empty if it is not
+            known (it is infinite where temperatures differ from given ones): the first step is
+            then summed with the flows at its end.
     """
 
-    def __init__(self, stored: float, flows: Flows) -> None:
-        """Begin.
+    saved = (
+        *("_stored", "_now", "_last", "_stage_sum", "_end_sum", "_moved"),
+        *("heat", "quadrature", "heats"),
+    )
 
-        Args:
-            stored: Heat stored at the start [N mm].
-            flows: Flow into the model by each condition at the start [N mm/s]; empty if it is not
-                known (it is infinite where temperatures differ from given ones): the first step is
-                then summed with the flows at its end.
-        """
+    def __init__(self, stored: float, flows: Flows) -> None:
         self._stored = self._now = stored
         self._last = dict(flows)
         self._stage_sum = self._end_sum = self._moved = 0.0
@@ -93,14 +95,6 @@ class HeatBalance:
         self._end_sum += stored - self._now
         self._stage_sum += stored - self._now
         self._now, self._last = stored, dict(flows)
-
-    def state(self) -> dict[str, Any]:
-        """The sums."""
-        return {k: dict(v) if isinstance(v, dict) else v for k, v in vars(self).items()}
-
-    def resume(self, state: Mapping[str, Any]) -> None:
-        """Restore the sums."""
-        vars(self).update(state)
 
     def _compare(self, stored: float) -> None:
         gained = stored - self._stored

@@ -62,25 +62,22 @@ def exchange(
 
 @dataclass
 class InterfaceExtremes:
-    """Largest jump and flux, entropy production of one interface on this rank."""
+    """Largest jump and flux, entropy production of one interface, of all ranks."""
 
     jump: float = 0.0
     flux: float = 0.0
     entropy_min: float = np.inf
     entropy_max: float = -np.inf
 
-    def take(self, flux: Floats, entropy: Floats) -> None:
-        """Take in what passes its points (n,) [N/(mm s)], [N/(mm s K)]."""
-        self.flux = max(self.flux, float(np.abs(flux).max(initial=0.0)))
-        self.entropy_min = min(self.entropy_min, float(entropy.min(initial=np.inf)))
-        self.entropy_max = max(self.entropy_max, float(entropy.max(initial=-np.inf)))
-
-    def everywhere(self, comm: MPI.Comm) -> InterfaceExtremes:
-        """Those of all ranks; collective."""
-        highest = np.array([self.jump, self.flux, -self.entropy_min, self.entropy_max])
+    def take(self, comm: MPI.Comm, flux: Floats, entropy: Floats) -> None:
+        """Take in what passes own points (n,) [N/(mm s)], [N/(mm s K)]; collective."""
+        highest = np.array([np.abs(flux).max(initial=0.0), -entropy.min(initial=np.inf)])
+        highest = np.append(highest, entropy.max(initial=-np.inf))
         comm.Allreduce(MPI.IN_PLACE, highest, MPI.MAX)
-        jump, flux, low, high = (float(value) for value in highest)
-        return InterfaceExtremes(jump, flux, -low, high)
+        flux_max, low, high = map(float, highest)
+        self.flux = max(self.flux, flux_max)
+        self.entropy_min = min(self.entropy_min, -low)
+        self.entropy_max = max(self.entropy_max, high)
 
     def summary(self) -> dict[str, float]:
         """Their numbers in the summary."""

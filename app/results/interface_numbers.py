@@ -39,7 +39,6 @@ class ContactSamples:
         interface: Interface of each point (n,).
         x: Position (n, 3) [mm].
         weight: Area (n,) [mm2].
-        sign: -1 where the second side as declared is the master, else 1 (n,).
         gap: Opening of each face (n, 3) [mm]; 0 beyond the point's faces.
         opening: Opening of the point, the largest of its faces (n,) [mm].
         slip: Net sliding while in contact (n, 3) [mm].
@@ -58,15 +57,13 @@ class ContactSamples:
     """
 
     def __init__(self, problem: Problem, trial: TrialState) -> None:
-        """Gather a committed state; collective."""
         self.found: dict[int, dict[str, Any]] = {}
         (j,) = problem.jumps
         history = j.history
         opening = np.einsum("pi,pki->pk", trial.jump + j.gap, j.normals)
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
-        signs = np.array([-1.0 if c.turned else 1.0 for c in contacts])
-        sign, self.sign = signs[j.interface][:, None], signs[j.points.interface]
+        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[j.interface][:, None]
         used = np.arange(3)[None, :] < j.faces[:, None]
         local = {
             "row": j.mine,
@@ -165,12 +162,6 @@ class Facets:
     """
 
     def __init__(self, s: ContactSamples, i: int) -> None:
-        """Find them.
-
-        Args:
-            s: The contact points.
-            i: Number of the interface.
-        """
         self.triangles: Ints = s.points.triangles[i]
         x = s.x[self.triangles]
         flat = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])

@@ -5,8 +5,6 @@ Counting nodes would move in steps of the mesh, of which there are few across wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from mpi4py import MPI
 
 import numpy as np
@@ -18,15 +16,12 @@ from app.heat.heat_forms import HeatForms
 
 _EDGES = np.array([(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 _FACES = np.array([(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)])
-# Triangles looked at for the distance of a point: those whose centres are nearest.
-_NEAREST = 12
 
 
 class RegionCells:
     """Cells of a region that this rank owns."""
 
     def __init__(self, forms: HeatForms, region: str) -> None:
-        """Find them; collective."""
         self._comm = forms.comm
         self._dofs = forms.space.dofmap.list[forms.cells(region)].astype(np.int64)
         self._x = forms.space.tabulate_dof_coordinates()[self._dofs]
@@ -72,6 +67,8 @@ class RegionCells:
             level: Its values there (n,).
             surface: Triangles (f, 3, 3) [mm], at least one.
         """
+        from meshes.mantle import distance  # imported late: scipy takes its time
+
         f = self._at_corners(dof, level, -1.0)
         depth = 0.0
         ends, x = f[:, _EDGES], self._x[:, _EDGES]
@@ -109,35 +106,3 @@ def positive_share(f: Floats) -> Floats:
     share += np.where(two, ac * ad + ac * (1 - ad) * bd + (1 - ac) * bc * bd, 0.0)
     rest = (1 - cut(a, d, three)) * (1 - cut(b, d, three)) * (1 - cut(c, d, three))
     return np.asarray(share + np.where(three, 1 - rest, 0.0))
-
-
-def distance(points: Floats, triangles: Floats) -> Floats:
-    """Distance of points from a triangulated surface (n,) [mm].
-
-    Args:
-        points: The points (n, 3) [mm].
-        triangles: Its triangles (f, 3, 3) [mm], not very different in size.
-    """
-    from scipy.spatial import cKDTree  # imported late: few runs need it
-
-    k = min(_NEAREST, len(triangles))
-    near = cKDTree(triangles.mean(axis=1)).query(points, k)[1].reshape(len(points), k)
-    return np.min([_from_triangle(points, triangles[near[:, i]]) for i in range(k)], axis=0)
-
-
-def _from_triangle(p: Floats, t: Floats) -> Floats:
-    """Distance of each point (n, 3) from its triangle (n, 3, 3)."""
-    sides: Sequence[tuple[int, int]] = ((0, 1), (1, 2), (2, 0))
-    found = np.min([_from_segment(p, t[:, i], t[:, j]) for i, j in sides], axis=0)
-    normal = np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])
-    above = np.ones(len(p), dtype=bool)
-    for i, j in sides:
-        inward = np.cross(normal, t[:, j] - t[:, i])
-        above &= np.einsum("ni,ni->n", inward, p - t[:, i]) >= 0
-    height = np.abs(np.einsum("ni,ni->n", normal, p - t[:, 0])) / np.linalg.norm(normal, axis=1)
-    return np.where(above, height, found)
-
-
-def _from_segment(p: Floats, a: Floats, b: Floats) -> Floats:
-    along = np.einsum("ni,ni->n", p - a, b - a) / np.einsum("ni,ni->n", b - a, b - a)
-    return np.asarray(np.linalg.norm(p - a - np.clip(along, 0, 1)[:, None] * (b - a), axis=1))

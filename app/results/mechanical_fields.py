@@ -18,7 +18,6 @@ class MechanicalFields:
     """Displacement, stress, and what contact points do."""
 
     def __init__(self, problem: Problem, stresses: Stresses) -> None:
-        """Write these of a problem."""
         self._problem, self._stresses = problem, stresses
         self.bodies, self.space = problem.bodies, problem.space
         index_map = self.space.dofmap.index_map
@@ -106,7 +105,6 @@ COMPONENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
 def _components(σ: Floats) -> Floats:
-    """Six components (..., 6) of symmetric tensors (..., 3, 3)."""
     return np.stack([σ[..., i, j] for i, j in COMPONENTS], axis=-1)
 
 

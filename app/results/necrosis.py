@@ -100,7 +100,7 @@ class Exposure:
     """Thermal exposure of n nodes so far; `add` updates it in place.
 
     Attributes:
-        over: Time at or above each of `LEVELS` (3, n) [s].
+        over: Time at or above each of `LEVELS` (n, 3) [s].
         cem43: Equivalent minutes at 43 degC (n,).
         damage: Henriques-Moritz (n,).
     """
@@ -112,12 +112,12 @@ class Exposure:
     @staticmethod
     def of(n: int) -> Exposure:
         """No exposure of n nodes."""
-        return Exposure(np.zeros((len(LEVELS), n)), np.zeros(n), np.zeros(n))
+        return Exposure(np.zeros((n, len(LEVELS))), np.zeros(n), np.zeros(n))
 
     def add(self, start: Floats, end: Floats, seconds: float) -> None:
         """Count a step in which the temperature goes linearly from start to end (n,) [K]."""
         for k, level in enumerate(LEVELS):
-            self.over[k] += seconds_over(start, end, seconds, level)
+            self.over[:, k] += seconds_over(start, end, seconds, level)
         self.cem43[:] += cem43(start, end, seconds)
         self.damage[:] += henriques_moritz(start, end, seconds)
 
@@ -141,7 +141,7 @@ class Exposure:
             f"cem43_{m}": np.log(np.maximum(self.cem43 / m, _LEAST)) for m in CEM43_THRESHOLDS
         }
         return {
-            "47C_1min": self.over[0] / MINUTE - 1,
+            "47C_1min": np.asarray(self.over[:, 0] / MINUTE - 1),
             **minutes,
             "henriques_moritz": np.log(np.maximum(self.damage, _LEAST)),
         }

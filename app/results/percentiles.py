@@ -22,15 +22,14 @@ def percentile(values: Floats, weights: Floats, fraction: float = PERCENTILE) ->
 
 
 class SurfaceField:
-    """A field that is linear on each triangle of a surface."""
+    """A field that is linear on each triangle of a surface.
+
+    Args:
+        corners: Its values at the corners of triangles (f, 3).
+        area: Their areas (f,) [mm2].
+    """
 
     def __init__(self, corners: Floats, area: Floats) -> None:
-        """Keep it.
-
-        Args:
-            corners: Its values at the corners of triangles (f, 3).
-            area: Their areas (f,) [mm2].
-        """
         self._corners, self._area = corners, area
         self._sorted = np.sort(corners, axis=1)
 

@@ -14,14 +14,13 @@ from app.mechanics.problem import Problem
 
 
 class DisplacementProbes:
-    """Displacements of a problem at points, by the shape functions of the cells that hold them."""
+    """Displacements of a problem at points, by the shape functions of the cells that hold them.
+
+    Raises:
+        InputError: A point is not in its region.
+    """
 
     def __init__(self, problem: Problem, probes: Sequence[ProbedPoint]) -> None:
-        """Find the cells; collective.
-
-        Raises:
-            InputError: A point is not in its region.
-        """
         self._problem = problem
         self._names = tuple(p.name for p in probes)
         self._mine: list[tuple[int, int, Ints, Floats]] = []

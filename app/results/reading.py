@@ -38,11 +38,6 @@ class Results:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Open a run directory.
-
-        Args:
-            folder: The directory.
-        """
         self.folder = folder
 
     @cached_property
@@ -100,17 +95,15 @@ class Run(Results):
         point_fields: Names of the fields on points.
         cell_fields: Names of the fields on cells.
         hot: Whether there is a temperature.
+
+    Args:
+        folder: A run directory.
+
+    Raises:
+        OSError: It has no fields, or they cannot be read.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Open a run that wrote fields.
-
-        Args:
-            folder: A run directory.
-
-        Raises:
-            OSError: It has no fields, or they cannot be read.
-        """
         super().__init__(folder)
         with h5py.File(folder / "fields.vtkhdf", "r") as file:
             root = file["VTKHDF"]

@@ -11,18 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Bools, Floats, Ints
+from app.arrays import Bools, Floats
 from app.heat import curves_in_time
 from app.heat.curves_in_time import bend, bend_after_kink, peak_between, raise_to
 from app.heat.nodes import ThermalNodes
-from app.numerics.saved_state import Rows, State, keyed
 from app.results.level_sets import RegionCells
 from app.results.necrosis import CELSIUS, COUNTS_FROM, LEVELS, Exposure
 
@@ -36,16 +35,18 @@ class RegionTemperatures:
         now: Temperatures of the last state [K].
         peak: Highest temperatures so far [K].
         peak_time: When they were [s].
-        lowest: Lowest temperature of any node so far [K].
+        lowest: Lowest temperatures so far [K].
         exposure: Heat doses so far.
         before: Up to three states before the last one, newest last.
     """
+
+    saved: ClassVar = ("now", "peak", "peak_time", "lowest", "exposure", "before")
 
     nodes: ThermalNodes
     now: Floats
     peak: Floats
     peak_time: Floats
-    lowest: float
+    lowest: Floats
     exposure: Exposure
     before: list[curves_in_time.State] = field(default_factory=list)
 
@@ -54,7 +55,7 @@ class RegionTemperatures:
         """The record of an initial state."""
         T = nodes.values(temperatures)
         time = np.full(len(T), seconds)
-        return cls(nodes, T, T.copy(), time, float(T.min(initial=np.inf)), Exposure.of(len(T)))
+        return cls(nodes, T, T.copy(), time, T.copy(), Exposure.of(len(T)))
 
     @property
     def begin(self) -> Floats:
@@ -70,7 +71,7 @@ class RegionTemperatures:
         """Take in the temperatures at the end of a step that began at a last time."""
         self.before = [*self.before[-2:], (last, self.now)]
         self.now = self.nodes.values(temperatures)
-        self.lowest = min(self.lowest, float(self.now.min(initial=np.inf)))
+        self.lowest = np.minimum(self.lowest, self.now)
 
     def bend(self, seconds: float, rates: Sequence[Floats]) -> Floats:
         """How far the middle of a step that ends now is off a straight line [K].
@@ -99,28 +100,6 @@ class RegionTemperatures:
             peak, time = peak_between(*states)
             raise_to(self.peak, self.peak_time, np.minimum(peak, highest), time)
 
-    # What a run remembers
-
-    def state(self, comm: MPI.Comm, nodes: Ints) -> State:
-        """All that is history, given the keys of all nodes; collective."""
-        x, keys = self.exposure, nodes[self.nodes.dof]
-        columns = [self.now, self.peak, self.peak_time, x.cem43, x.damage, *x.over]
-        return {
-            "nodes": Rows(keys, np.column_stack(columns)),
-            "lowest": comm.allreduce(self.lowest, MPI.MIN),
-            "before": [[t, keyed(keys, T)] for t, T in self.before],
-        }
-
-    def resume(self, state: State, nodes: Ints) -> None:
-        """Restore temperatures, peaks and doses."""
-        keys = nodes[self.nodes.dof]
-        self.now, self.peak, self.peak_time, cem43, damage, *over = (
-            column.copy() for column in state["nodes"].of(keys).T
-        )
-        self.exposure = Exposure(np.array(over), cem43, damage)
-        self.lowest = state["lowest"]
-        self.before = [(t, T.of(keys)) for t, T in state["before"]]
-
     # The summary
 
     def temperatures(self, comm: MPI.Comm, cells: RegionCells) -> dict[str, Any]:
@@ -132,11 +111,12 @@ class RegionTemperatures:
 
         peak, place, when = largest(comm, self.peak, self.nodes.x, self.peak_time)
         end = comm.allreduce(self.now.max(initial=-np.inf), MPI.MAX)
+        lowest = comm.allreduce(self.lowest.min(initial=np.inf), MPI.MIN)
         result: dict[str, Any] = {
             "temperature_max": peak - CELSIUS,
             "temperature_max_at": place,
             "temperature_max_time": when,
-            "temperature_min": comm.allreduce(self.lowest, MPI.MIN) - CELSIUS,
+            "temperature_min": lowest - CELSIUS,
             "temperature_mean": total(volume * self.now) / total(volume) - CELSIUS,
             "temperature_end_max": end - CELSIUS,
         }
@@ -147,7 +127,7 @@ class RegionTemperatures:
 
     def times(self, comm: MPI.Comm) -> dict[str, float]:
         """Longest time of a node above each level [s]; collective."""
-        over = self.exposure.over
+        over = self.exposure.over.T
         return {f"seconds_over_{x:g}": _longest(comm, over[k]) for k, x in enumerate(LEVELS)}
 
     def dead(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
@@ -171,7 +151,6 @@ class RegionTemperatures:
 
 
 def _longest(comm: MPI.Comm, dose: Floats) -> float:
-    """Largest dose of a region; collective."""
     return float(comm.allreduce(float(dose.max(initial=0.0)), MPI.MAX))
 
 

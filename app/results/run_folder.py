@@ -11,7 +11,7 @@ import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import cache, partial
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,9 +22,8 @@ from app import files
 from app.case import quantities
 from app.errors import StoppedError, everywhere
 from app.heat.conduction import Conduction
-from app.numerics.saved_state import State
 from app.results import temperature_section
-from app.results.field_output import Fields, Layer
+from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.thermal_record import ThermalRecord
 from app.system import identity
@@ -36,11 +35,9 @@ T = TypeVar("T")
 
 UNITS = {name: unit for unit, (name, _) in quantities.UNITS.items() if name}
 UNITS |= {"memory": "MB", "memory per unknown": "kB"}
-HISTORY, SECTION = "temperature.png", "temperature_section.png"
+SECTION = "temperature_section.png"
 # What is written at the end; all that a run directory has.
-ENDS = (
-    *("DONE", "summary.json", "provenance.json", "final.vtkhdf", HISTORY, SECTION, "report.html"),
-)
+ENDS = (*("DONE", "summary.json", "provenance.json", "final.vtkhdf", SECTION, "report.html"),)
 RESULTS = (*ENDS, "history.csv", "fields.vtkhdf")
 log = logging.getLogger("mantle")
 
@@ -81,32 +78,33 @@ def _write(comm: MPI.Comm, action: Callable[[], None], what: str) -> None:
 
 
 class Writer:
-    """Writes a run directory step by step."""
+    """Writes a run directory step by step.
+
+    Args:
+        groups: What the fields are of: the mechanics, if there are any, then the heat.
+        resolved: The resolved configuration, as YAML.
+        record: Gives the provenance when the run ends.
+        again: Whether a restart follows: what is there may stay.
+
+    Attributes:
+        grids: The field file, if fields are written.
+
+    Raises:
+        StoppedError: The directory cannot be written.
+    """
+
+    saved = ("_rows",)
 
     def __init__(
         self,
         tagged: TaggedMesh,
-        layers: Sequence[Layer],
+        groups: Sequence[FieldGroup],
         folder: Path,
         resolved: str,
         fields: bool,
         record: Callable[[], dict[str, Any]],
         again: bool = False,
     ) -> None:
-        """Create the directory and the field file, or go on with them; collective.
-
-        Args:
-            tagged: The mesh.
-            layers: What the fields are of: the mechanics, if there are any, then the heat.
-            folder: The run directory; exists.
-            resolved: The resolved configuration, as YAML.
-            fields: Whether fields are written.
-            record: Gives the provenance when the run ends.
-            again: Whether `resume` follows: what is there may stay.
-
-        Raises:
-            StoppedError: The directory cannot be written.
-        """
         self.folder, self._comm, self._record = folder, tagged.mesh.comm, record
         self._rows: list[dict[str, Any]] = []
 
@@ -119,41 +117,30 @@ class Writer:
             write_text(folder / "case.yaml", resolved)
 
         _write(self._comm, start, str(folder))
-        self._grids: tuple[Fields, ...] = (
-            (Fields(tagged, layers, folder / "fields.vtkhdf"),) if fields else ()
+        self.grids: tuple[Fields, ...] = (
+            (Fields(tagged, groups, folder / "fields.vtkhdf"),) if fields else ()
         )
         if not again:
             self._begin()
 
     def _begin(self) -> None:
         with _full_disk("fields.vtkhdf"):
-            for grid in self._grids:
+            for grid in self.grids:
                 grid.begin()
 
-    def state(self) -> State:
-        """Rows and steps written so far, to be saved; collective."""
-        return {"rows": list(self._rows), "fields": [g.state() for g in self._grids]}
-
-    def resume(self, state: State) -> bool:
+    def restored(self) -> None:
         """Go on with what has been written; collective.
-
-        Returns:
-            Whether the fields of earlier steps are still there, if there are to be any.
 
         Raises:
             StoppedError: The directory cannot be written.
         """
-        self._rows = list(state["rows"])
         self._table()
-        found = state["fields"]
-        if len(found) == len(self._grids) and all(
-            [g.resume(f) for g, f in zip(self._grids, found, strict=True)]
-        ):
-            return True
-        if self._grids:
-            log.info("fields.vtkhdf is missing or not usable: a new one starts here")
-        self._begin()
-        return False
+        for grid in self.grids:
+            if grid.steps and grid.go_on():
+                continue
+            if grid.steps:
+                log.info("fields.vtkhdf is missing or not usable: a new one starts here")
+            self._begin()
 
     def fields(self, time: float, samples: ContactSamples | None) -> None:
         """Append a step to the field file; collective.
@@ -162,7 +149,7 @@ class Writer:
             StoppedError: The disk is full; earlier steps stay readable.
         """
         with _full_disk("fields.vtkhdf"):
-            for grid in self._grids:
+            for grid in self.grids:
                 grid.write(time, samples)
 
     def last_fields(self) -> None:
@@ -171,7 +158,7 @@ class Writer:
         Raises:
             StoppedError: The disk is full.
         """
-        for grid in self._grids:
+        for grid in self.grids:
             _write(self._comm, grid.close, "final.vtkhdf")
 
     def history(self, row: dict[str, Any]) -> None:
@@ -180,15 +167,11 @@ class Writer:
         self._table()
 
     def _table(self) -> None:
-        """Write history.csv; collective."""
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
-    def pictures(self, conduction: Conduction, record: ThermalRecord) -> None:
-        """Draw temperatures over time, and in a section when the bone was hottest; collective."""
-        path = self.folder / HISTORY
-        draw = partial(temperature_section.history, path, record.seconds, record.curves())
-        _write(self._comm, draw, str(path))
+    def section(self, conduction: Conduction, record: ThermalRecord) -> None:
+        """Draw the temperature in a section when the bone was hottest; collective."""
         with _full_disk(SECTION):
             temperature_section.section(
                 self.folder / SECTION,
@@ -255,7 +238,6 @@ def _processor() -> str:
 
 @cache
 def _packages() -> dict[str, str]:
-    """Versions of what the solver stands on."""
     packages = {}
     for name in (
         "fenics-dolfinx",

@@ -46,16 +46,13 @@ class _Law:
 
 
 class Stresses:
-    """Stress at quadrature points of every elastic region, compiled once."""
+    """Stress at quadrature points of every elastic region, compiled once.
+
+    Args:
+        around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
+    """
 
     def __init__(self, problem: Problem, timing: Timing, around_z: bool = False) -> None:
-        """Compile the stress of each region; collective.
-
-        Args:
-            problem: The problem.
-            timing: Of the run.
-            around_z: Whether the z axis is that of a stem, so that there is a hoop stress.
-        """
         self._problem, self._timing, self._around_z = problem, timing, around_z
         # Percentiles need the distribution within a cell, which is coarse beside a boundary layer.
         degree = 4 * (problem.scene.order - 1)
@@ -137,7 +134,7 @@ class Stresses:
     def places(self, region: str) -> tuple[Floats, Floats]:
         """Positions (cells * points, 3) [mm] of the points, and their volumes (cells, points)."""
         mesh = self._problem.tagged.mesh
-        (element, *_) = mesh.ufl_domain().ufl_coordinate_element().sub_elements
+        element = mesh.ufl_domain().ufl_coordinate_element().sub_elements[0]
         N, *dN = element.tabulate(1, self.at(region))
         x = mesh.geometry.x[mesh.geometry.dofmap[self.cells[region]]]
         measure = np.abs(np.linalg.det(np.einsum("cni,jqn->cqij", x, np.array(dN)))) / 6
@@ -150,7 +147,7 @@ class Stresses:
         thermal strain, has no part in it.
         """
         σ = self.evaluate(region)
-        (e,) = (e for e in self._problem.scene.elastic if e.region == region)
+        e = next(e for e in self._problem.scene.elastic if e.region == region)
         if isinstance(e.fibre, Circumferential):
             # In axes that turn with it.
             Q = e.fibre.frames(self.places(region)[0]).reshape(σ.shape)
@@ -201,7 +198,7 @@ class Stresses:
 
 
 def _lay(e: Elastic) -> str:
-    """What regions whose stresses are of one form have in common."""
+    """Kind of the fibre: regions that share it share the form of their stress."""
     return e.fibre.kind if e.fibre else ""
 
 

@@ -1,4 +1,4 @@
-"""Temperatures as pictures: over time, and in a section when the bone was hottest."""
+"""The temperature in two sections of the model, when the bone was hottest."""
 
 from __future__ import annotations
 
@@ -12,73 +12,12 @@ from app import figures
 from app.arrays import Floats, Ints
 from app.results.necrosis import CELSIUS
 from app.scene.bodies import cell_tags
-from app.system import style
-from app.system.style import COLOURS
 from meshes.distribute import TaggedMesh
 from meshes.picture import AXES, cut, middle_plane
 
-# A run whose last step is this many times as late as its first is drawn on a logarithmic axis.
-_SPAN = 300.0
-# Curves closer than this part of the range of all are drawn as one.
-_SAME = 3e-3
 # Triangles thinner than this part of a section are seen only by what shading makes of them.
 _THIN = 1e-3
 DEADLY = 47.0  # degC
-
-
-def history(path: Path, seconds: Sequence[float], curves: Mapping[str, Floats]) -> None:
-    """Draw temperatures over time; on one rank.
-
-    Args:
-        path: The PNG to write.
-        seconds: Times, the initial one first (n,) [s].
-        curves: Temperatures by label (n,) [degC]; probes, whose labels say so, are dashed.
-    """
-    t = np.array(seconds)
-    late = t[t > 0]
-    logarithmic = len(late) > 1 and late[-1] / late[0] > _SPAN
-    shown = t > 0 if logarithmic else np.ones(len(t), dtype=bool)
-    figure = figures.new(8.5, 4.8)
-    axes = figure.subplots()
-    for k, (label, values) in enumerate(_distinct(curves).items()):
-        axes.plot(
-            t[shown],
-            values[shown],
-            color=COLOURS[k % len(COLOURS)],
-            ls="--" if label.startswith("probe") else "-",
-            marker="." if shown.sum() < 40 else "",
-            lw=1.5,
-            label=label,
-        )
-    low, high = axes.get_ylim()
-    if low < DEADLY < high:
-        axes.axhline(DEADLY, color="0.3", lw=1, ls=(0, (5, 3)))
-        axes.annotate(
-            f"{DEADLY:g} °C",
-            (0.0, DEADLY),
-            xycoords=("axes fraction", "data"),
-            xytext=(4, 3),
-            textcoords="offset points",
-            fontsize=8,
-            color="0.3",
-        )
-    axes.set(xlabel="time (s)", ylabel="temperature (°C)")
-    axes.set_xscale("log" if logarithmic else "linear")
-    style.grid(axes)
-    axes.margins(x=0.01)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8)
-    figure.savefig(path, dpi=130)
-
-
-def _distinct(curves: Mapping[str, Floats]) -> dict[str, Floats]:
-    """The curves without those that would hide one before them."""
-    every = np.concatenate(list(curves.values()))
-    same = _SAME * float(np.ptp(every))
-    found: dict[str, Floats] = {}
-    for label, values in curves.items():
-        if all(np.abs(values - v).max() > same for v in found.values()):
-            found[label] = values
-    return found
 
 
 def section(
@@ -146,7 +85,6 @@ def _corners(
 
 
 def _cut(corners: Floats, tags: Ints, axis: int, level: float) -> Piece:
-    """Triangles and edges of cells where a plane cuts them."""
     cells = np.arange(4 * len(corners)).reshape(-1, 4)
     triangles: list[Floats] = [np.zeros((0, 3, 4))]
     edges: list[Floats] = [np.zeros((0, 2, 4))]

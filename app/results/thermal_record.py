@@ -8,7 +8,6 @@ units are those of ``UNITS``.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 from mpi4py import MPI
@@ -27,7 +26,7 @@ from app.heat.nodes import (
     region_nodes,
     sides_of,
 )
-from app.numerics.saved_state import State, keyed, node_keys
+from app.numerics.saved_state import node_keys
 from app.results.interface_heat import HeatPassed, InterfaceExtremes
 from app.results.level_sets import RegionCells
 from app.results.necrosis import CELSIUS, Exposure
@@ -56,7 +55,20 @@ class ThermalRecord:
             of the interfaces, or without bone the whole model after the start, was hottest.
         hottest_time: When that was [s].
         hottest_at: Where it was hottest then (3,) [mm].
+
+    Args:
+        of_region: Thermal body of each region.
+        interfaces: Regions on the first and second side of each interface, in the order of the
+            case.
+
+    Raises:
+        InputError: A probe is not in its region.
     """
+
+    saved = (
+        *("seconds", "rows", "_extremes", "_regions"),
+        *("_watched", "hottest", "hottest_time", "hottest_at"),
+    )
 
     def __init__(
         self,
@@ -67,20 +79,6 @@ class ThermalRecord:
         bone: Sequence[str],
         probes: Sequence[ProbedPoint],
     ) -> None:
-        """Find nodes, sides and probes; collective. `start` comes next.
-
-        Args:
-            tagged: The mesh.
-            forms: The forms of heat on it.
-            of_region: Thermal body of each region.
-            interfaces: Regions on the first and second side of each interface, in the order of the
-                case.
-            bone: Regions of bone.
-            probes: Named points.
-
-        Raises:
-            InputError: A probe is not in its region.
-        """
         self._comm, self._forms = forms.comm, forms
         self._nodes = region_nodes(forms, tuple(tagged.regions), of_region)
         self._interfaces = interfaces
@@ -135,7 +133,7 @@ class ThermalRecord:
         for e in exchanges:
             for i, name in enumerate(e.names):
                 here = e.interface == i
-                self._extremes[name].take(e.flux[here], e.entropy[here])
+                self._extremes[name].take(self._comm, e.flux[here], e.entropy[here])
         self._take(seconds, temperatures)
 
     def _expose(self, seconds: float, rates: Sequence[Floats]) -> None:
@@ -166,10 +164,11 @@ class ThermalRecord:
             jump = np.abs(self._pairs[name].jump(temperatures)).max(initial=0.0)
             names.append(f"{name} temperature_jump_max [K]")
             values.append(jump)
-            self._extremes[name].jump = max(self._extremes[name].jump, float(jump))
         over_all = np.array(values, dtype=np.float64)
         self._comm.Allreduce(MPI.IN_PLACE, over_all, MPI.MAX)
         row = dict(zip(names, map(float, over_all), strict=True))
+        for name, e in self._extremes.items():
+            e.jump = max(e.jump, row[f"{name} temperature_jump_max [K]"])
         probed = self._probes.values(temperatures) - CELSIUS
         row |= {f"{p} [degC]": float(T) for p, T in zip(self._probes.names, probed, strict=True)}
         self.seconds.append(seconds)
@@ -193,19 +192,6 @@ class ThermalRecord:
         """Columns of history.csv for the state last taken in."""
         return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
-    def curves(self) -> dict[str, Floats]:
-        """Temperatures over time by what they are of [degC]: hottest nodes, and probes."""
-        labels = {}
-        for name, sides in self._interfaces.items():
-            for which, regions in zip(("first", "second"), sides, strict=True):
-                column = f"{name} temperature_max_{which} [degC]"
-                labels[column] = f"{name}, {' + '.join(regions)} side"
-        labels |= {f"{name} temperature_max [degC]": f"{name}, hottest" for name in self._nodes}
-        labels |= {f"{p} [degC]": f"probe {p}" for p in self._probes.names}
-        return {
-            label: np.array([row[column] for row in self.rows]) for column, label in labels.items()
-        }
-
     def moved(self, capacities: Mapping[str, float]) -> float:
         """Heat that has moved since the state before the last step, however it went [N mm].
 
@@ -222,43 +208,11 @@ class ThermalRecord:
         """Nodes of a region and what they have been exposed to so far."""
         return self._nodes[region], self._regions[region].exposure
 
-    # What a run remembers
-
-    def state(self) -> State:
-        """All that is history; collective."""
-        comm, nodes = self._comm, node_keys(self._forms.space)
-        return {
-            "seconds": list(self.seconds),
-            "rows": list(self.rows),
-            "watched": self._watched,
-            "hottest": [keyed(nodes, T[: self._forms.owned]) for T in self.hottest],
-            "hottest_time": self.hottest_time,
-            "hottest_at": self.hottest_at,
-            "extremes": {n: asdict(e.everywhere(comm)) for n, e in self._extremes.items()},
-            "regions": {name: r.state(comm, nodes) for name, r in self._regions.items()},
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore times, rows, temperatures, extremes and exposures; collective."""
-        nodes, function = node_keys(self._forms.space), fem.Function(self._forms.space)
-        self.seconds, self.rows = list(state["seconds"]), list(state["rows"])
-        self._watched = state["watched"]
-        self.hottest_time, self.hottest_at = state["hottest_time"], state["hottest_at"]
-        if len(state["hottest"]) != len(self.hottest) or np.shape(self.hottest_at) != (3,):
-            raise ValueError("no hottest state")
-        self.hottest = []
-        for found in state["hottest"]:
-            function.x.array[: self._forms.owned] = found.of(nodes)
-            function.x.scatter_forward()
-            self.hottest.append(function.x.array.copy())
-        curves = [np.array(self.seconds), *self.curves().values()]
-        if not all(c.shape == (len(self.rows),) and c.dtype.kind in "fi" for c in curves):
-            raise ValueError("temperatures over time that are no numbers")
-        self._extremes = {
-            name: InterfaceExtremes(**found) for name, found in state["extremes"].items()
-        }
-        for name, found in state["regions"].items():
-            self._regions[name].resume(found, nodes)
+    @property
+    def row_keys(self) -> dict[str, Any]:
+        """Keys of nodes, for the hottest state with ghosts."""
+        nodes = node_keys(self._forms.space)
+        return {"hottest": nodes, "_regions": {n: nodes[own.dof] for n, own in self._nodes.items()}}
 
     # The summary
 
@@ -299,7 +253,7 @@ class ThermalRecord:
             result[f"temperature_max_{which}"] = peak - CELSIUS
             result[f"temperature_max_{which}_at"] = place
             result[f"temperature_max_{which}_time"] = when
-        return result | self._extremes[name].everywhere(self._comm).summary()
+        return result | self._extremes[name].summary()
 
 
 def _bone_sides(

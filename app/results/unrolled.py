@@ -85,7 +85,6 @@ def _faces(run: Run, regions: Sequence[int]) -> tuple[Ints, Ints]:
 
 
 def _keys(x: Floats) -> NDArray[Any]:
-    """Places as something that can be compared."""
     return np.ascontiguousarray(np.round(x, 6) + 0.0).view(np.dtype((np.void, 24))).ravel()
 
 
@@ -213,7 +212,6 @@ def draw(
 
 
 def _shade(axes: Any, own: Sheet, values: Floats, colours: str, limits: tuple[float, float]) -> Any:
-    """Shade the triangles by values at their corners."""
     from matplotlib.tri import Triangulation
 
     x = own.corners
@@ -235,7 +233,6 @@ def _shade(axes: Any, own: Sheet, values: Floats, colours: str, limits: tuple[fl
 
 
 def _axes(axes: Any, own: Sheet) -> None:
-    """Limits and names of the directions."""
     axes.set_facecolor("0.93")
     low, high = own.corners.reshape(-1, 2).min(axis=0), own.corners.reshape(-1, 2).max(axis=0)
     axes.set_ylim(low[1], high[1])

@@ -16,6 +16,7 @@ import errno
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,58 +30,60 @@ from app import files
 
 Array = npt.NDArray[Any]
 
-# VTK's numbers of these cell types.
-TETRAHEDRON, QUADRATIC_TETRAHEDRON = 10, 24
+# VTK's number of a cell by its nodes: triangle, tetrahedron, quadratic tetrahedron.
+CELL_TYPES = {3: 5, 4: 10, 10: 24}
 # The place in basix's order (edges 23 13 12 03 02 01) of each node in VTK's (01 12 02 03 13 23).
 QUADRATIC_NODES = (0, 1, 2, 3, 9, 6, 8, 7, 5, 4)
 # Bytes of HDF5's own beside an array's: 168 kB measured for the first offsets of 50 fields.
 _METADATA = 1 << 20
 
 
+@dataclass(frozen=True)
+class Grid:
+    """The points and cells of a rank; one without any has empty arrays of the same type.
+
+    Attributes:
+        points: Coordinates of the rank's own points (n, 3) [mm].
+        cells: Its own cells (m, nodes per cell), in VTK's node order. A number i < n is one of its
+            points, and n + i is ``ghosts[i]``.
+        ghosts: Global numbers of points that other ranks own; the points of all ranks are numbered
+            in the order of the ranks, as by ``dolfinx.common.IndexMap``.
+        cell_data: Constant values in its cells (m,) or (m, components).
+        texts: Lists of words that belong to the whole grid.
+    """
+
+    points: Array
+    cells: Array
+    ghosts: Array
+    cell_data: Mapping[str, Array] = field(default_factory=dict)
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+
 class GridFile:
     """One grid and its fields in time, from the arrays of each rank.
 
-    A rank without points or cells gives empty arrays of the same type and components as the others.
+    Args:
+        order: To go on, on rank 0: for each point and for each cell of the file the row of
+            those of all ranks that it is, in the order of the ranks.
+        steps: After how many steps to go on; later ones are overwritten.
+
+    Raises:
+        OSError: The file cannot be written, or has not so many steps of such a grid (on every
+            rank).
     """
 
     def __init__(
         self,
         comm: MPI.Comm,
         path: Path,
-        points: Array,
-        cells: Array,
-        cell_type: int,
-        cell_data: Mapping[str, Array],
-        texts: Mapping[str, Sequence[str]],
-        ghosts: npt.ArrayLike = (),
+        grid: Grid,
         order: Sequence[Array] | None = None,
         steps: int = 0,
     ) -> None:
-        """Write the geometry to a new file, or go on with one that is there (collective).
-
-        Args:
-            comm: The ranks that share the grid.
-            path: The file, replaced if it exists.
-            points: Coordinates of this rank's own points, shape (n, 3), in mm.
-            cells: This rank's own cells, shape (m, nodes per cell), in VTK's node order. A number
-                i < n is one of this rank's points, and n + i is ``ghosts[i]``.
-            cell_type: VTK's number of the cell type.
-            cell_data: Constant values in this rank's own cells, shape (m,) or (m, components).
-            texts: Lists of words that belong to the whole grid.
-            ghosts: Global numbers of points that other ranks own; the points of all ranks are
-                numbered in the order of the ranks, as by ``dolfinx.common.IndexMap``.
-            order: To go on, on rank 0: for each point and for each cell of the file the row of
-                those of all ranks that it is, in the order of the ranks.
-            steps: After how many steps to go on; later ones are overwritten.
-
-        Raises:
-            OSError: The file cannot be written, or has not so many steps of such a grid (on every
-                rank).
-        """
         self.comm = comm
         self.path = path
         self.steps = 0
-        self._constant, self._texts = frozenset(cell_data), tuple(texts)
+        self._constant, self._texts = frozenset(grid.cell_data), tuple(grid.texts)
         self._names: tuple[frozenset[str], frozenset[str]] | None = None
         self._order = order
         if order is not None:
@@ -88,17 +91,16 @@ class GridFile:
             self._on_root(lambda: _cut(path, self._points, self._cells, steps))
             self.steps = steps
             return
-        counts = comm.allgather(len(points))
-        self._points, self._cells = sum(counts), comm.allreduce(len(cells))
-        first = sum(counts[: comm.rank])
-        number = np.concatenate([first + np.arange(len(points)), np.asarray(ghosts, np.int64)])
-        shape = self._points, self._cells, cells.shape[1]
-        self._on_root(lambda: _create(path, *shape, cell_type, texts))
+        counts, width = comm.allgather(len(grid.points)), grid.cells.shape[1]
+        self._points, self._cells = sum(counts), comm.allreduce(len(grid.cells))
+        own = sum(counts[: comm.rank]) + np.arange(len(grid.points))
+        number = np.concatenate([own, np.asarray(grid.ghosts, np.int64)])
+        self._on_root(lambda: _create(path, self._points, self._cells, width, grid.texts))
         arrays = {
-            "Points": (np.asarray(points, np.float64), self._points),
-            "Connectivity": (number[cells].ravel(), self._cells * cells.shape[1]),
+            "Points": (np.asarray(grid.points, np.float64), self._points),
+            "Connectivity": (number[grid.cells].ravel(), self._cells * width),
         }
-        self._append(arrays | self._of_step({}, cell_data))
+        self._append(arrays | self._of_step({}, grid.cell_data))
 
     def write(self, time: float, point: Mapping[str, Array], cell: Mapping[str, Array]) -> None:
         """Add one step (collective); the file is complete and closed when this returns.
@@ -130,7 +132,6 @@ class GridFile:
     def _of_step(
         self, point: Mapping[str, Array], cell: Mapping[str, Array]
     ) -> dict[str, tuple[Array, int]]:
-        """Names of the datasets of a step, with values and rows of each."""
         arrays = {f"PointData/{name}": (values, self._points) for name, values in point.items()}
         return arrays | {f"CellData/{name}": (v, self._cells) for name, v in cell.items()}
 
@@ -182,14 +183,8 @@ class GridFile:
 
 
 def _create(
-    path: Path,
-    points: int,
-    cells: int,
-    nodes: int,
-    cell_type: int,
-    texts: Mapping[str, Sequence[str]],
+    path: Path, points: int, cells: int, nodes: int, texts: Mapping[str, Sequence[str]]
 ) -> None:
-    """Make the file with everything that does not come from other ranks."""
     with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = (2, 0)
@@ -198,7 +193,7 @@ def _create(
         root["NumberOfCells"] = np.array([cells])
         root["NumberOfConnectivityIds"] = np.array([nodes * cells])
         root["Offsets"] = nodes * np.arange(cells + 1)
-        root["Types"] = np.full(cells, cell_type, np.uint8)
+        root["Types"] = np.full(cells, CELL_TYPES[nodes], np.uint8)
         for name in ("PointData", "CellData", "FieldData"):
             root.create_group(name)
             root.create_group(f"Steps/{name}Offsets")

@@ -18,6 +18,7 @@ from app.errors import InputError
 from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, held_vertices
 from app.scene.scene import Scene
+from app.system.layout import point_text
 from meshes.contact_faces import projectors
 from meshes.contact_facets import (
     NODES,
@@ -166,14 +167,10 @@ def _means(support: Support, node: Ints, normals: Floats, places: Floats) -> Flo
     if flat.any():
         raise InputError(
             f"supports.{support.name}: boundary '{support.boundary}' has an edge at "
-            f"{_place(places[node[np.argmax(flat)]])}, where it has no one normal; allowed: "
+            f"{point_text(places[node[np.argmax(flat)]])}, where it has no one normal; allowed: "
             "normal: face on a smooth boundary, so a support for each face"
         )
     return mean
-
-
-def _place(x: Floats) -> str:
-    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*x)
 
 
 def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
@@ -226,9 +223,9 @@ def _axes(
         inside = np.einsum("nic,nij,njd->ncd", axes, span, axes) * (1 - np.eye(3))
         if (wrong := np.abs(inside).max(axis=(1, 2)) > np.sqrt(ONE)).any():
             raise InputError(
-                f"{names}: at {_place(x[np.argmax(wrong)])} they hold several bodies, or one in "
-                "several stages, along directions that are neither the same nor at right angles; "
-                "allowed: the same directions"
+                f"{names}: at {point_text(x[np.argmax(wrong)])} they hold several bodies, or one "
+                "in several stages, along directions that are neither the same nor at right "
+                "angles; allowed: the same directions"
             )
     along = np.einsum("nic,nsij,njc->nsc", axes, held, axes) > ONE
     _refuse_unlike(supports, groups, held, axes, along, x, names)
@@ -259,7 +256,7 @@ def _refuse_unlike(
                 wrong = np.abs(np.einsum("nij,nj->ni", held[:, s], missing)).max(axis=1)
                 if (wrong > ONE * size).any():
                     raise InputError(
-                        f"{names}: cannot all hold at {_place(x[np.argmax(wrong)])}; allowed: the "
-                        "same displacements, and none but zero where directions are at an angle "
-                        "other than a right one"
+                        f"{names}: cannot all hold at {point_text(x[np.argmax(wrong)])}; allowed: "
+                        "the same displacements, and none but zero where directions are at an "
+                        "angle other than a right one"
                     )

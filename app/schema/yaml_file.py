@@ -1,12 +1,8 @@
-"""A YAML file as plain data that remembers where each key stood.
-
-YAML 1.2 by ruamel.yaml's parser; the tree is built here, so that every duplicate key is found at
-once, anchors cannot blow up, and each value keeps its line and column.
-"""
+"""The content of a case file: data, the place of each key, overrides, errors at their places."""
 
 from __future__ import annotations
 
-import io
+import hashlib
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,31 +11,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.nodes import MappingNode
 
 from app.errors import GeometryError, InputError
-from app.schema.yaml_text import (
-    LONGEST,
-    MOST_NODES,
-    TOO_MANY,
-    BadYaml,
-    compose,
-    mark,
-    printable,
-    read_text,
-)
+from app.schema import yaml_text
+from app.schema.yaml_text import DEEPEST, LONGEST, BadYaml
 
-Path = tuple[str | int, ...]
+Path = yaml_text.Path
 # Which of its files, line and column, counted from 0, 1 and 1; or the key of an option.
 Place = tuple[int, int, int] | str
-DEEPEST = 50
-# What a mapping or list may be marked as: nothing but itself.
-PLAIN_TAGS = frozenset({"tag:yaml.org,2002:map", "tag:yaml.org,2002:seq"})
 # A message that begins with a key, and a step of that.
 KEYED = re.compile(r"([A-Za-z_][\w-]*(?:\.[\w-]+|\[\d+\])*): (.*)", re.DOTALL)
 STEP = re.compile(r"[\w-]+")
+TWICE = "this key stands here twice; keep one"
 # Sorting key of what has no place in the file.
 LAST = (1 << 30, 0, 0)
 
@@ -141,6 +125,12 @@ class CaseFile:
         return place, start + (f"{key}: {problem.text}" if key else problem.text)
 
 
+def printable(text: str) -> str:
+    """A message on one line, without control characters for a terminal, of bounded length."""
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    return shown if len(shown) <= LONGEST else f"{shown[:LONGEST]} ..."
+
+
 def path_text(path: Path) -> str:
     """``("stages", 0, "name")`` as ``stages[0].name``."""
     text = ""
@@ -150,7 +140,7 @@ def path_text(path: Path) -> str:
     return text
 
 
-def located(message: str, places: Mapping[str, Path]) -> Fault | None:
+def at_override(message: str, places: Mapping[str, Path]) -> Fault | None:
     """A defect of a value that overrides put into a case, at its place; None if it is of no such.
 
     Args:
@@ -175,12 +165,12 @@ def clashes(overrides: Iterable[str], varied: Iterable[tuple[Path, str]]) -> lis
         Fault(place, f"varies, but --set {given} holds for every case; leave one of them out")
         for given in dict.fromkeys(o.partition("=")[0].strip() for o in overrides)
         for place, key in places
-        if all(a == b for a, b in zip(words(given), words(key), strict=False))
+        if all(a == b for a, b in zip(key_parts(given), key_parts(key), strict=False))
     ]
 
 
-def words(key: str) -> list[str]:
-    """The words of an override key: ``a.b[0].c`` are a, b, 0, c."""
+def key_parts(key: str) -> list[str]:
+    """The parts of an override key: ``a.b[0].c`` are a, b, 0, c."""
     return re.sub(r"\[([0-9]+)\]", r".\1", key).split(".")
 
 
@@ -195,17 +185,24 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
         InputError: The file cannot be read or is not YAML.
     """
     case = CaseFile(str(path))
-    text, case.digests[str(path)] = read_text(path)
+    raw = yaml_text.read_bytes(path)
+    case.digests[str(path)] = hashlib.sha256(raw).hexdigest()
+    reader = yaml_text.Reader()
     try:
-        node = compose(text)
+        node = yaml_text.compose(yaml_text.decoded(raw))
         if node is None:
             raise BadYaml("the file is empty; expected a mapping with geometry, mesh, regions")
         if not isinstance(node, MappingNode):
-            raise BadYaml("expected a mapping with geometry, mesh, regions", mark(node))
-        case.data = _Builder(case).value(node, ())
+            text = "expected a mapping with geometry, mesh, regions"
+            raise BadYaml(text, yaml_text.place(node))
+        case.data = reader.value(node)
     except BadYaml as error:
         line, column = error.place
-        raise InputError([printable(f"{path}:{line}:{column}: {error.text}")]) from error
+        raise InputError(printable(f"{path}:{line}:{column}: {error.text}")) from error
+    case.places = {key: (0, *place) for key, place in reader.places.items()}
+    for key, (line, column) in reader.twice:
+        text = f"{path}:{line}:{column}: {path_text(key)}: {TWICE}"
+        case.complaints.append(((0, line, column), text))
     apply(case, overrides)
     return case
 
@@ -233,101 +230,6 @@ def apply(case: CaseFile, overrides: Sequence[str]) -> None:
             case.complaints.append((LAST, f"{path_text((place,))}: {error.text}"))
 
 
-class _Builder:
-    """Turns nodes into data, noting places and duplicate keys, and refusing what no case needs."""
-
-    def __init__(self, case: CaseFile, override: str = "") -> None:
-        self.case, self.override, self.count = case, override, 0
-        self.scalars = YAML(typ="safe", pure=True)
-
-    def place(self, node: Node) -> Place:
-        """Where a node stands."""
-        return self.override or (0, *mark(node))
-
-    def value(self, node: Node, path: Path) -> Any:
-        """The data of a node.
-
-        Raises:
-            BadYaml: Too large, too deep or of a type without meaning here.
-        """
-        here = mark(node)
-        self._count(len(path), here)
-        self.case.places.setdefault(path, self.place(node))
-        if not isinstance(node, ScalarNode) and str(node.tag) not in PLAIN_TAGS:
-            raise BadYaml(f"the tag {node.tag} has no meaning here", here)
-        match node:
-            case ScalarNode():
-                return self._scalar(node, here)
-            case SequenceNode():
-                result = []
-                for i, item in enumerate(node.value):
-                    self.case.places.setdefault((*path, i), self.place(item))
-                    result.append(self.value(item, (*path, i)))
-                return result
-            case MappingNode():
-                return self._mapping(node, path)
-        raise BadYaml("unexpected content", here)
-
-    def _count(self, depth: int, here: tuple[int, int]) -> None:
-        self.count += 1
-        if self.count > MOST_NODES or depth > DEEPEST:
-            raise BadYaml(TOO_MANY, here)
-
-    def _mapping(self, node: MappingNode, path: Path, merging: int = 0) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        merged: list[Node] = []
-        self._count(merging, mark(node))
-        for key_node, value_node in node.value:
-            place = self.place(key_node)
-            if not isinstance(key_node, ScalarNode):
-                raise BadYaml("a key must be a plain word", mark(key_node))
-            key = self._text(key_node)
-            if str(key_node.tag).endswith(":merge") or (key == "<<" and key_node.style is None):
-                merged += value_node.value if isinstance(value_node, SequenceNode) else [value_node]
-                continue
-            if key in result:
-                text = f"{path_text((*path, key))}: this key stands here twice; keep one"
-                if isinstance(place, str):
-                    raise BadYaml(text)
-                line = f"{self.case.name}:{place[1]}:{place[2]}: {text}"
-                self.case.complaints.append((place, line))
-                continue
-            self.case.places.setdefault((*path, key), place)
-            result[key] = self.value(value_node, (*path, key))
-        for other in merged:
-            if not isinstance(other, MappingNode):
-                raise BadYaml("<< needs a mapping", mark(other))
-            for key, value in self._mapping(other, path, merging + 1).items():
-                result.setdefault(key, value)
-        return result
-
-    def _scalar(self, node: ScalarNode, here: tuple[int, int]) -> Any:
-        kind = str(node.tag).rpartition(":")[2]
-        if kind in ("str", "timestamp", "value"):
-            return self._text(node)
-        if kind not in ("null", "bool", "int", "float"):
-            raise BadYaml(f"the tag {node.tag} has no meaning here", here)
-        try:
-            return self.scalars.constructor.construct_object(node)
-        # What is marked as a number or as true may be anything.
-        except (ValueError, LookupError, YAMLError) as error:
-            what = "true or false" if kind == "bool" else "a number"
-            raise BadYaml(f"'{self._text(node)[:60]}' is not {what}", here) from error
-
-    def _text(self, node: ScalarNode) -> str:
-        """The text of a scalar.
-
-        Raises:
-            BadYaml: Endless, or half of a character, which no file can hold.
-        """
-        text = str(node.value)
-        if len(text) > LONGEST:
-            raise BadYaml(f"a text of {len(text)} characters; at most {LONGEST}", mark(node))
-        if any("\ud800" <= c <= "\udfff" for c in text):
-            raise BadYaml("a surrogate is no character", mark(node))
-        return text
-
-
 def _override(case: CaseFile, override: str) -> None:
     """Apply ``a.b[0].c=value``.
 
@@ -336,7 +238,7 @@ def _override(case: CaseFile, override: str) -> None:
     """
     key, equals, text = override.partition("=")
     key = key.strip()
-    items = words(key)
+    items = key_parts(key)
     if not equals or not all(items):
         raise BadYaml("expected KEY=VALUE, e.g. interfaces.stem_cement.friction_coefficient=0.3")
     if len(items) > DEEPEST:
@@ -362,27 +264,20 @@ def _override(case: CaseFile, override: str) -> None:
         del case.places[old]
     case.places[path] = key
     try:
-        node = compose(text)
+        node = yaml_text.compose(text)
     except BadYaml:
         # "[0, 0, -1] N" is not YAML without quotes, which the shell has already taken away.
         if not re.fullmatch(r"\s*\[[^\[\]]*\]\s*[^\s\[\]{}].*", text):
             raise
         value: Any = text
     else:
-        value = None if node is None else _Builder(case, key).value(node, path)
         if node is None:  # KEY= without a value is not the null that takes something away
             case.given[key] = target[step] = None
             return
+        reader = yaml_text.Reader()
+        value = reader.value(node)
+        for inner, _ in reader.twice:
+            raise BadYaml(f"{path_text((*path, *inner))}: {TWICE}")
+        case.places |= dict.fromkeys(((*path, *inner) for inner in reader.places), key)
     case.given[key] = value
     case.put(target, path, value)
-
-
-def written(data: dict[str, Any]) -> str:
-    """Mappings, lists and scalars as YAML that `read` gives back."""
-    yaml: Any = YAML(typ="safe")
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False
-    yaml.width = 1 << 20
-    stream = io.StringIO()
-    yaml.dump(data, stream)
-    return stream.getvalue()

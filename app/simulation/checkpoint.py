@@ -1,25 +1,32 @@
-"""Checkpoints of a run: when they are written, which one a restart takes, and whether it fits."""
+"""Checkpoints of a run: files that are whole or not there, and which one a restart takes.
+
+A checkpoint is the ``npz`` of numpy: arrays with checksums, and a header in JSON. Rows of arrays
+are those of all ranks in the order of their keys, so that any number of ranks reads them.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import logging
-import math
 import time as clock
-from collections.abc import Collection, Iterator
+import zipfile
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI  # before h5py, which may be built for MPI
+from mpi4py import MPI
 
 import numpy as np
 
 from app.case.case import Case, plain
-from app.errors import InputError, agree, everywhere
-from app.numerics.saved_state import Rows, State
+from app.errors import InputError, everywhere
+from app.files import write_bytes
+from app.numerics.saved_state import Array, Rows, collect, fill, restore
 from app.results.run_folder import on_root
-from app.simulation.checkpoint_file import FORMAT, Checkpoint, DamagedError, read, write
 from app.simulation.model import Model
 from app.simulation.recorder import Recorder
 from app.system import folders
@@ -27,10 +34,116 @@ from app.version import __version__
 
 log = logging.getLogger("mantle")
 
+# Of the layout of the file.
+FORMAT = 5
+# Names of the header, and of what stands for rows in it.
+HEADER, ROWS = "header", "@rows"
 # Checkpoints that are kept.
 KEPT = 2
 # Number of differences listed in a message.
 TOLD = 12
+
+
+class DamagedError(InputError):
+    """A file is no checkpoint, or not a whole one."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint that was read.
+
+    Attributes:
+        path: Its file.
+        header: Version, case, mesh, stage, step and times of the run that wrote it.
+        state: Saved state.
+    """
+
+    path: Path
+    header: Mapping[str, Any]
+    state: Mapping[str, Any]
+
+
+# Files
+
+
+def write(comm: MPI.Comm, path: Path, header: Mapping[str, Any], state: Any) -> None:
+    """Write a checkpoint: a new file, flushed to disk and renamed; collective.
+
+    Raises:
+        OSError: It cannot be written (on every rank); what was there stays.
+    """
+    arrays: dict[str, Array] = {}
+    tree = _gathered(comm, state, "state", arrays)
+    failure = None
+    if comm.rank == 0:
+        file = io.BytesIO()
+        text = json.dumps({**header, "format": FORMAT, "state": tree}).encode()
+        arrays[HEADER] = np.frombuffer(text, np.uint8)
+        np.savez(file, allow_pickle=False, **arrays)
+        try:
+            write_bytes(path, file.getvalue())
+        except OSError as error:
+            failure = error
+    failure = comm.bcast(failure)
+    if failure is not None:
+        raise failure
+
+
+def _gathered(comm: MPI.Comm, state: Any, name: str, arrays: dict[str, Array]) -> Any:
+    """Move the rows of all ranks to arrays on rank 0; returns the rest of the state; collective.
+
+    Args:
+        comm: Communicator.
+        state: A state of this rank.
+        name: Its name.
+        arrays: Values and keys by name; keys that several rows have are there once.
+    """
+    if isinstance(state, dict):
+        return {k: _gathered(comm, v, f"{name}.{k}", arrays) for k, v in state.items()}
+    if isinstance(state, list):
+        return [_gathered(comm, v, f"{name}.{k}", arrays) for k, v in enumerate(state)]
+    if not isinstance(state, Rows):
+        return state
+    pieces = comm.gather(state)
+    if pieces is None:
+        return None
+    keys, first = np.unique(np.concatenate([p.keys for p in pieces]), return_index=True)
+    arrays[name] = np.concatenate([p.values for p in pieces])[first]
+    of_keys = f"keys {hashlib.sha256(keys.tobytes()).hexdigest()[:16]}"
+    arrays[of_keys] = keys
+    return {ROWS: [of_keys, name]}
+
+
+def read(path: Path) -> Checkpoint:
+    """Read a checkpoint; not collective.
+
+    Raises:
+        OSError: It cannot be read.
+        DamagedError: It is not whole, or nothing of this kind.
+    """
+    path.stat()
+    if not (path.is_file() and zipfile.is_zipfile(path)):
+        raise DamagedError("it is no checkpoint, or not a whole one")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(arrays[HEADER].tobytes())
+        if header["format"] != FORMAT:
+            raise DamagedError(f"written by mantle {header['mantle']} in another format")
+        return Checkpoint(path, header, _with_rows(header.pop("state"), arrays))
+    except (zipfile.BadZipFile, EOFError, LookupError, TypeError, ValueError) as error:
+        raise DamagedError(f"the file is damaged ({error})") from error
+
+
+def _with_rows(tree: Any, arrays: Mapping[str, Array]) -> Any:
+    """A state with its rows in their places again."""
+    if isinstance(tree, dict):
+        if ROWS in tree:
+            return Rows(*(arrays[name] for name in tree[ROWS]))
+        return {key: _with_rows(value, arrays) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_with_rows(value, arrays) for value in tree]
+    return tree
 
 
 # Which one
@@ -64,7 +177,6 @@ def find(
 def _choose(
     wanted: str, folder: Path, case: Case, force: bool, passed: Collection[Path]
 ) -> Path | None:
-    """Which file."""
     if wanted != "auto":
         found = _readable(Path(wanted))
         _refuse_another(found, case, force)
@@ -157,7 +269,11 @@ def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 class CheckpointWriter:
-    """Keeps the last state of a run where it may be taken up again, and saves it when it is due."""
+    """Saves the state of a run when that is due, and takes it up again.
+
+    Attributes:
+        found: The checkpoint to go on from.
+    """
 
     def __init__(
         self,
@@ -167,20 +283,11 @@ class CheckpointWriter:
         folder: Path,
         found: Checkpoint | None,
     ) -> None:
-        """Begin.
-
-        Args:
-            case: The configuration.
-            model: The model, at rest.
-            recorder: What is recorded of it.
-            folder: The run directory.
-            found: The checkpoint to go on from.
-        """
         self._case, self._model, self._recorder = case, model, recorder
-        self._folder, self._found = folder, found
+        self._folder, self.found = folder, found
         self._comm = model.tagged.mesh.comm
         self._options = case.output.checkpoint
-        self._state: State | None = None
+        self._last: tuple[dict[str, Any], Any] | None = None
         self._saved, self._when = 0, clock.monotonic()
 
     def resume(self) -> int:
@@ -190,32 +297,55 @@ class CheckpointWriter:
             InputError: It is of another mesh, or of other unknowns.
             DamagedError: It is of this case, but not what a run of it saves.
         """
-        if self._found is None:
+        if (found := self.found) is None:
             return 0
-        header, state = self._found.header, self._found.state
-        self._refuse_misfits(self._found)
-        k = header["stage"]
-        try:
-            _check_numbers(state)
-            self._model.resume(state["model"], k)
-            self._recorder.resume(state["recorder"])
-            restored = _restored(self._found, self._comm.size)
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-            log.debug("%s", self._found.path, exc_info=True)
-            damaged = DamagedError(f"its state does not fit ({type(error).__name__}: {error})")
-            agree(self._comm, damaged)
-            raise damaged from error
+        self._refuse_another_model(found)
+        header = found.header
+        parts, fields = self._parts(), found.state["fields"]
+        everywhere(self._comm, lambda: self._fill(found, parts))
+        for grid, kept in zip(self._recorder.grids, fields, strict=False):
+            fill(grid, kept)
+        restore(parts)
+        self._recorder.add_time(header["seconds"])
         self._saved = header["step"]
-        self._state = {"stage": k, "time": header["time"], "state": self._now()}
-        log.info("%s", restored)
-        self._found = None
-        return k
+        self._last = self._now(header["stage"])
+        by = "" if header["ranks"] == self._comm.size else f" by {header['ranks']} rank(s)"
+        log.info(
+            "restart from %s, written %s%s: step %d, time %.6g in stage '%s', %.1f s of work",
+            *(found.path, header["written"], by, header["step"], header["time"]),
+            *(header["stage_name"], header["seconds"]["total"]),
+        )
+        return int(header["stage"])
 
-    def _refuse_misfits(self, found: Checkpoint) -> None:
-        """Refuse a checkpoint whose rows are not those of the model; collective.
+    def _parts(self) -> dict[str, Any]:
+        """Objects that save something, in the order in which they are restored."""
+        return {**self._model.saved_parts(), "recorder": self._recorder}
+
+    def _fill(self, found: Checkpoint, parts: dict[str, Any]) -> None:
+        try:
+            fill(parts, found.state["parts"])
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            self._misfit(found, str(error))
+
+    def _misfit(self, found: Checkpoint, what: str) -> None:
+        """Refuse a state that does not fit.
 
         Raises:
-            InputError: They are not.
+            DamagedError: It is said to be of this case.
+            InputError: It is of another.
+        """
+        if found.header["case"] == described(self._case):
+            raise DamagedError(f"its state does not fit: {what}")
+        raise InputError(
+            f"--restart: {found.path}: checkpoint of another model, with other unknowns or records "
+            f"({what}); allowed: cases of the same interfaces, heat and cure"
+        )
+
+    def _refuse_another_model(self, found: Checkpoint) -> None:
+        """Refuse a checkpoint of another mesh, or arrays that are not those of the model.
+
+        Raises:
+            InputError: They are not; collective.
         """
         stages = len(self._model.scene.stages)
         where = f"--restart: {found.path}"
@@ -229,32 +359,37 @@ class CheckpointWriter:
                 f"{where}: checkpoint is in stage {found.header['stage'] + 1}; this case has "
                 f"{stages} stages"
             )
-        faults = list(_misfits(self._model.state(), found.state["model"], ""))
-        sizes = self._comm.allreduce(np.array([own for _, _, own in faults]))
-        bad = [
-            name
-            for (name, there, _), here in zip(faults, sizes, strict=True)
-            if there is None or here != there
-        ]
-        bad = sorted(set().union(*self._comm.allgather(bad)))
-        if bad and found.header["case"] == described(self._case):
-            raise DamagedError(f"its state does not fit in {', '.join(bad[:TOLD])}")
-        if bad:
-            raise InputError(
-                f"{where}: checkpoint of another model, with other unknowns or records in "
-                f"{', '.join(bad[:TOLD])}; allowed: cases of the same interfaces, heat and cure"
-            )
+        here, there = dict[str, Array](), dict[str, Array]()
+        _gathered(self._comm, collect(self._parts()), "", here)
+        _gathered(MPI.COMM_SELF, found.state["parts"], "", there)
 
-    def _now(self) -> State:
-        return {"model": self._model.state(), "recorder": self._recorder.state()}
+        def compare() -> None:
+            bad = [n for n, a in here.items() if n not in there or a.shape != there[n].shape]
+            if bad:
+                self._misfit(found, ", ".join(bad[:TOLD]))
+
+        on_root(self._comm, compare, share=False)
+
+    def _now(self, k: int) -> tuple[dict[str, Any], Any]:
+        """Header and state of the step just recorded, in a stage."""
+        header = {
+            "mantle": __version__,
+            "case": described(self._case),
+            "mesh": self._model.mesh_hash,
+            "ranks": self._comm.size,
+            "stage": k,
+            "stage_name": self._model.scene.stages[k].name,
+            "step": self._recorder.step_count,
+            "time": self._recorder.time,
+            "seconds": self._recorder.seconds(),
+        }
+        return header, collect({"parts": self._parts(), "fields": self._recorder.grids})
 
     def mark(self, k: int) -> None:
         """Remember the state, which is in a stage, and save it if that is due; collective."""
-        state = self._now()
-        now = state["recorder"]
-        self._state = {"stage": k, "time": now["time"], "state": state}
+        self._last = self._now(k)
         steps, minutes = self._options.steps, self._options.minutes
-        due = bool(steps and now["step"] - self._saved >= steps)
+        due = bool(steps and self._recorder.step_count - self._saved >= steps)
         if minutes and not due:
             # By one clock: all ranks save, or none does.
             waited = clock.monotonic() - self._when
@@ -264,33 +399,20 @@ class CheckpointWriter:
 
     def save(self) -> Path | None:
         """Save what was remembered last, unless it is; where it is; collective."""
-        kept = self._state
-        if kept is None:
+        if self._last is None:
             return None
-        recorded = kept["state"]["recorder"]
-        path = self._folder / f"checkpoint-{recorded['step']}.state"
-        if recorded["step"] == self._saved and on_root(self._comm, path.exists):
+        header, state = self._last
+        path = self._folder / f"checkpoint-{header['step']}.state"
+        if header["step"] == self._saved and on_root(self._comm, path.exists):
             return path
-        header = {
-            "format": FORMAT,
-            "mantle": __version__,
-            "case": described(self._case),
-            "mesh": self._model.mesh_hash,
-            "ranks": self._comm.size,
-            "stage": kept["stage"],
-            "stage_name": self._model.scene.stages[kept["stage"]].name,
-            "step": recorded["step"],
-            "time": kept["time"],
-            "seconds": recorded["seconds"],
-            "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        }
+        written = datetime.now(UTC).isoformat(timespec="seconds")
         try:
-            write(self._comm, path, header, kept["state"])
+            write(self._comm, path, {**header, "written": written}, state)
         except OSError as error:
             log.warning("checkpoint %s cannot be written: %s", path, error.strerror or error)
             return None
         on_root(self._comm, lambda: _keep(self._folder, path), share=False)
-        self._saved, self._when = recorded["step"], clock.monotonic()
+        self._saved, self._when = header["step"], clock.monotonic()
         log.debug("     %s", path)
         return path
 
@@ -301,100 +423,3 @@ def _keep(folder: Path, newest: Path) -> None:
     place = every.index(newest)
     for path in [*every[:place], *every[place + KEPT :]]:
         path.unlink(missing_ok=True)
-
-
-def _misfits(here: Any, there: Any, name: str) -> Iterator[tuple[str, int | None, int]]:
-    """For all of a state at rest: name, number of rows in a checkpoint if it fits, own number."""
-    if isinstance(here, Rows):
-        # A rank that has none may not know of how many components.
-        fits = isinstance(there, Rows) and (
-            not len(here.keys) or (_kind(here) == _kind(there) and there.has(here.keys))
-        )
-        yield name, len(there.keys) if fits else None, len(here.keys)
-    elif isinstance(here, dict):
-        if not isinstance(there, dict) or here.keys() - there.keys():
-            yield name, None, 0
-            return
-        for key, value in here.items():
-            yield from _misfits(value, there[key], f"{name}.{key}" if name else key)
-    elif isinstance(here, list):
-        # What comes with time is not there at rest.
-        parts = name in ("mechanics", "thermal", "motion", "march") or name.endswith("contact")
-        if not isinstance(there, list) or (len(here) != len(there) if parts else False):
-            yield name, None, 0
-            return
-        for a, b in zip(here, there, strict=False):
-            yield from _misfits(a, b, name)
-    elif isinstance(here, int | float) and not isinstance(there, int | float):
-        yield name, None, 0
-
-
-def _kind(rows: Rows) -> tuple[Any, ...]:
-    """What rows are of: type and shape."""
-    return rows.values.dtype, rows.values.shape[1:]
-
-
-def _check_numbers(state: State) -> None:
-    """Refuse steps and rows of the table that no run has.
-
-    Raises:
-        ValueError: There are some.
-    """
-    model, recorded = state["model"], state["recorder"]
-    ways = [m["way"]["step"] for m in model["motion"] if m["way"]]
-    ways += [h["controller"]["next"] for h in model["march"] if h["controller"]]
-    if not all(math.isfinite(step) and step > 0 for step in ways):
-        raise ValueError("a step that goes nowhere")
-    counts = [*recorded["total"].values(), *recorded["timing"].values()]
-    counts += [recorded[name] for name in ("step", "frames", "written", "time", "seconds")]
-    counts += [value for balance in recorded["balances"] for value in balance.values()]
-    if not all(isinstance(count, int | float) for count in counts):
-        raise ValueError("a count that is no number")
-    values = [value for _, value in _leaves(model)]
-    if any(
-        isinstance(v, str)
-        for value in values
-        for v in (value if isinstance(value, list) else [value])
-    ):
-        raise ValueError("a text among numbers")
-    cells = [*recorded["mechanical"].values()]
-    cells += [cell for row in recorded["writer"]["rows"] for cell in row.values()]
-    if not all(cell is None or isinstance(cell, int | float) for cell in cells):
-        raise ValueError("a row of history.csv that is not of numbers")
-
-
-def _restored(found: Checkpoint, ranks: int) -> str:
-    """List of what is restored, as a line of the log."""
-    header, state = found.header, found.state
-    model, recorded = state["model"], state["recorder"]
-    what = []
-    for m in model["mechanics"]:
-        x = m["solver"]["x"]
-        what.append(f"displacement of {len(x['displacement']['nodes'].keys)} nodes")
-        if "jump" in x:
-            what.append(f"jump, friction and slip of {len(x['jump'].keys)} contact points")
-        if m["problem"]["setting"]:
-            what.append("stress of what sets")
-    for t in model["thermal"]:
-        heating = t["heating"]
-        what.append(
-            f"temperature of {len(heating['state']['parts'][0].keys)} nodes at "
-            f"{heating['seconds']:.6g} s, with peaks and doses"
-        )
-        if heating["strains"]:
-            what.append("cure")
-    for h in model["march"]:
-        if h["controller"]:
-            what.append(f"next time step {h['controller']['next']:.4g} s")
-    for m in model["motion"]:
-        if m["way"]:
-            what.append(f"next load step {m['way']['step']:.4g} of the stage")
-    writer = recorded["writer"]
-    what.append(f"{len(writer['rows'])} rows of history.csv")
-    what += [f"{f['steps']} steps of fields" for f in writer["fields"]]
-    by = "" if header["ranks"] == ranks else f" by {header['ranks']} rank(s)"
-    return (
-        f"restart from {found.path}, written {header['written']}{by}: step {header['step']}, "
-        f"time {header['time']:.6g} in stage '{header['stage_name']}', "
-        f"{header['seconds']:.1f} s of work\n     restored: {'; '.join(what)}"
-    )

@@ -26,6 +26,8 @@ class Mechanical:
         neighbours: States of the models before.
     """
 
+    saved = ("problem", "solver")
+
     def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
         """Compile what is evaluated; collective."""
         self.problem, self.solver = problem, solver
@@ -39,6 +41,10 @@ class Mechanical:
         self.problem.begin(build, augmentation_factor)
         self.solver.begin(tolerance)
         self.neighbours.begin()
+
+    def restored(self) -> None:
+        """Fill the unknowns with the restored displacement and jumps; collective."""
+        self.problem.take_up(*self.solver.u_and_q())
 
     def balance(self, about: NDArray[np.float64]) -> Balance:
         """Balances of the model at rest; collective.

@@ -19,10 +19,9 @@ from app.mechanics.predictors import Predictor
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import ContactSystem, mechanical
 from app.numerics.newton import Solver
-from app.numerics.saved_state import State
 from app.numerics.system import System
 from app.results import gruen, interface_numbers
-from app.results.field_output import HeatFields, Layer
+from app.results.field_output import FieldGroup, HeatFields
 from app.results.interface_numbers import ContactSamples
 from app.results.mechanical_fields import MechanicalFields
 from app.results.run_folder import on_root
@@ -182,7 +181,7 @@ class Model:
         parts += [m.solver.block_sizes for m in self.mechanics]
         return {name: size for part in parts for name, size in part.items()}
 
-    def layers(self) -> list[Layer]:
+    def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanical, and of heat."""
         sides = self._case.geometry.interface_sides
         return [
@@ -206,7 +205,7 @@ class Model:
             on_heat: Called after each step of the heat, the mechanics having followed.
             on_trouble: Told what is tried when a step fails.
             begin: Called before each stage.
-            mark: Called with the number of the stage wherever `state` may be asked for.
+            mark: Called with the number of the stage wherever `saved_parts` may be saved.
             resume: Called first: may take up a state, and gives the stage that it is in.
 
         Returns:
@@ -236,34 +235,15 @@ class Model:
             total.add(part)
         return total
 
-    # What a run remembers
-
-    def state(self) -> State:
-        """All that the steps to come depend on, where a step has just ended; collective."""
+    def saved_parts(self) -> dict[str, Any]:
+        """All that the steps to come depend on, in the order in which it is restored."""
         motion, march = self._walk
         return {
-            "mechanics": [
-                {"problem": m.problem.state(), "solver": m.solver.state()} for m in self.mechanics
-            ],
-            "thermal": [t.state() for t in self.thermal],
-            "motion": [m.state() for m in motion],
-            "march": [m.state() for m in march],
+            "mechanics": self.mechanics,
+            "thermal": self.thermal,
+            "march": march,
+            "motion": motion,
         }
-
-    def resume(self, state: State, k: int) -> None:
-        """Take up a state in a stage; the model is at rest; collective."""
-        motion, march = self._walk
-        for m, found in zip(self.mechanics, state["mechanics"], strict=True):
-            m.problem.resume(found["problem"])
-            m.solver.resume(found["solver"])
-        for t, found in zip(self.thermal, state["thermal"], strict=True):
-            t.resume(found)
-        for h, found in zip(march, state["march"], strict=True):
-            h.resume(found, k, self.scene.stages[k])
-        for m, found in zip(self.mechanics, state["mechanics"], strict=True):
-            m.problem.settle(found["problem"], *m.solver.u_and_q())
-        for p, found in zip(motion, state["motion"], strict=True):
-            p.resume(found)
 
     def _nested(self, m: Mechanical) -> tuple[CoarseModelStart, ...]:
         """A start from a cheaper model, if that pays."""

@@ -5,20 +5,21 @@ from __future__ import annotations
 import logging
 import time as clock
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from app.arrays import Ints
 from app.case.case import Case
 from app.case.quantities import TABLE
 from app.errors import StoppedError
 from app.heat.nodes import ProbedPoint
 from app.mechanics.problem import TrialState
-from app.numerics.saved_state import State
 from app.results import closing_lines as text
 from app.results.balance import Balance
+from app.results.field_output import Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.probes import DisplacementProbes
 from app.results.run_folder import UNITS, Writer
@@ -65,7 +66,14 @@ class Recorder:
 
     Attributes:
         samples: Contact points after the last step, if there are any.
+        step_count: Steps recorded: rows in history.csv.
+        time: Time at the end of the last one.
     """
+
+    saved = (
+        *("step_count", "time", "_frames", "_written", "_total", "_mechanical", "_contact"),
+        *("_balances", "_writer"),
+    )
 
     def __init__(
         self,
@@ -97,58 +105,43 @@ class Recorder:
         points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
         self._probes = [DisplacementProbes(m.problem, points) for m in model.mechanics]
         self.samples: ContactSamples | None = None
-        self._trials: tuple[TrialState, ...] = ()
-        self._time = 0.0
-        self._rows = self._written = self._frames = 0
+        self._contact: dict[str, Any] = {}
+        self.time = 0.0
+        self.step_count = self._written = self._frames = 0
         self._total = Summary()
         self._takes_time = False
         self._mechanical: dict[str, Any] = {}
 
-    def state(self) -> State:
-        """Everything recorded so far, to be saved; collective."""
-        contact = [
-            {"pressures": j.rows(t.law.pressures), "status": j.rows(t.law.status)}
-            for t in self._trials
-            for m in self._model.mechanics
-            for j in m.problem.jumps
-        ]
-        return {
-            "step": self._rows,
-            "time": self._time,
-            "frames": self._frames,
-            "written": self._written,
-            "total": asdict(self._total),
-            "mechanical": dict(self._mechanical),
-            "balances": [b.state() for b in self._balances],
-            "contact": contact,
-            "writer": self._writer.state(),
-            "seconds": clock.perf_counter() - self._begin,
-            "timing": dict(self._timing.seconds),
-        }
+    @property
+    def row_keys(self) -> dict[str, Ints]:
+        """Keys of own contact points."""
+        jumps = [j for m in self._model.mechanics for j in m.problem.jumps]
+        return {"_contact": jumps[0].row_keys} if jumps else {}
 
-    def resume(self, state: State) -> None:
-        """Go on from there, the model being there; collective."""
-        self._rows, self._time = state["step"], state["time"]
-        self._frames, self._written = state["frames"], state["written"]
-        self._total = Summary(**state["total"])
-        self._mechanical = dict(state["mechanical"])
-        for m, balance, found in zip(
-            self._model.mechanics, self._balances, state["balances"], strict=True
-        ):
+    def restored(self) -> None:
+        """Go on from a restored model; collective."""
+        for m, balance in zip(self._model.mechanics, self._balances, strict=True):
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
-            balance.resume(found, u, trial)
-            for j, law in zip(m.problem.jumps, state["contact"], strict=False):
-                assert trial is not None
-                pressures, status = (law[k].of(j.mine) for k in ("pressures", "status"))
-                then = replace(trial.law, pressures=pressures, status=status.ravel())
-                self._trials = (replace(trial, law=then),)
-                self.samples = ContactSamples(m.problem, *self._trials)
-        if not self._writer.resume(state["writer"]):
+            balance.go_on(u, trial)
+            if trial is not None and self._contact:
+                trial = replace(trial, law=replace(trial.law, **self._contact))
+                self.samples = ContactSamples(m.problem, trial)
+        if not all(grid.steps for grid in self._writer.grids):
             self._written = 0
-        self._begin -= state["seconds"]
-        for phase, seconds in state["timing"].items():
-            self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + seconds
+
+    @property
+    def grids(self) -> tuple[Fields, ...]:
+        """The field file, if fields are written."""
+        return self._writer.grids
+
+    def add_time(self, seconds: Mapping[str, float]) -> None:
+        """Add the wall seconds before a restart, as `seconds` gave them."""
+        for phase, some in seconds.items():
+            if phase == "total":
+                self._begin -= some
+            else:
+                self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + some
 
     def stage(self, stage: SceneStage) -> None:
         """A stage begins."""
@@ -160,8 +153,9 @@ class Recorder:
         with self._timing.phase("output"):
             (m,), (balance,) = self._model.mechanics, self._balances
             balance.update(m.solver.u_and_q()[0], trial)
-            self._trials = (trial,) if trial is not None else ()
-            self.samples = ContactSamples(m.problem, trial) if trial is not None else None
+            if trial is not None:
+                self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
+                self.samples = ContactSamples(m.problem, trial)
             self._total.count(step.outcome)
             self._mechanical = self._row_of(step, balance)
             # The steps of heat, which come more often, have the rows of stages that take time.
@@ -185,13 +179,8 @@ class Recorder:
         log.info(
             "%s",
             text.step_line(
-                step.number,
-                step.time,
-                step.outcome.iterations,
-                step.outcome.linear_iterations,
-                step.outcome.residuals[-1],
-                self._fraction(OPEN),
-                self._fraction(SLIP),
+                step,
+                (self._fraction(OPEN), self._fraction(SLIP)),
                 max((q["penetration_max"] for q in interfaces.values()), default=0.0),
                 clock.perf_counter() - self._begin,
                 solved * rate,
@@ -220,9 +209,9 @@ class Recorder:
 
     def _row(self, step: LoadStep) -> None:
         """A row of history.csv, and fields where they are due."""
-        self._time = step.time
-        self._rows += 1
-        row: dict[str, Any] = {"step": self._rows, "time [-]": step.time} | self._mechanical
+        self.time = step.time
+        self.step_count += 1
+        row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self._mechanical
         for t in self._model.thermal:
             row |= t.row()
         wall = clock.perf_counter() - self._begin
@@ -234,7 +223,7 @@ class Recorder:
                 self._fields()
         end = float(len(self._case.stages))
         folder = self._writer.folder
-        self._progress(AcceptedStep(folder, self._rows, step.stage, step.time, end, wall, row))
+        self._progress(AcceptedStep(folder, self.step_count, step.stage, step.time, end, wall, row))
 
     def _fraction(self, status: int) -> float:
         s = self.samples
@@ -243,16 +232,16 @@ class Recorder:
         return float(s.weight[s.status == status].sum() / s.weight.sum())
 
     def _fields(self) -> None:
-        self._written = self._rows  # a step that does not fit the disk is not tried again
-        self._writer.fields(self._time, self.samples)
+        self._written = self.step_count  # a step that does not fit the disk is not tried again
+        self._writer.fields(self.time, self.samples)
 
     def flush(self) -> None:
         """Write the fields of the last step, unless they are; the last alone; the pictures."""
-        if self._written < self._rows:
+        if self._written < self.step_count:
             self._fields()
         self._writer.last_fields()
         for t in self._model.thermal:
-            self._writer.pictures(t.conduction, t.record)
+            self._writer.section(t.conduction, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""
@@ -267,7 +256,7 @@ class Recorder:
             "status": status,
             "title": self._case.title,
             "units": UNITS,
-            "time": self._time,
+            "time": self.time,
             **model.numbers(self.samples),
             **model.places(self.samples),
             "probes": {
@@ -279,7 +268,7 @@ class Recorder:
             "solver": {
                 "dofs": sum(sizes.values()),
                 "blocks": sizes,
-                "steps": self._rows,
+                "steps": self.step_count,
                 "newton_iterations": counted.newton_iterations,
                 "linear_iterations": counted.linear_iterations,
                 "rejected_steps": total.rejected if total else None,
@@ -311,11 +300,11 @@ class Recorder:
 
     def close(self, status: str) -> None:
         """Leave the last converged state on disk, as far as the disk allows; collective."""
-        if not self._rows:
+        if not self.step_count:
             return
         for m in self._model.mechanics:
             # The loads of the step that failed are not this state's.
-            m.problem.set_time(self._time)
+            m.problem.set_time(self.time)
         for write in (
             self.flush,
             lambda: self._writer.finish(self.summary(status, None), done=False),
@@ -327,10 +316,10 @@ class Recorder:
 
     def last_state(self) -> str:
         """Where the last converged state is."""
-        if not self._rows:
+        if not self.step_count:
             return "no step has converged: nothing is on disk"
         return (
-            f"last converged state: time {self._time:.4g} (step {self._rows}) "
+            f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self._writer.folder}"
         )
 

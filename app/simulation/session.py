@@ -14,7 +14,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from app.case.case import Case, LoadedCase, plain
+from app.case.case import Case, LoadedCase, dump
 from app.errors import (
     ConvergenceError,
     EnvironmentProblem,
@@ -28,8 +28,7 @@ from app.numerics.newton import raw_options
 from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, on_root, provenance
-from app.schema import yaml_file
-from app.simulation import checkpoint, checkpoint_file, finished_runs, variations
+from app.simulation import checkpoint, finished_runs, variations
 from app.simulation.checkpoint import CheckpointWriter
 from app.simulation.model import Model
 from app.simulation.recorder import OnAccepted, Recorder
@@ -84,9 +83,7 @@ def run(
     if crowd := blas_check.crowd(int(here) if here.isdigit() else comm.size):
         log.warning("note: %s", crowd)
     signalled = stopping.signals() if signals else str
-    if comm.rank == 0:
-        form_cache.mend()
-    form_cache.share()
+    form_cache.guard()
     late = str if walltime is None else stopping.WallTime(begin, walltime)
     session = Session(
         comm,
@@ -121,7 +118,7 @@ class Session:
         stop: Callable[[], str],
         begin: float,
         started: datetime,
-        restart: Callable[..., checkpoint_file.Checkpoint | None] | None,
+        restart: Callable[..., checkpoint.Checkpoint | None] | None,
         back: bool,
         progress: OnAccepted,
     ) -> None:
@@ -231,7 +228,7 @@ class Session:
             found = self._restart(folder=output, case=case, passed=passed)
             try:
                 return self._solve(case, changes, output, found)
-            except checkpoint_file.DamagedError as damaged:
+            except checkpoint.DamagedError as damaged:
                 assert found is not None
                 if not self._back:
                     raise InputError(f"--restart {found.path}: cannot be used: {damaged}") from None
@@ -245,7 +242,7 @@ class Session:
         case: Case,
         changes: Sequence[str],
         output: Path,
-        found: checkpoint_file.Checkpoint | None,
+        found: checkpoint.Checkpoint | None,
     ) -> dict[str, Any]:
         """Solve a case from a checkpoint, if there is one; collective."""
         comm, timing = self._comm, self._timing
@@ -264,7 +261,7 @@ class Session:
             model.tagged,
             model.layers(),
             output,
-            yaml_file.written(plain(case)),
+            dump(case),
             case.output.fields,
             lambda: provenance(
                 comm.size,
@@ -303,7 +300,7 @@ class Session:
             summary = recorder.summary("converged", total)
         summary["notes"] = [*notes, *well_posedness.doubts(case, summary["regions"])]
         summary["notes"] += [note for t in model.thermal for note in t.heating.notes]
-        if text.faults(summary):
+        if text.reasons_not_to_use(summary):
             summary["status"] = text.UNUSABLE
         self.note(summary["notes"])
         if case.output.condition:
@@ -384,7 +381,7 @@ def _errors(
         log.info("     error estimate: companion run on %s in %.1f s", companion, seconds)
     return {
         "companions": [str(c) for c, _ in solved],
-        "of": error_estimate.of_what([c for c, _ in solved]),
+        "of": error_estimate.error_sources([c for c, _ in solved]),
         "failed": failed,
         "unsettled": error_estimate.estimate(summary, case, solved),
     }

@@ -10,7 +10,6 @@ from app.case.case import Case
 from app.heat.flows import stored, through
 from app.heat.initial_jump import InitialJump
 from app.heat.nodes import ProbedPoint
-from app.numerics.saved_state import State
 from app.results.cure_record import CureRecord
 from app.results.heat_balance import HeatBalance
 from app.results.interface_heat import exchange
@@ -34,6 +33,8 @@ class ThermalModel:
             interfaces of finite conductance from the first side to the second [mW].
     """
 
+    saved = ("heating", "record", "_settled", "cure", "balance", "flows")
+
     def __init__(self, case: Case, heating: HeatState) -> None:
         """Begin with the initial state; collective."""
         conduction = heating.conduction
@@ -55,10 +56,15 @@ class ThermalModel:
         self._settled = False
         self.record.start(self._reported(0.0))
         self.cure: tuple[CureRecord, ...] = tuple(
-            CureRecord(conduction.comm, heating.degrees()) for _ in conduction.cures
+            CureRecord(conduction.comm, heating.degrees(), self._keys()) for _ in conduction.cures
         )
         self.balance = HeatBalance(stored(conduction, heating.vectors()), {})
         self.flows: dict[str, dict[str, float]] = {}
+
+    def _keys(self) -> dict[str, NDArray[np.int64]]:
+        """Keys of the nodes of each region that sets."""
+        nodes = self.conduction.row_keys
+        return {n.region: nodes[n.dof] for c in self.conduction.cures for n in c.nodes}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Temperatures of the bodies, as they are reported at a time; collective."""
@@ -94,32 +100,6 @@ class ThermalModel:
         # Nor does one that waits for its first heat, such as that of friction.
         least = NOTHING * rounding * accepted.dt
         self.balance.update(accepted.dt, accepted.heats, accepted.flows, heat, moved, least)
-
-    def state(self) -> State:
-        """All that is history; collective."""
-        return {
-            "heating": self.heating.memory(),
-            "record": self.record.state(),
-            "settled": self._settled,
-            "cure": [c.state(self._keys()) for c in self.cure],
-            "balance": self.balance.state(),
-            "flows": self.flows,
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore heat, mechanics and their history; collective."""
-        self.heating.resume(state["heating"])
-        self.record.resume(state["record"])
-        self._settled = state["settled"]
-        for cure, found in zip(self.cure, state["cure"], strict=True):
-            cure.resume(found, self._keys())
-        self.balance.resume(state["balance"])
-        self.flows = state["flows"]
-
-    def _keys(self) -> dict[str, NDArray[np.int64]]:
-        """Keys of the nodes of each region that sets."""
-        nodes = self.conduction.nodes
-        return {n.region: nodes[n.dof] for c in self.conduction.cures for n in c.nodes}
 
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""

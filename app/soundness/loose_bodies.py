@@ -1,107 +1,120 @@
-"""Rigid motions that neither supports nor contact hold, found before solving."""
+"""Bodies that float: rigid motions that neither supports nor contact hold.
+
+Before solving they are found on the parts of a mesh, afterwards at the contact points of a state.
+Facets may hide them: a smooth stem turns in its cement without resistance, but its mesh is a prism,
+whose nodes have normals that are off by a fraction of the angle between facets: contact resists the
+turn, with a stiffness and rotations that mean nothing.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Floats
 from app.case.case import Case
-from app.laws.values import field, gap_at
-from app.numerics.rigid_motions import describe, rigid_modes
+from app.errors import Reason
+from app.laws.values import gap_at
+from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid_modes
+from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
+from app.system.layout import point_text
+from forms.contact import OPEN
+from meshes.contact_faces import spread_of_normals
 from meshes.pieces import Parts, Piece
+
+if TYPE_CHECKING:
+    from app.mechanics.problem import Problem, TrialState
 
 # A motion is free if what resists it is below this part of what resists any; contact without
 # friction hardly resists one that it is sloped against by less than so many degrees in the mean, or
 # now this way and now that by less than this part of the angle between its flat facets.
 FREE, SLOPE, FACETS = 1e-10, 3.0, 0.4
+# Supports hold a body fast if they hold more than this of each direction; a body slides when so
+# much of the area that holds it bears so much of the most friction can.
+HELD, SLIDES, ALL_OF_IT = 1e-3, 0.95, 1 - 1e-6
+# Jumps run away beyond this part of the size of the interfaces and this motion in units of load /
+# (modulus of the softer side x size): 5 for a stem wedged by friction, 70 for a frictionless taper
+# of 1.5 degrees, 600 for a straight frictionless stem.
+RUNAWAY, LOOSE = 0.05, 200.0
+# Only facets hold a motion that contact resists by less than this part of what the spread of
+# normals gives at random (0.01 for a smooth stem that turns, 0.8 to 100 where its taper resists),
+# if it is this part of the jumps, squared (0.003 of a push, 0.15 of a turn).
+SPREAD, PART = 0.25, 0.05
 
 
-def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str, Any]:
-    """Interface between two pieces and its law; no name where there is none."""
-    a, b = (found.pieces[k].region for k in pieces)
-    for name, (one, two) in case.geometry.interface_sides.items():
-        if (a in one and b in two) or (a in two and b in one):
-            return name, case.interfaces[name]
-    return "", None
+# On the parts of a mesh, before solving
 
 
-def groups_of(case: Case, found: Parts) -> list[list[int]]:
-    """Pieces that move together: bonded to each other, or of one region and joined."""
-    label = list(range(len(found.pieces)))
-
-    def join(a: int, b: int) -> None:
-        old, new = label[b], label[a]
-        label[:] = [new if k == old else k for k in label]
-
-    for touch in found.touches:
-        _, law = law_between(case, found, touch.pieces)
-        if law is None or not law.can_open:
-            join(*touch.pieces)
-    for a, b in found.joined:
-        join(a, b)
-    return [[p for p, k in enumerate(label) if k == n] for n in sorted(set(label))]
-
-
-def _name(found: Parts, group: list[int]) -> str:
-    """Of a body: its regions, and where it is if it is not all there is of them."""
-    names = list(dict.fromkeys(found.pieces[p].region for p in group))
-    text = f"'{' + '.join(names)}'"
-    others = {p.region for k, p in enumerate(found.pieces) if k not in group}
-    if others.isdisjoint(names):
-        return text
-    largest: Piece = max((found.pieces[p] for p in group), key=lambda p: p.volume)
-    cells = sum(found.pieces[p].cells for p in group)
-    return f"{text} (the piece of {cells} cells at {place(largest.centre)})"
-
-
-def place(x: Floats) -> str:
-    """A point in words."""
-    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*x)
-
-
-def holds(support: Any, stage: str) -> bool:
-    """Whether a support holds in a stage."""
-    stages = getattr(support, "stages", None)
-    return stages is None or stage in stages
-
-
-def directions(support: Any, found: Parts, nodes: Ints) -> Floats:
-    """Directions that a support holds at nodes of its boundary, as rows (n, k, 3)."""
-    normal = getattr(support, "normal", None)
-    if normal == "face":
-        return found.normals[support.boundary][nodes][:, None]
-    rows = np.eye(3)[["xyz".index(a) for a in support.held_axes]] if normal is None else [normal]
-    return np.broadcast_to(rows, (len(nodes), len(rows), 3))
-
-
-def _holding(case: Case) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Supports that hold in each stage, once where they are those of the stage before."""
-    before: dict[str, Any] = {}
-    for k, stage in enumerate(case.stages):
-        here = {name: s for name, s in case.supports.items() if holds(s, stage.name)}
-        if k == 0 or here != before:
-            yield k, here
-        before = here
-
-
-class _Bodies:
+class BodiesOnMesh:
     """Rigid motions of groups of pieces: what supports leave, and how contact resists it."""
 
-    def __init__(self, case: Case, found: Parts, groups: list[list[int]]) -> None:
-        self._case, self._found, self._groups = case, found, groups
-        self.names = [_name(found, g) for g in groups]
-        self._of = {p: n for n, g in enumerate(groups) for p in g}
+    def __init__(self, case: Case, found: Parts) -> None:
+        self._case, self._found, self._groups = case, found, groups_of(case, found)
+        self._of = {p: n for n, group in enumerate(self._groups) for p in group}
         self._origin = found.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
+        self._laws: Mapping[str, Any] = case.interfaces
+
+    def unheld(self) -> list[str]:
+        """Errors for motions that nothing would resist if all that touches were bonded."""
+        K, M = self._resistance(None)
+        errors = []
+        for k, left in self._left_by_supports():
+            free, _ = self._free(left, K, M, FREE)
+            errors += [
+                f"supports: {text}{self._when(k)}, by a support or by another body; expected a "
+                "support, or contact with a body that is held"
+                for text in self._words(free)
+            ]
+        return errors
+
+    def loosely_held(self) -> list[str]:
+        """Notes on motions that contact without friction, or not yet closed, hardly resists."""
+        gaps = gaps_of(self._case, self._found)
+        frictions = {n: self._laws[n].friction for n in gaps}
+        notes: list[str] = []
+        for k, left in self._left_by_supports():
+            free, steepest = self._sloped(left, frictions)
+            slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
+            by = f"contact on {' and '.join(slippery)} has no friction"
+            if steepest > 1e-2:
+                by += (
+                    f" and resists only by a mean slope of {steepest:.2g} degrees, which may come "
+                    "from the facets of the mesh"
+                )
+            notes += [
+                f"{text.replace('nothing holds', 'hardly anything holds')}{self._when(k)}: {by}; "
+                "the displacement may be arbitrary; add friction or a support"
+                for text in self._words(free)
+            ]
+            start = {n: (gap, self._laws[n].initial_gap[1] or ()) for n, gap in gaps.items()}
+            apart = [n for n, gap in start.items() if gap_at(*gap, k + 1e-3).min() > 0]
+            free, _ = self._free(left, *self._resistance(None, apart), FREE)
+            names = " and ".join(f"'{n}'" for n in apart)
+            notes += [
+                f"{text}{self._when(k)} until {names} closes, which starts open: only loads that "
+                "close it find an equilibrium; hold the body by a support or a weak foundation, or "
+                "start in contact"
+                for text in self._words(free)
+            ]
+        return list(dict.fromkeys(notes))
 
     def _modes(self, x: Floats) -> Floats:
         return rigid_modes((x - self._origin) / self._size)
 
-    def left(self, supports: Iterable[Any]) -> Floats:
+    def _left_by_supports(self) -> Iterator[tuple[int, Floats]]:
+        """Stages whose supports are others than before, with the motions they leave (6 n, k)."""
+        before: dict[str, Any] = {}
+        for k, stage in enumerate(self._case.stages):
+            here = {n: s for n, s in self._case.supports.items() if holds(s, stage.name)}
+            if k == 0 or here != before:
+                yield k, self._left(here.values())
+            before = here
+
+    def _left(self, supports: Any) -> Floats:
         """Motions that supports leave (6 n, k), orthonormal."""
         n = len(self._groups)
         held = np.zeros((n, 6, 6))
@@ -114,15 +127,13 @@ class _Bodies:
         for b in range(n):
             values, vectors = np.linalg.eigh(held[b])
             free = vectors[:, values <= FREE * max(values[-1], np.finfo(float).tiny)]
-            block = np.zeros((6 * n, free.shape[1]))
-            block[6 * b : 6 * b + 6] = free
-            blocks.append(block)
+            blocks.append(np.kron(np.eye(n)[:, [b]], free))
         return np.hstack(blocks)
 
-    def resistance(
-        self, shears: Mapping[str, float] | None, absent: Iterable[str] = ()
+    def _resistance(
+        self, shears: Mapping[str, float] | None, absent: Sequence[str] = ()
     ) -> tuple[Floats, Floats]:
-        """Resistance of closed contact, and of contact that is all bonded (6 n, 6 n) [mm2].
+        """Resistance of contact, and of each body where all is bonded (6 n, 6 n) [mm2].
 
         Args:
             shears: Whether each interface resists sliding; None: all do.
@@ -139,45 +150,38 @@ class _Bodies:
             every = np.einsum("f,fik,fil->kl", touch.areas, R, R)
             along = np.einsum("fik,fi->fk", R, touch.normals)
             normal = np.einsum("f,fk,fl->kl", touch.areas, along, along)
-            part = every if shears is None or shears[name] else normal
-            for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
-                at = np.s_[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]
-                if name not in absent:
-                    K[at] += sign * part
-                if i == j:
-                    M[at] += every
+            if name not in absent:
+                add_relative(K, a, b, every if shears is None or shears[name] else normal)
+            for i in (a, b):
+                M[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += every
         return K, M
 
-    def free(self, left: Floats, K: Floats, M: Floats, below: float) -> tuple[Floats, Floats]:
-        """Motions that supports leave and contact resists less than that, and how much.
+    @staticmethod
+    def _free(left: Floats, K: Floats, M: Floats, below: float) -> tuple[Floats, Floats]:
+        """Motions that contact resists by less than this part of bonded contact, and by which part.
 
-        Returns:
-            Motions (6 n, k), and their resistance over that of bonded contact (k,).
+        Motions (6 n, k) of those that supports leave; parts (k,).
         """
         if not left.shape[1]:
             return left, np.zeros(0)
         scale = max(float(np.trace(M)), 1.0) / len(M)
         metric = left.T @ M @ left + 1e-9 * scale * np.eye(left.shape[1])
-        root = np.linalg.inv(np.linalg.cholesky(metric))
-        values, vectors = np.linalg.eigh(root @ left.T @ K @ left @ root.T)
+        root = left @ np.linalg.inv(np.linalg.cholesky(metric)).T
+        values, vectors = np.linalg.eigh(root.T @ K @ root)
         pick = values < below
-        return left @ root.T @ vectors[:, pick], np.maximum(values[pick], 0.0)
+        return root @ vectors[:, pick], np.maximum(values[pick], 0.0)
 
-    def sloped(self, left: Floats, frictions: Mapping[str, float]) -> tuple[Floats, float]:
-        """Motions that only contact without friction resists, and hardly.
-
-        Returns:
-            Motions (6 n, k), and the steepest mean slope against them [degrees].
-        """
+    def _sloped(self, left: Floats, frictions: Mapping[str, float]) -> tuple[Floats, float]:
+        """Motions (6 n, k) that only smooth contact resists, and its steepest slope [degrees]."""
         smooth = [
             t
             for t in self._found.touches
             if frictions.get(law_between(self._case, self._found, t.pieces)[0]) == 0
         ]
         bend = FACETS * max((t.bend for t in smooth), default=0.0)
-        K, M = self.resistance(frictions)
+        K, M = self._resistance(frictions)
         least = math.radians(SLOPE)
-        free, slopes = self.free(left, K, M, math.sin(max(least, bend)) ** 2)
+        free, slopes = self._free(left, K, M, math.sin(max(least, bend)) ** 2)
         mean = np.zeros(free.shape[1])
         for t in smooth:
             a, b = (self._of[p] for p in t.pieces)
@@ -189,92 +193,206 @@ class _Bodies:
         steepest = math.asin(math.sqrt(float(slopes[pick].max(initial=0.0))))
         return free[:, pick], math.degrees(steepest)
 
-    def words(self, free: Floats) -> list[str]:
-        """Sentences on them."""
-        centres = np.array(
-            [
-                np.average(
-                    [self._found.pieces[p].centre for p in g],
-                    axis=0,
-                    weights=[self._found.pieces[p].volume for p in g],
-                )
-                for g in self._groups
-            ]
-        )
-        return describe(free, self.names, centres, self._origin, self._size)
+    def _words(self, free: Floats) -> list[str]:
+        pieces = [[self._found.pieces[p] for p in group] for group in self._groups]
+        moments = np.array([sum(p.volume * p.centre for p in group) for group in pieces])
+        volumes = np.array([sum(p.volume for p in group) for group in pieces])
+        names = [self._name(group) for group in pieces]
+        return describe(free, names, moments / volumes[:, None], self._origin, self._size)
+
+    def _name(self, group: list[Piece]) -> str:
+        """Regions of a body, and where it is if it is not all there is of them."""
+        names = list(dict.fromkeys(p.region for p in group))
+        text = f"'{' + '.join(names)}'"
+        if sum(p.region in names for p in self._found.pieces) == len(group):
+            return text
+        centre = max(group, key=lambda p: p.volume).centre
+        cells = sum(p.cells for p in group)
+        return f"{text} (the piece of {cells} cells at {point_text(centre)})"
+
+    def _when(self, k: int) -> str:
+        limited = any(getattr(s, "stages", None) for s in self._case.supports.values())
+        return f" in stage '{self._case.stages[k].name}'" if limited else ""
 
 
-def _when(case: Case, k: int) -> str:
-    """In which stage, where that matters."""
-    limited = any(getattr(s, "stages", None) for s in case.supports.values())
-    return f" in stage '{case.stages[k].name}'" if limited else ""
+# At the contact points of a state
 
 
-def unheld(case: Case, found: Parts, groups: list[list[int]]) -> list[str]:
-    """Motions that nothing would resist if all that touches were bonded."""
-    bodies = _Bodies(case, found, groups)
-    K, M = bodies.resistance(None)
-    errors = []
-    for k, supports in _holding(case):
-        free, _ = bodies.free(bodies.left(supports.values()), K, M, FREE)
-        errors += [
-            f"supports: {text}{_when(case, k)}, by a support or by another body; expected a "
-            "support, or contact with a body that is held"
-            for text in bodies.words(free)
-        ]
-    return errors
+def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
+    """Rigid motions of bodies that no support and no closed contact resists; collective.
+
+    The resistance of the contacts is the generalized Jacobian at each point, seen through the
+    relative rigid motions of the two bodies; its null space beyond the supports is what is free.
+    """
+    (j,) = problem.jumps
+    x, names = j.points.x, problem.bodies.names
+    centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
+    B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.jacobian)
+    R = rigid_modes((x[j.mine] - centre) / size)
+    A = _assembled(problem, j.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
+    total = float(np.sum(j.points.weight)) or 1.0
+    for body in _held(problem):
+        A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
+    values, vectors = np.linalg.eigh((A + A.T) / 2)
+    free = vectors[:, values <= FREE * max(values[-1], total)]
+    near = [(j.points.bodies == b).any(axis=1) for b in range(len(names))]
+    centres = np.array([x[here].mean(axis=0) if here.any() else centre for here in near])
+    return describe(free, [f"'{name}'" for name in names], centres, centre, size)
 
 
-def gaps_of(case: Case, found: Parts) -> dict[str, Floats]:
-    """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
-    laws: Mapping[str, Any] = case.interfaces
-    return {
-        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(found.x[found.interfaces[name]])
-        for name, law in laws.items()
-        if law.can_open
-    }
+def _assembled(problem: Problem, resistance: Floats) -> Floats:
+    """Resistance to the motions of all n bodies (6 n, 6 n), from that of own points (p, 6, 6)."""
+    (j,) = problem.jumps
+    n = len(problem.bodies.names)
+    A = np.zeros((6 * n, 6 * n))
+    for master, slave in np.unique(j.points.bodies, axis=0):
+        here = (j.points.bodies[j.mine] == (master, slave)).all(axis=1)
+        add_relative(A, master, slave, resistance[here].sum(axis=0))
+    return np.asarray(problem.comm.allreduce(A))
 
 
-def history_of(case: Case, values: Sequence[float] | None) -> tuple[float, ...]:
-    """A history, all ones by default."""
-    return tuple(values) if values is not None else (1.0,) * len(case.stages)
+def sliding(problem: Problem) -> list[str]:
+    """Bodies that friction alone held in the last converged state, and hardly did; collective.
 
-
-def loosely_held(case: Case, found: Parts, groups: list[list[int]]) -> list[str]:
-    """Motions that only contact without friction resists, and hardly; or contact not yet closed."""
-    bodies = _Bodies(case, found, groups)
-    gaps = gaps_of(case, found)
-    laws: Mapping[str, Any] = case.interfaces
-    frictions = {n: laws[n].friction for n in gaps}
-    notes: list[str] = []
-    for k, supports in _holding(case):
-        left = bodies.left(supports.values())
-        free, steepest = bodies.sloped(left, frictions)
-        if free.shape[1]:
-            slippery = [f"'{n}'" for n, μ in frictions.items() if not μ]
-            smooth = f"contact on {' and '.join(slippery)}"
-            by = (
-                f"{smooth} has no friction and resists only by a mean slope of {steepest:.2g} "
-                "degrees, which may come from the facets of the mesh"
-                if steepest > 1e-2
-                else f"{smooth} has no friction"
+    Pulled further they may come off. That is no proof: smaller steps are tried all the same.
+    """
+    (j,) = problem.jumps
+    normal = np.linalg.norm(j.history.force - j.history.friction, axis=1)
+    shear = np.linalg.norm(j.history.friction, axis=1)
+    fixed = {b for b, part in _held(problem).items() if np.linalg.eigvalsh(part)[0] > HELD}
+    found = []
+    for i, contact in enumerate(problem.scene.contacts):
+        on = (j.interface == i) & (normal > 0)
+        slips = on & (shear >= ALL_OF_IT * contact.law.friction * normal)
+        local = np.array([j.weight[slips].sum(), j.weight[on].sum()])
+        slip, touch = problem.comm.allreduce(local)
+        bodies = problem.comm.allgather(set(j.points.bodies[j.mine][on].ravel().tolist()))
+        loose = set().union(*bodies) - fixed
+        if contact.law.frictional and touch and slip >= SLIDES * touch and loose:
+            who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
+            found.append(
+                f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
+                f"on interface '{contact.name}' slips in the last converged state "
+                f"[{Reason.LOOSE_BODY}]"
             )
-            notes += [
-                f"{text.replace('nothing holds', 'hardly anything holds')}{_when(case, k)}: {by}; "
-                "the displacement may be arbitrary; add friction or a support"
-                for text in bodies.words(free)
-            ]
-        begins = {
-            n: gap_at(gap, laws[n].initial_gap[1] or (), k + 1e-3).min() for n, gap in gaps.items()
-        }
-        open_ = {n for n, gap in begins.items() if gap > 0}
-        K, M = bodies.resistance(None, open_)
-        free, _ = bodies.free(left, K, M, FREE)
-        names = " and ".join(f"'{n}'" for n in gaps if n in open_)
-        notes += [
-            f"{text}{_when(case, k)} until {names} closes, which starts open: only loads that "
-            "close it find an equilibrium; hold the body by a support or a weak foundation, or "
-            "start in contact"
-            for text in bodies.words(free)
-        ]
-    return list(dict.fromkeys(notes))
+    return found
+
+
+def runaway(problem: Problem, trial: TrialState) -> str:
+    """A sentence if loads moved an interface as only a free body moves; collective.
+
+    A body that contact does not hold may still be caught by the facets of a curved interface. It
+    has then moved further than small displacements allow, and against hardly any stiffness.
+    """
+    (j,) = problem.jumps
+    forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
+    pushed = any(unit.any() for unit in problem.reduction.unit)
+    if any(problem.comm.allgather(pushed)) or not forces:
+        return ""  # where supports move the model, they may move it far
+    size = float(np.linalg.norm(np.ptp(j.points.x, axis=0)))
+    # What closes a gap or makes room for an interference is no running away.
+    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(j.gap, axis=1)
+    for i, contact in enumerate(problem.scene.contacts):
+        largest = max(problem.comm.allgather(float(moved[j.interface == i].max(initial=0.0))))
+        elastic = forces / (contact.modulus * size)
+        if largest > RUNAWAY * size and largest > LOOSE * elastic:
+            free = free_bodies(problem, trial)
+            how = (
+                f"moved {largest:.3g} mm apart or along each other, {100 * largest / size:.0f} % "
+                "of the interface's size"
+                if largest < size
+                else "left each other for good"
+            )
+            by = "" if free else ": nothing holds them but the facets of the mesh"
+            return "; ".join([*free, f"the sides of interface '{contact.name}' {how}{by}"])
+    return ""
+
+
+def held_by_facets(problem: Problem, trial: TrialState) -> str:
+    """A sentence if smooth contact has let a body go where only its mesh resists; collective.
+
+    The stiffness of contact in relative rigid motions of the bodies is set beside what the spread
+    of the normals of facets gives in the same motions: where the quotient is small, only the mesh
+    resists. What all normals of an interface agree on is no spread: a taper, however slight.
+    """
+    smooth = [c.law.can_open and not c.law.frictional for c in problem.scene.contacts]
+    if not any(smooth):
+        return ""
+    (j,) = problem.jumps
+    n, points = len(problem.bodies.names), j.points
+    size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
+    R = rigid_modes((points.x[j.mine] - points.x.mean(axis=0)) / size)
+    free = np.setdiff1d(np.arange(n), sorted(_held(problem)))
+    rows = (6 * free[:, None] + np.arange(6)).ravel()
+    resistances = _against_spread(problem, trial, R, np.array(smooth)[j.interface])
+    A, N = (x[np.ix_(rows, rows)] for x in resistances)
+    if not A.any():
+        return ""
+    # Where facets all agree there is nothing but rounding to compare with.
+    N += np.finfo(float).eps * np.trace(A) * np.eye(len(rows))
+    scale = np.linalg.inv(np.linalg.cholesky(N))
+    values, vectors = np.linalg.eigh(scale @ A @ scale.T)
+    few = values < SPREAD
+    if not few.any():
+        return ""
+    # The part of the jumps in the span of such motions, by least squares.
+    soft = np.zeros((6 * n, int(few.sum())))
+    soft[rows] = scale.T @ vectors[:, few]
+    parts = soft.reshape(n, 6, -1)
+    master, slave = points.bodies[j.mine].T
+    moved = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
+    w, q, sum_ = j.weight, trial.jump, problem.comm.allreduce
+    turned = sum_(np.einsum("p,pi,pik->k", w, q, moved))
+    gram = sum_(np.einsum("p,pik,pil->kl", w, moved, moved))
+    amounts = np.linalg.lstsq(gram, turned, rcond=1e-12)[0]
+    if turned @ amounts <= PART * sum_(float(np.einsum("p,pi,pi->", w, q, q))):
+        return ""
+    body, mode = divmod(int(np.argmax(np.abs(soft @ amounts))), 6)
+    far = float(np.linalg.norm(moved @ amounts, axis=1).max(initial=0.0))
+    return (
+        f"only the facets of the mesh hold body '{problem.bodies.names[body]}': on a smooth "
+        f"surface it is free to {DIRECTIONS[mode]}; it moved by "
+        f"{max(problem.comm.allgather(far)):.3g} mm, a distance that depends on the mesh"
+    )
+
+
+def _against_spread(
+    problem: Problem, trial: TrialState, R: Floats, smooth: Bools
+) -> tuple[Floats, Floats]:
+    """Resistance of contact to rigid motions R (p, 3, 6), and that by the spread of normals."""
+    (j,) = problem.jumps
+    r = np.where(trial.law.status == OPEN, 0.0, j.stiffness * j.weight)
+    B = trial.law.jacobian
+    # Friction holds what it touches, though no stiffness tells so while it slips.
+    S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
+    A, N = (
+        _assembled(problem, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
+        for own in (S, spread_of_normals(j.points.x, j.points.normals, j.points.triangles)[j.mine])
+    )
+    # Normals that are off at random agree in the mean, the more of them the better.
+    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), j.normals)
+    mean = r[:, None] * np.einsum("pij,pi->pj", R, touching)
+    sides = np.column_stack([j.points.interface, j.points.bodies])
+    for i, m, s in np.unique(sides, axis=0):
+        here = (sides[j.mine] == (i, m, s)).all(axis=1)
+        local = (mean[here].sum(axis=0), float(r[here].sum()), int(here.sum()))
+        g, weight, count = (problem.comm.allreduce(x) for x in local)
+        add_relative(A, m, s, count * np.outer(g, g) / (weight or 1.0))
+    return A, N
+
+
+def _held(problem: Problem) -> dict[int, Floats]:
+    """How much supports and foundations hold of each direction, by body (3, 3)."""
+    from app.scene.bodies import bodies_at  # brings dolfinx, which checks of a case do without
+
+    scene, frames = problem.scene, problem.frames
+    conditions = [
+        (s.boundary, frames.held_by(k) if s.normal and frames else np.diag(s.components))
+        for k, s in enumerate(scene.supports)
+    ]
+    conditions += [(f.boundary, np.diag(np.sign(f.stiffness))) for f in scene.foundations]
+    held: dict[int, Floats] = {}
+    for boundary, part in conditions:
+        for body in bodies_at(problem.tagged, problem.bodies, boundary):
+            held[body] = held.get(body, 0.0) + np.asarray(part, dtype=float)
+    return held

@@ -53,6 +53,7 @@ from app.arrays import Floats
 from app.errors import Reason
 from app.mechanics.contact import Jumps
 from app.mechanics.problem import Problem
+from app.system.layout import point_text
 
 log = logging.getLogger("mantle")
 
@@ -143,10 +144,9 @@ def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
                 continue
             found[contact.name] = least
             if over:
-                place = "({:.2f}, {:.2f}, {:.2f}) mm".format(*x)
                 sentences.append(
                     f"interface '{contact.name}': friction coefficient {contact.law.friction:g} "
                     f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
-                    f"{place}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
+                    f"{point_text(x)}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
                 )
     return found, sentences

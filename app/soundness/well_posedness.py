@@ -6,6 +6,7 @@ What is certainly wrong is an error before anything is solved; what is rarely me
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,20 +15,12 @@ from numpy.typing import NDArray
 from app.arrays import Floats
 from app.case.case import Case
 from app.errors import InputError
+from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
 from app.laws.values import field
-from app.soundness.fibre_axes import on_axis
-from app.soundness.loose_bodies import (
-    directions,
-    gaps_of,
-    groups_of,
-    history_of,
-    holds,
-    law_between,
-    loosely_held,
-    place,
-    unheld,
-)
+from app.soundness.loose_bodies import BodiesOnMesh
+from app.soundness.mesh_parts import directions, gaps_of, history_of, holds, law_between
+from app.system.layout import point_text
 from meshes.pieces import Parts, parts
 
 if TYPE_CHECKING:
@@ -47,8 +40,9 @@ SLENDER, BENDING, TOO_STIFF = 0.2, 2.3, 0.1
 MOSTLY = 0.5
 # Diagonals of anything in a human body or at a bench [mm].
 SIZES = (1.0, 3000.0)
-# Two given displacements differ if they do by this part of the larger.
-SAME = 1e-9
+# Two given displacements differ if they do by this part of the larger; an axis this close to a
+# cell, in parts of its size, touches it.
+SAME, CLOSE = 1e-9, 1e-6
 
 
 def look(case: Case, data: MeshData) -> Parts:
@@ -73,19 +67,19 @@ def judge(case: Case, found: Parts) -> list[str]:
         InputError: It cannot be solved: with all the reasons.
     """
     notes = [*found.told, *_cracks(case, found), *_size(case, found)]
-    if errors := on_axis(case, found):
+    if errors := _on_axis(case, found):
         raise InputError(errors)
     if all(isinstance(region, Conductor) for region in case.regions.values()):
         return notes
-    groups = groups_of(case, found)
+    bodies = BodiesOnMesh(case, found)
     torn, split = _contradictions(case, found)
-    errors = [*unheld(case, found, groups), *torn, *_too_tight(case, found)]
+    errors = [*bodies.unheld(), *torn, *_too_tight(case, found)]
     if errors:
         # A crack is often why.
         raise InputError([*errors, *(f"note: {n}" for n in notes)])
     return [
         *notes,
-        *loosely_held(case, found, groups),
+        *bodies.loosely_held(),
         *split,
         *_clamped(case, found),
         *_large(case, found),
@@ -107,41 +101,70 @@ def _given(case: Case, support: Any, name: str, axis: str, x: Floats) -> Floats:
 def _contradictions(case: Case, found: Parts) -> tuple[list[str], list[str]]:
     """Nodes that two supports give different displacements: all of one of them, or some."""
     holding = {
-        name: {
-            "nodes": np.unique(np.concatenate([*found.boundaries[s.boundary].values()])),
-            "stages": [holds(s, stage.name) for stage in case.stages],
-        }
+        name: np.unique(np.concatenate([*found.boundaries[s.boundary].values()]))
         for name, s in case.supports.items()
         if s.kind != "foundation" and found.boundaries.get(s.boundary)
     }
     errors: list[str] = []
     notes: list[str] = []
-    names = list(holding)
-    for i, one in enumerate(names):
-        for two in names[i + 1 :]:
-            a, b = case.supports[one], case.supports[two]
-            nodes = np.intersect1d(holding[one]["nodes"], holding[two]["nodes"])
-            both = np.logical_and(holding[one]["stages"], holding[two]["stages"])
-            for axis in sorted(set(a.held_axes) & set(b.held_axes)) if len(nodes) else ():
-                x = found.x[nodes]
-                first, second = (_given(case, s, n, axis, x)[both] for s, n in ((a, one), (b, two)))
-                size = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
-                differ = (np.abs(first - second) > SAME * size).any(axis=0)
-                if not differ.any():
-                    continue
-                text = (
-                    f"supports.{two}: prescribes another displacement along {axis} than "
-                    f"supports.{one} at {int(differ.sum())} nodes, e.g. at "
-                    f"{place(x[int(np.argmax(differ))])}"
+    for one, two in combinations(holding, 2):
+        a, b = case.supports[one], case.supports[two]
+        nodes = np.intersect1d(holding[one], holding[two])
+        both = [holds(a, stage.name) and holds(b, stage.name) for stage in case.stages]
+        for axis in sorted(set(a.held_axes) & set(b.held_axes)) if len(nodes) else ():
+            x = found.x[nodes]
+            first, second = (_given(case, s, n, axis, x)[both] for s, n in ((a, one), (b, two)))
+            size = max(np.abs(first).max(initial=0.0), np.abs(second).max(initial=0.0))
+            differ = (np.abs(first - second) > SAME * size).any(axis=0)
+            if not differ.any():
+                continue
+            text = (
+                f"supports.{two}: prescribes another displacement along {axis} than "
+                f"supports.{one} at {int(differ.sum())} nodes, e.g. at "
+                f"{point_text(x[int(np.argmax(differ))])}"
+            )
+            if differ.sum() == min(len(holding[one]), len(holding[two])):
+                errors.append(f"{text}; remove one of the two")
+            else:
+                notes.append(
+                    f"{text}: '{two}' is used there, and stresses grow without limit as the "
+                    "mesh is refined"
                 )
-                if differ.sum() == min(len(holding[n]["nodes"]) for n in (one, two)):
-                    errors.append(f"{text}; remove one of the two")
-                else:
-                    notes.append(
-                        f"{text}: '{two}' is used there, and stresses grow without limit as the "
-                        "mesh is refined"
-                    )
     return errors, notes
+
+
+def _on_axis(case: Case, found: Parts) -> list[str]:
+    """Axes of fibres that meet the cells of their region: fibres have no direction there."""
+    errors = []
+    for name, region in case.regions.items():
+        owners = {f"regions.{name}": region, f"regions.{name}.thermal": region.thermal}
+        for key, owner in owners.items():
+            fibre = getattr(owner, "fibre", None)
+            if not isinstance(fibre, Circumferential):
+                continue
+            cells = found.corners[name]
+            met = _meets(found.x[cells], np.array(fibre.axis), np.array(fibre.through))
+            if met.any():
+                middle = found.x[cells[np.argmax(met)]].mean(axis=0)
+                errors.append(
+                    f"{key}.fibre: its axis meets the region, e.g. at {point_text(middle)}, and "
+                    "fibres have no direction there; expected an axis outside the region"
+                )
+    return errors
+
+
+def _meets(x: Floats, axis: Floats, through: Floats) -> NDArray[np.bool_]:
+    """Which tetrahedra of corners (n, 4, 3) a line meets.
+
+    Seen along the line, it is outside of a cell whose corners all lie on one side of it.
+    """
+    across = np.linalg.svd(axis[None])[2][1:]
+    y, z = np.einsum("ki,nci->knc", across, x - through)
+    angle = np.sort(np.arctan2(z, y), axis=1)
+    between = np.diff(angle, axis=1, append=angle[:, :1] + 2 * np.pi)
+    radius = np.hypot(y, z)
+    near = radius.min(axis=1) <= CLOSE * radius.max(axis=1)
+    return np.asarray(near | (between.max(axis=1) <= np.pi + CLOSE))
 
 
 def _clamped(case: Case, found: Parts) -> list[str]:
@@ -296,7 +319,7 @@ def _cracks(case: Case, found: Parts) -> list[str]:
         where = f"regions '{a}' and '{b}'" if a != b else f"region '{a}'"
         notes.append(
             f"{where}: {len(x)} pairs of nodes coincide but are not connected, e.g. at "
-            f"{place(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
+            f"{point_text(x[0])}: an open crack; if it is not intended, merge them (in gmsh "
             "BooleanFragments before meshing, or Coherence Mesh after it)"
         )
     return notes

@@ -21,7 +21,6 @@ from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import ContactSystem
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import INTERFACE, Options
-from app.numerics.saved_state import State
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure, System
 from app.scene.scene import Scene
@@ -150,18 +149,6 @@ class CoupledSystem(System):
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""
         return self._motion.tie(on)
-
-    def pack(self, x: list[PETSc.Vec]) -> State:
-        """Both states."""
-        return {
-            "heat": self._heat.pack(x[: self._n]),
-            "motion": self._motion.pack(x[self._n :]),
-        }
-
-    def unpack(self, state: State, x: list[PETSc.Vec]) -> None:
-        """Fill x with the saved blocks of heat and mechanics."""
-        self._heat.unpack(state["heat"], x[: self._n])
-        self._motion.unpack(state["motion"], x[self._n :])
 
     def _thermal_forces(self) -> list[list[PETSc.Mat]]:
         """Forces of temperatures and temperature jumps on displacement and jumps, negative."""

@@ -7,7 +7,7 @@ or of heat and mechanics together where heat depends on contact (`stepping.coupl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 from mpi4py import MPI
@@ -15,7 +15,7 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.heat.conduction import Conduction
 from app.heat.curing import as_temperature
 from app.heat.flows import flows
@@ -23,7 +23,6 @@ from app.numerics import integrator
 from app.numerics.integrator import METHODS, Method, State
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.numerics.saved_state import State as SavedState
 from app.scene.scene import Scene
 from app.stepping import stability
 from app.stepping.coupled_system import CoupledSystem
@@ -90,6 +89,8 @@ class HeatState:
         loading: What it tells the mechanics.
     """
 
+    saved = ("seconds", "total", "notes", "state", "_slope", "loading", "conduction", "solver")
+
     def __init__(self, scene: Scene, conduction: Conduction, solver: Solver) -> None:
         """Begin at the initial temperatures; collective.
 
@@ -115,34 +116,14 @@ class HeatState:
         self._curing = [node for cure in conduction.cures for node in cure.nodes]
         self.loading = ThermalLoading(scene, conduction)
 
-    # What a run remembers
+    @property
+    def row_keys(self) -> dict[str, list[Ints]]:
+        """Keys of own nodes and points, by block."""
+        blocks = self.conduction.block_keys()
+        return {"state": blocks, "_slope": blocks}
 
-    def memory(self) -> SavedState:
-        """All that is history; collective."""
-        conduction = self.conduction
-        return {
-            "seconds": self.seconds,
-            "converged": self.outcome.converged,
-            "total": asdict(self.total),
-            "notes": list(self.notes),
-            "state": conduction.pack(self.state),
-            "slope": conduction.pack(self._slope),
-            "strains": self.loading.strains(),
-            "conduction": conduction.state(),
-            "solver": self.solver.state(),
-        }
-
-    def resume(self, found: SavedState) -> None:
-        """Restore time [s], temperatures, history and step control; collective."""
-        self.seconds = found["seconds"]
-        self.outcome = replace(self.outcome, converged=found["converged"])
-        self.total = Summary(**found["total"])
-        self.notes = list(found["notes"])
-        self.state = self.conduction.unpack(found["state"])
-        self._slope = self.conduction.unpack(found["slope"])
-        self.loading.resume(found["strains"])
-        self.conduction.resume(found["conduction"])
-        self.solver.resume(found["solver"])
+    def restored(self) -> None:
+        """Give restored temperatures to the solver."""
         self.put(self.state)
 
     # Between lists of arrays and the vectors of the solver

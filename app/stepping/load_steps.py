@@ -9,17 +9,17 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 from app.errors import ConvergenceError, Reason
 from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.numerics.saved_state import State
 from app.scene.scene import SceneStage
-from app.soundness.facet_support import held_by_facets
-from app.soundness.failure import explain, runaway
+from app.soundness.failure import explain
+from app.soundness.loose_bodies import held_by_facets, runaway
 
 EASY_ITERATIONS = 8
 GROWTH = 2.0
@@ -86,12 +86,12 @@ class Progress:
     """How far a path of loads has been gone.
 
     Attributes:
-        step: Next step, as a part of the path.
+        step: Next step, as a part of the path; 0 where no path has been begun.
         done: What is behind.
         cuts: How often the step was halved, less how often it has grown since.
     """
 
-    step: float
+    step: float = 0.0
     done: float = 0.0
     cuts: int = 0
 
@@ -109,6 +109,8 @@ class LoadStepper:
         total: What it took so far.
     """
 
+    saved: ClassVar = ("_way", "total")
+
     problem: Problem
     solver: Solver
     on_step: OnStep
@@ -120,28 +122,17 @@ class LoadStepper:
         """The line through the last states comes first."""
         self._line = Extrapolation(self.solver)
         self.predictors = (self._line, *self.predictors)
-        self._way: Progress | None = None
-
-    def state(self) -> State:
-        """Progress within the load step and counts so far, to be saved."""
-        return {
-            "way": self._way and asdict(self._way),
-            "total": asdict(self.total),
-        }
-
-    def resume(self, state: State) -> None:
-        """Restore progress and counts; `load` goes on from there."""
-        self._way = state["way"] and Progress(**state["way"])
-        self.total = Summary(**state["total"])
+        self._way = Progress()
 
     def load(self, k: int, stage: SceneStage, mark: Mark = unmarked) -> None:
         """Load steps through a stage that takes no time."""
         whole = 1.0 / stage.increments
-        self._way = self._way or Progress(whole)
+        if not self._way.step:
+            self._way = Progress(whole)
         self.advance(
             stage, whole, lambda s: self.problem.set_time(k + s), k, k + 1, self._way, mark
         )
-        self._way = None
+        self._way = Progress()
 
     def advance(
         self,

@@ -13,14 +13,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.errors import ConvergenceError
 from app.numerics.integrator import Controller
-from app.numerics.saved_state import State
 from app.scene.scene import SceneStage
 from app.soundness.failure import attempts
 from app.stepping.coupled_system import CoupledSystem
@@ -36,17 +35,11 @@ OnHeat = Callable[[LoadStep, HeatStep], None]
 class MechanicsBesideHeat(Protocol):
     """The mechanics beside the heat."""
 
-    def begin(self, k: int, stage: SceneStage) -> None:
-        """Begin a stage that takes time."""
+    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
+        """Begin a stage that takes time, or go on within it after a restart."""
 
     def after(self, time: float, whole: bool) -> None:
         """A heat step is history that ends at a time, and perhaps ends an increment."""
-
-    def state(self) -> State:
-        """Progress of the mechanics within the stage, to be saved."""
-
-    def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Restore progress within a stage, after heat and mechanics; collective."""
 
 
 def run_stages(
@@ -93,6 +86,8 @@ class HeatStepper:
         on_trouble: Told in plain words what is tried when a step fails.
     """
 
+    saved: ClassVar = ("_under_way", "_begin", "_steps", "_controller", "companions")
+
     heating: HeatState
     companions: tuple[MechanicsBesideHeat, ...]
     on_heat: OnHeat
@@ -103,7 +98,7 @@ class HeatStepper:
         self._under_way = False
         self._begin = 0.0
         self._steps = 0
-        self._controller: Controller | None = None
+        self._controller = Controller(self.heating.method)
         self._mark: Mark = unmarked
 
     @property
@@ -111,34 +106,14 @@ class HeatStepper:
         """Counts of steps and iterations so far."""
         return self.heating.total
 
-    def state(self) -> State:
-        """Progress within the stage, to be saved."""
-        return {
-            "under_way": self._under_way,
-            "begin": self._begin,
-            "steps": self._steps,
-            "controller": self._controller and self._controller.state(),
-            "companions": [c.state() for c in self.companions],
-        }
-
-    def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Restore progress, after heat and mechanics; `go` goes on from there; collective."""
-        self._under_way, self._begin = state["under_way"], state["begin"]
-        self._steps = state["steps"]
-        if state["controller"]:
-            self._controller = Controller(self.heating.method, (), 0.0)
-            self._controller.resume(state["controller"])
-        for c, found in zip(self.companions, state["companions"], strict=True):
-            c.resume(found, k, stage)
-
     def go(self, k: int, stage: SceneStage, mark: Mark = unmarked) -> None:
         """Through a stage that takes time, or to a steady state."""
         self._mark = mark
         if not self._under_way:
-            self._begin, self._steps, self._controller = self.heating.seconds, 0, None
-            for c in self.companions:
-                c.begin(k, stage)
-            self._under_way = True
+            self._begin, self._steps = self.heating.seconds, 0
+        for c in self.companions:
+            c.begin(k, stage, not self._under_way)
+        self._under_way = True
         if stage.steady:
             self._rest(k, stage)
         elif stage.adaptive:
@@ -197,11 +172,10 @@ class HeatStepper:
         whole = stage.duration / stage.increments
         ends = [begin + (n + 1) * whole for n in range(stage.increments)]
         events = [*ends, *(e for e in heating.events if begin < e < ends[-1])]
-        known = self._controller and self._controller.state()
-        first = whole if known else heating.start(whole)
-        controller = self._controller = Controller(heating.method, events, min(first, whole))
-        if known:
-            controller.resume(known)
+        controller = self._controller
+        controller.events = sorted(events)
+        if not self._steps:
+            controller.begin(min(heating.start(whole), whole))
         tiny = SHORTEST * stage.duration
         while heating.seconds < ends[-1] - tiny:
             started = clock.perf_counter()
@@ -260,6 +234,8 @@ class HeatStepper:
 class SolvedAfterHeat:
     """Mechanics that heat does not depend on: solved after it."""
 
+    saved = ("_before", "_time")
+
     def __init__(self, motion: LoadStepper, heating: HeatState, limit: float) -> None:
         """Let the mechanics follow.
 
@@ -274,10 +250,20 @@ class SolvedAfterHeat:
         self._before = heating.warmth()
         heating.loading.interpolate(motion.problem, self._before, self._before, 1.0)
 
-    def begin(self, k: int, stage: SceneStage) -> None:
+    @property
+    def row_keys(self) -> Ints:
+        """Keys of nodes, ghosts too."""
+        return self._heating.loading.row_keys
+
+    def restored(self) -> None:
+        """Tell the mechanics what they were solved with; collective."""
+        self._heating.loading.restore(self._motion.problem, self._before)
+
+    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
         """Remember where the mechanics stand."""
-        self._stage, self._time = stage, float(k)
-        self._before = self._heating.warmth()
+        self._stage = stage
+        if anew:
+            self._time, self._before = float(k), self._heating.warmth()
 
     def after(self, time: float, whole: bool) -> None:
         """Follow if it is time to."""
@@ -295,19 +281,11 @@ class SolvedAfterHeat:
         self._motion.advance(self._stage, longest, place, begin, time)
         self._before, self._time = now, time
 
-    def state(self) -> State:
-        """Input of the mechanics at its last step and the time of that step, to be saved."""
-        return {"before": self._heating.loading.pack(self._before), "time": self._time}
-
-    def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Restore the input of the mechanics at its last step; collective."""
-        self._stage, self._time = stage, state["time"]
-        self._before = self._heating.loading.unpack(state["before"])
-        self._heating.loading.interpolate(self._motion.problem, self._before, self._before, 1.0)
-
 
 class SolvedWithHeat:
     """Mechanics that heat depends on: in one system with it."""
+
+    saved = ("_start", "_committed")
 
     def __init__(self, motion: LoadStepper, heating: HeatState, system: CoupledSystem) -> None:
         """Put the mechanics beside the heat.
@@ -323,10 +301,16 @@ class SolvedWithHeat:
         self._before = heating.warmth()
         heating.loading.interpolate(motion.problem, self._before, self._before, 1.0)
 
-    def begin(self, k: int, stage: SceneStage) -> None:
+    def restored(self) -> None:
+        """Tell the mechanics what they were solved with; collective."""
+        self._before = self._heating.warmth()
+        self._heating.loading.restore(self._motion.problem, self._before)
+
+    def begin(self, k: int, stage: SceneStage, anew: bool) -> None:
         """Begin where the mechanics stand."""
         self._k, self._stage = k, stage
-        self._start = self._committed = self._heating.seconds
+        if anew:
+            self._start = self._committed = self._heating.seconds
         self._restore()
 
     def _restore(self) -> None:
@@ -377,14 +361,3 @@ class SolvedWithHeat:
 
         longest = self._heating.loading.followed(before, now)
         self._motion.advance(self._stage, longest, place, time, time)
-
-    def state(self) -> State:
-        """Times at which the stage began and the mechanics were last committed, to be saved."""
-        return {"start": self._start, "committed": self._committed}
-
-    def resume(self, state: State, k: int, stage: SceneStage) -> None:
-        """Restore the times of the beginning and of the last commit; collective."""
-        self._k, self._stage = k, stage
-        self._start, self._committed = state["start"], state["committed"]
-        self._before = self._heating.warmth()
-        self._heating.loading.interpolate(self._motion.problem, self._before, self._before, 1.0)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 
 import numpy as np
 from dolfinx import fem
 
-from app.arrays import Floats
+from app.arrays import Floats, Ints
 from app.heat.conduction import Conduction
 from app.heat.curing import FreeStrain, since_gelation
 from app.mechanics.problem import Problem
-from app.numerics.saved_state import Rows, State, keyed
+from app.numerics.saved_state import node_keys
 from app.scene.scene import Scene
 
 # Parts of a way are whole up to this.
@@ -40,6 +41,8 @@ class ThermalState:
 class ThermalLoading:
     """Input of the mechanics from the heat, and the free strain that has grown so far."""
 
+    saved = ("_strains",)
+
     def __init__(self, scene: Scene, conduction: Conduction) -> None:
         """Begin without strain.
 
@@ -60,40 +63,15 @@ class ThermalLoading:
             for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
         ]
 
-    # What a run remembers
-
-    def strains(self) -> list[Rows]:
-        """Free strains as rows to be saved."""
-        return [self._rows(f.x.array) for f in self._strains]
-
-    def resume(self, strains: Sequence[Rows]) -> None:
-        """Restore the free strains; collective."""
-        for function, values in zip(self._strains, strains, strict=True):
-            self._put(function, values.of(self._conduction.nodes))
-
-    def _rows(self, values: Floats) -> Rows:
-        return keyed(self._conduction.nodes, values[: self._conduction.owned])
+    @cached_property
+    def row_keys(self) -> Ints:
+        """Keys of nodes, ghosts too."""
+        return node_keys(self._conduction.space)
 
     def _put(self, function: fem.Function, own: Floats) -> None:
         """Own values of a function, and those of ghosts; collective."""
         function.x.array[: self._conduction.owned] = own
         function.x.scatter_forward()
-
-    def pack(self, warmth: ThermalState) -> State:
-        """The input of the mechanics as rows to be saved."""
-        return {
-            f.name: [self._rows(v) for v in getattr(warmth, f.name)] for f in fields(ThermalState)
-        }
-
-    def unpack(self, found: State) -> ThermalState:
-        """Return the input of the mechanics that a saved state holds; collective."""
-        function = fem.Function(self._conduction.space)
-        parts: dict[str, list[Floats]] = {name: [] for name in found}
-        for name, several in found.items():
-            for values in several:
-                self._put(function, values.of(self._conduction.nodes))
-                parts[name].append(function.x.array.copy())
-        return ThermalState(**parts)
 
     # In time
 
@@ -149,6 +127,12 @@ class ThermalLoading:
     def followed(self, a: ThermalState, b: ThermalState) -> float:
         """Largest step of the mechanics between two states, as a part of the way; collective."""
         return 1.0 / max(math.ceil(self.distance(a, b) / self._step - SAME), 1)
+
+    def restore(self, problem: Problem, state: ThermalState) -> None:
+        """Tell restored mechanics of the state that they were solved with; collective."""
+        self.interpolate(problem, state, state, 1.0)
+        for s in problem.setting:
+            s.begin_at(problem.displacements())
 
     def interpolate(self, problem: Problem, a: ThermalState, b: ThermalState, s: float) -> None:
         """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.

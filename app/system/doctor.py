@@ -15,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 
 from app.system import ranks
+from app.system.folders import form_cache
 from app.version import __version__
 
 # What a run needs, as (shown name, module).
@@ -152,11 +153,6 @@ def is_reference_blas(path: str) -> bool:
         path: Path of a shared library.
     """
     return Path(path).name.startswith("libblas.so") and Path(path).parent.name in ("blas", "lib64")
-
-
-def form_cache() -> Path:
-    """Give the folder in which dolfinx keeps compiled forms (as in ``dolfinx.jit``)."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics"
 
 
 def _try(tell: Callable[[], str]) -> str:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import csv
 import fcntl
-import hashlib
 import io
 import json
-import logging
 import os
 import re
+import shutil
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,12 @@ from app import files
 from app.errors import EnvironmentProblem, InputError
 from app.files import write_bytes as write_bytes
 
-log = logging.getLogger("mantle")
-
 # How texts begin that spreadsheets take for formulas, if they are no numbers.
 FORMULA = re.compile(r"[=@+\-\t\r](?!\d*\.?\d*(e[+-]?\d+)?$)", re.IGNORECASE)
 # What stands in the folder of a variation that did not converge: why.
 FAILED = "FAILED"
-# Where an image, or a run that is isolated, has what caches begin with.
-SEED = Path(os.environ.get("MANTLE_SEED") or "/var/cache/mantle")
+# Where an image has what the caches of its users begin with.
+SEED = Path("/var/cache/mantle")
 
 
 def cache_home() -> Path:
@@ -34,31 +32,53 @@ def cache_home() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
 
 
+def form_cache() -> Path:
+    """The folder in which dolfinx keeps compiled forms (as in ``dolfinx.jit``)."""
+    return cache_home() / "fenics"
+
+
 def settle_cache() -> str:
-    """Have this process and those it starts keep caches where nobody else can write.
+    """Have this process and those it starts keep caches in folders of this user alone.
+
+    The first time they begin with the forms that an image brings along.
 
     Returns:
-        A message, if somebody else can, or nobody, where ``XDG_CACHE_HOME`` has them; then they
-        are in a folder of this user's below ``/tmp``. They are there, too, without a home.
+        A message, if ``XDG_CACHE_HOME`` cannot be written; caches are below ``/tmp`` then, as
+        without a home.
 
     Raises:
         EnvironmentProblem: There is no such folder.
     """
     try:
-        places = [cache_home() / name for name in ("fenics", "mantle")]
-    except RuntimeError:  # no home
-        places = []
-    found = [why for why in map(files.fault_of_folder, places) if why]
-    cannot = files.make_own(places[0]) if places and not found else ""
-    if places and not found and not cannot:
+        for folder in (form_cache(), cache_home() / "mantle"):
+            seed = SEED / folder.name
+            if seed.is_dir() and not folder.exists():
+                _copy(seed, folder)
+            files.make_private(folder)
         return ""
-    why = next(iter(found), cannot if "XDG_CACHE_HOME" in os.environ else "")
+    except RuntimeError:  # no home
+        why = ""
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror}" if "XDG_CACHE_HOME" in os.environ else ""
     own = Path(f"/tmp/mantle-{os.geteuid()}")
-    if fault := files.make_own(own):
-        raise EnvironmentProblem(f"no folder for caches: {fault}; set XDG_CACHE_HOME to one")
+    try:
+        files.make_private(own)
+    except OSError as error:
+        raise EnvironmentProblem(
+            f"no folder for caches: {own}: {error.strerror}; set XDG_CACHE_HOME to one"
+        ) from error
     os.environ["XDG_CACHE_HOME"] = str(own)
     os.environ.setdefault("MPLCONFIGDIR", str(own / "matplotlib"))
     return f"caches are in {own} now: {why}" if why else ""
+
+
+def _copy(seed: Path, folder: Path) -> None:
+    """Copy a folder under another name and rename it; another process may be faster."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
+        copy = shutil.copytree(seed, Path(scratch) / "copy")
+        with suppress(OSError):
+            copy.rename(folder)
 
 
 def cache(name: str) -> Path | None:
@@ -68,35 +88,14 @@ def cache(name: str) -> Path | None:
         name: The kind, for example ``meshes``.
 
     Returns:
-        ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``), or None if it cannot be written
-        or others can write it.
+        ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``), or None if it cannot be written.
     """
     try:
         folder = cache_home() / "mantle" / name
-    except RuntimeError:  # no home
-        return None
-    if files.make_own(folder):
-        if why := files.fault_of_folder(folder):
-            _warn(f"{folder} is not used: {why}")
+        files.make_private(folder)
+    except (OSError, RuntimeError):  # RuntimeError: no home
         return None
     return folder
-
-
-@lru_cache
-def _warn(message: str) -> None:
-    """Warn of something, once."""
-    log.warning("%s", message)
-
-
-def seeded(kind: str, name: str) -> bytes | None:
-    """A file that an image brings along for the caches of its users; None if there is none."""
-    path = SEED / kind / name
-    if not path.exists() or files.fault_of_folder(path.parent):
-        return None
-    try:
-        return files.read_own(path)
-    except OSError:
-        return None
 
 
 def prepare_run(folder: Path, force: bool) -> None:
@@ -197,30 +196,3 @@ def _cell(value: Any) -> Any:
 def write_json(path: Path, content: Any) -> None:
     """Write a value as JSON, in the same way."""
     write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
-
-
-def write_sealed(path: Path, content: Any) -> None:
-    """Write a value as JSON into a cache, with a digest of it and of the name of the file."""
-    text = json.dumps(content)
-    sealed = {"content": text, "sha256": _seal(path, text)}
-    write_bytes(path, json.dumps(sealed).encode(), 0o600)
-
-
-def unsealed(path: Path, content: bytes) -> Any:
-    """The value in a file of a cache.
-
-    Raises:
-        ValueError: It is not what was written under this name.
-    """
-    try:
-        sealed = json.loads(content)
-        text = sealed["content"]
-        if sealed["sha256"] == _seal(path, text):
-            return json.loads(text)
-    except (AttributeError, KeyError, RecursionError, TypeError) as error:
-        raise ValueError(f"{path} is damaged") from error
-    raise ValueError(f"{path} is damaged")
-
-
-def _seal(path: Path, text: str) -> str:
-    return hashlib.sha256(f"{path.name}\0{text}".encode()).hexdigest()

@@ -5,27 +5,28 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
-# With a unit of a few letters, if any.
-NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\- ]*( ?[^\d\s]{1,3})?|-|)")
+# One or several, with errors and with a unit of a few letters, if any.
+NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def table(head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence[str] = ()) -> str:
     """A table: columns as wide as their widest cell, those of numbers to the right.
 
     Args:
         head: The titles.
         rows: The cells; None is nothing.
+        units: What stands below the titles, if anything.
     """
     body = [["" if cell is None else str(cell) for cell in row] for row in rows]
-    columns = list(zip(head, *body, strict=True))
-    wide = [max(map(len, column)) for column in columns]
-    right = [all(map(NUMBER.fullmatch, column[1:])) and any(column[1:]) for column in columns]
+    numbers = [all(map(NUMBER.fullmatch, c)) and any(c) for c in zip(*body, strict=True)]
+    lines = [list(head), *([list(units)] if units else []), *body]
+    wide = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
         "  ".join(
-            f"{cell:>{w}}" if r else f"{cell:<{w}}"
-            for cell, w, r in zip(line, wide, right, strict=True)
+            f"{cell:>{w}}" if right else f"{cell:<{w}}"
+            for cell, w, right in zip(line, wide, numbers or [False] * len(wide), strict=True)
         ).rstrip()
-        for line in [list(head), *body]
+        for line in lines
     )
 
 
@@ -41,6 +42,11 @@ def duration(seconds: float) -> str:
 def count(number: float) -> str:
     """A count with its thousands apart."""
     return f"{round(number):,}".replace(",", " ")
+
+
+def point_text(x: Iterable[float]) -> str:
+    """A point [mm]."""
+    return "({:.4g}, {:.4g}, {:.4g}) mm".format(*(round(float(v), 4) + 0.0 for v in x))
 
 
 def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:

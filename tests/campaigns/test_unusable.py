@@ -11,7 +11,7 @@ import mantle
 from app.case.case import load
 from app.cli import main
 from app.errors import UnusableError
-from app.results.closing_lines import UNUSABLE, faults
+from app.results.closing_lines import UNUSABLE, reasons_not_to_use
 
 # A block drawn over another by so many mm; the facets between them are about 2 mm wide.
 DRAWN = """
@@ -57,8 +57,8 @@ def test_a_run_that_is_not_to_be_used_says_so(
 def test_what_is_out_of_balance_is_not_to_be_used() -> None:
     """A balance of 1e-8 and more of force, and one that is no number."""
     good = {"balance": {"force": 9e-9, "heat": 9e-7}, "interfaces": {}}
-    assert faults(good) == []
-    assert len(faults(good | {"balance": {"force": 1e-8, "heat": float("nan")}})) == 2
+    assert reasons_not_to_use(good) == []
+    assert len(reasons_not_to_use(good | {"balance": {"force": 1e-8, "heat": float("nan")}})) == 2
 
 
 @pytest.mark.parametrize("shared", [False, True])

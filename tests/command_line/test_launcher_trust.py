@@ -12,7 +12,6 @@ import pytest
 
 from tests.command_line.test_launcher import EMPTY_TREE, MANTLE, ROOT, as_root, run
 
-NOBODY = 65534
 # As mmdebstrap keeps the options of apt and the archives.
 KEEPING = """
 for word; do case $word in --aptopt=*) OPTIONS=${word#*=} ;; esac; done
@@ -48,48 +47,6 @@ def set_ups(folder: Path) -> int:
 def tree(folder: Path) -> Path:
     (found,) = (folder / "cache" / "mantle").glob("tree-*")
     return found
-
-
-@as_root
-@pytest.mark.parametrize("what", ["", "usr/bin", "etc/mantle-tree"])
-@pytest.mark.parametrize("how", ["owner", "world"])
-def test_a_tree_that_others_can_write_is_not_run(tmp_path: Path, what: str, how: str) -> None:
-    made = 'mkdir -p "$TARGET/usr/bin"\n' + EMPTY_TREE
-    set_up(tmp_path, tool=made)
-    place = tree(tmp_path) / what
-    os.chown(place, NOBODY, -1) if how == "owner" else place.chmod(0o757)
-    told = set_up(tmp_path, tool=made).stderr
-    why = "is owned by nobody" if how == "owner" else "can be written by others"
-    assert f"the tree {tree(tmp_path)} is not used: {str(place).rstrip('/')} {why}" in told
-    assert set_ups(tmp_path) == 2
-    set_up(tmp_path, tool=made)
-    assert set_ups(tmp_path) == 2
-
-
-@as_root
-@pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize("how", ["owner", "group", "world"])
-def test_a_cache_that_others_can_write_is_not_used(tmp_path: Path, level: int, how: str) -> None:
-    cache = tmp_path / "above" / "cache"
-    (cache / "mantle").mkdir(parents=True)
-    place = [cache / "mantle", cache, cache.parent][level]
-    match how:
-        case "owner":
-            os.chown(place, NOBODY, -1)
-        case "group":
-            place.chmod(0o775)
-        case "world":
-            place.chmod(0o777)
-    more = {"XDG_CACHE_HOME": str(cache), "MANTLE_BACKEND": "native", "MANTLE_INSIDE": ""}
-    result = run("shell", "-c", 'echo "$XDG_CACHE_HOME"', **more)
-    assert result.stdout == "/tmp/mantle-0\n"
-    why = "is owned by nobody" if how == "owner" else "can be written by others"
-    told = f"/tmp/mantle-0 is used, not {cache}/mantle: {place} {why}"
-    assert result.stderr == f"mantle: {told} (chmod -R go-w, or remove it)\n"
-    place.chmod(0o1777)
-    os.chown(place, 0, -1)
-    result = run("shell", "-c", 'echo "$XDG_CACHE_HOME"', **more)
-    assert (result.stdout == f"{cache}\n") is (level > 0)  # where each owns what is theirs
 
 
 @as_root

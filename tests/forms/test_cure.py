@@ -186,9 +186,9 @@ def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalyti
                 found = curing.update(start, [none], 1e-2, 0.0)[0]
                 assert found.degree == pytest.approx(start[0], abs=1e-20)
                 assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
-                assert np.isfinite(curing.memory[0]).all()
+                assert np.isfinite(curing._kinetics[0]._mean).all()
         curing.update(start, [np.full(3, np.inf)], 1e-2, 0.0)
-        assert np.isfinite(curing.memory[0]).all()
+        assert np.isfinite(curing._kinetics[0]._mean).all()
         found = curing.update(start, [warm], 60.0, 0.0)[0]
     expected = fresh.update(start, [warm], 60.0, 0.0)[0]
     assert found.degree == pytest.approx(expected.degree, abs=1e-7)
@@ -207,7 +207,7 @@ def test_what_hardly_begins_is_hardly_changed_by_warmth() -> None:
             found = curing.update(start, [T], h, 0.0)[0]
             assert found.degree == pytest.approx(0.0, abs=1e-20)
             assert found.by_temperature == pytest.approx(0.0, abs=1e-20)
-            assert np.isfinite(curing.memory[0]).all()
+            assert np.isfinite(curing._kinetics[0]._mean).all()
 
 
 def test_steps_that_make_no_sense_are_refused() -> None:

@@ -11,7 +11,7 @@ import pytest
 import meshes
 from app.case.geometries import Blocks, Cylinders, MeshOptions
 from app.soundness import cost
-from meshes import mantle, mantle_picture
+from meshes import mantle, picture
 from meshes.data import MeshData
 
 INNER, THICKNESS, LENGTH = 7.0, 4.0, 20.0
@@ -99,7 +99,7 @@ def test_a_mesh_cached_before_it_was_noted_has_it_too(
 
 @pytest.mark.parametrize("curved", [True, False])
 def test_a_section_is_filled_and_its_outlines_are_closed(curved: bool) -> None:
-    polygons, outlines, owner = mantle_picture.section(mesh(curved=curved), 0.37 * LENGTH)
+    polygons, outlines, owner = picture.section(mesh(curved=curved), 2, 0.37 * LENGTH)
     area = 0.0
     for x, _ in polygons:
         u, v = x[:, :, 0], x[:, :, 1]
@@ -108,7 +108,7 @@ def test_a_section_is_filled_and_its_outlines_are_closed(curved: bool) -> None:
     exact = math.pi * (INNER + THICKNESS + 5.0) ** 2
     assert area == pytest.approx(exact, rel=0.01 if curved else 0.03)
     # Around each cell two edges meet at every point.
-    ends = np.column_stack([np.repeat(owner, 2), np.round(outlines.reshape(-1, 2), 5)])
+    ends = np.column_stack([np.repeat(owner, 2), np.round(outlines[:, :, :2].reshape(-1, 2), 5)])
     _, times = np.unique(ends, axis=0, return_counts=True)
     assert (times == 2).all()
 

@@ -33,7 +33,7 @@ from meshes.data import (
     order,
     region_volumes,
 )
-from meshes.gmsh_process import MILLIMETRES
+from meshes.gmsh_child import MILLIMETRES
 from meshes.picture import cut, picture
 from meshes.tags import assemble
 from tests import support

@@ -8,7 +8,7 @@ import pytest
 import meshes
 from app.case.geometries import Femur, MeshOptions
 from app.errors import GeometryError
-from meshes import femur_bone, femur_stem, mantle
+from meshes import femur_bone, femur_stem
 
 GEOMETRY = Femur()
 TURN = np.linspace(-np.pi, np.pi, 361)
@@ -72,15 +72,3 @@ def test_a_stem_wider_than_the_canal_is_refused_with_the_place() -> None:
     wide = GEOMETRY.model_copy(update={"stem_half_width": 12.0})
     with pytest.raises(GeometryError, match=r"leaves -?\d.*at z = -\d+ mm, laterally.*widen"):
         meshes.build(wide, MeshOptions(size="3 mm"))
-
-
-def test_the_distance_from_a_triangle() -> None:
-    a, b, c = np.array([[0.0, 0, 0]]), np.array([[2.0, 0, 0]]), np.array([[0.0, 2, 0]])
-    for point, distance in (
-        ((0.5, 0.5, 3.0), 3.0),  # above the inside
-        ((3.0, 0.0, 0.0), 1.0),  # beyond a corner
-        ((1.0, -2.0, 0.0), 2.0),  # beside an edge
-        ((2.0, 2.0, 0.0), np.sqrt(2.0)),  # beside the slanted edge
-    ):
-        p = np.array([point])
-        assert mantle._to_triangle(p, a, b, c)[0] == pytest.approx(distance)

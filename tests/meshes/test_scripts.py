@@ -16,9 +16,9 @@ from app.case.geometries import MeshFile
 from app.case.gmsh_header import ALLOWED, physical_names
 from app.case.shapes import MeshOptions
 from app.errors import GeometryError, InputError
-from meshes import cache
+from meshes import cache, gmsh_child
 from meshes.data import boundary_areas, facet_areas, interface_facets, region_volumes
-from meshes.session import session
+from meshes.gmsh_child import session
 from tests import support
 
 # Two layers of a box 2 x 3 x (1 + 2), by gmsh's own kernel; the surface between them is named.
@@ -270,3 +270,24 @@ def test_check_says_what_it_does_not_know(tmp_path: Path) -> None:
     assert done.returncode == 0
     assert "joint (low | high): contact" in done.stdout
     assert "not known before it is meshed" in done.stdout
+
+
+@pytest.mark.parametrize("grows", [False, True], ids=["time", "memory"])
+def test_a_script_that_never_ends_is_stopped(
+    grows: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = "from meshes import gmsh_child as g; g.SECONDS = 2; "
+    if grows:  # of a machine with 1 GiB
+        few = "import os; os.sysconf = lambda name: 1 << 15; "
+    monkeypatch.setattr(gmsh_child, "_SERVE", few + gmsh_child._SERVE)
+    step = "a() = {a(), a()};" if grows else "a() = {i};"
+    loop = f"a() = {{1}};\nFor i In {{1:1000000000}}\n{step}\nEndFor\n"
+    with pytest.raises(GeometryError, match=r"file is damaged or too large|Out of memory"):
+        meshes.build(MeshFile(path=script(tmp_path, loop + LAYERS)), options(size="1 mm"))
+
+
+def test_what_a_script_writes_is_not_beside_it(tmp_path: Path) -> None:
+    write = 'Printf("x") > "written";\nSave "saved.msh";\n'
+    path, sides = script(tmp_path, LAYERS + write), {"joint": (("low",), ("high",))}
+    meshes.build(MeshFile(path=path, interfaces=sides), options(size="1 mm"))
+    assert [path.name for path in tmp_path.iterdir()] == ["a.geo"]

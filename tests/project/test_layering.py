@@ -176,13 +176,12 @@ def test_forms_import_only_ufl(path: Path) -> None:
 
 @all_of("meshes")
 def test_meshes_know_nothing_of_the_application(path: Path) -> None:
-    """What belongs to no layer above apart: errors, arrays, files, confinement."""
+    """What belongs to no layer above apart: errors, arrays, files."""
     own = {m for m in imported(path) if top(m) == "app"}
     assert own <= {
         "app.errors",
         "app.arrays",
         "app.captured",
-        "app.confined",
         "app.figures",
         "app.files",
     }

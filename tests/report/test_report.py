@@ -15,7 +15,6 @@ import pytest
 
 from app.case.case import dump, load
 from app.cli import main
-from app.errors import InputError
 from app.report import (
     gruen,
     paper,
@@ -28,7 +27,7 @@ from app.report import (
 from app.report import sweep_results as rs
 from app.report.paper_claims import CONFIRMED, NOT_CONFIRMED, UNDECIDED
 from app.report.sweep_results import PERCENTILES, Number
-from app.schema import yaml_file
+from app.schema import yaml_file, yaml_text
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 MODULI = {"titanium": 110, "CoCr": 200}
@@ -58,7 +57,7 @@ class Maker:
     ) -> Path:
         run = self.folder / "runs" / f"r{len(self.cases)}"
         run.mkdir(parents=True)
-        (run / "case.yaml").write_text(yaml_file.written(data))
+        (run / "case.yaml").write_text(yaml_text.to_yaml(data))
         if summary is not None:
             (run / "summary.json").write_text(json.dumps(summary))
         entry = {"name": name, "part": "thickness", "overrides": {}, "status": "converged"}
@@ -264,7 +263,7 @@ def test_heat_is_judged_by_reading_and_told_after_ten_seconds(maker: Maker) -> N
     cases = paper.Cases(found)
     assert verdicts(found)["T-g (slice, initial)"] == CONFIRMED
     assert verdicts(found)["T-g (slice, held)"] == NOT_CONFIRMED
-    rows = [r for r in paper_numbers.compare(cases, found) if r.fact.id == "25"]
+    rows = [r for r in paper_numbers.compare(cases) if r.fact.id == "25"]
     assert [(r.case, r.peak) for r in rows] == [("initial 2", 72.0), ("held 2", 100.0)]
     # 72 over 76 degC, above the 37 degC of the body.
     assert rows[0].ratios[0] == pytest.approx(35 / 39)
@@ -292,8 +291,8 @@ def test_tension_is_looked_for_where_the_cement_is_bonded(maker: Maker) -> None:
 def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
     found = sweep(maker, as_the_paper_says, 0.05)
     cases = paper.Cases(found)
-    rows = paper_numbers.compare(cases, found)
-    assert list(dict.fromkeys(r.fact.id for r in rows)) == [str(i) for i in range(1, 34)]
+    rows = paper_numbers.compare(cases)
+    assert list(dict.fromkeys(r.fact.id for r in rows)) == [str(i) for i in range(1, 31)]
     slip = next(r for r in rows if r.fact.id == "1")
     assert slip.case == "titanium 4 1"
     assert slip.peak == pytest.approx(120.0)
@@ -304,7 +303,7 @@ def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
     assert both == [(stem, t) for stem in MODULI for t in (4.0, 5.0, 7.0)]
     bound = next(r for r in rows if r.fact.id == "7")
     assert bound.ratios == (None, None) and "40 % of the area" in bound.remark
-    for id in ("23", "25", "29", "31", "33"):
+    for id in ("23", "25", "29"):
         nothing = next(r for r in rows if r.fact.id == id)
         assert not nothing.case and nothing.remark
 
@@ -312,7 +311,7 @@ def test_ratios_are_to_the_papers_numbers(maker: Maker) -> None:
 def test_a_failed_case_is_named_as_the_reason(maker: Maker) -> None:
     maker.stance("titanium", 4.0, 1.0, None, status="failed", exit_code=3, message="no mesh")
     found = rs.read(maker.write())
-    rows = paper_numbers.compare(paper.Cases(found), found)
+    rows = paper_numbers.compare(paper.Cases(found))
     assert rows[0].remark == "the case titanium 4 1 failed"
     assert rows[0].peak is None
 
@@ -432,15 +431,11 @@ def test_another_sweep_is_drawn_over_what_varies(maker: Maker) -> None:
     assert "Numbers over taper" in page and "cement-bone slip, p99" in page
     assert "taper (°): 1, 2, 3." in page
     assert page.index("What varies") < page.index("All cases")
-    listed = maker.folder / "report" / "written.json"
-    names = [*json.loads(listed.read_text()), "old.png", "../sweep.json", "/etc/hosts"]
-    listed.write_text(json.dumps(names))
-    for name in ("old.png", "mine.png"):
+    for name in ("over_old.png", "mine.png"):
         (maker.folder / "report" / name).write_text("")
     sweep_report.run(maker.folder)
-    assert not (maker.folder / "report" / "old.png").exists()
-    assert (maker.folder / "report" / "mine.png").exists()
-    assert (maker.folder / "sweep.json").exists()
+    left = {f.name for f in (maker.folder / "report").glob("*.png")}
+    assert left == {"over_geometry_taper.png", "mine.png"}
 
 
 @pytest.mark.parametrize(
@@ -474,7 +469,7 @@ def test_levels_are_numbers_in_one_unit(
     key: str, levels: list[Any], words: str, numbers: list[float | None]
 ) -> None:
     """That of the schema where the sweep has several."""
-    cases = [rs.SweptCase(str(x), "", {key: x}, Path(), "converged") for x in levels]
+    cases = [rs.SweptCase(str(x), Path(), "converged", "", {key: x}) for x in levels]
     assert sweep_figures.axes_in_words(cases) == [f"{words}."]
     _, number = sweep_figures.scale(cases, key)
     assert [number(x) for x in levels] == pytest.approx(numbers)
@@ -528,12 +523,11 @@ def test_the_command_tells_verdicts_and_where(
     "content, complaint",
     [
         (None, "has no sweep.json"),
-        ('{"cases": [', "sweep.json:1:"),
-        ('{"title": "x"}', "has no list of cases"),
-        ('{"cases": []}', "cases: is empty"),
-        ('{"cases": [{"name": "a", "status": "done"}]}', "cases[0]: folder is missing"),
-        ('{"cases": [{"name": "a", "status": "done", "folder": "x"}]}', "'done' is none of"),
-        ('{"cases": [{"name": 3, "status": "failed", "folder": "x"}]}', "3 is not a text"),
+        ('{"cases": [', "sweep.json: cannot be read: JSONDecodeError"),
+        ('{"title": "x"}', "sweep.json: cannot be read: KeyError('cases')"),
+        ('{"cases": []}', "sweep.json: has no cases"),
+        ('{"cases": [{"name": "a", "status": "failed"}]}', "cannot be read: KeyError('folder')"),
+        ('{"cases": [3]}', "cannot be read"),
     ],
 )
 def test_what_is_no_sweep_is_refused(
@@ -544,11 +538,3 @@ def test_what_is_no_sweep_is_refused(
     assert main(["report", str(tmp_path)]) == 2
     assert complaint in capsys.readouterr().err
     assert not (tmp_path / "report.html").exists()
-
-
-def test_everything_wrong_is_told_at_once(tmp_path: Path) -> None:
-    cases = [{"name": "a", "folder": 1, "status": "x"}, {"name": "a", "folder": "b"}]
-    (tmp_path / "sweep.json").write_text(json.dumps({"cases": cases}))
-    with pytest.raises(InputError) as error:
-        rs.read(tmp_path)
-    assert len(error.value.messages) == 4

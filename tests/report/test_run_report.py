@@ -14,7 +14,7 @@ import pytest
 import mantle
 from app.case.quantities import TABLE
 from app.cli import main
-from app.report import history_curves, maps, run_report, sentence, viewer
+from app.report import history_curves, pictures, run_report, sentence, viewer
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 COARSE = {"mesh.size": "4 mm", "mesh.far_size": "6 mm", "mesh.order": 1}
@@ -248,7 +248,7 @@ def test_variations_have_a_page_over_all(
         * (summary(out / "smooth")["interfaces"]["stem_cement"]["slip_p99"])
     )
     assert f"{n:.4g}" in html and "2 of 2 variations converged" in html
-    monkeypatch.setattr(maps, "draw", lambda groups, folder: ([], []))  # others test it
+    monkeypatch.setattr(pictures, "maps", lambda groups, folder: ([], []))  # others test it
     assert main(["report", str(out)]) == 0
     assert "bonded/report.html" in capsys.readouterr().out
 

@@ -112,7 +112,7 @@ def test_reports_look_for_bone_by_what_it_is(tmp_path: Path) -> None:
     (tmp_path / "history.csv").write_text(
         "seconds [s],cortex temperature_max [degC],bone_cement temperature_max [degC]\n3,45,90\n"
     )
-    case = SweptCase("a", "", {}, tmp_path, "converged")
+    case = SweptCase("a", tmp_path, "converged")
     assert case.bones == ["cortex"]
     peak = bone_peak(case)
     assert peak is not None and dataclasses.astuple(peak)[0] == 45.0

@@ -1,4 +1,4 @@
-"""The view in three dimensions: what is packed into the page, and a real browser that draws it."""
+"""The view in three dimensions: what is packed, a real browser that draws it, and stills."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.arrays import Floats
-from app.report import viewer
+from app.report import pictures, viewer
 from app.results.reading import Run
 from tests.support import STEM, extended
 
@@ -264,3 +264,22 @@ def value_near(x: Floats, triangles: Floats, values: Floats, place: Floats) -> f
     far = np.linalg.norm(np.einsum("tk,tki->ti", bary, x[triangles]) - place, axis=1)
     k = int(np.argmin(far))
     return float(bary[k] @ values[triangles[k]])
+
+
+def test_each_interface_is_drawn_on_its_inner_body(run: Run, tmp_path: Path) -> None:
+    """Its facets are those of the contact area, and the picture has colours."""
+    figure = pictures.sides(run, tmp_path)
+    assert figure is not None
+    assert (tmp_path / "interfaces.pdf").stat().st_size > 10_000
+    import matplotlib.image
+
+    pixels = matplotlib.image.imread(tmp_path / figure.name)[:, :, :3]
+    coloured = np.ptp(pixels, axis=2) > 0.2
+    assert 0.02 < coloured.mean() < 0.9
+    bodies = viewer.outsides(run, curved=True)
+    for contact, body in (("stem_cement", "stem"), ("cement_bone", "cement")):
+        side = pictures._side(run, contact, bodies)
+        assert side is not None and side[0] == body
+        x = run.points[side[1]]
+        area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum() / 2
+        assert area == pytest.approx(run.areas(contact).sum(), rel=0.01)

@@ -1,10 +1,10 @@
-"""The closing lines say in words what is good and what is not."""
+"""The closing lines say in words what is good and what is not; the tables have every number."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from app.results import closing_lines
+from app.results import closing_lines, tables
 
 CHANGE = "peaks that still change with the mesh"
 
@@ -91,3 +91,67 @@ def test_where_only_steps_were_compared_the_error_is_theirs() -> None:
     lines = told(summary(error=error))
     assert "mesh and step" not in lines
     assert lines["load step"][0].endswith("within ± 5 %; error of the mesh not estimated")
+
+
+def heat() -> dict[str, Any]:
+    region = {
+        "temperature_max": 54.94,
+        "temperature_max_error": 1.62,
+        "temperature_max_time": 6.4,
+        "temperature_end_max": 37.9,
+        "temperature_mean": 37.4,
+        "seconds_over_47": 52.03,
+        "necrosis_47C_1min_volume": 0.0,
+        "necrosis_47C_1min_depth": 0.0,
+        **{f"necrosis_cem43_{m}_volume": 700.0 / m for m in (16, 60, 240)},
+        **{f"necrosis_cem43_{m}_depth": 20.0 / m for m in (16, 60, 240)},
+        "necrosis_henriques_moritz_volume": 0.0,
+        "necrosis_henriques_moritz_depth": 0.0,
+    }
+    sides = {"temperature_max_first": 100.0, "temperature_max_second": 54.9}
+    return {
+        "interfaces": {},
+        "regions": {},
+        "stem": {},
+        "thermal": {
+            "regions": {"bone": region},
+            "interfaces": {"cement_bone": sides | {"temperature_jump_max": 63.0}},
+        },
+        "cure": {
+            "cement": {
+                "degree_min": 0.62,
+                "degree_max": 0.99,
+                "time_50": 622.13,
+                "time_90": None,
+                "rate_max": 0.0941,
+            }
+        },
+        "balance": {"heat": 3e-12, "heat_quadrature": 1e-3},
+        "solver": {"dofs": 974, "steps": 36, "newton_iterations": 546, "ranks": 2},
+        "timing": {"total": 12.0},
+    }
+
+
+def test_every_number_of_heat_has_its_place() -> None:
+    assert list(tables.lines({"interfaces": {}, "regions": {}, "stem": {}})) == []
+    lines = list(tables.lines(heat()))
+    hottest = next(line for line in lines if line.startswith("bone"))
+    assert "54.9 ± 1.6" in hottest and "52.0" in hottest
+    sides = next(line for line in lines if line.startswith("cement_bone"))
+    assert sides.split() == ["cement_bone", "100.0", "54.9", "63.0", "-"]
+    dead = next(line for line in lines if line.startswith("CEM43 of 16"))
+    assert dead.split()[-2:] == ["43.8", "1.25"]
+    assert lines[-1] == (
+        "cement has set to 0.6200 .. 0.9900, 50 % everywhere at 622.1 s; fastest rate 0.0941 1/s"
+    )
+
+
+def test_a_run_of_heat_alone_says_nothing_of_forces() -> None:
+    told = closing_lines.closing_table(heat())
+    assert "von Mises" not in told and "contact" not in told
+    assert told.endswith("balance of heat 3.0e-12") and closing_lines.Verdict(
+        "heat: none is lost", "good"
+    ) in closing_lines.verdict(heat())
+    lost = heat()
+    lost["balance"]["heat"] = 2e-6
+    assert any(clause.tone == "bad" for clause in closing_lines.verdict(lost))

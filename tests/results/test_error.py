@@ -31,6 +31,22 @@ loads:
 stages: [{name: press}]
 output: {error: true}
 """
+HEAT = """
+geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}]}
+mesh: {size: 1 mm}
+regions:
+  lower:
+    kind: conductor
+    thermal:
+      conductivity: 1 W/(m K)
+      density: 1000 kg/m^3
+      specific_heat: 1000 J/(kg K)
+      initial_temperature: 37 degC
+heat:
+  cold: {kind: temperature, boundary: bottom, temperature: 20 degC}
+stages: [{name: cool, duration: 60 s}]
+output: {error: true}
+"""
 
 
 def case(*overrides: str) -> Case:
@@ -57,15 +73,26 @@ def numbers(size: float, increments: float, order: float, step: float = 0.02) ->
     }
 
 
-def test_nothing_is_solved_that_nobody_asked_for() -> None:
-    assert error_estimate.companions(case("output.error=false")) == ()
-
-
-def test_companions_are_coarser_and_take_half_the_steps() -> None:
-    three = error_estimate.companions(case("stages.0.increments=9"))
-    assert [c.case.mesh.size for c in three] == [2, 3, 3]
-    assert [c.case.mesh.far for c in three] == [8, 12, 12]
-    assert [c.case.stages[0].increments for c in three] == [4, 4, 9]
+@pytest.mark.parametrize(
+    ("text", "changes", "found"),
+    [
+        (STACK, ("output.error=false",), []),
+        (STACK, ("stages.0.increments=9",), [(2, 4, 4 / 9), (3, 4, 4 / 9), (3, 9, 1)]),
+        # One increment is compared with two.
+        (STACK, (), [(2, 1, 1), (3, 1, 1), (3, 2, 2)]),
+        # Without friction the path does not matter, and a steady state has no time steps.
+        (STACK, ("interfaces.lower_upper.friction_coefficient=0",), [(2, 1, 1)]),
+        (HEAT, ("stages=[{name: cool, steady: true}]",), [(2, 1, 1)]),
+    ],
+    ids=("not asked", "nine", "one", "smooth", "steady"),
+)
+def test_companions_are_coarser_and_take_half_the_steps(
+    text: str, changes: tuple[str, ...], found: list[tuple[float, ...]]
+) -> None:
+    """Mesh sizes, increments, and steps over those of the run."""
+    own = error_estimate.companions(support.case(text, *changes))
+    assert [(c.case.mesh.size, c.case.stages[0].increments, c.steps) for c in own] == found
+    assert all(c.case.mesh.far == 4 * c.case.mesh.size for c in own)
 
 
 def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
@@ -76,45 +103,13 @@ def test_a_mesh_that_cannot_be_coarser_has_fewer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "coarsening", "what"),
-    [
-        ("", 2.0, "mesh and step"),
-        ("", 1.0, "load step"),
-        ("heat", 1.0, "time step"),
-    ],
+    ("text", "coarsening", "sources"),
+    [(STACK, 2.0, "mesh and step"), (STACK, 1.0, "load step"), (HEAT, 1.0, "time step")],
+    ids=("both", "load", "time"),
 )
-def test_an_error_is_of_what_was_compared(text: str, coarsening: float, what: str) -> None:
-    alone = support.case(HEAT) if text else case()
-    assert error_estimate.of_what([error_estimate.Companion(alone, coarsening, 0.5)]) == what
-
-
-def test_one_increment_is_compared_with_two() -> None:
-    *_, steps = error_estimate.companions(case())
-    assert steps.case.stages[0].increments == 2
-    assert steps.steps == 2
-
-
-def test_without_friction_the_path_does_not_matter() -> None:
-    frictionless = case("interfaces.lower_upper.friction_coefficient=0")
-    assert [c.steps for c in error_estimate.companions(frictionless)] == [1]
-
-
-HEAT = """
-geometry: {kind: blocks, blocks: [{name: lower, size: [4 mm, 4 mm, 2 mm]}]}
-mesh: {size: 1 mm}
-regions:
-  lower:
-    kind: conductor
-    thermal:
-      conductivity: 1 W/(m K)
-      density: 1000 kg/m^3
-      specific_heat: 1000 J/(kg K)
-      initial_temperature: 37 degC
-heat:
-  cold: {kind: temperature, boundary: bottom, temperature: 20 degC}
-stages: [{name: cool, duration: 60 s}]
-output: {error: true}
-"""
+def test_an_error_is_of_what_was_compared(text: str, coarsening: float, sources: str) -> None:
+    companion = error_estimate.Companion(support.case(text), coarsening, 0.5)
+    assert error_estimate.error_sources([companion]) == sources
 
 
 @pytest.mark.parametrize(("method", "power"), [("sdirk4", 1), ("backward_euler", 2)])
@@ -126,11 +121,6 @@ def test_companions_in_time_have_a_larger_tolerance(method: str, power: int) -> 
     assert [c.case.mesh.size for c in found] == [2, 3, 3]
     larger = 3e-4 * 2**power
     assert [c.case.time.tolerance for c in found] == pytest.approx([larger, larger, 3e-4])  # type: ignore[union-attr]
-
-
-def test_a_steady_state_has_no_time_steps() -> None:
-    steady = support.case(HEAT, "stages=[{name: cool, steady: true}]")
-    assert [c.steps for c in error_estimate.companions(steady)] == [1]
 
 
 @pytest.mark.parametrize(("increments", "step"), [(1, 0.02), (8, 0.02), (9, 0.02)])
@@ -195,12 +185,13 @@ def test_peaks_are_compared_on_the_meshes_that_were_solved() -> None:
     assert error_estimate.estimate(run, this, [(finer, {}), (coarser, on(4.0))]) == found
     steps = error_estimate.Companion(this, 1.0, 0.5)
     assert error_estimate.estimate(run, this, [(steps, on(4.0))]) == {}
+    assert error_estimate.estimate(run, this, []) == {}
 
 
 def test_an_error_that_is_small_by_chance_is_raised() -> None:
     """To half the median of its interface, relative to the numbers; a peak has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
-    (companion,) = error_estimate.companions(this)
+    companion = error_estimate.companions(this)[0]
     values = {"slip_p99": 2.0, "slip_p95": 1.0, "slip_mean": 0.5, "gap_p99": 4.0}
     other = {"slip_p99": 2.2, "slip_p95": 1.1, "slip_mean": 0.55, "gap_p99": 4.0}
     run: dict[str, Any] = {"interfaces": {"lower_upper": values}}
@@ -213,7 +204,7 @@ def test_an_error_that_is_small_by_chance_is_raised() -> None:
 def test_gruen_zones_have_errors() -> None:
     """Means of interfaces and strain energy; what a coarser mesh has nothing of has none."""
     this = case("interfaces.lower_upper.friction_coefficient=0")
-    (companion,) = error_estimate.companions(this)
+    companion = error_estimate.companions(this)[0]
 
     def zone(by: float, *regions: str) -> dict[str, Any]:
         interface = {"gap_mean": 2.0 * by, "gap_max": 3.0, "area": 5.0}
@@ -240,12 +231,6 @@ def test_on_one_coarser_mesh_half_the_steps_show() -> None:
     run = numbers(1e-9, 8, 2)
     error_estimate.estimate(run, this, [(half, numbers(1e-9, 4, 2))])
     assert 0.5 < run["interfaces"]["lower_upper"]["slip_p99_error"] / (0.02 / 8) < 3
-
-
-def test_no_companion_no_error() -> None:
-    run = numbers(1.0, 1, 1.8)
-    assert error_estimate.estimate(run, case(), []) == {}
-    assert "slip_p99_error" not in run["interfaces"]["lower_upper"]
 
 
 def heated(size: float, increments: float, dead: float = 2.0) -> dict[str, Any]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.results.level_sets import distance, positive_share
+from app.results.level_sets import positive_share
+from meshes.mantle import distance
 
 
 def test_part_of_a_tetrahedron_by_counting() -> None:

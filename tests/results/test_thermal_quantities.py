@@ -239,7 +239,7 @@ def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
     assert found.cem43 == pytest.approx(dose(minutes), rel=1e-6)
     damage = dose(lambda T: float(np.exp(np.log(3.1e98) - 6.28e5 / (8.314462618 * (ZERO + T)))))
     assert found.damage == pytest.approx(damage, rel=1e-6)
-    assert found.over[0] == pytest.approx(75 + 25 / 6 - 20)
+    assert found.over[:, 0] == pytest.approx(75 + 25 / 6 - 20)
 
 
 def test_a_sharp_turn_is_not_rounded_up(stack: TaggedMesh) -> None:
@@ -341,7 +341,7 @@ def test_cure_of_a_logistic_curve() -> None:
     """Isothermal autocatalysis, m = n = 1: t50 = 1012.133 s; a second node half a minute late."""
     k = 6.82396e-3
     start = np.array([logistic(0.0), logistic(-30.0)])
-    record = CureRecord(MPI.COMM_SELF, {"cement": start})
+    record = CureRecord(MPI.COMM_SELF, {"cement": start}, {})
     for time in np.arange(40.0, 1800.0, 40.0):
         a = np.array([logistic(time), logistic(time - 30.0)])
         record.update(time, {"cement": a}, {"cement": k * a * (1 - a)})
@@ -354,7 +354,7 @@ def test_cure_of_a_logistic_curve() -> None:
 
 
 def test_a_degree_that_is_not_reached_has_no_time() -> None:
-    record = CureRecord(MPI.COMM_SELF, {"cement": np.array([0.0, 0.0])})
+    record = CureRecord(MPI.COMM_SELF, {"cement": np.array([0.0, 0.0])}, {})
     record.update(1.0, {"cement": np.array([0.6, 0.4])}, {"cement": np.array([0.0, 0.1])})
     assert record.summary()["cement"]["time_50"] is None
     record.update(2.0, {"cement": np.array([0.6, 0.6])}, {"cement": np.zeros(2)})

@@ -21,7 +21,6 @@ from app.results import vtkhdf
 from tests import support
 
 STEPS = 3
-TRIANGLE = 5  # VTK's number of this cell type
 EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of VTK's quadratic tetrahedron
 
 
@@ -44,14 +43,13 @@ def write_cube(path, order):
     cells = cube.topology.index_map(3).size_local
     points = space.tabulate_dof_coordinates()[: space.dofmap.index_map.size_local]
     middle = mesh.compute_midpoints(cube, 3, np.arange(cells, dtype=np.int32))
-    nodes, kind = space.dofmap.list[:cells], vtkhdf.TETRAHEDRON
+    nodes = space.dofmap.list[:cells]
     if order == 2:
-        nodes, kind = nodes[:, vtkhdf.QUADRATIC_NODES], vtkhdf.QUADRATIC_TETRAHEDRON
+        nodes = nodes[:, vtkhdf.QUADRATIC_NODES]
     region = {"region": (middle[:, 2] > 0.5).astype(np.int32)}
     ghosts = space.dofmap.index_map.ghosts
-    file = vtkhdf.GridFile(
-        cube.comm, path, points, nodes, kind, region, {"names": ("one", "two")}, ghosts
-    )
+    grid = vtkhdf.Grid(points, nodes, ghosts, region, {"names": ("one", "two")})
+    file = vtkhdf.GridFile(cube.comm, path, grid)
     for step in range(STEPS):
         u, t = displacement(points.T, step).T, temperature(points.T, step)
         cell = {"stress": stress(middle.T, step).T, "height": middle[:, 2] + step}
@@ -66,7 +64,7 @@ def strip(path):
     left, right, ghosts = (0, 3, []) if comm.rank == 0 else (3, 0, 3 * comm.rank + np.arange(3))
     quads = [(left + i, right + i, right + i + 1, left + i + 1) for i in range(2)]
     triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
-    file = vtkhdf.GridFile(comm, path, points, triangles, TRIANGLE, {}, {}, ghosts)
+    file = vtkhdf.GridFile(comm, path, vtkhdf.Grid(points, triangles, ghosts))
     return file, points
 
 
@@ -233,8 +231,8 @@ def test_wrong_fields_are_refused(tmp_path):
 
 def test_constant_cell_data_are_written_once(tmp_path):
     points, cells = np.eye(4, 3), np.arange(4)[None]
-    grid = points, cells, vtkhdf.TETRAHEDRON, {"region": np.zeros(1)}, {}
-    file = vtkhdf.GridFile(MPI.COMM_SELF, tmp_path / "fields.vtkhdf", *grid)
+    grid = vtkhdf.Grid(points, cells, np.zeros(0), {"region": np.zeros(1)})
+    file = vtkhdf.GridFile(MPI.COMM_SELF, tmp_path / "fields.vtkhdf", grid)
     with pytest.raises(ValueError, match="every step writes the same fields, once"):
         file.write(0.0, {}, {"region": np.zeros(1)})
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import meshes
 from app.case.case import load
 from app.errors import GeometryError, InputError
-from meshes.session import session
+from meshes.gmsh_child import session
 
 MEMORY = 4 << 30
 SECONDS = 20

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -77,7 +78,6 @@ def test_only_records_are_by_the_clock_of_the_wall() -> None:
         "app/simulation/session.py",
         "app/results/run_folder.py",
         "app/simulation/checkpoint.py",
-        "app/system/form_cache.py",
     }
 
 
@@ -105,20 +105,6 @@ def test_a_clock_that_is_set_changes_nothing(
     )
     assert done.returncode == 0, done.stderr
     assert numbers(tmp_path / "out") == usual
-
-
-def test_modules_are_looked_at_again_when_the_clock_was_set_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(form_cache, "form_cache", lambda: tmp_path)
-    form_cache.mend()
-    later = time.time() + 1e6
-    os.utime(tmp_path / form_cache.LOCK, (later, later))
-    module = tmp_path / f"form{form_cache.EXTENSION_SUFFIXES[0]}"
-    for path in (module, tmp_path / "form.c", tmp_path / "form.c.cached"):
-        path.write_bytes(b"half")
-    form_cache.mend()
-    assert not module.exists()
 
 
 # ------------------------------------------------------------------------------------- memory
@@ -265,7 +251,7 @@ def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
     script = (
         "import sys, time\nfrom pathlib import Path\nfrom app.system import form_cache\n"
         "def get(name, objects, folder, timeout): (folder / f'{name}.c').touch()\n"
-        "form_cache._wait(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
+        "form_cache._find(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
         "print('compiling', flush=True)\ntime.sleep(60)\n"
     )
     child = subprocess.Popen(
@@ -278,31 +264,27 @@ def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
     return child
 
 
-def test_a_compilation_is_waited_for_as_long_as_it_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen = []
+def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> None:
+    """What it had begun is removed once it is dead, and not before; other forms are free."""
+    form, other = "libffcx_forms_" + "0" * 40, "libffcx_forms_" + "1" * 40
+    found: dict[str, bool] = {}
 
-    def asleep(seconds: float) -> None:
-        # Another form is free meanwhile.
-        form_cache._wait(get, "other", [], tmp_path, 10)
-        seen.append((tmp_path / "form.c").exists())
-        if len(seen) == 3:
-            child.kill()
-            child.communicate()
+    def get(name: str, objects: list[str], folder: Path, timeout: int) -> None:
+        found[name] = (folder / f"{name}.c").exists()
 
-    def get(name: str, objects: list[str], folder: Path, timeout: int) -> bool:
-        return (folder / f"{name}.c").exists()
+    def find(name: str) -> None:
+        form_cache._compile(lambda: form_cache._find(get, name, [], tmp_path, 10))
 
-    child = waiting(tmp_path, "form")
-    monkeypatch.setattr(form_cache.time, "sleep", asleep)
-    # What it had begun is removed once it is dead, and not before.
-    assert form_cache._let_go(lambda: form_cache._wait(get, "form", [], tmp_path, 10)) is False
-    assert seen == [True, True, True]
-    assert not form_cache._compiling
-    for suffix in (".c", ".c.cached", form_cache.EXTENSION_SUFFIXES[0]):
-        (tmp_path / f"form{suffix}").touch()
-    assert form_cache._wait(get, "form", [], tmp_path, 10) is True  # nothing to wait for
+    child = waiting(tmp_path, form)
+    waiter = threading.Thread(target=find, args=(form,))
+    waiter.start()
+    time.sleep(0.5)
+    assert not found and (tmp_path / f"{form}.c").exists()
+    child.kill()
+    child.communicate()
+    waiter.join(10)
+    find(other)
+    assert found == {form: False, other: False} and not form_cache._compiling
 
 
 @slow

@@ -21,7 +21,7 @@ from app.errors import ConvergenceError, GeometryError, InputError
 from app.numerics.active_set import ActiveSet
 from app.numerics.rigid_motions import describe, rigid_modes
 from app.soundness import plausibility, well_posedness
-from app.soundness.loose_bodies import gaps_of, groups_of
+from app.soundness.mesh_parts import gaps_of, groups_of
 from app.system import folders
 from meshes.data import MeshData, components, face_neighbours
 from meshes.pieces import coincident
@@ -341,16 +341,16 @@ def test_what_is_wrong_on_the_mesh_has_its_place_in_the_file(
     more = "more: {kind: displacement, boundary: bottom, z: 0.1 mm}"
     path.write_text(TWO.replace("loads:", f"  {more}\nloads:"))
     assert main(["check", str(path), "--mesh"]) == 2
-    assert capsys.readouterr().err.startswith(f"{path}:15:3: supports.more: ")
+    assert f"{path}:15:3: supports.more: " in capsys.readouterr().err
     path.write_text(TWO.replace("coefficient: 0.4", "coefficient: 0.4, gap: 0.001 / (x - x)"))
     assert main(["check", str(path), "--mesh"]) == 2
     key = "interfaces.bone_metal.gap"
     start = f"{path}:12:58: {key}: expression '0.001 / (x - x)' is not finite at ("
-    assert capsys.readouterr().err.startswith(start)
+    assert start in capsys.readouterr().err
     change = f"{key}=log(x - 99)"
     assert main(["check", str(path), "--mesh", "--set", change]) == 2
     start = f"--set {key}: expression 'log(x - 99)' is not finite at ("
-    assert capsys.readouterr().err.startswith(start)
+    assert start in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -449,7 +449,7 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
     assert re.search(
         rf"largest residual: .* N on interface '\w+' at {place}, (open|stick|slip)", text
     )
-    changing = rf"changing: \w+ <-> .* at {place} on interface '\w+', in \d+ of the last \d+ iter"
+    changing = rf"changing: \w+ <-> .* on interface '\w+' at {place}, in \d+ of the last \d+ iter"
     assert len(re.findall(changing, text)) == 3
     (tried,) = [line for line in text.splitlines() if line.startswith("  tried: ")]
     logged = [m.partition("): ")[2] for m in caplog.messages if "not converging" in m]

@@ -11,7 +11,7 @@ import pytest
 
 from app.captured import captured
 from app.errors import GeometryError
-from meshes import session
+from meshes.gmsh_child import CROSS, generate, session
 
 log = logging.getLogger("mantle")
 
@@ -48,7 +48,10 @@ def test_an_error_leaves_the_streams_as_they_were(capfd: pytest.CaptureFixture[s
 
 def test_surfaces_that_cross_are_told_in_words(capfd: pytest.CaptureFixture[str]) -> None:
     """gmsh prints a "PLC Error" of its own, past its log."""
-    with pytest.raises(GeometryError, match=session.CROSS), session.session("crossing") as gmsh:
+    with (
+        pytest.raises(GeometryError, match=CROSS),
+        session("crossing") as gmsh,
+    ):
         loops = []
         for x, y, z, *size in ((0, 0, 0, 4, 4, 4), (1, 1, 1, 5.3, 2, 2)):
             box = gmsh.model.occ.addBox(x, y, z, *size)
@@ -60,5 +63,5 @@ def test_surfaces_that_cross_are_told_in_words(capfd: pytest.CaptureFixture[str]
         ]
         gmsh.model.removeEntities(gmsh.model.getEntities(3))
         gmsh.model.addDiscreteEntity(3, 10, [*faces[0], *faces[1]])
-        session.generate(gmsh)
+        generate(gmsh)
     assert capfd.readouterr() == ("", "")

@@ -94,22 +94,6 @@ def test_a_conversion_is_asked_of_pint_once(
     forget()
 
 
-def test_conversions_of_other_runs_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another run adds one after this one has read the file and before it adds its own."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    unit_conversion.conversion.cache_clear()
-    unit_conversion._kept.cache_clear()
-    unit_conversion.conversion("kN/inch^2", "MPa")
-    path = tmp_path / "mantle/units/conversions.json"
-    known = folders.unsealed(path, path.read_bytes())
-    folders.write_sealed(path, known | {"furlong in mm": ["1", "0"]})
-    unit_conversion.conversion("lbf/inch^2", "MPa")
-    keys = {"kN/inch^2 in MPa", "furlong in mm", "lbf/inch^2 in MPa"}
-    assert set(folders.unsealed(path, path.read_bytes())) == keys
-    unit_conversion.conversion.cache_clear()
-    unit_conversion._kept.cache_clear()
-
-
 def test_labels_are_those_of_a_graph() -> None:
     rng = np.random.default_rng(3)
     for n, pairs in ((1, 0), (40, 25), (200, 190), (300, 900)):

@@ -1,0 +1,62 @@
+"""Parts of a mesh as its case sees them: laws between pieces, what supports hold, gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.case.case import Case
+from app.laws.values import field
+from meshes.pieces import Parts
+
+
+def law_between(case: Case, found: Parts, pieces: tuple[int, int]) -> tuple[str, Any]:
+    """Interface between two pieces and its law; no name where there is none."""
+    a, b = (found.pieces[k].region for k in pieces)
+    for name, (one, two) in case.geometry.interface_sides.items():
+        if (a in one and b in two) or (a in two and b in one):
+            return name, case.interfaces[name]
+    return "", None
+
+
+def groups_of(case: Case, found: Parts) -> list[list[int]]:
+    """Pieces that move together: bonded to each other, or of one region and joined."""
+    laws = [(t.pieces, law_between(case, found, t.pieces)[1]) for t in found.touches]
+    joined = [pieces for pieces, law in laws if law is None or not law.can_open]
+    label = list(range(len(found.pieces)))
+    for a, b in (*joined, *found.joined):
+        label = [label[a] if k == label[b] else k for k in label]
+    return [[p for p, k in enumerate(label) if k == n] for n in sorted(set(label))]
+
+
+def history_of(case: Case, values: Sequence[float] | None) -> tuple[float, ...]:
+    """A history, all ones by default."""
+    return tuple(values) if values is not None else (1.0,) * len(case.stages)
+
+
+def holds(support: Any, stage: str) -> bool:
+    """Whether a support holds in a stage."""
+    stages = getattr(support, "stages", None)
+    return stages is None or stage in stages
+
+
+def directions(support: Any, found: Parts, nodes: Ints) -> Floats:
+    """Directions that a support holds at nodes of its boundary, as rows (n, k, 3)."""
+    normal = getattr(support, "normal", None)
+    if normal == "face":
+        return found.normals[support.boundary][nodes][:, None]
+    rows = np.eye(3)[["xyz".index(a) for a in support.held_axes]] if normal is None else [normal]
+    return np.broadcast_to(rows, (len(nodes), len(rows), 3))
+
+
+def gaps_of(case: Case, found: Parts) -> dict[str, Floats]:
+    """Gap at full amplitude at the nodes of each contact interface (n,) [mm]."""
+    laws: Mapping[str, Any] = case.interfaces
+    return {
+        name: field(f"interfaces.{name}.gap", law.initial_gap[0])(found.x[found.interfaces[name]])
+        for name, law in laws.items()
+        if law.can_open
+    }

@@ -1,0 +1,335 @@
+"""gmsh: a session for one mesh, and files of others in a child process with limits.
+
+One session per mesh: after a failed mesh every later one of the same session comes out empty, even
+after ``gmsh.clear()``. Scripts are programs and damaged files crash gmsh: so files are read in a
+process of its own, on copies, with limits of memory and time.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from app.arrays import Floats, Ints
+from app.captured import captured
+from app.errors import GeometryError, MantleError
+from meshes.curving import untangle
+
+MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+LOG_LINES = 6  # of gmsh's log, quoted when it fails
+# What gmsh's recovery of surfaces prints, and what it means.
+CROSSING = "PLC Error"
+CROSS = "surfaces of the geometry cross each other"
+GROWTH = 0.4  # mm of element size per mm of distance from an interface
+# How often the finest cells of a script may be in its diagonal; any more would never be meshed.
+MOST_EDGES = 20_000
+SECONDS = 3600
+WRITTEN = 1 << 30  # bytes in a file
+_TETRAHEDRA, _TRIANGLES = {4: 4, 11: 10}, {2: 3, 9: 6}
+_SERVE = "from meshes.gmsh_child import serve; serve()"
+
+
+@contextmanager
+def session(name: str) -> Iterator[Any]:
+    """Open gmsh silently, without its signal handler or configuration files.
+
+    Args:
+        name: Of the model, for messages.
+
+    Yields:
+        The gmsh module.
+
+    Raises:
+        GeometryError: gmsh failed; carries the last lines of its log.
+    """
+    import gmsh
+
+    if gmsh.isInitialized():
+        gmsh.finalize()
+    home = os.environ.get("HOME")
+    os.environ["HOME"] = os.devnull  # the toolkit of its windows would make a folder there
+    try:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+    finally:
+        del os.environ["HOME"]
+        os.environ |= {"HOME": home} if home is not None else {}
+    heard: list[str] = []
+    try:
+        for option, value in {
+            "General.Terminal": 0,
+            "General.NumThreads": 1,  # more threads: another mesh every time
+            "Mesh.RandomSeed": 1,
+            "Mesh.Algorithm": 6,
+            "Mesh.Algorithm3D": 10,
+            "Mesh.MeshSizeExtendFromBoundary": 0,
+            "Mesh.MeshSizeFromPoints": 0,
+            "Mesh.MeshSizeFromCurvature": 0,
+        }.items():
+            gmsh.option.setNumber(option, value)
+        gmsh.logger.start()
+        gmsh.model.add(name)
+        with captured("gmsh") as written:
+            try:
+                yield gmsh
+            finally:
+                heard = written()
+    except MantleError:
+        raise
+    except Exception as error:  # gmsh raises bare Exception with its last error line
+        first = next((line for line in heard if CROSSING in line), None)
+        why = "" if first is None else f"{CROSS}: {first.split(':', 1)[1].strip()}\n"
+        log = "\n".join(f"  gmsh: {line}" for line in gmsh.logger.get()[-LOG_LINES:])
+        raise GeometryError(f"{name}: the mesh generator failed: {error}\n{why}{log}") from error
+    finally:
+        gmsh.logger.stop()  # it would survive finalize() with the lines of this case
+        gmsh.finalize()
+
+
+def grade(gmsh: Any, distances: Sequence[str], size: float, far_size: float) -> None:
+    """Set elements of ``size`` where a distance vanishes, growing to ``far_size``.
+
+    Args:
+        gmsh: The open session.
+        distances: Expressions in x, y, z [mm], each the distance to an interface; none: uniform.
+        size: At the interfaces [mm].
+        far_size: Far from them [mm].
+    """
+    fields = []
+    for distance in distances or ["0"]:
+        tag = gmsh.model.mesh.field.add("MathEval")
+        slope = f"{size}+{GROWTH}*Fabs({distance})"
+        # MathEval has no minimum: min(a, b) = (a + b - |a - b|)/2
+        text = f"0.5*({slope}+{far_size}-Fabs({slope}-{far_size}))"
+        gmsh.model.mesh.field.setString(tag, "F", text)
+        fields.append(tag)
+    smallest = gmsh.model.mesh.field.add("Min")
+    gmsh.model.mesh.field.setNumbers(smallest, "FieldsList", fields)
+    gmsh.model.mesh.field.setAsBackgroundMesh(smallest)
+
+
+def generate(gmsh: Any, curved: bool = False) -> None:
+    """Mesh the model, and curve the elements when asked.
+
+    gmsh improves elements while it meshes; doing it again (its own optimiser, Relocate3D, a higher
+    threshold) was measured to change nothing, and Debian's gmsh has no Netgen optimiser.
+    """
+    gmsh.model.mesh.generate(3)
+    if curved:
+        gmsh.model.mesh.setOrder(2)
+
+
+def extract(gmsh: Any) -> tuple[Floats, Ints, npt.NDArray[np.int64]]:
+    """Read the tetrahedra of the model; curved ones are untangled.
+
+    Returns:
+        Nodes (n, 3), cells (m, 4 or 10) and the volume entity of each cell (m,).
+    """
+    node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    row = np.full(int(node_tags.max()) + 1, -1, dtype=np.int64)
+    row[node_tags.astype(np.int64)] = np.arange(len(node_tags))
+    cells, entities = [], []
+    for _, volume in gmsh.model.getEntities(3):
+        types, _, nodes = gmsh.model.mesh.getElements(3, volume)
+        for kind, connectivity in zip(types, nodes, strict=True):
+            if kind not in _TETRAHEDRA:
+                raise GeometryError(f"element type {kind}: only tetrahedra can be used")
+            cells.append(row[connectivity.astype(np.int64)].reshape(-1, _TETRAHEDRA[kind]))
+            entities.append(np.full(len(cells[-1]), volume, dtype=np.int64))
+    if not cells:
+        raise GeometryError("the mesh has no tetrahedra")
+    points, connectivity = coordinates.reshape(-1, 3), np.concatenate(cells)
+    if connectivity.shape[1] == 10:
+        points = untangle(points, connectivity)
+    return points, connectivity, np.concatenate(entities)
+
+
+# ------------------------------------------------------------------------------- files of others
+
+
+@dataclass(frozen=True)
+class Content:
+    """The named parts of a mesh in a file.
+
+    Attributes:
+        node_tags: Numbers of the nodes (n,), any.
+        points: Their coordinates (n, 3), in the unit of the file.
+        cells: Nodes of the cells of each region (m, 4 or 10), by number.
+        surfaces: Nodes of the triangles of each physical surface (k, 3 or 6), by number.
+        everything: Number of cells, those without a region included.
+    """
+
+    node_tags: Ints
+    points: Floats
+    cells: dict[str, Ints]
+    surfaces: dict[str, Ints]
+    everything: int
+
+
+def read(geometry: Any, mesh: Any) -> Content:
+    """Read a ``.msh`` file, or mesh a script, in a child process.
+
+    Args:
+        geometry: ``path``, ``unit``, ``interfaces``, ``content`` and ``copy_files``.
+        mesh: ``size``, ``far_size`` [mm], ``curved`` for a script.
+
+    Raises:
+        GeometryError: No tetrahedra, other elements, missing physical groups (with the names
+            found), gmsh fails, the file changes meanwhile.
+    """
+    path = geometry.path
+    with tempfile.TemporaryDirectory(prefix="mantle-gmsh-") as folder:
+        if geometry.copy_files(Path(folder)) != geometry.content:
+            raise GeometryError(f"{path} has changed since it was looked at: run it again")
+        request = {
+            "path": str(path),
+            "script": geometry.is_script,
+            "size": mesh.size,
+            "far_size": mesh.far_size or 4 * mesh.size,
+            "curved": mesh.curved,
+            "unit": MILLIMETRES[geometry.unit],
+            "regions": geometry.region_names,
+            "sides": [r for sides in geometry.interfaces.values() for side in sides for r in side],
+        }
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", "-c", _SERVE],
+                input=json.dumps(request).encode(),
+                cwd=folder,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                timeout=SECONDS,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise GeometryError(f"{path}: gmsh took more than {SECONDS} s") from error
+    if done.returncode:
+        raise GeometryError(
+            f"{path}: gmsh crashed: the file is damaged or too large (limits are {SECONDS} s and "
+            "the memory of the machine)"
+        )
+    # No pickle: a file may have forged the answer.
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as answer:
+        found = dict(answer)
+    if "error" in found:
+        raise GeometryError(str(found["error"]))
+    cells, surfaces = (
+        {key.removeprefix(kind): found[key] for key in found if key.startswith(kind)}
+        for kind in ("cells ", "surfaces ")
+    )
+    return Content(found["node_tags"], found["points"], cells, surfaces, int(found["everything"]))
+
+
+def serve() -> None:
+    """Answer the request that comes from standard input, within the limits."""
+    request = json.load(sys.stdin)
+    answer = os.dup(sys.stdout.fileno())
+    for stream in (0, 1):
+        os.dup2(2, stream)  # scripts print
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for limit, most in (
+        (resource.RLIMIT_AS, memory),
+        (resource.RLIMIT_CPU, SECONDS),
+        (resource.RLIMIT_FSIZE, WRITTEN),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        resource.setrlimit(limit, (most, most))
+    try:
+        found = _arrays(request)
+    except GeometryError as error:
+        found = {"error": np.array(str(error))}
+    content = io.BytesIO()
+    np.savez(content, **found)
+    with open(answer, "wb") as pipe:
+        pipe.write(content.getbuffer())
+
+
+def _arrays(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Open the file and take from it what is asked, as arrays by name."""
+    path = Path(request["path"])
+    with session(path.name) as gmsh:
+        if request["script"]:
+            _run_script(gmsh, request)
+        else:
+            gmsh.merge(path.name)
+        names = {
+            dim: [
+                gmsh.model.getPhysicalName(d, tag) for d, tag in gmsh.model.getPhysicalGroups(dim)
+            ]
+            for dim in (2, 3)
+        }
+        found = (
+            f"{path}: physical volumes: {_listed(names[3])}; physical surfaces: {_listed(names[2])}"
+        )
+        if not any(names[3]):
+            raise GeometryError(f"{found}; name every region (and boundary) with a physical group")
+        cells = {n: _elements(gmsh, 3, n, _TETRAHEDRA, path) for n in sorted({*names[3]} - {""})}
+        cells = {name: block for name, block in cells.items() if len(block)}
+        if absent := [name for name in request["regions"] if name not in cells]:
+            raise GeometryError(f"{found}; no cells in the volumes {_listed(absent)}")
+        if absent := sorted({*request["sides"]} - set(cells)):
+            raise GeometryError(f"{found}; interfaces need the volumes {_listed(absent)}")
+        node_tags, coordinates, _ = gmsh.model.mesh.getNodes()
+        surfaces = {name: _elements(gmsh, 2, name, _TRIANGLES, path) for name in names[2] if name}
+        _, tags, _ = gmsh.model.mesh.getElements(3)
+    return {
+        "node_tags": node_tags,
+        "points": coordinates.reshape(-1, 3),
+        "everything": np.array(sum(map(len, tags))),
+        **{f"cells {name}": block for name, block in cells.items()},
+        **{f"surfaces {name}": block for name, block in surfaces.items()},
+    }
+
+
+def _run_script(gmsh: Any, request: Mapping[str, Any]) -> None:
+    """Mesh a script, with its parameters set to the sizes in its unit."""
+    size, unit = request["size"], request["unit"]
+    gmsh.parser.setNumber("size", [size / unit])
+    gmsh.parser.setNumber("far_size", [request["far_size"] / unit])
+    for source in ("ExtendFromBoundary", "FromPoints"):  # gmsh's defaults, which scripts count on
+        gmsh.option.setNumber(f"Mesh.MeshSize{source}", 1)
+    gmsh.merge(Path(request["path"]).name)
+    box = np.array(gmsh.model.getBoundingBox(-1, -1))
+    edges = np.linalg.norm(box[3:] - box[:3]) * unit / size
+    if not edges <= MOST_EDGES:
+        raise GeometryError(
+            f"mesh.size: {size:g} mm: the diagonal of {request['path']} is {edges:.1g} cells "
+            f"long; at most {MOST_EDGES}"
+        )
+    generate(gmsh, request["curved"])
+
+
+def _listed(names: Any) -> str:
+    return ", ".join(name or "(unnamed)" for name in names) or "none"
+
+
+def _elements(gmsh: Any, dim: int, name: str, kinds: dict[int, int], path: Path) -> Ints:
+    """Node tags of all elements of the physical groups of this name."""
+    blocks = []
+    for d, tag in gmsh.model.getPhysicalGroups(dim):
+        if gmsh.model.getPhysicalName(d, tag) != name:
+            continue
+        for entity in gmsh.model.getEntitiesForPhysicalGroup(d, tag):
+            types, _, nodes = gmsh.model.mesh.getElements(d, entity)
+            for kind, connectivity in zip(types, nodes, strict=True):
+                if kind not in kinds:
+                    label = gmsh.model.mesh.getElementProperties(kind)[0]
+                    raise GeometryError(
+                        f"{path}: {name!r} has elements of type {label!r}; only straight or"
+                        " quadratic tetrahedra (and their triangles) can be used"
+                    )
+                blocks.append(connectivity.astype(np.int64).reshape(-1, kinds[kind]))
+    if len({block.shape[1] for block in blocks}) > 1:
+        raise GeometryError(f"{path}: {name!r} mixes straight and quadratic elements")
+    return np.concatenate(blocks) if blocks else np.zeros((0, 4 if dim == 3 else 3), dtype=np.int64)
