@@ -14,7 +14,7 @@ from app.scene.build import build_scene
 from app.scene.scene import Scene
 from app.simulation import model
 from app.simulation.model import Model
-from app.stepping.heat_steps import HeatStep
+from app.stepping.heat_state import HeatStep
 from app.stepping.load_steps import LoadStep, Summary
 from app.system.timing import Timing
 from tests import support

@@ -175,7 +175,7 @@ def solve(
             balance.update(solver.u_and_q()[0], trial)
             sums.append((balance.force, balance.moment, balance.energy))
 
-    run_stages(problem.scene.stages, (LoadStepper(problem, solver, on_step, print),), ())
+    run_stages(problem.scene.stages, LoadStepper(problem, solver, on_step, print), None)
     interfaces = {
         c.name: interface_numbers.interface(problem, samples[-1], i)
         for i, c in enumerate(problem.scene.contacts)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from mpi4py import MPI
 
@@ -52,17 +51,6 @@ class Degrees:
     by_temperature: Floats
 
 
-class Kinetics(Protocol):
-    """How the nodes of one region set."""
-
-    @property
-    def events(self) -> tuple[float, ...]:
-        """Times [s] at which the rate has a kink."""
-
-    def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
-        """Solve a = a* + h f(a, T)."""
-
-
 class Curing:
     """The degrees of cure of all regions that set, on the nodes of this rank."""
 
@@ -77,7 +65,7 @@ class Curing:
         self._comm = comm
         self._cures = tuple(cures)
         self._nodes = tuple(nodes)
-        self._kinetics = [kinetics(comm, c, n) for c, n in zip(cures, nodes, strict=True)]
+        self._kinetics = [_kinetics(comm, c, n) for c, n in zip(cures, nodes, strict=True)]
 
     @property
     def events(self) -> tuple[float, ...]:
@@ -118,13 +106,10 @@ class Curing:
         ]
 
 
-def kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> Kinetics:
-    """The compiled kinetics of a region."""
-    match cure.kinetics:
-        case Autocatalytic():
-            return _Autocatalytic(comm, cure.kinetics, nodes)
-        case Prescribed():
-            return PrescribedKinetics(cure.kinetics, cure.initial)
+def _kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> AutocatalyticKinetics | PrescribedKinetics:
+    if isinstance(cure.kinetics, Prescribed):
+        return PrescribedKinetics(cure.kinetics, cure.initial)
+    return AutocatalyticKinetics(comm, cure.kinetics, nodes)
 
 
 class PrescribedKinetics:
@@ -148,7 +133,7 @@ class PrescribedKinetics:
         return Degrees(np.minimum(start + h * rate, 1.0), np.zeros_like(start))
 
 
-class _Autocatalytic:
+class AutocatalyticKinetics:
     """Nodes of a region with autocatalytic kinetics."""
 
     events: tuple[float, ...] = ()
@@ -187,7 +172,7 @@ class _Autocatalytic:
             self._limits[0].set(**{k: np.full(nodes, constants[k]) for k in knots})
         # Mean rates of the last step, at what temperatures and how they grow with these: of the
         # next one they are not far.
-        self._mean, self._warmth, self._growth = np.zeros((3, nodes))
+        self._mean, self._temperature, self._growth = np.zeros((3, nodes))
 
     def update(self, start: Floats, temperature: Floats, h: float, seconds: float) -> Degrees:
         """Only nodes that still react are looked at."""
@@ -203,7 +188,7 @@ class _Autocatalytic:
 
         rows = np.flatnonzero(limit - start > UNREACTED)
         room = limit[rows] - start[rows]
-        mean = self._mean[rows] + self._growth[rows] * (T[rows] - self._warmth[rows])
+        mean = self._mean[rows] + self._growth[rows] * (T[rows] - self._temperature[rows])
         share = np.where(self._mean[rows] > 0, h * mean / room, 0.0)
         low = np.full(len(rows), _LOWEST)
         high: Floats = np.log((room - UNREACTED) / UNREACTED)
@@ -230,7 +215,7 @@ class _Autocatalytic:
             taken = np.fmin(h, reacted / f)
             slope = taken * f_T / (1 - taken * f_a)
         by_T[rows] = np.where(np.isfinite(slope), slope, 0.0)
-        self._mean[:], self._warmth[:], self._growth[:] = (degree - start) / h, T, by_T / h
+        self._mean[:], self._temperature[:], self._growth[:] = (degree - start) / h, T, by_T / h
         return Degrees(degree, by_T)
 
     @staticmethod

@@ -8,64 +8,62 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.heat.conduction import Conduction
+from app.heat.implicit_step import ImplicitStep
+from app.heat.operators import HeatOperators
 from app.laws.values import multiplier
 
 
-def flows(conduction: Conduction, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+def flows(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
     """Heat that enters the model per time in a state, by condition [N mm/s]; collective.
 
     Of the interval last begun: the sum is the rate at which heat is stored in it, to the tolerance
     of the solver.
     """
-    here = conduction.at(x)
+    here, operators = step.at(x), step.operators
     found: dict[str, float] = {}
-    for h in conduction.loads.heating:
+    for h in operators.loads.heating:
         total = sum(float(nodal.sum()) for nodal in h.nodal.values())
-        found[h.name] = multiplier(h.course, conduction.seconds) * total
-    for e in conduction.loads.exchange:
+        found[h.name] = multiplier(h.course, step.seconds) * total
+    for e in operators.loads.exchange:
         found[e.name] = sum(
             float((nodal * (e.outside - here.T[b])).sum()) for b, nodal in e.per_kelvin.items()
         )
-    for cure in conduction.cures:
+    if cure := operators.cure:
         for n, heat in zip(cure.nodes, cure.released(here.T), strict=True):
             found[f"cure {n.region}"] = float(heat.sum())
     lacking = [r.copy() for r in here.lacking]
-    for j, (flux, _, _) in zip(conduction.jumps, here.flux, strict=True):
-        q = j.weight * flux
+    if (j := operators.jumps) and here.flux:
+        q = j.weight * here.flux[0]
         for side, sign in ((0, 1.0), (1, -1.0)):
             for b, nodal in enumerate(lacking):
                 at = j.bodies[:, side] == b
                 np.add.at(nodal, j.dof[at], sign * q[at])
-    for s, c in enumerate(conduction.fixed.conditions):
+    for s, c in enumerate(operators.fixed.conditions):
         found[c.name] = sum(
             float(lacking[b][condition == s].sum())
-            for b, condition in conduction.fixed.of_body.items()
+            for b, condition in operators.fixed.of_body.items()
         )
-    sums = conduction.comm.allreduce(np.array(list(found.values())))
+    sums = step.comm.allreduce(np.array(list(found.values())))
     every = dict(zip(found, map(float, sums), strict=True))
-    for friction in conduction.frictions:
-        every |= friction.flows
-    return every
+    return every | (operators.friction.flows if operators.friction else {})
 
 
-def through(conduction: Conduction, x: Sequence[PETSc.Vec]) -> dict[str, float]:
+def through(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:
     """Heat per time from the first side to the second [N mm/s]; collective.
 
     Of each interface of finite conductance, friction heat left out.
     """
-    names = [c.name for c in conduction.scene.thermal_contacts]
-    sums = np.zeros(len(names))
-    here = conduction.at(x)
-    for j, (flux, _, _) in zip(conduction.jumps, here.flux, strict=True):
-        sums += np.bincount(j.interface, j.weight * flux, minlength=len(names))
-    return dict(zip(names, map(float, conduction.comm.allreduce(sums)), strict=True))
+    names = [c.name for c in step.operators.scene.thermal_contacts]
+    sums, flux = np.zeros(len(names)), step.at(x).flux
+    if (j := step.operators.jumps) and flux:
+        sums += np.bincount(j.interface, j.weight * flux[0], minlength=len(names))
+    return dict(zip(names, map(float, step.comm.allreduce(sums)), strict=True))
 
 
-def stored(conduction: Conduction, x: Sequence[PETSc.Vec]) -> float:
+def stored(operators: HeatOperators, x: Sequence[PETSc.Vec]) -> float:
     """Heat stored, from an arbitrary but fixed temperature on [N mm]; collective."""
     local = sum(
-        float((m * (t - conduction.reference)).sum())
-        for m, t in zip(conduction.capacity, conduction.nodal(x), strict=True)
+        float((m * (t - operators.reference)).sum())
+        for m, t in zip(operators.capacity, operators.nodal(x), strict=True)
     )
-    return float(conduction.comm.allreduce(local))
+    return float(operators.comm.allreduce(local))

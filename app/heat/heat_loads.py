@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Field, Floats, Ints
+from app.arrays import Bools, Field, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.temperature_jumps import TemperatureJumps
 from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
@@ -114,6 +114,7 @@ class FixedTemperatures:
         conditions: The conditions.
         of_body: For each body held anywhere, which condition holds each own node, else -1.
         base: The same of the continuous temperature.
+        held: Own nodes whose continuous temperature is given.
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
@@ -135,6 +136,7 @@ class FixedTemperatures:
         self.base: Ints = np.full(forms.owned, -1, dtype=np.int64)
         for b in sorted(self.of_body, reverse=True):
             self.base = np.where(self.of_body[b] >= 0, self.of_body[b], self.base)
+        self.held: Bools = self.base >= 0
 
     def join(self, jumps: TemperatureJumps) -> None:
         """Note bodies that nothing holds but whose jumps to held ones are given."""

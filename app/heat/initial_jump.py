@@ -16,7 +16,7 @@ from mpi4py import MPI
 import numpy as np
 from dolfinx import fem
 
-from app.heat.conduction import Conduction
+from app.heat.operators import HeatOperators
 
 # Times of a node after which it is near. Measured, in parts of the difference of the temperatures:
 # 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, whatever the size of the cells.
@@ -26,9 +26,9 @@ TIMES = 10.0
 class InitialJump:
     """Nodes at which regions of different initial temperature meet."""
 
-    def __init__(self, conduction: Conduction) -> None:
+    def __init__(self, operators: HeatOperators) -> None:
         """Find them; collective."""
-        scene, forms, of = conduction.scene, conduction.forms, conduction.bodies.of_region
+        scene, forms, of = operators.scene, operators.forms, operators.bodies.of_region
         sums = [forms.zeros() for _ in range(2)]
         low = [part + np.inf for part in forms.zeros()]
         high = [part - np.inf for part in forms.zeros()]
@@ -39,7 +39,7 @@ class InitialJump:
             low[b] = np.where(here, np.minimum(low[b], c.initial_temperature), low[b])
             high[b] = np.where(here, np.maximum(high[b], c.initial_temperature), high[b])
         meet = [a < b for a, b in zip(low, high, strict=True)]
-        for b, condition in conduction.fixed.of_body.items():
+        for b, condition in operators.fixed.of_body.items():
             meet[b] &= condition < 0
         self._nodes = [np.flatnonzero(m) for m in meet]
         self._contact = [t[m] / e[m] for m, e, t in zip(meet, *sums, strict=True)]
@@ -48,7 +48,7 @@ class InitialJump:
             K = forms.conduction_by_body(scene.conductors)
             self._until = [
                 TIMES * c[m] / k.getDiagonal().array_r[m]
-                for m, c, k in zip(meet, conduction.capacity, K, strict=True)
+                for m, c, k in zip(meet, operators.capacity, K, strict=True)
             ]
         local = max((float(u.max(initial=0.0)) for u in self._until), default=0.0)
         self._last = float(forms.comm.allreduce(local, MPI.MAX))

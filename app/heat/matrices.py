@@ -10,7 +10,7 @@ Rows and columns of given temperatures and jumps are zero but for their diagonal
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from petsc4py import PETSc
 
@@ -32,14 +32,12 @@ class HeatMatrices:
         version: Counts how often the linear parts were filled.
     """
 
-    def __init__(
-        self, K: Sequence[PETSc.Mat], jumps: tuple[TemperatureJumps, ...], held: Bools
-    ) -> None:
+    def __init__(self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, held: Bools) -> None:
         """Find the patterns; collective.
 
         Args:
             K: Conduction matrix of each body, with its whole diagonal in the pattern.
-            jumps: The jumps, or an empty tuple.
+            jumps: The jumps, if there are any.
             held: Own nodes whose continuous temperature is given.
         """
         self.version = 0
@@ -51,20 +49,18 @@ class HeatMatrices:
         start = self._A.getOwnershipRange()[0]
         self._rows = (start + np.flatnonzero(held)).astype(PETSc.IntType)
         self._diagonal = self._A.createVecLeft()
-        self._vectors = [self._A.createVecRight()]
         self.matrix = [[self._A]]
-        for j in jumps:
-            self._C = {b: self._bodies[b].matMult(B) for b, B in j.moves.items()}
-            self._D = {b: B.transposeMatMult(self._C[b]) for b, B in j.moves.items()}
+        if jumps is not None:
+            self._C = {b: self._bodies[b].matMult(B) for b, B in jumps.moves.items()}
+            self._D = {b: B.transposeMatMult(self._C[b]) for b, B in jumps.moves.items()}
             self._linear = matrix_sum(list(self._C.values())), matrix_sum(list(self._D.values()))
             self._linear[1].setOption(PETSc.Mat.Option.SYMMETRIC, True)
             C, D = (m.copy() for m in self._linear)
-            self._vectors.append(D.createVecRight())
             self.matrix = [[self._A, C], [C.transpose(PETSc.Mat()), D]]
 
     def vectors(self) -> list[PETSc.Vec]:
-        """A new vector for each block."""
-        vectors = [v.duplicate() for v in self._vectors]
+        """A new vector for each block, zero."""
+        vectors = [self.matrix[k][k].createVecRight() for k in range(len(self.matrix))]
         for v in vectors:
             v.set(0.0)
         return vectors
@@ -83,52 +79,55 @@ class HeatMatrices:
             self._diagonal.array[:] = diagonal
             A.setDiagonal(self._diagonal, addv=PETSc.InsertMode.ADD_VALUES)
             self._A.axpy(1.0, A, structure=SUBSET)
-        for j in self._jumps:
-            for total in self._linear:
-                total.zeroEntries()
-            for b, B in j.moves.items():
+        if self._jumps is not None:
+            C, D = self._linear
+            C.zeroEntries()
+            D.zeroEntries()
+            for b, B in self._jumps.moves.items():
                 self._bodies[b].matMult(B, result=self._C[b])
                 B.transposeMatMult(self._C[b], result=self._D[b])
-                self._linear[0].axpy(1.0, self._C[b], structure=SUBSET)
-                self._linear[1].axpy(1.0, self._D[b], structure=SUBSET)
+                C.axpy(1.0, self._C[b], structure=SUBSET)
+                D.axpy(1.0, self._D[b], structure=SUBSET)
         self._A.getDiagonal(self._diagonal)
-        self._typical = _mean(self._diagonal)
+        self._typical = float(self._diagonal.sum()) / self._diagonal.getSize()
         self._A.zeroRowsColumns(self._rows, diag=self._typical)
         self._A.getDiagonal(self._diagonal)
 
-    def set(self, by_jump: Sequence[Floats], growth: Sequence[dict[int, Floats]]) -> None:
+    def set(self, by_jump: Floats | None, growth: Mapping[int, Floats]) -> None:
         """Complete the Jacobian; collective.
 
         Args:
-            by_jump: What the interfaces add to the diagonal of the jumps, if any [N mm/(s K)].
-            growth: How heat released at own nodes of some bodies grows with their temperature, if
-                any is [N mm/(s K)].
+            by_jump: What the interfaces add to the diagonal of the jumps [N mm/(s K)].
+            growth: How heat released at own nodes of some bodies grows with their temperature
+                [N mm/(s K)].
         """
-        for by_body in growth:
+        if growth:
             new = self._diagonal.copy()
-            new.array[:] -= np.where(self._held, 0.0, sum(by_body.values()))
+            new.array[:] -= np.where(self._held, 0.0, sum(growth.values()))
             self._A.setDiagonal(new)
-        for j, added in zip(self._jumps, by_jump, strict=True):
-            (_, C), (Ct, D) = self.matrix
-            for linear, full in zip(self._linear, (C, D), strict=True):
-                linear.copy(full, structure=SAME)
-            for b, released in ((b, r) for by_body in growth for b, r in by_body.items()):
-                if b in j.moves:
-                    self._diagonal_of(released, j.moves[b], C, D)
-            free = [v.duplicate() for v in self._vectors]
-            for v, held in zip(free, (self._held, j.held), strict=True):
-                v.array[:] = ~held
-            diagonal = D.getDiagonal()
-            diagonal.array[:] += added
-            D.setDiagonal(diagonal)
-            diagonal.array[:] = np.where(j.held, self._typical, diagonal.array)
-            C.diagonalScale(free[0], free[1])
-            D.diagonalScale(free[1], free[1])
-            D.setDiagonal(diagonal)
-            C.transpose(Ct)
+        j = self._jumps
+        if j is None or by_jump is None:
+            return
+        (_, C), (Ct, D) = self.matrix
+        for linear, full in zip(self._linear, (C, D), strict=True):
+            linear.copy(full, structure=SAME)
+        for b, released in growth.items():
+            if b in j.moves:
+                self._subtract_diagonal(released, j.moves[b], C, D)
+        free = self.vectors()
+        for v, held in zip(free, (self._held, j.held), strict=True):
+            v.array[:] = ~held
+        diagonal = D.getDiagonal()
+        diagonal.array[:] += by_jump
+        D.setDiagonal(diagonal)
+        diagonal.array[:] = np.where(j.held, self._typical, diagonal.array)
+        C.diagonalScale(free[0], free[1])
+        D.diagonalScale(free[1], free[1])
+        D.setDiagonal(diagonal)
+        C.transpose(Ct)
 
     @staticmethod
-    def _diagonal_of(released: Floats, B: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
+    def _subtract_diagonal(released: Floats, B: PETSc.Mat, C: PETSc.Mat, D: PETSc.Mat) -> None:
         """Take a diagonal of a body out of the blocks of the jumps."""
         scaled, left = B.copy(), B.createVecLeft()
         left.array[:] = released
@@ -139,7 +138,3 @@ class HeatMatrices:
     def diagonal(self) -> list[Floats]:
         """Diagonals of the diagonal blocks as last set."""
         return [self.matrix[k][k].getDiagonal().array.copy() for k in range(len(self.matrix))]
-
-
-def _mean(v: PETSc.Vec) -> float:
-    return float(v.sum()) / v.getSize()

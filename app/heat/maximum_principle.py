@@ -128,7 +128,7 @@ class MaximumPrinciple:
             ]
         )
 
-    def settle(self, T: Sequence[Floats], bounds: Bounds) -> bool:
+    def take_back(self, T: Sequence[Floats], bounds: Bounds) -> bool:
         """Put back the edges of nodes that went away from their bounds; whether any; collective."""
         near = NEAR * max(bounds.span, LEAST)
         return self._flag(

@@ -126,22 +126,21 @@ class TemperatureJumps:
 
 def cut_off(
     contacts: Sequence[Interface],
-    jumps: tuple[TemperatureJumps, ...],
+    jumps: TemperatureJumps | None,
     reached: Sequence[bool],
 ) -> list[int]:
     """Bodies to which heat can come from none whose temperature something outside sets.
 
     Args:
         contacts: Interfaces of finite conductance.
-        jumps: Their jumps, or an empty tuple.
+        jumps: Their jumps, if there are any.
         reached: For each body, whether something outside sets its temperature.
     """
     group = list(range(len(reached)))
-    for j in jumps:
-        for i, c in enumerate(contacts):
-            if max(c.law.conductances[:2]) > 0:
-                for a, b in np.unique(j.points.bodies[j.points.interface == i], axis=0):
-                    group = [group[a] if g == group[b] else g for g in group]
+    for i, c in enumerate(contacts):
+        if jumps is not None and max(c.law.conductances[:2]) > 0:
+            for a, b in np.unique(jumps.points.bodies[jumps.points.interface == i], axis=0):
+                group = [group[a] if g == group[b] else g for g in group]
     warm = {g for g, here in zip(group, reached, strict=True) if here}
     return [b for b, g in enumerate(group) if g not in warm]
 

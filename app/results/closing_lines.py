@@ -17,7 +17,7 @@ from app.errors import UnusableError
 from app.results import tables
 
 if TYPE_CHECKING:
-    from app.stepping.heat_steps import HeatStep
+    from app.stepping.heat_state import HeatStep
     from app.stepping.load_steps import LoadStep
 
 log = logging.getLogger("mantle")

@@ -26,7 +26,7 @@ from app.results.necrosis import CELSIUS
 from app.results.thermal_record import Interfaces, ThermalRecord
 from app.results.vtkhdf import QUADRATIC_NODES, Grid, GridFile, write_last_step
 from app.scene.bodies import Bodies, cell_tags
-from app.stepping.heat_steps import HeatState
+from app.stepping.heat_state import HeatState
 from meshes.distribute import TaggedMesh
 
 
@@ -198,8 +198,8 @@ class HeatFields:
 
     def __init__(self, heating: HeatState, record: ThermalRecord, interfaces: Interfaces) -> None:
         self._heating, self._record, self._interfaces = heating, record, interfaces
-        self._conduction = heating.conduction
-        self.bodies, self.space = self._conduction.bodies, self._conduction.space
+        self._operators = heating.operators
+        self.bodies, self.space = self._operators.bodies, self._operators.forms.space
         # On nodes of this rank, ghosts too.
         self._work = fem.Function(self.space)
 
@@ -212,7 +212,7 @@ class HeatFields:
         [W/m2], zero away from it.
         """
         x = self._heating.vectors()
-        temperatures = [t.x.array - CELSIUS for t in self._conduction.temperatures(x)]
+        temperatures = [t.x.array - CELSIUS for t in self._operators.temperatures(x)]
         found = {"temperature": self._at(nodes, temperatures)}
         if self._record.bone:
             found |= {name: self._at(nodes, dose) for name, dose in self._doses().items()}
@@ -222,16 +222,17 @@ class HeatFields:
             degrees[own.body] += self._spread(own.dof, values)
         if self._heating.degrees():
             found["degree_of_cure"] = self._at(nodes, degrees)
-        for j, τ in zip(self._conduction.jumps, x[1:], strict=True):
-            flux = W_PER_M2 * j.flux(τ.array)[0]
-            for i, c in enumerate(self._conduction.scene.thermal_contacts):
+        if (j := self._operators.jumps) is not None:
+            τ = x[1].array
+            flux = W_PER_M2 * j.flux(τ)[0]
+            for i, c in enumerate(self._operators.scene.thermal_contacts):
                 here = j.interface == i
                 # From first to second side, whichever is the master.
                 forward = set(self._interfaces[c.name][0]) == set(c.master)
                 sign = 1.0 if forward else -1.0
                 sides = {self.bodies.of_region[r] for r in (*c.master, *c.slave)}
                 on = np.isin(nodes.body, list(sides)) & (nodes.ends[:, 0] == nodes.ends[:, 1])
-                for what, values in (("temperature_jump", τ.array), ("heat_flux", flux)):
+                for what, values in (("temperature_jump", τ), ("heat_flux", flux)):
                     spread = self._spread(j.dof[here], sign * values[here])
                     table = [spread for _ in self.bodies.names]
                     found[f"{c.name}_{what}"] = np.where(on, self._at(nodes, table), 0.0)

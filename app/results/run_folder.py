@@ -21,7 +21,7 @@ from mpi4py import MPI
 from app import files
 from app.case import quantities
 from app.errors import StoppedError, everywhere
-from app.heat.conduction import Conduction
+from app.heat.operators import HeatOperators
 from app.results import temperature_section
 from app.results.field_output import FieldGroup, Fields
 from app.results.interface_numbers import ContactSamples
@@ -170,14 +170,14 @@ class Writer:
         path = self.folder / "history.csv"
         _write(self._comm, lambda: write_text(path, csv_text(self._rows)), str(path))
 
-    def section(self, conduction: Conduction, record: ThermalRecord) -> None:
+    def section(self, operators: HeatOperators, record: ThermalRecord) -> None:
         """Draw the temperature in a section when the bone was hottest; collective."""
         with _full_disk(SECTION):
             temperature_section.section(
                 self.folder / SECTION,
-                conduction.tagged,
-                conduction.space.dofmap.list,
-                conduction.bodies.of_region,
+                operators.tagged,
+                operators.forms.space.dofmap.list,
+                operators.bodies.of_region,
                 record.hottest,
                 record.hottest_time,
                 record.hottest_at,

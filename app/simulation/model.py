@@ -13,11 +13,11 @@ import numpy as np
 
 import meshes
 from app.case.case import Case
-from app.heat.conduction import Conduction
-from app.heat.system import HeatSystem
+from app.heat.implicit_step import ImplicitStep
+from app.heat.operators import HeatOperators
 from app.mechanics.predictors import Predictor
 from app.mechanics.problem import Problem, TrialState
-from app.mechanics.systems import ContactSystem, mechanical
+from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System
 from app.results import gruen, interface_numbers
@@ -34,16 +34,11 @@ from app.simulation.thermal_model import ThermalModel
 from app.soundness import cost, well_posedness
 from app.stepping.coarse_start import CoarseModelStart
 from app.stepping.coupled_system import CoupledSystem
-from app.stepping.heat_steps import HeatState, HeatStep
+from app.stepping.heat_state import HeatState, HeatStep
+from app.stepping.heat_steps import HeatStepper, OnHeat
+from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
 from app.stepping.load_steps import LoadStep, LoadStepper, OnStep, Summary
-from app.stepping.stages import (
-    HeatStepper,
-    MechanicsBesideHeat,
-    OnHeat,
-    SolvedAfterHeat,
-    SolvedWithHeat,
-    run_stages,
-)
+from app.stepping.stages import run_stages
 from app.system import folders
 from app.system.timing import Timing
 from meshes.data import MeshData
@@ -94,8 +89,8 @@ class Model:
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
             self.mechanics = self._mechanics()
-            self._common, heatings = self._heat()
-            self.thermal = tuple(ThermalModel(case, h) for h in heatings)
+            heating = self._heat()
+            self.thermal = (ThermalModel(case, heating),) if heating else ()
         self._kin[:] = [m for m in self._kin if not self.deforms_like(m._case)] + [self]
 
     def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
@@ -163,17 +158,17 @@ class Model:
         solver, around_z = self._solver(mechanical(problem)), self._case.geometry.is_around_z
         return (Mechanical(problem, solver, around_z, self._timing),)
 
-    def _heat(self) -> tuple[tuple[CoupledSystem, ...], tuple[HeatState, ...]]:
+    def _heat(self) -> HeatState | None:
         """Heat and what solves it, where anything conducts."""
         if not self.scene.conductors:
-            return (), ()
-        conduction = Conduction(self.scene, self.tagged, self._timing)
-        heat = HeatSystem(conduction)
-        if not self.scene.coupled:
-            return (), (HeatState(self.scene, conduction, self._solver(heat)),)
-        (m,) = self.mechanics
-        system = CoupledSystem(self.scene, conduction, m.problem, heat, ContactSystem(m.problem))
-        return (system,), (HeatState(self.scene, conduction, self._solver(system)),)
+            return None
+        heat = ImplicitStep(HeatOperators(self.scene, self.tagged, self._timing))
+        coupled = None
+        if self.scene.coupled:
+            mechanics = self.mechanics[0]
+            committed = mechanics.solver.blocks()
+            coupled = CoupledSystem(self.scene, heat, mechanics.problem, committed)
+        return HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
@@ -220,29 +215,29 @@ class Model:
                 t.update(accepted)
             on_heat(step, accepted)
 
-        motion = tuple(
-            LoadStepper(m.problem, m.solver, on_step, on_trouble, (m.neighbours, *self._nested(m)))
-            for m in self.mechanics
-        )
-        march = tuple(
-            HeatStepper(t.heating, self._companions(t, motion), heated, on_trouble)
-            for t in self.thermal
-        )
-        self._walk = motion, march
-        run_stages(self.scene.stages, motion, march, begin, mark, resume())
+        load_stepper, heat_stepper = None, None
+        for m in self.mechanics:
+            predictors: tuple[Predictor, ...] = (m.neighbours, *self._nested(m))
+            load_stepper = LoadStepper(m.problem, m.solver, on_step, on_trouble, predictors)
+        for t in self.thermal:
+            beside = self._beside_heat(t.heating, load_stepper)
+            heat_stepper = HeatStepper(t.heating, beside, heated, on_trouble)
+        self._steppers = load_stepper, heat_stepper
+        run_stages(self.scene.stages, load_stepper, heat_stepper, begin, mark, resume())
         total = Summary()
-        for part in (*(m.total for m in motion), *(m.total for m in march)):
-            total.add(part)
+        for part in (load_stepper, heat_stepper):
+            if part is not None:
+                total.add(part.total)
         return total
 
     def saved_parts(self) -> dict[str, Any]:
         """All that the steps to come depend on, in the order in which it is restored."""
-        motion, march = self._walk
+        load_stepper, heat_stepper = self._steppers
         return {
             "mechanics": self.mechanics,
             "thermal": self.thermal,
-            "march": march,
-            "motion": motion,
+            "heat_stepper": heat_stepper,
+            "load_stepper": load_stepper,
         }
 
     def _nested(self, m: Mechanical) -> tuple[CoarseModelStart, ...]:
@@ -264,15 +259,16 @@ class Model:
         predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))
         return LoadStepper(m.problem, m.solver, lambda step, trial: None, log.debug, predictors)
 
-    def _companions(
-        self, thermal: ThermalModel, motion: tuple[LoadStepper, ...]
-    ) -> tuple[MechanicsBesideHeat, ...]:
+    @staticmethod
+    def _beside_heat(
+        heating: HeatState, load_stepper: LoadStepper | None
+    ) -> SolvedAfterHeat | SolvedWithHeat | None:
         """The mechanics beside the heat: in one system with it, or after it."""
-        heating = thermal.heating
-        if self._common:
-            (system,) = self._common
-            return tuple(SolvedWithHeat(m, heating, system) for m in motion)
-        return tuple(SolvedAfterHeat(m, heating, heating.options.mechanical_step) for m in motion)
+        if load_stepper is None:
+            return None
+        if heating.coupled is not None:
+            return SolvedWithHeat(load_stepper, heating, heating.coupled)
+        return SolvedAfterHeat(load_stepper, heating, heating.options.mechanical_step)
 
     # What is published of the state last committed
 

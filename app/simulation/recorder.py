@@ -27,7 +27,7 @@ from app.scene.scene import SceneStage
 from app.simulation.mechanical_model import Mechanical
 from app.simulation.model import Model
 from app.soundness import uniqueness
-from app.stepping.heat_steps import HeatStep
+from app.stepping.heat_state import HeatStep
 from app.stepping.load_steps import LoadStep, Summary
 from app.system.timing import Timing, peak_memory
 from forms.contact import OPEN, SLIP
@@ -241,7 +241,7 @@ class Recorder:
             self._fields()
         self._writer.last_fields()
         for t in self._model.thermal:
-            self._writer.section(t.conduction, t.record)
+            self._writer.section(t.operators, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
         """The summary of the state last committed; collective."""

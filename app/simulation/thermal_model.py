@@ -14,7 +14,7 @@ from app.results.cure_record import CureRecord
 from app.results.heat_balance import HeatBalance
 from app.results.interface_heat import exchange
 from app.results.thermal_record import ThermalRecord
-from app.stepping.heat_steps import HeatState, HeatStep
+from app.stepping.heat_state import HeatState, HeatStep
 
 # Heat below so many times what rounding leaves of it in a step is none.
 NOTHING = 1e7
@@ -24,7 +24,7 @@ class ThermalModel:
     """The heat of a model, and what is kept of it.
 
     Attributes:
-        conduction: The operators.
+        operators: The operators of heat.
         heating: Its state.
         record: Temperatures as far as they are reported.
         cure: Degrees of cure, if anything sets.
@@ -37,61 +37,62 @@ class ThermalModel:
 
     def __init__(self, case: Case, heating: HeatState) -> None:
         """Begin with the initial state; collective."""
-        conduction = heating.conduction
-        self.conduction, self.heating = conduction, heating
-        self._capacities = {c.region: c.capacity for c in conduction.scene.conductors}
-        self._names = [c.name for c in conduction.scene.thermal_contacts]
-        shares = {f.name: f.slave_share for f in conduction.scene.friction_heat}
+        operators = heating.operators
+        self.operators, self.heating = operators, heating
+        self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
+        self._names = [c.name for c in operators.scene.thermal_contacts]
+        shares = {f.name: f.slave_share for f in operators.scene.friction_heat}
         self._shares = np.array([shares.get(name, 0.0) for name in self._names])
         self.record = ThermalRecord(
-            conduction.tagged,
-            conduction.forms,
-            conduction.bodies.of_region,
+            operators.tagged,
+            operators.forms,
+            operators.bodies.of_region,
             case.geometry.interface_sides,
             case.of_tissue("bone"),
             [ProbedPoint(name, p.at, p.region or "") for name, p in case.output.probes.items()],
         )
-        self._first_contact = InitialJump(conduction)
+        self._first_contact = InitialJump(operators)
         # Once a steady state has been reached the first instants are over.
         self._settled = False
         self.record.start(self._reported(0.0))
-        self.cure: tuple[CureRecord, ...] = tuple(
-            CureRecord(conduction.comm, heating.degrees(), self._keys()) for _ in conduction.cures
+        keys = self._keys()
+        self.cure: tuple[CureRecord, ...] = (
+            (CureRecord(operators.comm, heating.degrees(), keys),) if keys else ()
         )
-        self.balance = HeatBalance(stored(conduction, heating.vectors()), {})
+        self.balance = HeatBalance(stored(operators, heating.vectors()), {})
         self.flows: dict[str, dict[str, float]] = {}
 
     def _keys(self) -> dict[str, NDArray[np.int64]]:
         """Keys of the nodes of each region that sets."""
-        nodes = self.conduction.row_keys
-        return {n.region: nodes[n.dof] for c in self.conduction.cures for n in c.nodes}
+        nodes, cure = self.operators.row_keys, self.operators.cure
+        return {n.region: nodes[n.dof] for n in cure.nodes} if cure else {}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Temperatures of the bodies, as they are reported at a time; collective."""
-        temperatures = self.conduction.temperatures(self.heating.vectors())
+        temperatures = self.operators.temperatures(self.heating.vectors())
         if not self._settled:
             self._first_contact.put(temperatures, seconds)
         return temperatures
 
     def update(self, accepted: HeatStep) -> None:
         """Take in a step; collective."""
-        heating, conduction = self.heating, self.conduction
+        heating, operators = self.heating, self.operators
         x = heating.vectors()
-        temperatures = conduction.temperatures(x)
-        exchanges = [
-            exchange(self._names, j, temperatures, τ.array, j.friction, self._shares[j.interface])
-            for j, τ in zip(conduction.jumps, x[1:], strict=True)
-        ]
+        temperatures = operators.temperatures(x)
+        exchanges = []
+        if (j := operators.jumps) is not None:
+            shares = self._shares[j.interface]
+            exchanges.append(exchange(self._names, j, temperatures, x[1].array, j.friction, shares))
         self._settled = self._settled or accepted.dt == 0.0
         temperatures = self._reported(accepted.seconds)
-        highest = conduction.bounds(x).high
+        highest = heating.step.bounds(x).high
         rates = heating.slopes() if heating.begins_at_event(accepted) else ()
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
         for cure in self.cure:
             cure.update(accepted.seconds, heating.degrees(), heating.rates())
-        self.flows = {"into": dict(accepted.flows), "through": through(conduction, x)}
-        heat = stored(conduction, x)
-        rounding = conduction.measure(x, conduction.vectors()).rounding
+        self.flows = {"into": dict(accepted.flows), "through": through(heating.step, x)}
+        heat = stored(operators, x)
+        rounding = heating.step.measure(x, heating.step.vectors())[0].rounding
         if accepted.dt == 0.0:
             # A model of one temperature lets nothing through but rounding.
             self.balance.steady(accepted.flows, heat, 1e2 * rounding)

@@ -103,12 +103,12 @@ class CoarseModelStart:
         problem = coarse.problem
         problem.set_stage(k, coarse.solver.u_and_q()[0])
 
-        def place(s: float) -> None:
+        def set_load(s: float) -> None:
             problem.set_time(begin + s * (time - begin))
 
         # A start that takes many steps to find is not worth it.
         stage = replace(problem.scene.stages[k], adaptive=False)
-        coarse.advance(stage, 1.0, place, begin, time)
+        coarse.run_path(stage, 1.0, set_load, begin, time)
         (source,) = problem.jumps
         self._known = [*self._known[-1:], (time, self._weights @ replicated(source))]
 

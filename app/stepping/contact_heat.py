@@ -27,7 +27,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.heat.conduction import Conduction
+from app.heat.operators import HeatOperators
 from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import ROUNDING, Problem, TrialState
 from app.numerics.sparse import from_triplets, owners
@@ -50,21 +50,21 @@ class ContactHeat:
     Attributes:
         heats: For each thermal body, nodal heat by friction power per area (nodes x points) [mm2].
         pressed: Pressure at the points of finite conductance by that at contact points, if any.
-        work: Work of friction per area since the time step began, as the heat knows it [N/mm].
+        friction_work: Work of friction per area since the time step began, in the heat [N/mm].
         expands: Regions whose expansion follows temperature; that of what sets is history.
     """
 
-    def __init__(self, scene: Scene, problem: Problem, conduction: Conduction) -> None:
+    def __init__(self, scene: Scene, problem: Problem, operators: HeatOperators) -> None:
         """Find who is where; collective."""
-        self._problem, self._conduction = problem, conduction
+        self._problem, self._operators = problem, operators
         self.expands = set(problem.mechanics.swelling)
         (j,) = problem.jumps
         comm, points = problem.comm, j.points
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
         self._n = len(j.mine)
-        self.start(np.inf, np.zeros(self._n))
-        self.work: Floats = np.zeros(self._n)
-        self.heats = _heats(scene, problem, conduction, number)
+        self.begin(np.inf, self.zero_work())
+        self.friction_work: Floats = self.zero_work()
+        self.heats = _heats(scene, problem, operators, number)
         heated = {f.name for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
         self.rubbing = np.isin(j.interface, [i for i, name in enumerate(names) if name in heated])
@@ -72,26 +72,29 @@ class ContactHeat:
             (names[i], v): n
             for i, v, n in zip(points.interface, points.vertex, number, strict=True)
         }
-        self.pressed: tuple[PETSc.Mat, ...] = ()
-        for t in conduction.jumps:
+        self.pressed: PETSc.Mat | None = None
+        if (t := operators.jumps) is not None:
             name = [scene.thermal_contacts[i].name for i in t.interface]
             found = np.array(
                 [known.get(key, -1) for key in zip(name, t.points.vertex[t.mine], strict=True)],
                 dtype=np.int64,
             )
             on = np.flatnonzero(found >= 0)
-            self.pressed = (
-                from_triplets(comm, len(found), self._n, on, found[on], np.ones(len(on))),
-            )
+            ones = np.ones(len(on))
+            self.pressed = from_triplets(comm, len(found), self._n, on, found[on], ones)
 
     def to_mechanics(self, heat: Sequence[PETSc.Vec]) -> None:
         """Set the temperatures that the mechanics use."""
         if self.expands:
-            self._conduction.temperatures(heat)
-            regions = {r: self._conduction.of_region(r) for r in self.expands}
+            self._operators.temperatures(heat)
+            regions = {r: self._operators.of_region(r) for r in self.expands}
             self._problem.set_temperature(regions)
 
-    def start(self, h: float, work: Floats) -> None:
+    def zero_work(self) -> Floats:
+        """Zero friction work per area at the start of a step (n,)."""
+        return np.zeros(self._n)
+
+    def begin(self, h: float, work: Floats) -> None:
         """Begin a stage.
 
         Args:
@@ -104,11 +107,12 @@ class ContactHeat:
         """Set the pressures and the friction heat that the heat equation uses."""
         (j,) = self._problem.jumps
         pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
-        self.work = np.where(self.rubbing, _dot(*self._rubbing(trial)), 0.0)
-        power = np.asarray((self.work - self._before) / self._h, dtype=np.float64)
-        for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
-            t.pressure = _times(P, pressure)
-        for friction in self._conduction.frictions:
+        self.friction_work = np.where(self.rubbing, _dot(*self._rubbing(trial)), 0.0)
+        power = np.asarray((self.friction_work - self._before) / self._h, dtype=np.float64)
+        jumps, friction = self._operators.jumps, self._operators.friction
+        if jumps is not None and self.pressed is not None:
+            jumps.pressure = _times(self.pressed, pressure)
+        if friction is not None:
             friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
@@ -117,9 +121,9 @@ class ContactHeat:
 
     def report(self, seconds: float) -> None:
         """Tell the heat what friction heats per area in the mean of a step of so many seconds."""
-        power = np.asarray(self.work / seconds, dtype=np.float64)
-        for P, t in zip(self.pressed, self._conduction.jumps, strict=True):
-            t.friction = _times(P, power)
+        power = np.asarray(self.friction_work / seconds, dtype=np.float64)
+        if self.pressed is not None and self._operators.jumps is not None:
+            self._operators.jumps.friction = _times(self.pressed, power)
 
     def _rubbing(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] at own points, each (n, 3)."""
@@ -166,11 +170,11 @@ class ContactHeat:
 
 
 def _heats(
-    scene: Scene, problem: Problem, conduction: Conduction, number: Ints
+    scene: Scene, problem: Problem, operators: HeatOperators, number: Ints
 ) -> dict[int, PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
     (j,) = problem.jumps
-    points, space = j.points, conduction.space
+    points, space = j.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
     vertices, first = np.unique(facets.vertices, return_index=True)
     dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
@@ -178,16 +182,16 @@ def _heats(
     own = (dof >= start) & (dof < end)
     shares = {f.name: f.slave_share for f in scene.friction_heat}
     β = np.array([shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
-    body_of = conduction.bodies.of_region
+    body_of = operators.bodies.of_region
     master = np.array([body_of[c.master[0]] for c in scene.contacts])
     slave = np.array([body_of[c.slave[0]] for c in scene.contacts])
     sides = list(zip((master, slave), interface_heat.friction_heat(1.0, β), strict=True))
     found: dict[int, PETSc.Mat] = {}
-    for b in range(len(conduction.bodies.names)):
+    for b in range(len(operators.bodies.names)):
         value = sum(np.where(body[points.interface] == b, share, 0.0) for body, share in sides)
         found[b] = from_triplets(
             problem.comm,
-            conduction.owned,
+            operators.forms.owned,
             len(j.mine),
             dof[own] - start,
             number[own],

@@ -15,15 +15,15 @@ from petsc4py import PETSc
 
 import numpy as np
 
-from app.heat.conduction import Conduction
-from app.heat.system import HeatSystem
+from app.arrays import Floats
+from app.heat.implicit_step import ImplicitStep
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import ContactSystem
 from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure, System
-from app.scene.scene import Scene
+from app.scene.scene import Scene, SceneStage
 from app.stepping.contact_heat import ContactHeat, PointDerivatives
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
@@ -43,21 +43,24 @@ class CoupledSystem(System):
     newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
 
     def __init__(
-        self,
-        scene: Scene,
-        conduction: Conduction,
-        problem: Problem,
-        heat: HeatSystem,
-        motion: ContactSystem,
+        self, scene: Scene, heat: ImplicitStep, problem: Problem, committed: list[PETSc.Vec]
     ) -> None:
-        """Set up the blocks between the two; collective."""
+        """Set up the blocks between the two; collective.
+
+        Args:
+            scene: The scene.
+            heat: Its heat.
+            problem: Its mechanics.
+            committed: Their converged state: displacement and jumps, kept up to date.
+        """
         self.comm = problem.comm
-        self._conduction, self._problem = conduction, problem
-        self._heat, self._motion = heat, motion
+        self._heat, self._problem, self._committed = heat, problem, committed
+        motion = self._motion = ContactSystem(problem)
         self.inverses = motion.inverses
         self.active = motion.active
-        self.exchange = ContactHeat(scene, problem, conduction)
+        self.exchange = ContactHeat(scene, problem, heat.operators)
         self._n = len(heat.blocks())
+        self._stage: tuple[int, SceneStage, float] | None = None
         self._forces = self._thermal_forces() if self.exchange.expands else None
         # Heat enters the rows of its nodes and of its jumps.
         self._nodes = self._entries()
@@ -70,6 +73,34 @@ class CoupledSystem(System):
             for row, more in zip(own, back, strict=False)
         ] or own
         self._down = self._from_heat()
+
+    def begin_stage(self, k: int, stage: SceneStage, start: float) -> None:
+        """Begin stage k, which starts at a time [s]."""
+        self._stage = k, stage, start
+
+    def begin(self, seconds: float, h: float, work: Floats) -> None:
+        """Prepare a solve.
+
+        Args:
+            seconds: Time at its end [s].
+            h: Its length [s]; infinite for a steady state.
+            work: Work of friction per area from which it starts (n,) [N/mm].
+        """
+        if self._stage is not None:
+            k, stage, start = self._stage
+            part = 1.0 if stage.steady else min((seconds - start) / stage.duration, 1.0)
+            self._problem.set_time(k + part)
+        self.exchange.begin(h, work)
+
+    def restore(self, x: list[PETSc.Vec]) -> None:
+        """Put the converged state of the mechanics into blocks x."""
+        for kept, v in zip(self._committed, x[self._n :], strict=True):
+            kept.copy(v)
+
+    def commit(self, x: list[PETSc.Vec]) -> None:
+        """Make blocks x the converged state of the mechanics."""
+        for kept, v in zip(self._committed, x[self._n :], strict=True):
+            v.copy(kept)
 
     @property
     def version(self) -> int:
@@ -129,7 +160,7 @@ class CoupledSystem(System):
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""
-        (heat,) = self._heat.measure(x[: self._n], f[: self._n])
+        heat = self._heat.measure(x[: self._n], f[: self._n])[0]
         noise = self.exchange.rounding(self._problem.trial(*x[self._n :]))
         heat = replace(heat, rounding=heat.rounding + noise)
         return [heat, *self._motion.measure(x[self._n :], f[self._n :])]
@@ -152,12 +183,10 @@ class CoupledSystem(System):
 
     def _thermal_forces(self) -> list[list[PETSc.Mat]]:
         """Forces of temperatures and temperature jumps on displacement and jumps, negative."""
-        moves = {
-            r: j.moves[b]
-            for j in self._conduction.jumps
-            for r, b in self._conduction.bodies.of_region.items()
-            if b in j.moves
-        }
+        operators = self._heat.operators
+        by_body = operators.jumps.moves if operators.jumps else {}
+        of_region = operators.bodies.of_region.items()
+        moves = {r: by_body[b] for r, b in of_region if b in by_body}
         G = self._problem.thermal_stiffness(moves)
         rows = [[G.u_θ, G.u_τ], [G.q_θ, G.q_τ]]
         shapes = [v.getSizes() for v in self.blocks().values()]
@@ -180,18 +209,16 @@ class CoupledSystem(System):
 
     def _entries(self) -> list[PETSc.Mat]:
         """Heat by friction power, negative: in the rows of temperature and of jumps."""
-        conduction = self._conduction
-        total = matrix_sum(list(self.exchange.heats.values()))
-        keep = conduction.vectors()
-        keep[0].array[:] = np.where(conduction.held, 0.0, -1.0)
-        total.diagonalScale(keep[0])
-        nodes = [total]
-        for j in conduction.jumps:
-            parts = [B.transposeMatMult(self.exchange.heats[b]) for b, B in j.moves.items()]
-            keep[1].array[:] = np.where(j.held, 0.0, -1.0)
-            jumps = matrix_sum(parts)
-            jumps.diagonalScale(keep[1])
-            nodes.append(jumps)
+        operators, heats = self._heat.operators, self.exchange.heats
+        keep = self._heat.vectors()
+        nodes = [matrix_sum(list(heats.values()))]
+        held = [operators.fixed.held]
+        if (j := operators.jumps) is not None:
+            nodes.append(matrix_sum([B.transposeMatMult(heats[b]) for b, B in j.moves.items()]))
+            held.append(j.held)
+        for A, v, h in zip(nodes, keep, held, strict=True):
+            v.array[:] = np.where(h, 0.0, -1.0)
+            A.diagonalScale(v)
         return nodes
 
     def _from_motion(
@@ -201,12 +228,12 @@ class CoupledSystem(System):
         (j,) = self._problem.jumps
         power = self._matrices(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
-        jumps, pressed = self._conduction.jumps, self.exchange.pressed
-        for t, P, τ in zip(jumps, pressed, x[1 : self._n], strict=True):
-            squeezed = P.copy()
-            by_pressure = τ.duplicate()
-            growth = t.weight * t.flux(τ.array)[2]
-            by_pressure.array[:] = np.where(t.held, 0.0, -growth)
+        jumps, pressed = self._heat.operators.jumps, self.exchange.pressed
+        if jumps is not None and pressed is not None:
+            squeezed = pressed.copy()
+            by_pressure = x[1].duplicate()
+            growth = jumps.weight * jumps.flux(x[1].array)[2]
+            by_pressure.array[:] = np.where(jumps.held, 0.0, -growth)
             squeezed.diagonalScale(by_pressure)
             pressure = self._matrices(self.exchange.pressure_rows(trial))
             rows[1] = [

@@ -1,318 +1,173 @@
-"""Heat on its way through time: the state, a time step of it, what it has released so far.
+"""Time steps of heat through a stage: equal, chosen by their error, or one to a steady state.
 
-A time step is that of `numerics.integrator`; each of its stages is one solve of the system of heat,
-or of heat and mechanics together where heat depends on contact (`stepping.coupled_system`).
+Mechanics that heat does not depend on follow it; mechanics that it does depend on are part of every
+one of its solves (`stepping.heated_mechanics`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Protocol
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar
 
-from mpi4py import MPI
-from petsc4py import PETSc
+from app.errors import ConvergenceError
+from app.numerics.integrator import Controller
+from app.scene.scene import SceneStage
+from app.soundness.failure import attempts
+from app.stepping.heat_state import HeatState, HeatStep
+from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat
+from app.stepping.load_steps import LoadStep, Summary, no_checkpoint
 
-import numpy as np
+# A time step below this part of its stage is given up.
+SHORTEST = 1e-10
 
-from app.arrays import Floats, Ints
-from app.heat.conduction import Conduction
-from app.heat.curing import as_temperature
-from app.heat.flows import flows
-from app.numerics import integrator
-from app.numerics.integrator import METHODS, Method, State
-from app.numerics.newton import NewtonResult, Solver
-from app.numerics.remedies import solve
-from app.scene.scene import Scene
-from app.stepping import stability
-from app.stepping.coupled_system import CoupledSystem
-from app.stepping.load_steps import Summary
-from app.stepping.thermal_loading import ThermalLoading, ThermalState
-
-# First step of a stage, as a part of an increment, where the rate of change is not known.
-FIRST = 1e-3
-# Times are equal up to this part of them.
-SAME = 1e-9
+OnHeat = Callable[[LoadStep, HeatStep], None]
 
 
-@dataclass(frozen=True)
-class HeatStep:
-    """A heat step that is history.
+@dataclass
+class HeatStepper:
+    """Time stepping of heat with error control.
 
     Attributes:
-        seconds: Time at its end, since the start of the run [s].
-        dt: Its length [s]; 0 for a steady state.
-        heats: Heat that entered the model by condition, as the integration sums it [N mm].
-        flows: Heat that enters at its end by condition [N mm/s].
-        outcome: What the solver said at its last stage.
+        heating: Its state.
+        mechanics: The mechanics beside it, if there are any.
+        on_heat: Called after each step, once it is history and the mechanics have followed.
+        on_trouble: Told in plain words what is tried when a step fails.
     """
 
-    seconds: float
-    dt: float
-    heats: dict[str, float]
-    flows: dict[str, float]
-    outcome: NewtonResult
+    saved: ClassVar = ("_under_way", "_begin", "_steps", "_controller", "mechanics")
 
+    heating: HeatState
+    mechanics: SolvedAfterHeat | SolvedWithHeat | None
+    on_heat: OnHeat
+    on_trouble: Callable[[str], None]
 
-class Beside(Protocol):
-    """Fields solved in one system with the heat."""
-
-    def none(self) -> Floats:
-        """What it gives off in a step that has not begun, which the step integrates."""
-
-    def place(self, seconds: float, h: float, given: Floats) -> None:
-        """Set it to a stage.
-
-        Args:
-            seconds: Time at its end.
-            h: Its length [s].
-            given: From how much that it has given off the stage starts.
-        """
-
-    def given(self) -> Floats:
-        """How much it has given off at the end of the stage last solved."""
-
-
-class HeatState:
-    """Temperatures, jumps and degrees of cure in time.
-
-    Attributes:
-        conduction: The operators.
-        solver: What solves a stage.
-        beside: What else is in its system, if anything.
-        system: Heat and mechanics in one, if they are.
-        outcome: What the solver said last.
-        state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
-        seconds: Time since the start of the run [s].
-        total: What it took so far.
-        notes: What is to be known about its states.
-        loading: What it tells the mechanics.
-    """
-
-    saved = ("seconds", "total", "notes", "state", "_slope", "loading", "conduction", "solver")
-
-    def __init__(self, scene: Scene, conduction: Conduction, solver: Solver) -> None:
-        """Begin at the initial temperatures; collective.
-
-        Args:
-            scene: The scene.
-            conduction: Its heat.
-            solver: Solver of its heat, or of heat and mechanics.
-        """
-        assert scene.time is not None
-        self.options = scene.time
-        self.conduction, self.solver = conduction, solver
-        self.beside: tuple[Beside, ...] = ()
-        self.system: CoupledSystem | None = None
-        self.outcome = NewtonResult(False, 0, 0, (), (), False)
-        self.method = METHODS[self.options.method]
-        self.seconds = 0.0
-        self.total = Summary()
-        self.notes: list[str] = []
-        self.state = self._state(conduction.initial())
-        self._slope: State = [np.zeros_like(part) for part in self.state]
-        self._stages: list[dict[str, float]] = []
-        self.put(self.state)
-        self._curing = [node for cure in conduction.cures for node in cure.nodes]
-        self.loading = ThermalLoading(scene, conduction)
+    def __post_init__(self) -> None:
+        """Begin with nothing under way."""
+        self._under_way = False
+        self._begin = 0.0
+        self._steps = 0
+        self._controller = Controller(self.heating.method)
+        self._checkpoint_point = no_checkpoint
 
     @property
-    def row_keys(self) -> dict[str, list[Ints]]:
-        """Keys of own nodes and points, by block."""
-        blocks = self.conduction.block_keys()
-        return {"state": blocks, "_slope": blocks}
+    def total(self) -> Summary:
+        """Counts of steps and iterations so far."""
+        return self.heating.total
 
-    def restored(self) -> None:
-        """Give restored temperatures to the solver."""
-        self.put(self.state)
+    def run_stage(
+        self, k: int, stage: SceneStage, checkpoint_point: Callable[[], None] = no_checkpoint
+    ) -> None:
+        """Go through a stage that takes time, or to a steady state."""
+        self._checkpoint_point = checkpoint_point
+        if not self._under_way:
+            self._begin, self._steps = self.heating.seconds, 0
+        if self.mechanics is not None:
+            self.mechanics.begin(k, stage, not self._under_way)
+        self._under_way = True
+        if stage.steady:
+            self._steady(k, stage)
+        elif stage.adaptive:
+            self._adaptive(k, stage)
+        else:
+            self._fixed(k, stage)
+        self._under_way = False
 
-    # Between lists of arrays and the vectors of the solver
-
-    def vectors(self) -> list[PETSc.Vec]:
-        """Temperatures and jumps as the solver has them."""
-        named = self.solver.blocks_by_name()
-        return [named[n] for n in ("temperature", "temperature_jump") if n in named]
-
-    def _state(self, x: Sequence[PETSc.Vec]) -> State:
-        return [*(v.array.copy() for v in x), *(a.copy() for a in self.conduction.degrees(x))]
-
-    def put(self, state: State) -> None:
-        """Put temperatures and jumps into the solver."""
-        for v, values in zip(self.vectors(), state, strict=False):
-            v.array[:] = values
-
-    # A time step
-
-    def norm(self, error: State) -> float:
-        """Largest error over its tolerance, of cure as the temperature it releases; collective."""
-        n = len(self.vectors())
-        errors = list(error[:n])
-        for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=True):
-            errors.append(as_temperature(degree, e, node.adiabatic_rise))
-        local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
-        return float(self.conduction.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
-
-    def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
-        """One stage."""
-        n, own = len(self.vectors()), len(self.state)
-        if not self.conduction.begin(start[:n], start[n:own], h, seconds):
-            return None
-        self.put(guess)
-        for other, given in zip(self.beside, start[own:], strict=True):
-            other.place(seconds, h, given)
-        self.outcome = solve(self.solver)
-        self.total.count(self.outcome)
-        if not self.outcome.converged:
-            return None
-        self._stages.append(flows(self.conduction, self.vectors()))
-        return [*self._state(self.vectors()), *(other.given() for other in self.beside)]
-
-    def _with_others(self, state: State) -> State:
-        """A state with what the fields beside the heat give off from there on."""
-        return [*state, *(other.none() for other in self.beside)]
-
-    def start(self, longest: float) -> float:
-        """Find the rate of change at the start of a stage, and a first step for it [s].
-
-        Where mechanics are in the system a step that is short beside everything would ask for slips
-        that are lost to rounding: nothing is known of the rate then.
-        """
-        first = FIRST * longest
-        if not self.beside:
-            shortest = 1e-6 * min(longest, 1.0)
-            slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
-            self._slope = slope or self._slope
-            first = integrator.first_step(self._slope, self.norm, longest)
-        return self.options.first_step or first
-
-    def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
-        """Solve a time step; None where a stage does not converge.
-
-        A step that may not be shorter is done by backward Euler then.
-
-        A step that leaves the extremes of the data is done again: where the mesh makes it, with the
-        edges that do (`heat.maximum_principle`), else by backward Euler.
-        """
-        state, slope = (self._with_others(part) for part in (self.state, self._slope))
-        for name in dict.fromkeys((self.method.name, "backward_euler")):
-            method = METHODS[name]
-            while True:
-                self._stages = []
-                found = integrator.step(method, state, slope, dt, self.seconds, self._solve)
-                if found is None or not self.conduction.outside(self.vectors()):
-                    break
-                if not self.conduction.correct(self.vectors()):
-                    break
-            if found is None and fixed:
-                continue
-            if found is None or not self.conduction.outside(self.vectors()):
-                break
-        if found is None:
-            return None
-        own = slice(len(self.state))
-        parts = {f.name: getattr(found, f.name)[own] for f in fields(found)}
-        return integrator.StageStep(**parts), method
-
-    def accept(self, found: integrator.StageStep, method: Method, dt: float) -> HeatStep:
-        """Make a step history."""
-        heats = {
-            name: dt
-            * sum(b * stage[name] for b, stage in zip(method.a[-1], self._stages, strict=True))
-            for name in self._stages[-1]
-        }
-        if self._curing:
-            n = len(self.vectors())
-            before = self._nodal(self.state), self.state[n:]
-            self.loading.strain(before, (self._nodal(found.state), found.state[n:]))
-        self.conduction.settle(self.vectors())
-        self.state, self._slope = found.state, found.slope
-        self.seconds += dt
-        self.total.steps += 1
-        return HeatStep(self.seconds, dt, heats, self._stages[-1], self.outcome)
-
-    def rest(self) -> HeatStep | None:
-        """Go to the steady state; None if it does not converge."""
-        self._stages = []
-        found = self._solve(self._with_others(self.state), np.inf, self.seconds, self.state)
-        if found is None:
-            return None
-        found = found[: len(self.state)]
-        self.state, self._slope = found, [np.zeros_like(part) for part in found]
-        self.total.steps += 1
-        return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
-
-    def examine(self, stage: str) -> None:
-        """Note if the steady state just found is one that nothing stays in; collective.
-
-        Only where pressures that follow temperature change the conductance, and nothing sets.
-
-        Args:
-            stage: Name of its stage.
-        """
-        system = self.system
-        if system is None or self.sets:
+    def _steady(self, k: int, stage: SceneStage) -> None:
+        if self._steps:
             return
-        if not (system.exchange.expands and system.exchange.pressed):
-            return
-        n = len(self.vectors())
-
-        def begin(h: float) -> None:
-            self.conduction.begin(self.state[:n], self.state[n:], h, self.seconds)
-
-        named = self.solver.blocks_by_name()
-        x = [named[name] for name in system.blocks()]
-        unstable = stability.grows(system, x, begin)
-        begin(np.inf)
-        self.put(self.state)
-        system.residual(x, [v.duplicate() for v in x])
-        if unstable:
-            self.notes.append(
-                f"the steady state of stage '{stage}' is not stable: a small change grows, so that "
-                "nothing stays in it; other initial temperatures, or a stage with a `duration`, "
-                "lead to another"
+        started = clock.perf_counter()
+        accepted = self.heating.solve_steady()
+        if accepted is None:
+            raise ConvergenceError(
+                f"no steady state in stage '{stage.name}': "
+                "heat and the fields coupled to it did not converge\n"
+                "  what to change: give the stage a duration instead"
             )
+        self.heating.warn_if_unstable(stage.name)
+        self._finish_step(k, stage, 1.0, accepted, started, True)
 
-    # What others ask of the state
+    def _fixed(self, k: int, stage: SceneStage) -> None:
+        """Equal steps, whatever their error, divided at events."""
+        heating, whole = self.heating, stage.duration / stage.increments
+        if not self._steps:
+            heating.start(whole)
+        tiny, steps = SHORTEST * stage.duration, []
+        for n in range(stage.increments):
+            inside = [e - self._begin - n * whole for e in heating.events]
+            ends = [0.0, *(e for e in inside if tiny < e < whole - tiny), whole]
+            steps += [(b - a, n + b / whole, b == whole) for a, b in pairwise(ends)]
+        for dt, done, at_end in steps[self._steps :]:
+            started = clock.perf_counter()
+            found = heating.attempt(dt, fixed=True)
+            if found is None:
+                raise ConvergenceError(self._failure_text(stage, dt))
+            accepted = heating.accept(*found, dt)
+            self._finish_step(k, stage, done / stage.increments, accepted, started, at_end)
 
-    @property
-    def sets(self) -> bool:
-        """Whether anything cures."""
-        return bool(self._curing)
+    def _adaptive(self, k: int, stage: SceneStage) -> None:
+        """Steps chosen by their error."""
+        heating, begin = self.heating, self._begin
+        whole = stage.duration / stage.increments
+        ends = [begin + (n + 1) * whole for n in range(stage.increments)]
+        events = [*ends, *(e for e in heating.events if begin < e < ends[-1])]
+        controller = self._controller
+        controller.events = sorted(events)
+        if not self._steps:
+            controller.begin(min(heating.start(whole), whole))
+        tiny = SHORTEST * stage.duration
+        while heating.seconds < ends[-1] - tiny:
+            started = clock.perf_counter()
+            while True:
+                dt = controller.propose(heating.seconds)
+                found = heating.attempt(dt)
+                if found is None:
+                    controller.failed(dt)
+                elif controller.judge(dt, heating.norm(found[0].error)):
+                    break
+                heating.total.rejected += 1
+                if dt < tiny:
+                    raise ConvergenceError(self._failure_text(stage, dt))
+            accepted = heating.accept(*found, dt)
+            at_end = min(abs(heating.seconds - e) for e in ends) < tiny
+            self._finish_step(k, stage, self._done(stage), accepted, started, at_end)
 
-    @property
-    def events(self) -> tuple[float, ...]:
-        """Times that no step may cross [s]."""
-        scene = self.conduction.scene
-        courses = [t for c in scene.heat for t, _ in getattr(c, "course", None) or ()]
-        curing = [t for cure in self.conduction.cures for t in cure.curing.events]
-        return tuple(sorted({*courses, *curing}))
+    def _done(self, stage: SceneStage) -> float:
+        return min((self.heating.seconds - self._begin) / stage.duration, 1.0)
 
-    def begins_at_event(self, accepted: HeatStep) -> bool:
-        """Whether a step begins where the one before had to end."""
-        begin = accepted.seconds - accepted.dt
-        return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
+    def _finish_step(
+        self,
+        k: int,
+        stage: SceneStage,
+        part: float,
+        accepted: HeatStep,
+        started: float,
+        whole: bool,
+    ) -> None:
+        """Solve the mechanics that follow the heat, and report the step."""
+        time = k + (1.0 if part > 1 - SHORTEST else part)
+        if self.mechanics is not None:
+            self.mechanics.follow(time, whole)
+        seconds = clock.perf_counter() - started
+        step = LoadStep(self.total.steps, stage.name, time, accepted.outcome, 1.0, seconds, whole)
+        self.on_heat(step, accepted)
+        self._steps += 1
+        self._checkpoint_point()
 
-    def slopes(self) -> list[Floats]:
-        """Rates of change of temperature at own nodes of each body [K/s]."""
-        return self._nodal(self._slope)
-
-    def degrees(self) -> dict[str, Floats]:
-        """Degrees of cure of own nodes of each region that sets."""
-        n = len(self.vectors())
-        return {c.region: a for c, a in zip(self._curing, self.state[n:], strict=True)}
-
-    def rates(self) -> dict[str, Floats]:
-        """Their rates [1/s]."""
-        n = len(self.vectors())
-        return {c.region: a for c, a in zip(self._curing, self._slope[n:], strict=True)}
-
-    def _nodal(self, state: State) -> list[Floats]:
-        """Temperatures of own nodes of each body in a state [K]."""
-        x = self.conduction.vectors()
-        for v, values in zip(x, state, strict=False):
-            v.array[:] = values
-        return self.conduction.nodal(x)
-
-    def warmth(self) -> ThermalState:
-        """Input of the mechanics at the current state; collective."""
-        return self.loading.at(self._nodal(self.state), self.state[len(self.vectors()) :])
+    def _failure_text(self, stage: SceneStage, dt: float) -> str:
+        outcome = self.heating.outcome
+        tail = ", ".join(f"{r:.1e}" for r in outcome.residuals[-6:]) or "none"
+        advice = (
+            "a larger time.tolerance or smaller changes (a slower reaction, weaker coupling)"
+            if stage.adaptive
+            else "more increments, or adaptive: true"
+        )
+        return (
+            f"no convergence in stage '{stage.name}' at {100 * self._done(stage):.3g} % of it, "
+            f"with a time step of {dt:.3g} s\n"
+            f"  last residuals (relative to heat or forces): {tail}\n"
+            f"  tried: {attempts(outcome.tried)}\n"
+            f"  what to change: {advice}"
+        )

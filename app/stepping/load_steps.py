@@ -73,21 +73,19 @@ class Summary:
 
 
 OnStep = Callable[[LoadStep, TrialState | None], None]
-# Called where a run may be taken up again.
-Mark = Callable[[], None]
 
 
-def unmarked() -> None:
-    """Nothing is kept."""
+def no_checkpoint() -> None:
+    """Save nothing where a run may be saved."""
 
 
 @dataclass
 class Progress:
-    """How far a path of loads has been gone.
+    """Progress along a path of loads.
 
     Attributes:
         step: Next step, as a part of the path; 0 where no path has been begun.
-        done: What is behind.
+        done: Part of the path that is behind.
         cuts: How often the step was halved, less how often it has grown since.
     """
 
@@ -95,21 +93,37 @@ class Progress:
     done: float = 0.0
     cuts: int = 0
 
+    def goal(self, whole: float) -> float:
+        """End of the increment under way, which a shortened step does not go beyond."""
+        goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
+        return 1.0 if goal > 1.0 - 1e-9 else goal
+
+    def halve(self, reach: float) -> None:
+        """Try half of a step that failed."""
+        self.cuts += 1
+        self.step = (reach - self.done) / 2
+
+    def advance(self, reach: float, whole: float, easy: bool) -> None:
+        """Take a step, and a longer one next if it was easy."""
+        self.done = reach
+        if easy and self.step < whole:
+            self.step, self.cuts = min(GROWTH * self.step, whole), max(self.cuts - 1, 0)
+
 
 @dataclass
 class LoadStepper:
-    """The mechanics of a scene on their way through the stages.
+    """Load stepping: predict, solve, halve on failure, commit.
 
     Attributes:
-        problem: What is solved.
+        problem: The mechanical problem.
         solver: Its solver.
         on_step: Called after each converged step, once it is history.
         on_trouble: Told in plain words what is tried when a step fails.
-        predictors: What may know a better start for a step than the line through those before it.
-        total: What it took so far.
+        predictors: Predictors beside the line through the last states.
+        total: Counts of steps and iterations so far.
     """
 
-    saved: ClassVar = ("_way", "total")
+    saved: ClassVar = ("_progress", "total")
 
     problem: Problem
     solver: Solver
@@ -122,59 +136,62 @@ class LoadStepper:
         """The line through the last states comes first."""
         self._line = Extrapolation(self.solver)
         self.predictors = (self._line, *self.predictors)
-        self._way = Progress()
+        self._progress = Progress()
 
-    def load(self, k: int, stage: SceneStage, mark: Mark = unmarked) -> None:
-        """Load steps through a stage that takes no time."""
+    def run_stage(
+        self, k: int, stage: SceneStage, checkpoint_point: Callable[[], None] = no_checkpoint
+    ) -> None:
+        """Take load steps through a stage that takes no time."""
         whole = 1.0 / stage.increments
-        if not self._way.step:
-            self._way = Progress(whole)
-        self.advance(
-            stage, whole, lambda s: self.problem.set_time(k + s), k, k + 1, self._way, mark
-        )
-        self._way = Progress()
+        if not self._progress.step:
+            self._progress = Progress(whole)
 
-    def advance(
+        def set_load(s: float) -> None:
+            self.problem.set_time(k + s)
+
+        self.run_path(stage, whole, set_load, k, k + 1, self._progress, checkpoint_point)
+        self._progress = Progress()
+
+    def run_path(
         self,
         stage: SceneStage,
         whole: float,
-        place: Callable[[float], None],
+        set_load: Callable[[float], None],
         begin: float,
         end: float,
-        way: Progress | None = None,
-        mark: Mark = unmarked,
+        progress: Progress | None = None,
+        checkpoint_point: Callable[[], None] = no_checkpoint,
     ) -> None:
         """Go along a path of loads, temperatures and supports.
 
         Args:
-            stage: What may be cut, and how often.
+            stage: Whether steps may be cut, and how often.
             whole: Largest step, as a part of the path.
-            place: Sets the problem to a point of the path, 0 to 1.
+            set_load: Sets the problem to a point of the path, 0 to 1.
             begin: Time at its begin.
             end: Time at its end.
-            way: How far it has been gone already; kept up to date.
-            mark: Called after each step.
+            progress: Progress so far; kept up to date.
+            checkpoint_point: Called after each step.
 
         Raises:
             ConvergenceError: A step cannot be made smaller or may not be, or a body runs away.
         """
         problem, solver = self.problem, self.solver
-        way = way or Progress(whole)
+        progress = progress or Progress(whole)
         self._line.begin(begin)
-        while way.done < 1.0:
-            started = clock.perf_counter()
-            # Where the increment under way ends, which a shortened step does not go beyond.
-            goal = (math.floor(way.done / whole + 1e-9) + 1) * whole
-            goal = 1.0 if goal > 1.0 - 1e-9 else goal
-            reach = goal if way.done + 1.001 * way.step > goal else way.done + way.step
+        while progress.done < 1.0:
+            started, goal = clock.perf_counter(), progress.goal(whole)
             start, predictors = solver.x.copy(), self.predictors
             halved: list[float] = []
             while True:
-                place(reach)
+                near = progress.done + 1.001 * progress.step > goal
+                reach = goal if near else progress.done + progress.step
+                time = begin + reach * (end - begin)
+                set_load(reach)
                 problem.update_stiffness()
                 for p in predictors:
-                    p.predict(begin + reach * (end - begin))
-                led = predictors and not same(start, solver.x)
+                    p.predict(time)
+                predicted = predictors and not same(start, solver.x)
                 outcome = solve(solver)
                 self.total.count(outcome)
                 if outcome.converged:
@@ -183,26 +200,20 @@ class LoadStepper:
                 start.copy(solver.x)
                 predictors = ()
                 why = explain(problem, solver, outcome)
-                if led:
+                if predicted:
                     self.on_trouble(f"{why.short}; repeating without extrapolation")
                     continue
                 # Smaller steps do not help a free body: one is tried, no more.
-                hopeless = bool(why.free) and way.cuts > 0
-                if not stage.adaptive or way.cuts == stage.max_cut_backs or hopeless:
-                    at = begin + reach * (end - begin)
-                    raise ConvergenceError(why.text(stage.name, at - int(begin), halved))
-                way.cuts += 1
-                way.step = (reach - way.done) / 2
-                halved.append(way.step)
-                reach = way.done + way.step
-                words = f"step halved to {way.step:.4g} of stage '{stage.name}'"
-                self.on_trouble(f"{why.short}; {words}")
-            at = begin + reach * (end - begin)
-            self.commit(stage, at, outcome, started, reach == goal)
-            way.done = reach
-            if outcome.iterations <= EASY_ITERATIONS and way.step < whole:
-                way.step, way.cuts = min(GROWTH * way.step, whole), max(way.cuts - 1, 0)
-            mark()
+                most = min(1, stage.max_cut_backs) if why.free else stage.max_cut_backs
+                if not stage.adaptive or progress.cuts >= most:
+                    raise ConvergenceError(why.text(stage.name, time - int(begin), halved))
+                progress.halve(reach)
+                halved.append(progress.step)
+                how = f"step halved to {progress.step:.4g} of stage '{stage.name}'"
+                self.on_trouble(f"{why.short}; {how}")
+            self.commit(stage, time, outcome, started, reach == goal)
+            progress.advance(reach, whole, outcome.iterations <= EASY_ITERATIONS)
+            checkpoint_point()
 
     def commit(
         self, stage: SceneStage, time: float, outcome: NewtonResult, started: float, whole: bool
@@ -210,8 +221,8 @@ class LoadStepper:
         """Accept the state of the solver as history and report the step; collective.
 
         Args:
-            stage: Under way.
-            time: At the end of the step.
+            stage: The stage under way.
+            time: Time at the end of the step.
             outcome: Outcome of the nonlinear solve.
             started: When the step began.
             whole: Whether it ends an increment.

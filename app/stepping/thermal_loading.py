@@ -13,8 +13,8 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Floats, Ints
-from app.heat.conduction import Conduction
 from app.heat.curing import FreeStrain, since_gelation
+from app.heat.operators import HeatOperators
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import node_keys
 from app.scene.scene import Scene
@@ -43,34 +43,34 @@ class ThermalLoading:
 
     saved = ("_strains",)
 
-    def __init__(self, scene: Scene, conduction: Conduction) -> None:
+    def __init__(self, scene: Scene, operators: HeatOperators) -> None:
         """Begin without strain.
 
         Args:
             scene: The scene.
-            conduction: Its heat.
+            operators: Its heat.
         """
         assert scene.time is not None
-        self._conduction, self._step = conduction, scene.time.mechanical_step
-        n = len(conduction.bodies.names)
-        self._temperatures = [fem.Function(conduction.space) for _ in range(n)]
-        self._curing = [node for cure in conduction.cures for node in cure.nodes]
-        self._degrees = [fem.Function(conduction.space) for _ in self._curing]
-        self._strains = [fem.Function(conduction.space) for _ in self._curing]
+        self._operators, self._step = operators, scene.time.mechanical_step
+        n = len(operators.bodies.names)
+        self._temperatures = [fem.Function(operators.forms.space) for _ in range(n)]
+        self._curing = operators.cure.nodes if operators.cure else []
+        self._degrees = [fem.Function(operators.forms.space) for _ in self._curing]
+        self._strains = [fem.Function(operators.forms.space) for _ in self._curing]
         expansion = {x.region: x.expansion for x in scene.expansions}
         self._free = [
-            FreeStrain(conduction.comm, c, expansion.get(c.region, 0.0), n)
+            FreeStrain(operators.comm, c, expansion.get(c.region, 0.0), n)
             for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
         ]
 
     @cached_property
     def row_keys(self) -> Ints:
         """Keys of nodes, ghosts too."""
-        return node_keys(self._conduction.space)
+        return node_keys(self._operators.forms.space)
 
     def _put(self, function: fem.Function, own: Floats) -> None:
         """Own values of a function, and those of ghosts; collective."""
-        function.x.array[: self._conduction.owned] = own
+        function.x.array[: self._operators.forms.owned] = own
         function.x.scatter_forward()
 
     # In time
@@ -122,9 +122,9 @@ class ThermalLoading:
             node.adiabatic_rise * float(np.abs(s - t).max())
             for node, s, t in zip(self._curing, a.degrees, b.degrees, strict=True)
         ]
-        return float(self._conduction.comm.allreduce(max(sizes), MPI.MAX))
+        return float(self._operators.comm.allreduce(max(sizes), MPI.MAX))
 
-    def followed(self, a: ThermalState, b: ThermalState) -> float:
+    def largest_step(self, a: ThermalState, b: ThermalState) -> float:
         """Largest step of the mechanics between two states, as a part of the way; collective."""
         return 1.0 / max(math.ceil(self.distance(a, b) / self._step - SAME), 1)
 
@@ -146,11 +146,11 @@ class ThermalLoading:
         ):
             for function, x, y in zip(functions, before, after, strict=True):
                 function.x.array[:] = (1 - s) * x + s * y
-        for k, cure in enumerate(self._conduction.scene.cures):
+        for k, cure in enumerate(self._operators.scene.cures):
             share = since_gelation(cure.gel, a.degrees[k], b.degrees[k], s)
             self._strains[k].x.array[:] = (1 - share) * a.strains[k] + share * b.strains[k]
-        of_region = self._conduction.bodies.of_region
-        expanding = [x.region for x in self._conduction.scene.expansions]
+        of_region = self._operators.bodies.of_region
+        expanding = [x.region for x in self._operators.scene.expansions]
         problem.set_temperature({r: self._temperatures[of_region[r]] for r in expanding})
         names = [c.region for c in self._curing]
         problem.set_cure(

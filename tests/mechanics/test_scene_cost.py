@@ -260,7 +260,7 @@ def bill(
             count(mechanics_assembly.fem, name, "forms", "integrals")
         count(heat_forms.HeatForms, "_form", "heat_forms")
         patch.setattr(model, "Solver", solver)
-        for name, absent in (("Problem", not elastic), ("Conduction", not heated)):
+        for name, absent in (("Problem", not elastic), ("HeatOperators", not heated)):
             if absent:
                 patch.setattr(model, name, refuse)
         case = support.case(text, *overrides)

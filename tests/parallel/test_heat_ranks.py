@@ -16,9 +16,9 @@ import json, sys
 from dataclasses import replace
 import numpy as np
 from mpi4py import MPI
-from app.heat.conduction import Conduction
 from app.heat.flows import flows, stored
-from app.heat.system import HeatSystem
+from app.heat.implicit_step import ImplicitStep
+from app.heat.operators import HeatOperators
 from app.numerics.newton import Solver
 from app.numerics.remedies import solve
 from app.laws.fibres import Circumferential
@@ -47,13 +47,14 @@ terms = Scene(
                       laws.interface("cement_bone", ("bone",), ("cement",), (.3, 0., np.inf))),
     cures=(laws.cure("cement", laws.BALIGA, .05),),
 )
-c = Conduction(terms, tagged, Timing())
-s = Solver(HeatSystem(c), 1e-11, 30, "direct", {}, Timing())
-(j,) = c.jumps
+o = HeatOperators(terms, tagged, Timing())
+c = ImplicitStep(o)
+s = Solver(c, 1e-11, 30, "direct", {}, Timing())
+j = o.jumps
 j.pressure[:] = 1 + j.points.x[j.mine, 2] / 10
 x = c.initial()
 for v, w in zip(s.blocks(), x): w.copy(v)
-found, degrees = {"stored": [stored(c, x)]}, c.degrees(x)
+found, degrees = {"stored": [stored(o, x)]}, c.degrees(x)
 for k, dt in enumerate((.01, .1, 1., 10.)):
     if k == 2:
         # As if everything had left its bounds, at 0 K: all edges out.
@@ -61,11 +62,11 @@ for k, dt in enumerate((.01, .1, 1., 10.)):
     assert c.begin([v.array.copy() for v in s.blocks()], degrees, dt, dt)
     assert solve(s).converged
     degrees = c.degrees(s.blocks())
-    found["stored"].append(stored(c, s.blocks()))
+    found["stored"].append(stored(o, s.blocks()))
     for name, flow in flows(c, s.blocks()).items():
         found.setdefault(name, []).append(flow)
     q = float(np.sum(j.weight * j.flux(s.blocks()[1].array)[0] ** 2))
-    a = float(sum(np.sum(n.heat * d) for n, d in zip(c.cures[0].nodes, degrees)))
+    a = float(sum(np.sum(n.heat * d) for n, d in zip(o.cure.nodes, degrees)))
     for name, value in (("flux", q), ("cured", a)):
         found.setdefault(name, []).append(tagged.mesh.comm.allreduce(value))
 found["held"] = [tagged.mesh.comm.allreduce(int(j.held.sum()))]

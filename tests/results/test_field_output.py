@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from dolfinx import fem
 
-from app.heat.conduction import Conduction
+from app.heat.implicit_step import ImplicitStep
+from app.heat.operators import HeatOperators
 from app.results.field_output import Fields, HeatFields, OutputNodes
 from app.results.interface_numbers import ContactSamples
 from app.results.reading import shape_functions
@@ -52,24 +53,23 @@ def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
         conductors=conductors,
         thermal_contacts=(contact,) if resists else (),
     )  # fmt: skip
-    conduction = Conduction(scene, tagged, Timing())
-    state = conduction.vectors()
-    x = conduction.space.tabulate_dof_coordinates()[: conduction.owned]
+    operators = HeatOperators(scene, tagged, Timing())
+    forms = operators.forms
+    state = ImplicitStep(operators).vectors()
+    x = forms.space.tabulate_dof_coordinates()[: forms.owned]
     # The master side has the continuous field.
     bone = ZERO + 40 + 4 * x[:, 2] + x[:, 1]
     colder = (10 + x[:, 0]) if resists else 0.0
     state[0].array[:] = np.where(x[:, 2] < 1.999, bone, bone - colder)
-    for j, τ in zip(conduction.jumps, state[1:], strict=True):
-        τ.array[:] = 10 + x[j.dof, 0]
-    record = ThermalRecord(
-        tagged, conduction.forms, conduction.bodies.of_region, SIDES, ("bone",), ()
-    )
-    temperatures = conduction.temperatures(state)
+    if operators.jumps is not None:
+        state[1].array[:] = 10 + x[operators.jumps.dof, 0]
+    record = ThermalRecord(tagged, forms, operators.bodies.of_region, SIDES, ("bone",), ())
+    temperatures = operators.temperatures(state)
     record.start(temperatures)
     record.update(60.0, temperatures)
     degree = x[record.exposure("cement")[0].dof, 0] / 5
     heating: Any = SimpleNamespace(
-        conduction=conduction, vectors=lambda: state, degrees=lambda: {"cement": degree}
+        operators=operators, vectors=lambda: state, degrees=lambda: {"cement": degree}
     )
     return HeatFields(heating, record, SIDES)
 

@@ -45,10 +45,10 @@ def test_taylor_remainder_is_of_second_order(
     """Of every block, off a solution with points that are open, stick and slip."""
     c = coupled.solve(monkeypatch, *overrides)
     solver, problem = c.solver, c.model.mechanics[0].problem
-    conduction, (j,) = c.model.thermal[0].conduction, problem.jumps
+    operators, (j,) = c.model.thermal[0].operators, problem.jumps
     held = [
-        conduction.held,
-        *(t.held for t in conduction.jumps),
+        operators.fixed.held,
+        *([operators.jumps.held] if operators.jumps else []),
         problem.held,
         j.points.held[j.mine].ravel(),
     ]
@@ -209,17 +209,17 @@ def test_insulated_bodies_keep_all_of_it(monkeypatch: pytest.MonkeyPatch, perfec
         "solver.tolerance=1e-12",
     )
     heating = c.model.thermal[0].heating
-    conduction = heating.conduction
+    operators = heating.operators
     released = c.dissipated[-1] - c.before
     warmed = [
         float((m * (T - 310.15)).sum())
-        for m, T in zip(conduction.capacity, conduction.nodal(heating.vectors()), strict=True)
+        for m, T in zip(operators.capacity, operators.nodal(heating.vectors()), strict=True)
     ]
     assert released > 0.01
     assert sum(warmed) == pytest.approx(released, rel=1e-8)
     if not perfect:
         # The first side is the lower block.
-        lower = warmed[conduction.bodies.of_region["lower"]]
+        lower = warmed[operators.bodies.of_region["lower"]]
         assert lower == pytest.approx(share * released, rel=1e-8)
 
 

@@ -205,7 +205,7 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], J
         times.append(step.time)
         states.append(State(interfaces, displacement, step.outcome.iterations))
 
-    run_stages(terms.stages, (LoadStepper(problem, solver, on_step, print),), ())
+    run_stages(terms.stages, LoadStepper(problem, solver, on_step, print), None)
     return times, states, jumps
 
 

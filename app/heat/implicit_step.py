@@ -1,0 +1,294 @@
+r"""One implicit solve of temperature and temperature jumps, as the solver sees it.
+
+A stage of a time step asks for the state at the end of an interval h that started at T*. Unknowns
+are θ with the rows Σ r_b = 0 and τ with the rows Σ B_b^T r_b - W q = 0 (r_b, B_b: `heat.operators`,
+`heat.temperature_jumps`). In a steady solve 1/h is zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from app.arrays import Floats
+from app.errors import InputError
+from app.heat.matrices import HeatMatrices
+from app.heat.maximum_principle import Bounds
+from app.heat.operators import HeatOperators
+from app.heat.temperature_jumps import cut_off
+from app.numerics.active_set import ActiveSet
+from app.numerics.preconditioners import INTERFACE, MULTIGRID, Options, is_direct
+from app.numerics.system import Measure, System, size
+
+# Rounding of a row in units of eps |diagonal| |temperature|: about the root of its entries.
+ROUNDING = 2.0
+# Heat is asked for this part of the solver's tolerance: errors of hundreds of solves add up in its
+# balance, and temperatures are kept between their bounds to 1e-9 of the range.
+STRICTER = 1e-2
+KEPT_FACTORS: Options = {
+    "pc_type": "python",
+    "pc_python_type": "app.heat.preconditioner.KeptFactors",
+}
+
+
+@dataclass(frozen=True)
+class HeatEvaluation:
+    """Nodal values of one state, shared by its residual, Jacobian and reports.
+
+    Attributes:
+        given: The state, and pressures and heat of friction, which are set from outside.
+        T: Temperature of own nodes of each body [K].
+        lacking: Heat that they lack, interfaces left out [N mm/s].
+        parts: What balances in it, conduction left out [N mm/s].
+        flux: Heat through own points by area, and its derivatives (`TemperatureJumps.flux`).
+    """
+
+    given: list[Floats]
+    T: list[Floats]
+    lacking: list[Floats]
+    parts: list[Floats]
+    flux: tuple[Floats, Floats, Floats] | None
+
+
+class ImplicitStep(System):
+    """The solve that ``begin`` prepared.
+
+    Attributes:
+        operators: The operators of heat.
+        seconds: Time at the end of the solve last begun [s].
+    """
+
+    prefix = "mantle_heat_"
+    # Nearly linear: two iterations do if the first is solved well.
+    newton: Options = {"ksp_rtol": 1e-5}  # noqa: RUF012
+    saved = ("operators",)
+
+    def __init__(self, operators: HeatOperators) -> None:
+        self.operators, self.comm = operators, operators.comm
+        # Conduction has no states to change.
+        self.active = ActiveSet(self.comm)
+        self.seconds = 0.0
+        self._held = operators.fixed.held
+        self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._held)
+        self._rate = 1.0
+        self._start, self._heats = operators.forms.zeros(), operators.forms.zeros()
+        self._given: list[Floats] = []
+        self._last: HeatEvaluation | None = None
+        self._work = self._blocks.matrix[0][0].createVecs()
+        self._fill()
+
+    def restored(self) -> None:
+        """Fill the matrices with restored conduction; collective."""
+        self._fill()
+
+    @property
+    def version(self) -> int:
+        """Changes of the matrices from one time step to the next."""
+        return self._blocks.version
+
+    def blocks(self) -> dict[str, PETSc.Vec]:
+        """Temperature, and with finite conductance its jumps."""
+        # No interface, no second block.
+        return dict(zip(("temperature", "temperature_jump"), self.vectors(), strict=False))
+
+    def vectors(self) -> list[PETSc.Vec]:
+        """New vectors: temperature of own nodes, and with jumps those of own points."""
+        return self._blocks.vectors()
+
+    def matrices(self) -> list[list[PETSc.Mat | None]]:
+        """Capacity, conduction and exchange; conductance."""
+        return [list(row) for row in self._blocks.matrix]
+
+    def options(self, linear: str) -> dict[str, Options]:
+        """Both blocks at once if direct; multigrid for the temperature, direct for the jumps."""
+        if is_direct(linear, self._blocks.matrix[0][0].getSize()[0]):
+            # Jumps are strong where conductance is low: taken in turns they take many turns.
+            return {"": KEPT_FACTORS}
+        every: dict[str, Options] = {"temperature": MULTIGRID, "temperature_jump": INTERFACE}
+        return {name: every[name] for name in self.blocks()}
+
+    def initial(self) -> list[PETSc.Vec]:
+        """The state at the start."""
+        operators, x = self.operators, self.vectors()
+        T = operators.initial()
+        if (j := operators.jumps) is not None:
+            table = np.array(T)
+            x[1].array[:] = table[j.bodies[:, 1], j.dof] - table[j.bodies[:, 0], j.dof]
+        capacity = operators.capacity
+        parts = zip(capacity, T, operators.added(x[-1]), strict=True)
+        x[0].array[:] = sum(c * (t - a) for c, t, a in parts) / sum(capacity)
+        self._set_given(0.0)
+        self.impose(x)
+        return x
+
+    def begin(
+        self, start: Sequence[Floats], degrees: Sequence[Floats], h: float, seconds: float
+    ) -> bool:
+        """Prepare a solve; collective.
+
+        Args:
+            start: Temperatures of own nodes, and with jumps those of own points, from which the
+                interval starts [K].
+            degrees: Degrees of cure from which it starts, of own nodes of each region that sets.
+            h: Its length [s]; infinite for a steady state.
+            seconds: Time at its end, since the start of the run.
+
+        Returns:
+            Whether the degrees are ones to start from; if not, there is nothing to solve.
+
+        Raises:
+            InputError: A steady state does not exist: nothing sets the temperature of a body.
+        """
+        operators, x = self.operators, self.vectors()
+        for vector, values in zip(x, start, strict=True):
+            vector.array[:] = values
+        self._start = operators.nodal(x)
+        self.seconds, self._last = seconds, None
+        self._heats = operators.loads.heats(seconds)
+        self._set_given(seconds)
+        if math.isinf(h):
+            self._refuse_cut_off()
+        rate = 0.0 if math.isinf(h) else 1 / h
+        if rate != self._rate:
+            self._rate = rate
+            self._fill()
+        return operators.cure is None or operators.cure.begin(degrees, h, seconds)
+
+    def _refuse_cut_off(self) -> None:
+        operators = self.operators
+        here = [bool((e > 0).any()) for e in operators.exchange]
+        for b, condition in operators.fixed.of_body.items():
+            here[b] = here[b] or bool((condition >= 0).any())
+        reached = np.any(self.comm.allgather(here), axis=0)
+        lost = cut_off(operators.scene.thermal_contacts, operators.jumps, list(reached))
+        if lost:
+            raise InputError(
+                f"stages: there is no steady state: nothing sets the temperature of "
+                f"'{operators.bodies.names[lost[0]]}'; allowed: a given temperature, convection or "
+                "perfusion on it, or an interface that conducts"
+            )
+
+    def _fill(self) -> None:
+        """Set the linear part of the Jacobian."""
+        self._last = None
+        pairs = zip(self.operators.capacity, self.operators.exchange, strict=True)
+        self._blocks.fill(self.operators.principle.matrices, [m * self._rate + r for m, r in pairs])
+
+    def _set_given(self, seconds: float) -> None:
+        fixed, jumps = self.operators.fixed, self.operators.jumps
+        values = fixed.values(seconds)
+        self._given = [fixed.continuous(values)]
+        if jumps is not None:
+            self._given.append(fixed.jumps(values, jumps))
+        self.operators.extremes.see(
+            *fixed.extremes(values),
+            min(float(h.min(initial=0.0)) for h in self._heats),
+            max(float(h.max(initial=0.0)) for h in self._heats),
+        )
+
+    def impose(self, x: Sequence[PETSc.Vec]) -> None:
+        """Put given temperatures and jumps into a state."""
+        x[0].array[self._held] = self._given[0][self._held]
+        if (j := self.operators.jumps) is not None:
+            x[1].array[j.held] = self._given[1][j.held]
+
+    def at(self, x: Sequence[PETSc.Vec]) -> HeatEvaluation:
+        """Evaluate a state, unless it is the one evaluated last; collective."""
+        o = self.operators
+        given = [v.array_r for v in x]
+        given += [o.jumps.pressure] if o.jumps else []
+        given += o.friction.nodal if o.friction else []
+        if self._last is not None:
+            # Together, for what follows is collective: one rank may see a change, another none.
+            same = all(map(np.array_equal, given, self._last.given))
+            if self.comm.allreduce(same, MPI.LAND):
+                return self._last
+        T = o.nodal(x)
+        lacking, parts = [], list[Floats]()
+        above, flow = self._work
+        for b, K in enumerate(o.principle.matrices):
+            above.array[:] = T[b] - o.reference
+            K.mult(above, flow)
+            exchanged = o.exchange[b] * above.array_r - o.brought[b]
+            stored = self._rate * o.capacity[b] * (T[b] - self._start[b])
+            lacking.append(flow.array_r + exchanged + stored - self._heats[b])
+            parts += [exchanged, stored, self._heats[b]]
+        sources = [o.cure.heats(T)] if o.cure else []
+        sources += [o.friction.nodal] if o.friction else []
+        for source in sources:
+            lacking = [r - s for r, s in zip(lacking, source, strict=True)]
+            parts += source
+        flux = o.jumps.flux(given[1]) if o.jumps else None
+        if o.jumps and flux:
+            parts.append(o.jumps.weight * flux[0])
+        self._last = HeatEvaluation([a.copy() for a in given], T, lacking, parts, flux)
+        return self._last
+
+    def residual(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> None:
+        """Heat that is lacking, zero where temperatures are given [N mm/s]."""
+        here, j = self.at(x), self.operators.jumps
+        f[0].array[:] = np.where(self._held, 0.0, sum(here.lacking))
+        if j is not None and here.flux:
+            total = -j.weight * here.flux[0]
+            for b, B in j.moves.items():
+                self._work[1].array[:] = here.lacking[b]
+                moved = f[1].duplicate()
+                B.multTranspose(self._work[1], moved)
+                total += moved.array
+            f[1].array[:] = np.where(j.held, 0.0, total)
+
+    def jacobian(self, x: Sequence[PETSc.Vec]) -> None:
+        """Set the blocks of the Jacobian to a state."""
+        here, j, cure = self.at(x), self.operators.jumps, self.operators.cure
+        by_jump = -j.weight * here.flux[1] if j and here.flux else None
+        self._blocks.set(by_jump, cure.growth(here.T) if cure else {})
+
+    def degrees(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
+        """Degrees of cure in a state, of own nodes of each region that sets."""
+        cure = self.operators.cure
+        return [d.degree for d in cure.at(self.operators.nodal(x))] if cure else []
+
+    def bounds(self, x: Sequence[PETSc.Vec]) -> Bounds:
+        """Between what the temperatures of a state have to be; collective."""
+        return self.operators.extremes.bounds(x[0].array_r)
+
+    def outside(self, x: Sequence[PETSc.Vec]) -> bool:
+        """Whether a state leaves its bounds; collective."""
+        return self.operators.principle.outside(self.operators.nodal(x), self.bounds(x))
+
+    def correct(self, x: Sequence[PETSc.Vec]) -> bool:
+        """Correct conduction where a state leaves its bounds; collective.
+
+        Returns:
+            Whether that may help: the step is to be done again.
+        """
+        changed = self.operators.principle.correct(self.operators.nodal(x), self.bounds(x))
+        if changed:
+            self._fill()
+        return changed
+
+    def take_back(self, x: Sequence[PETSc.Vec]) -> None:
+        """Take corrections back where an accepted state no longer needs them; collective."""
+        if self.operators.principle.take_back(self.operators.nodal(x), self.bounds(x)):
+            self._fill()
+
+    def measure(self, x: Sequence[PETSc.Vec], f: Sequence[PETSc.Vec]) -> list[Measure]:
+        """How large a residual f of a state x is; collective [N mm/s].
+
+        Its scale is that of the heat stored, brought in and let through, not of what conduction
+        alone would move: in a state that hardly changes that is large and cancels.
+        """
+        here = self.at(x)
+        parts = [np.where(self._held, sum(here.lacking), 0.0), *here.parts]
+        noise = [d * v.array_r for d, v in zip(self._blocks.diagonal(), x, strict=True)]
+        local = np.array([float(a @ a) for a in (*parts, *noise)])
+        norms = np.sqrt(np.array(self.comm.allreduce(local, MPI.SUM)))
+        scale = float(norms[: len(parts)].sum())
+        rounding = ROUNDING * float(np.finfo(float).eps) * float(norms[len(parts) :].sum())
+        return [Measure(size(list(f)), STRICTER * scale, rounding, lasting=False)]

@@ -1,0 +1,154 @@
+r"""Heat of a scene on its mesh: what no time step changes, but for conduction that is corrected.
+
+With T_b = θ + B_b τ the temperature of body b (see `heat.temperature_jumps`), the heat its nodes
+lack over an interval h that started at T* is
+
+.. math:: r_b = M_b (T_b - T_b^*)/h + K_b T_b + R_b (T_b - T_a) - f_b
+
+(M lumped capacity, K conduction, R exchange with surroundings at T_a, f what heats). The solve of
+such an interval is `heat.implicit_step`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+from dolfinx import fem
+
+from app.arrays import Floats, Ints
+from app.heat.cure_heat import CureHeat
+from app.heat.heat_forms import HeatForms
+from app.heat.heat_loads import FixedTemperatures, FrictionHeating, HeatLoads
+from app.heat.maximum_principle import Extremes, MaximumPrinciple
+from app.heat.temperature_jumps import TemperatureJumps
+from app.numerics.saved_state import node_keys
+from app.scene.bodies import Bodies, bodies_of
+from app.scene.scene import Scene
+from app.system.timing import Timing
+from meshes.distribute import TaggedMesh
+
+
+class HeatOperators:
+    """Operators of heat.
+
+    Attributes:
+        bodies: Thermal bodies: regions joined by all but interfaces of finite conductance.
+        loads: What heats, and what exchanges heat with surroundings.
+        fixed: Given temperatures.
+        jumps: The temperature jumps, where an interface has a finite conductance.
+        capacity: Heat capacity of own nodes in each body [N mm/K].
+        reference: Temperature that heat is counted from [K].
+        exchange: Heat per kelvin that own nodes of each body exchange [N mm/(s K)].
+        brought: What that brings in at the reference [N mm/s].
+        cure: Heat of cure, where anything sets.
+        friction: Heat of friction, where an interface rubs.
+        principle: The conduction matrices, corrected where they have to be.
+        extremes: Extremes of the data.
+    """
+
+    saved = ("extremes", "principle")
+
+    def __init__(self, scene: Scene, tagged: TaggedMesh, timing: Timing) -> None:
+        """Assemble them; collective.
+
+        Args:
+            scene: The scene; all of its regions conduct.
+            tagged: Its mesh.
+            timing: Where the seconds go.
+
+        Raises:
+            InputError: The scene does not fit the mesh.
+        """
+        self.scene, self.tagged = scene, tagged
+        self.comm: MPI.Comm = tagged.mesh.comm
+        self.bodies: Bodies = bodies_of(tagged, scene.thermal_contacts, ())
+        forms = self.forms = HeatForms(tagged, self.bodies, timing)
+        self.loads = HeatLoads(scene, self.bodies, forms)
+        self.fixed = FixedTemperatures(scene, forms)
+        self.jumps: TemperatureJumps | None = None
+        if scene.thermal_contacts:
+            self.jumps = TemperatureJumps(scene, tagged, self.bodies, forms, self.fixed.of_body)
+            self.fixed.join(self.jumps)
+        self.capacity = forms.capacities(scene.conductors)
+        # Heat is counted from a temperature that is near all of them: less is lost to rounding.
+        self.reference = float(np.mean([c.initial_temperature for c in scene.conductors]))
+        self.exchange, self.brought = self.loads.exchanges(self.reference)
+        self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None
+        rubbing = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
+        self.friction = FrictionHeating(forms.zeros(), rubbing) if rubbing else None
+        K = forms.conduction_by_body(scene.conductors)
+        self.principle = MaximumPrinciple(self.comm, K, self.capacity)
+        data = [c.initial_temperature for c in scene.conductors]
+        data += [e.outside for e in self.loads.exchange]
+        heated = bool(scene.cures or scene.friction_heat)
+        self.extremes = Extremes(self.comm, min(data), max(data), heated)
+        self._work: PETSc.Vec = K[0].createVecLeft()
+        self._θ = fem.Function(forms.space, name="temperature")
+        self._by_body = {
+            b: fem.Function(forms.space, name=f"temperature {self.bodies.names[b]}")
+            for b in (self.jumps.moves if self.jumps else ())
+        }
+
+    @cached_property
+    def row_keys(self) -> Ints:
+        """Keys of own nodes."""
+        return node_keys(self.forms.space)[: self.forms.owned]
+
+    def block_keys(self) -> list[Ints]:
+        """Keys of temperatures, jumps and degrees of cure, as far as there are any."""
+        jumps = [self.jumps.mine] if self.jumps else []
+        curing = [self.row_keys[n.dof] for n in self.cure.nodes] if self.cure else []
+        return [self.row_keys, *jumps, *curing]
+
+    def initial(self) -> list[Floats]:
+        """Temperature of own nodes of each body at the start [K].
+
+        Where regions share a temperature from the start, though theirs differ, it is the mean by
+        capacity: no heat is lost. Given temperatures hold from the start.
+        """
+        heat = self.forms.zeros()
+        for c in self.scene.conductors:
+            nodal = c.capacity * self.forms.volumes(c.region)
+            above = c.initial_temperature - self.reference
+            heat[self.bodies.of_region[c.region]] += nodal * above
+        T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, self.capacity, strict=True)]
+        T = [self.reference + above for above in T]
+        for b, condition in self.fixed.of_body.items():
+            for s, value in enumerate(self.fixed.values(0.0)):
+                T[b] = np.where(condition == s, value, T[b])
+        return T
+
+    def added(self, τ: PETSc.Vec | None) -> list[Floats]:
+        """Temperature of own nodes of each body due to jumps [K]."""
+        added = self.forms.zeros()
+        if self.jumps is not None:
+            for b, B in self.jumps.moves.items():
+                B.mult(τ, self._work)
+                added[b] = self._work.array.copy()
+        return added
+
+    def nodal(self, x: Sequence[PETSc.Vec]) -> list[Floats]:
+        """Temperature of own nodes of each body [K]; what a body has not is without meaning.
+
+        Args:
+            x: Temperature of own nodes, and with jumps those of own points.
+        """
+        return [x[0].array_r + added for added in self.added(x[-1])]
+
+    def temperatures(self, x: Sequence[PETSc.Vec]) -> list[fem.Function]:
+        """Temperature of each body as a function, overwritten by the next call."""
+        T = self.nodal(x)
+        by_body = [(f, T[b]) for b, f in self._by_body.items()]
+        for function, nodal in ((self._θ, x[0].array_r), *by_body):
+            function.x.array[: self.forms.owned] = nodal
+            function.x.scatter_forward()
+        return [self._by_body.get(b, self._θ) for b in range(len(T))]
+
+    def of_region(self, region: str) -> fem.Function:
+        """Temperature of a region as last set by ``temperatures``."""
+        return self._by_body.get(self.bodies.of_region[region], self._θ)

@@ -1,0 +1,294 @@
+"""Heat in time: its state, a time step of it, and the heat that enters in it.
+
+A time step is that of `numerics.integrator`; each of its stages is one solve of the system of heat,
+or of heat and mechanics together where heat depends on contact (`stepping.coupled_system`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from app.arrays import Floats, Ints
+from app.heat.curing import as_temperature
+from app.heat.flows import flows
+from app.heat.implicit_step import ImplicitStep
+from app.numerics import integrator
+from app.numerics.integrator import METHODS, Method, State
+from app.numerics.newton import NewtonResult, Solver
+from app.numerics.remedies import solve
+from app.scene.scene import Scene
+from app.stepping import stability
+from app.stepping.coupled_system import CoupledSystem
+from app.stepping.load_steps import Summary
+from app.stepping.thermal_loading import ThermalLoading, ThermalState
+
+# First step of a stage, as a part of an increment, where the rate of change is not known.
+FIRST = 1e-3
+# Times are equal up to this part of them.
+SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class HeatStep:
+    """A heat step that is history.
+
+    Attributes:
+        seconds: Time at its end, since the start of the run [s].
+        dt: Its length [s]; 0 for a steady state.
+        heats: Heat that entered the model by condition, as the integration sums it [N mm].
+        flows: Heat that enters at its end by condition [N mm/s].
+        outcome: What the solver said at its last stage.
+    """
+
+    seconds: float
+    dt: float
+    heats: dict[str, float]
+    flows: dict[str, float]
+    outcome: NewtonResult
+
+
+class HeatState:
+    """Temperatures, jumps and degrees of cure in time.
+
+    Attributes:
+        step: One implicit solve of heat.
+        operators: Its operators.
+        solver: Solver of heat, or of heat and mechanics.
+        coupled: Heat and mechanics in one system, where heat depends on contact.
+        outcome: Outcome of the last solve.
+        state: Temperatures of own nodes, jumps of own points [K], degrees of cure of own nodes.
+        seconds: Time since the start of the run [s].
+        total: Counts of steps and iterations so far.
+        notes: Warnings about its states.
+        loading: Heat as a load of the mechanics.
+    """
+
+    saved = ("seconds", "total", "notes", "state", "_slope", "loading", "step", "solver")
+
+    def __init__(
+        self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
+    ) -> None:
+        """Begin at the initial temperatures; collective."""
+        assert scene.time is not None
+        self.options = scene.time
+        self.step, self.operators, self.solver = step, step.operators, solver
+        self.coupled = coupled
+        self.outcome = NewtonResult(False, 0, 0, (), (), False)
+        self.method = METHODS[self.options.method]
+        self.seconds = 0.0
+        self.total = Summary()
+        self.notes: list[str] = []
+        self.state = self._state(step.initial())
+        self._slope: State = [np.zeros_like(part) for part in self.state]
+        self._stages: list[dict[str, float]] = []
+        self.put(self.state)
+        cure = self.operators.cure
+        self._curing = cure.nodes if cure else []
+        self.loading = ThermalLoading(scene, self.operators)
+
+    @property
+    def row_keys(self) -> dict[str, list[Ints]]:
+        """Keys of own nodes and points, by block."""
+        blocks = self.operators.block_keys()
+        return {"state": blocks, "_slope": blocks}
+
+    def restored(self) -> None:
+        """Give restored temperatures to the solver."""
+        self.put(self.state)
+
+    # Between lists of arrays and the vectors of the solver
+
+    def vectors(self) -> list[PETSc.Vec]:
+        """Temperatures and jumps as the solver has them."""
+        named = self.solver.blocks_by_name()
+        return [named[n] for n in ("temperature", "temperature_jump") if n in named]
+
+    def _state(self, x: Sequence[PETSc.Vec]) -> State:
+        return [*(v.array.copy() for v in x), *(a.copy() for a in self.step.degrees(x))]
+
+    def put(self, state: State) -> None:
+        """Put temperatures and jumps into the solver."""
+        for v, values in zip(self.vectors(), state, strict=False):
+            v.array[:] = values
+
+    # A time step
+
+    def norm(self, error: State) -> float:
+        """Largest error over its tolerance, of cure as the temperature it releases; collective."""
+        n = len(self.vectors())
+        errors = list(error[:n])
+        for degree, e, node in zip(self.state[n:], error[n:], self._curing, strict=True):
+            errors.append(as_temperature(degree, e, node.adiabatic_rise))
+        local = max(float(np.abs(e).max(initial=0.0)) for e in errors)
+        return float(self.operators.comm.allreduce(local, MPI.MAX)) / self.options.tolerance
+
+    def _solve(self, start: State, h: float, seconds: float, guess: State) -> State | None:
+        """One stage; with mechanics the work of friction is one more part of the state."""
+        n, own, coupled = len(self.vectors()), len(self.state), self.coupled
+        if not self.step.begin(start[:n], start[n:own], h, seconds):
+            return None
+        self.put(guess)
+        if coupled is not None:
+            coupled.begin(seconds, h, start[own])
+            if not self.outcome.converged:
+                coupled.restore(self.solver.blocks())
+        self.outcome = solve(self.solver)
+        self.total.count(self.outcome)
+        if not self.outcome.converged:
+            return None
+        self._stages.append(flows(self.step, self.vectors()))
+        work = [coupled.exchange.friction_work] if coupled is not None else []
+        return [*self._state(self.vectors()), *work]
+
+    def _with_work(self, state: State) -> State:
+        """A state with the work of friction from there on."""
+        coupled = self.coupled
+        return [*state, *([coupled.exchange.zero_work()] if coupled is not None else [])]
+
+    def start(self, longest: float) -> float:
+        """Find the rate of change at the start of a stage, and a first step for it [s].
+
+        Where mechanics are in the system a step that is short beside everything would ask for slips
+        that are lost to rounding: nothing is known of the rate then.
+        """
+        first = FIRST * longest
+        if self.coupled is None:
+            shortest = 1e-6 * min(longest, 1.0)
+            slope = integrator.start_slope(self.state, self.seconds, shortest, self._solve)
+            self._slope = slope or self._slope
+            first = integrator.first_step(self._slope, self.norm, longest)
+        return self.options.first_step or first
+
+    def attempt(self, dt: float, fixed: bool = False) -> tuple[integrator.StageStep, Method] | None:
+        """Solve a time step; None where a stage does not converge.
+
+        A step that may not be shorter is done by backward Euler then.
+
+        A step that leaves the extremes of the data is done again: where the mesh makes it, with the
+        edges that do (`heat.maximum_principle`), else by backward Euler.
+        """
+        state, slope = (self._with_work(part) for part in (self.state, self._slope))
+        for name in dict.fromkeys((self.method.name, "backward_euler")):
+            method = METHODS[name]
+            while True:
+                self._stages = []
+                found = integrator.step(method, state, slope, dt, self.seconds, self._solve)
+                if found is None or not self.step.outside(self.vectors()):
+                    break
+                if not self.step.correct(self.vectors()):
+                    break
+            if found is None and fixed:
+                continue
+            if found is None or not self.step.outside(self.vectors()):
+                break
+        if found is None:
+            return None
+        own = slice(len(self.state))
+        parts = {f.name: getattr(found, f.name)[own] for f in fields(found)}
+        return integrator.StageStep(**parts), method
+
+    def accept(self, found: integrator.StageStep, method: Method, dt: float) -> HeatStep:
+        """Make a step history."""
+        heats = {
+            name: dt
+            * sum(b * stage[name] for b, stage in zip(method.a[-1], self._stages, strict=True))
+            for name in self._stages[-1]
+        }
+        if self._curing:
+            n = len(self.vectors())
+            before = self._nodal(self.state), self.state[n:]
+            self.loading.strain(before, (self._nodal(found.state), found.state[n:]))
+        self.step.take_back(self.vectors())
+        self.state, self._slope = found.state, found.slope
+        self.seconds += dt
+        self.total.steps += 1
+        return HeatStep(self.seconds, dt, heats, self._stages[-1], self.outcome)
+
+    def solve_steady(self) -> HeatStep | None:
+        """Solve for the steady state; None if it does not converge."""
+        self._stages = []
+        found = self._solve(self._with_work(self.state), np.inf, self.seconds, self.state)
+        if found is None:
+            return None
+        found = found[: len(self.state)]
+        self.state, self._slope = found, [np.zeros_like(part) for part in found]
+        self.total.steps += 1
+        return HeatStep(self.seconds, 0.0, {}, self._stages[-1], self.outcome)
+
+    def warn_if_unstable(self, stage: str) -> None:
+        """Warn if the steady state of a stage is unstable; collective.
+
+        Only where pressures that follow temperature change the conductance, and nothing sets.
+        """
+        system = self.coupled
+        if system is None or self.cures:
+            return
+        if not system.exchange.expands or system.exchange.pressed is None:
+            return
+        n = len(self.vectors())
+
+        def begin(h: float) -> None:
+            self.step.begin(self.state[:n], self.state[n:], h, self.seconds)
+
+        x = self.solver.blocks()
+        unstable = stability.grows(system, x, begin)
+        begin(np.inf)
+        self.put(self.state)
+        system.residual(x, [v.duplicate() for v in x])
+        if unstable:
+            self.notes.append(
+                f"the steady state of stage '{stage}' is not stable: a small change grows, so that "
+                "nothing stays in it; other initial temperatures, or a stage with a `duration`, "
+                "lead to another"
+            )
+
+    # What others ask of the state
+
+    @property
+    def cures(self) -> bool:
+        """Whether anything cures."""
+        return bool(self._curing)
+
+    @property
+    def events(self) -> tuple[float, ...]:
+        """Times that no step may cross [s]."""
+        scene, cure = self.operators.scene, self.operators.cure
+        courses = [t for c in scene.heat for t, _ in getattr(c, "course", None) or ()]
+        curing = cure.curing.events if cure else ()
+        return tuple(sorted({*courses, *curing}))
+
+    def begins_at_event(self, accepted: HeatStep) -> bool:
+        """Whether a step begins where the one before had to end."""
+        begin = accepted.seconds - accepted.dt
+        return bool(np.isclose(self.events, begin, rtol=SAME, atol=0.0).any())
+
+    def slopes(self) -> list[Floats]:
+        """Rates of change of temperature at own nodes of each body [K/s]."""
+        return self._nodal(self._slope)
+
+    def degrees(self) -> dict[str, Floats]:
+        """Degrees of cure of own nodes of each region that sets."""
+        n = len(self.vectors())
+        return {c.region: a for c, a in zip(self._curing, self.state[n:], strict=True)}
+
+    def rates(self) -> dict[str, Floats]:
+        """Their rates [1/s]."""
+        n = len(self.vectors())
+        return {c.region: a for c, a in zip(self._curing, self._slope[n:], strict=True)}
+
+    def _nodal(self, state: State) -> list[Floats]:
+        """Temperatures of own nodes of each body in a state [K]."""
+        x = self.step.vectors()
+        for v, values in zip(x, state, strict=False):
+            v.array[:] = values
+        return self.operators.nodal(x)
+
+    def thermal_state(self) -> ThermalState:
+        """Input of the mechanics at the current state; collective."""
+        return self.loading.at(self._nodal(self.state), self.state[len(self.vectors()) :])
