@@ -89,10 +89,10 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
     Raises:
         InputError: The file cannot be read or is wrong; every defect at once, one line each.
     """
-    from app.case import case, study_options
+    from app.case import case, points
 
     keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
-    changes = study_options.options({keys[key]: value for key, value in overrides.items()})
+    changes = points.as_overrides({keys[key]: value for key, value in overrides.items()})
     return case.load(Path(path), changes)
 
 
@@ -157,7 +157,6 @@ def run(
     *,
     progress: Callable[[AcceptedStep], None] = lambda step: None,
     force: bool = False,
-    keep: bool = False,
     restart: str = "",
     walltime: float | None = None,
     signals: bool = False,
@@ -170,8 +169,8 @@ def run(
         output: The folder for the results; ``out/<name of the case file>`` by default.
         progress: Called on every rank after each accepted step, with a record of it: number, stage,
             time, wall seconds and the row of history.csv.
-        force: Replace results in the folder; take a checkpoint of another configuration.
-        keep: The same, but leave what is finished with this very configuration.
+        force: Replace results in the folder, which otherwise stay if they are finished with this
+            very configuration; take a checkpoint of another configuration.
         restart: Go on from a checkpoint: ``auto`` for the newest in the folder, or a file.
         walltime: Stop in time with the state saved [s].
         signals: Have SIGINT, SIGTERM, SIGHUP and SIGUSR1 stop the run, state saved. They do nothing
@@ -193,7 +192,7 @@ def run(
     from app.system import ranks
 
     folder = Path(output) if output is not None else case.output
-    if not finished_runs.prepare(case, folder, force=force, keep=keep, restart=restart):
+    if not finished_runs.prepare(case, folder, force=force, restart=restart):
         ranks.keep_quiet()
         ranks.alone()
         with stack_needed():
@@ -203,7 +202,6 @@ def run(
                 case,
                 folder,
                 petsc_options,
-                keep=keep,
                 restart=restart,
                 force=force,
                 walltime=walltime,

@@ -45,7 +45,7 @@ from app.campaigns.runs import (
 )
 from app.campaigns.scheduler import MEGABYTE, execute
 from app.case.case import dump, plain
-from app.case.variation_options import split
+from app.case.variations import split
 from app.errors import InputError, StoppedError
 from app.schema import yaml_text
 from app.soundness import memory
@@ -180,7 +180,7 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
             for kind in ("ok", "slurm", "status"):
                 file_of(folder, id, kind).unlink(missing_ok=True)
             ranks = runs[0].ranks
-            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--keep"]
+            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve()]
             command += ["--restart", "auto"]
             command += ["-n", ranks] if ranks > 1 else []
             alone = any(r.alone for r in runs)

@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import BaseModel
 
 import configs
-from app.case import keys
+from app.case import keys, library
 from app.case.case import Case
 from app.errors import InputError
 from app.schema import yaml_file
@@ -59,10 +59,11 @@ class Explained:
 
 
 def explained(key: str) -> str:
-    """Meaning, value, unit, default and an example of a key.
+    """Meaning, value, unit, default and an example of a key; or an entry of the library.
 
     Args:
-        key: As after ``--set``; names may be left out, and all before the last word.
+        key: As after ``--set``; names may be left out, and all before the last word. Else a name of
+            the library, or ``materials`` or ``loads`` for all of them.
 
     Raises:
         InputError: There is no such key.
@@ -71,18 +72,22 @@ def explained(key: str) -> str:
     asked = key.strip().strip(".")
     asked = WITHIN.get(asked, asked)
     found = [e for e in every if e.matches(asked)] or [e for e in every if e.key == asked]
+    listed = _plain(library.listed(key)) if key in library.KINDS else ""
+    if not found and (listed or key in library.names()):
+        return listed or library.described(key)
     if not found:
         last = asked.rpartition(".")[2]
         names = {e.short: None for e in every}
         ends = {e.key: e.short for e in reversed(every)}
-        near = difflib.get_close_matches(asked, list(names), 3)
+        near = difflib.get_close_matches(asked, [*names, *library.names()], 3)
         near += [ends[w] for w in difflib.get_close_matches(last, list(ends), 3)]
         nearest = ", ".join(dict.fromkeys(near)) or ", ".join(Case.model_fields)
         raise InputError(f"{key}: no key of a case; nearest: {nearest}")
     texts: dict[str, list[str]] = {}
     for e in found:
         texts.setdefault("\n".join(_body(e)), []).append(_head(e))
-    return "\n\n".join("\n".join([*heads, body]) for body, heads in texts.items())
+    parts = ["\n".join([*heads, body]) for body, heads in texts.items()]
+    return "\n\n".join([*parts, *([listed] if listed else [])])
 
 
 @cache

@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from app.case.case import Case
-from app.case.study_options import StudyFile
-from app.case.sweep_options import Sweep
+from app.case.study import StudyFile
+from app.case.sweep import Sweep
 from app.schema.expressions import Varying
 from app.schema.section import Scalar, docstrings
 from app.schema.units import ConductancePerArea, Dimension, Plain
@@ -40,8 +40,8 @@ An *expression* is arithmetic in the coordinates x, y, z in mm, for example
 `tan`, `exp`, `log`, `abs`, `min`, `max`, `atan2`, `hypot` and `pi`.
 
 `<name>` stands for a name that you choose or that the geometry gives. A key without a default is
-required; *none* means that it may be left out. `mantle schema` prints the same as a JSON schema,
-for completion in editors.
+required; *none* means that it may be left out. `mantle explain --schema` prints the same as a JSON
+schema, for completion in editors.
 """
     return "\n".join([intro, *_tables(Case, "Sections of a case", "##")])
 
@@ -56,8 +56,7 @@ ranks of a run.
 """
     sweep = _tables(Sweep, "Sections of a sweep file", "##")
     study = _tables(StudyFile, "Sections of a study file", "##")
-    text = "A study may also be the section `study` of a case.\n"
-    return "\n".join([intro, *sweep, text, *study])
+    return "\n".join([intro, *sweep, *study])
 
 
 Place = tuple[str, type[BaseModel]]

@@ -6,9 +6,8 @@ import textwrap
 from pathlib import Path
 
 import configs
-from app.errors import InputError
 from app.schema import yaml_file
-from app.schema.section import did_you_mean, show
+from app.schema.section import show
 from app.schema.yaml_file import CaseFile, Fault
 
 SHIPPED = configs.FOLDER / "library" / "library.yaml"
@@ -42,30 +41,26 @@ def read(path: Path = SHIPPED) -> CaseFile:
     return file
 
 
-def listed(path: Path = SHIPPED) -> str:
-    """The names in a library and what they are, as text."""
-    lines = []
-    for kind, entries in read(path).data.items():
-        lines += [f"{kind}: {KINDS[kind]}"]
-        wide = max(map(len, entries), default=0)
-        lines += [f"  {name:<{wide}}  {entry.get(ABOUT, '')}" for name, entry in entries.items()]
-    return "\n".join(lines)
+def listed(kind: str) -> str:
+    """The shipped names of a kind and what they are, as text."""
+    entries = read().data[kind]
+    wide = max(map(len, entries), default=0)
+    lines = [f"  {name:<{wide}}  {entry.get(ABOUT, '')}" for name, entry in entries.items()]
+    return "\n".join([f"{kind}: {KINDS[kind]}", *lines])
 
 
-def described(name: str, path: Path = SHIPPED) -> str:
-    """An entry with its source, as it stands in the library.
+def names() -> list[str]:
+    """The shipped names of all kinds."""
+    return [name for entries in read().data.values() for name in entries]
 
-    Raises:
-        InputError: There is none of this name.
-    """
-    file = read(path)
-    texts = path.read_text(encoding="utf-8-sig").splitlines()
+
+def described(name: str) -> str:
+    """A shipped entry with its source, as it stands in the library."""
+    file = read()
+    texts = SHIPPED.read_text(encoding="utf-8").splitlines()
     starts = sorted(p[1] for key, p in file.places.items() if len(key) <= 2)
-    for kind in file.data:
-        if name in file.data[kind]:
-            start = int(file.places[kind, name][1])
-            end = next((int(n) for n in starts if int(n) > start), len(texts) + 1)
-            kept = [t for t in texts[start - 1 : end - 1] if not t.lstrip().startswith("#")]
-            return textwrap.dedent("\n".join(kept)).strip()
-    known = [n for entries in file.data.values() for n in entries]
-    raise InputError(f"{name}: not in the library: {', '.join(known)}{did_you_mean(name, known)}")
+    kind = next(kind for kind in file.data if name in file.data[kind])
+    start = int(file.places[kind, name][1])
+    end = next((int(n) for n in starts if int(n) > start), len(texts) + 1)
+    kept = [t for t in texts[start - 1 : end - 1] if not t.lstrip().startswith("#")]
+    return textwrap.dedent("\n".join(kept)).strip()

@@ -21,7 +21,7 @@ MISSING = """\
 """
 OWN = """\
 # A mesh of gmsh with materials, a support and a load. `mantle explain KEY` tells what a key means,
-# `mantle library` which materials have names.
+# `mantle explain materials` lists those with names.
 
 title: {title}
 
@@ -44,14 +44,13 @@ loads:
 """
 
 
-def write(path: Path, kind: str, stem: str = "", mesh: Path | None = None) -> Path:
+def write(path: Path, kind: str, stem: str = "") -> Path:
     """Write a new case that runs as it is.
 
     Args:
         path: The file; ``.yaml`` is added.
         kind: Of its geometry.
         stem: What a stem is made of, if the kind has one.
-        mesh: The mesh of kind ``file``.
 
     Returns:
         The file.
@@ -61,11 +60,9 @@ def write(path: Path, kind: str, stem: str = "", mesh: Path | None = None) -> Pa
     """
     if stem and kind not in ("femur", "cylinders"):
         raise InputError(f"--stem {stem}: of kind {kind} there is no stem")
-    if mesh and kind != "file":
-        raise InputError(f"--mesh {mesh}: only --kind file has a mesh of its own")
     path = path if path.suffix in (".yaml", ".yml") else path.with_name(f"{path.name}.yaml")
     if kind == "file":
-        text = _own(path, mesh or path.with_suffix(".msh"))
+        text = _own(path, path.with_suffix(".msh"))
     else:
         text = (FOLDER / f"{kind}.yaml").read_text(encoding="utf-8")
         text = text.replace(STEMS["titanium"], STEMS[stem or "titanium"])
@@ -88,9 +85,9 @@ def _own(case: Path, mesh: Path) -> str:
         try:
             regions, surfaces = (gmsh_header.physical_names(mesh, d) for d in (3, 2))
         except (OSError, ValueError) as error:
-            raise InputError(f"--mesh {mesh}: {error}") from error
+            raise InputError(f"{mesh}: {error}") from error
         if not regions:
-            raise InputError(f"--mesh {mesh}: names no region: no physical volume has a name")
+            raise InputError(f"{mesh}: names no region: no physical volume has a name")
         names = f"its boundaries: {', '.join(surfaces) or 'none, which a case needs'}"
         about = textwrap.indent(textwrap.fill(names, 90, break_on_hyphens=False), "  # ") + "\n"
         boundaries = surfaces or boundaries

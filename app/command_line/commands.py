@@ -12,8 +12,9 @@ import os
 import shlex
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mantle
 from app.case import gmsh_header
@@ -54,24 +55,7 @@ def dispatch(arguments: list[str]) -> int:
         raise InputError(f"mantle {options.command}: this command takes no PETSc options after --")
     if options.command == "run":
         return _run(options, petsc_options, count, rest)
-    commands = {
-        "init": _init,
-        "check": _check,
-        "mesh": _mesh,
-        "study": _campaign,
-        "sweep": _campaign,
-        "report": _report,
-        "compare": _compare,
-        "verify": _suite,
-        "stress": _suite,
-        "bench": _suite,
-        "library": _library,
-        "explain": _explain,
-        "schema": _schema,
-        "doctor": _doctor,
-        "version": _version,
-    }
-    return commands[options.command](options)
+    return COMMANDS[options.command](options)
 
 
 def _run(
@@ -82,21 +66,18 @@ def _run(
     from app.system import stopping
 
     size = ranks.world_size()
-    configure_log(options.log_level)
+    configure_log("debug" if options.verbose else "info")
     # The input is checked before ranks are started: its errors come at once, and once.
     options.overrides += ["output.error=true"] if options.error else []
     case = _load(options)
     output = options.output or case.output
-    restart = options.restart or ""
     walltime = stopping.seconds(options.walltime) if options.walltime else None
-    keep = options.keep or (restart == "auto" and not options.force)
-    if finished_runs.prepare(case, output, force=options.force, keep=keep, restart=restart):
+    if finished_runs.prepare(case, output, force=options.force, restart=options.restart):
         if rank() == 0:
-            print(f"{output} is finished already")
+            print(f"{output} is finished already by this case and program (--force: again)")
         return 0
     if size is None and count is not None and count > 1:
-        if options.log_level in ("debug", "info"):
-            print(f"starting {count} ranks", flush=True)
+        print(f"starting {count} ranks", flush=True)
         pass_colours()
         return ranks.launch(count, [sys.executable, "-m", "mantle", *rest])
     if size is not None and count not in (None, size) and rank() == 0:
@@ -105,8 +86,7 @@ def _run(
         case,
         output,
         force=options.force,
-        keep=keep,
-        restart=restart,
+        restart=options.restart,
         walltime=walltime,
         signals=True,
         petsc_options=petsc_options,
@@ -125,7 +105,7 @@ def _init(options: argparse.Namespace) -> int:
     """Write a case to start from, and tell what comes next."""
     from app.case import new_case
 
-    path = new_case.write(options.name, options.kind, options.stem, options.mesh)
+    path = new_case.write(options.name, options.kind, options.stem)
     name, folder = shlex.quote(str(path)), shlex.quote(str(Path("out") / path.stem))
     print(f"{path} is written; next:")
     print(f"  mantle check {name}")
@@ -151,8 +131,6 @@ def _check(options: argparse.Namespace) -> int:
 def _mesh(options: argparse.Namespace) -> int:
     """Write the mesh and a picture of it."""
     case = _load(options)
-    if options.pictures and not case.config.geometry.mantles:
-        raise InputError("--pictures: needs a stem in a cement mantle; this case has none")
     import meshes
     from app.soundness import cost, memory
 
@@ -161,37 +139,22 @@ def _mesh(options: argparse.Namespace) -> int:
     configure_log("info", sys.stderr)
     log.info("meshing")
     data = mantle.mesh(case)
-    from meshes.picture import picture
+    from meshes import picture
 
+    drawings = {path.with_suffix(".png"): picture.picture}
+    if case.config.geometry.mantles:
+        for draw in (picture.sections, picture.interfaces):
+            drawings[path.with_name(f"{path.stem}_{draw.__name__}.png")] = draw
     try:
         meshes.write_msh(data, path)
         print(path)
-        picture(data, path.with_suffix(".png"))
-        print(path.with_suffix(".png"))
+        for file, draw in drawings.items():
+            draw(data, file)
+            print(file)
     except OSError as error:
         raise InputError(f"-o {path}: cannot be written: {error.strerror}") from error
-    if options.pictures:
-        _mantle_pictures(data, options.pictures)
     print(cost.exact_size(case.config, data))
     return 0
-
-
-def _mantle_pictures(data: Any, folder: Path) -> None:
-    """Draw the sections and the interfaces of a mantle.
-
-    Raises:
-        InputError: They cannot be written.
-    """
-    from meshes import picture
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for draw in (picture.sections, picture.interfaces):
-            path = folder / f"{draw.__name__}.png"
-            draw(data, path)
-            print(path)
-    except OSError as error:
-        raise InputError(f"--pictures {folder}: cannot be written: {error.strerror}") from error
 
 
 def _mesh_path(output: Path | None, stem: str) -> Path:
@@ -231,12 +194,6 @@ def _suite(options: argparse.Namespace) -> int:
     configure_log("info")
     from app.verification import engine
 
-    for old in ("fine", "full"):
-        if getattr(options, old, False):
-            print(
-                f"note: --{old} is now --tier long, and goes in the next version", file=sys.stderr
-            )
-            options.tier = "long"
     many = _many(options, Path("out") / options.command)
     if options.dry_run:
         print(engine.dry_run(options.command, many))
@@ -258,16 +215,20 @@ def _many(options: argparse.Namespace, folder: Path) -> Options:
 
 
 def _report(options: argparse.Namespace) -> int:
-    """Write the report of a run or a sweep; say where, and how the paper's trends fare."""
+    """Write the report of a run, a sweep or several runs; say where, and how the trends fare."""
     configure_log("info")
     with stack_needed():
-        from app.report import run_report, sweep_report
+        from app.report import compare, run_report, sweep_report
 
-    if run_report.is_run(options.folder):
-        for path in run_report.write(options.folder):
+    folder, *others = options.folders
+    if others:
+        print(compare.write(options.folders, options.output or Path("out/compare.html")))
+        return 0
+    if run_report.is_run(folder):
+        for path in run_report.write(folder):
             print(path)
         return 0
-    written = sweep_report.run(options.folder)
+    written = sweep_report.run(folder)
     wide = max((len(t.name) for t in written.trends), default=0)
     for t in written.trends:
         by_maxima = f" (by maxima {t.peaks})" if t.peaks else ""
@@ -279,43 +240,20 @@ def _report(options: argparse.Namespace) -> int:
     return 0
 
 
-def _compare(options: argparse.Namespace) -> int:
-    """Write the page that puts runs side by side; say where."""
-    with stack_needed():
-        from app.report import compare
-    print(compare.write(options.folders, options.output))
-    return 0
-
-
-def _library(options: argparse.Namespace) -> int:
-    """Print what a library holds."""
-    from app.case import library
-
-    path = options.file or library.SHIPPED
-    print(library.described(options.name, path) if options.name else library.listed(path))
-    return 0
-
-
 def _explain(options: argparse.Namespace) -> int:
-    """Print what a key means."""
-    from app.case import explain
-
-    print(explain.explained(options.key))
-    return 0
-
-
-def _schema(options: argparse.Namespace) -> int:
-    """Print the schema, for programs or for people."""
+    """Print what a key or a name of the library means, or the schema."""
     import json
 
-    from app.case import keys
+    from app.case import explain
     from app.case.case import Case
     from app.schema.json_schema import json_schema
 
-    if options.markdown:
-        print(keys.case_page())
-        return 0
-    print(json.dumps(json_schema(Case), indent=2, ensure_ascii=False))
+    if options.schema:
+        print(json.dumps(json_schema(Case), indent=2, ensure_ascii=False))
+    elif options.key:
+        print(explain.explained(options.key))
+    else:
+        raise InputError("mantle explain: a KEY, a name of the library, or --schema is missing")
     return 0
 
 
@@ -327,7 +265,16 @@ def _doctor(options: argparse.Namespace) -> int:
     return 0
 
 
-def _version(options: argparse.Namespace) -> int:
-    """Print the version."""
-    print(f"mantle {mantle.__version__}")
-    return 0
+COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
+    "init": _init,
+    "check": _check,
+    "mesh": _mesh,
+    "study": _campaign,
+    "sweep": _campaign,
+    "report": _report,
+    "verify": _suite,
+    "stress": _suite,
+    "bench": _suite,
+    "explain": _explain,
+    "doctor": _doctor,
+}

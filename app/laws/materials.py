@@ -86,7 +86,7 @@ class Isotropic(Elastic):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -143,7 +143,7 @@ class TransverselyIsotropic(Elastic):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -223,7 +223,7 @@ class Rigid(Named):
     thermal: Thermal | None = None
     """Conduction of heat; all regions or none."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 
@@ -241,7 +241,7 @@ class Conductor(Named):
     thermal: Thermal
     """Conduction of heat."""
     material: Text | None = None
-    """Material of the library (`mantle library`); other keys change it."""
+    """Material of the library (`mantle explain materials`); other keys change it."""
     tissue: Tissue | None = None
     """Tissue of the region: bone, cement, implant or other; a `file` has no default."""
 

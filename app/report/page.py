@@ -50,9 +50,9 @@ def paragraph(text: str, kind: str = "") -> Blocks:
     return [("paragraph", {"text": text, "kind": kind})]
 
 
-def heading(text: str) -> Blocks:
-    """A heading below that of a section."""
-    return [("heading", {"text": text})]
+def titled(title: str, content: Blocks) -> Blocks:
+    """Blocks below a heading; nothing if there are none."""
+    return [("heading", {"text": title}), *content] if content else []
 
 
 def bullets(texts: Sequence[str]) -> Blocks:
@@ -67,12 +67,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Blocks:
 
 def figure(f: Figure, folder: Path) -> Blocks:
     """A picture with its caption, inside the page."""
-    return picture(f, (folder / f.name).read_bytes())
-
-
-def picture(f: Figure, png: bytes) -> Blocks:
-    """The same of a picture that has been read."""
-    return [("figure", {"figure": f, "data": base64.b64encode(_smaller(png)).decode("ascii")})]
+    data = base64.b64encode(_smaller((folder / f.name).read_bytes())).decode("ascii")
+    return [("figure", {"figure": f, "data": data})]
 
 
 def _smaller(png: bytes) -> bytes:

@@ -19,12 +19,12 @@ from app.case.quantities import NECROSIS, TABLE, Quantity, in_print, printed
 from app.errors import InputError, StoppedError
 from app.report import gruen, history_curves, page, pictures, sentence, sweep_figures, viewer
 from app.report.curves import Figure
-from app.report.page import Blocks, bullets, heading, paragraph, table
+from app.report.page import Blocks, bullets, paragraph, table
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
 from app.results.reading import Run
 from app.results.tables import TABLES
-from app.system.folders import write_bytes, write_text
+from app.system.folders import write_text
 from app.system.layout import noted, plain
 from app.system.ranks import rank
 
@@ -99,33 +99,29 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
     case, summary = opened(folder), _json(folder / "summary.json")
     record = _json(folder / "provenance.json")
     panels, x = history_curves.panels(case.history)
+    spent = share * summary["timing"]["total"]
+    view, lacking = _view(folder) if alone or spent >= VIEW else ("", [])
     files: list[Path] = []
-    complete = share == math.inf
-    if complete:
-        (folder / PICTURES).mkdir(exist_ok=True)
-        files = history_curves.draw(folder / PICTURES, panels, x)
-    title = summary.get("title") or folder.name
-    viewed = alone or share * summary["timing"]["total"] >= VIEW
-    view, lacking = _view(folder) if viewed else ("", [])
     sides: Blocks = []
-    if complete and (folder / "fields.vtkhdf").exists():
-        figure = pictures.sides(Run(folder), folder / PICTURES)
-        if figure is not None:
-            sides = page.figure(figure, folder / PICTURES)
-            files += [folder / PICTURES / f"{pictures.SIDES}.{kind}" for kind in ("png", "pdf")]
-    shown, missing = _maps(case, share * summary["timing"]["total"] >= MAPS)
-    for f, png in shown if complete else ():
-        files.append(folder / PICTURES / f.name)
-        write_bytes(files[-1], png)
+    drawings = folder / PICTURES
+    if share == math.inf:
+        drawings.mkdir(exist_ok=True)
+        files += history_curves.draw(drawings, panels, x)
+        if (folder / "fields.vtkhdf").exists() and (f := pictures.sides(Run(folder), drawings)):
+            sides = page.figure(f, drawings)
+            files += [drawings / f"{pictures.SIDES}.{kind}" for kind in ("png", "pdf")]
+        maps, drawn = _maps(case, drawings)
+        files += drawn
+    elif spent >= MAPS:
+        with tempfile.TemporaryDirectory() as scratch:
+            maps, _ = _maps(case, Path(scratch))
+    else:
+        maps = bullets([f"mantle report {folder} draws them: after a short run they take too long"])
     sections = [
         ("numbers", "Numbers", _numbers(summary)),
         ("sides", "From three sides", sides),
         ("curves", "Over time", history_curves.blocks(panels, x)),
-        (
-            "maps",
-            "Maps of the interfaces",
-            [b for f, png in shown for b in page.picture(f, png)] + bullets(missing),
-        ),
+        ("maps", "Maps of the interfaces", maps if (folder / "fields.vtkhdf").exists() else []),
         ("gruen", "Gruen zones", _gruen(case)),
         ("mantle", "Cement mantle", table(*gruen.mantles([case]))),
         (
@@ -142,7 +138,7 @@ def _run(folder: Path, share: float, alone: bool = True) -> list[Path]:
         ("provenance", "Provenance", page.folded("program, machine, digests", _pairs(record))),
     ]
     html = page.page(
-        title,
+        summary.get("title") or folder.name,
         sections,
         facts=_facts(folder, record),
         lead=sentence.sentence(summary, case),
@@ -215,10 +211,10 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
         keys = [key for column in columns for key in column.keys.split()]
         keys = [*keys, *MORE.get(section, ()), *(k for k, q in own.items() if q.compute)]
         chosen = [own[k] for k in keys or own if not own[k].vector]
-        found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))
+        found += page.titled(TITLES[section], table(["", *named], _rows(named, chosen)))
         if section == "thermal.regions":
-            found += _titled("Dead bone", _necrosis(named))
-    found += _titled("Peaks that still change with the mesh", _unsettled(summary))
+            found += page.titled("Dead bone", _necrosis(named))
+    found += page.titled("Peaks that still change with the mesh", _unsettled(summary))
     if note := summary.get("thermal", {}).get("note"):
         found += paragraph(note, "quiet")
     how = (
@@ -238,10 +234,6 @@ def _unsettled(summary: dict[str, Any]) -> Blocks:
         if (q := quantities.get(name))
     ]
     return table(["", *(f"{s:g} mm" for s in sizes)], rows)
-
-
-def _titled(title: str, content: Blocks) -> Blocks:
-    return heading(title) + content if content else []
 
 
 def _necrosis(regions: dict[str, dict[str, Any]]) -> Blocks:
@@ -266,7 +258,7 @@ def _all(summary: dict[str, Any]) -> Blocks:
     found: Blocks = []
     for section, named in _sections(summary):
         chosen = [q for q in TABLE[section].values() if not q.vector]
-        found += _titled(TITLES[section], table(["", *named], _rows(named, chosen)))
+        found += page.titled(TITLES[section], table(["", *named], _rows(named, chosen)))
     return found
 
 
@@ -276,27 +268,23 @@ def _gruen(case: SweptCase) -> Blocks:
     return paragraph(note, "quiet") + found if found else []
 
 
-def _maps(case: SweptCase, wanted: bool) -> tuple[list[tuple[Figure, bytes]], list[str]]:
-    """Pictures of the interfaces, and why some are missing."""
-    if not (case.folder / "fields.vtkhdf").exists():
-        return [], []
-    if not wanted:
-        return [], [f"mantle report {case.folder} draws them: after a short run they take too long"]
-    with tempfile.TemporaryDirectory() as scratch:
-        try:
-            drawn, missing = pictures.maps([[("", case)]], Path(scratch))
-        except (KeyError, OSError) as error:
-            return [], [f"fields that cannot be read: {error}"]
-        return [(f, (Path(scratch) / f.name).read_bytes()) for f in drawn], missing
+def _maps(case: SweptCase, folder: Path) -> tuple[Blocks, list[Path]]:
+    """Pictures of the interfaces and why some are missing, and the files."""
+    try:
+        drawn, missing = pictures.maps([[("", case)]], folder)
+    except (KeyError, OSError) as error:
+        return bullets([f"fields that cannot be read: {error}"]), []
+    blocks = [block for f in drawn for block in page.figure(f, folder)]
+    return blocks + bullets(missing), [folder / f.name for f in drawn]
 
 
 def _solver(case: SweptCase, summary: dict[str, Any]) -> Blocks:
-    """What each step took and how well it balances, and where the time went."""
+    """Iterations and balances of each step, and seconds by phase."""
     own = page.sparse(history_curves.of_solver(case.history))
     rows = [[plain(v) for v in row.values()] for row in own]
     parts = table(list(own[0]), rows) if own else []
-    parts += _titled("Sizes", _pairs(summary.get("solver", {})))
-    parts += _titled("Seconds", _pairs(summary.get("timing", {})))
+    parts += page.titled("Sizes", _pairs(summary.get("solver", {})))
+    parts += page.titled("Seconds", _pairs(summary.get("timing", {})))
     return page.folded("each step, sizes, times", parts)
 
 

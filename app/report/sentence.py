@@ -1,4 +1,4 @@
-"""What a run has found, in a sentence that a surgeon understands."""
+"""The findings of a run in one sentence that a surgeon understands."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def value(level: Any) -> str:
 
 
 def axes_in_words(cases: Sequence[SweptCase]) -> list[str]:
-    """What varies, with all levels, a sentence for each part."""
+    """Keys that vary with all their levels, a sentence for each part."""
     parts: dict[str, list[SweptCase]] = {}
     for c in cases:
         parts.setdefault(c.part, []).append(c)

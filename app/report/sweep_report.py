@@ -22,7 +22,7 @@ from app.report import (
     sweep_figures,
 )
 from app.report.curves import Figure
-from app.report.page import Blocks, bullets, heading, paragraph, table
+from app.report.page import Blocks, bullets, paragraph, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, named, read
@@ -228,11 +228,9 @@ def _comparison(rows: Sequence[ComparedNumber]) -> Blocks:
 
 
 def _zones(groups: Sequence[pictures.Chosen]) -> Blocks:
-    found: Blocks = []
-    for group in groups:
-        for title, case in group:
-            own = table(*gruen.table(case))
-            found += heading(title) + own if own else []
+    """A table for each representative case that has zones."""
+    tables = (page.titled(title, table(*gruen.table(case))) for g in groups for title, case in g)
+    found = [block for own in tables for block in own]
     note = "Of each interface: largest / mean value in the zone."
     return paragraph(note, "quiet") + found if found else []
 
@@ -243,6 +241,6 @@ def _parts(cases: Sequence[SweptCase]) -> Blocks:
         parts.setdefault(case.part, []).append(case)
     found: Blocks = []
     for part, own in parts.items():
-        found += heading(part) if part else []
-        found += sweep_figures.cases_table(own, sweep_figures.headlines(own))
+        listed = sweep_figures.cases_table(own, sweep_figures.headlines(own))
+        found += page.titled(part, listed) if part else listed
     return found

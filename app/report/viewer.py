@@ -110,7 +110,7 @@ def _safe(text: str) -> str:
 def packed(
     run: Run, minus: Run | None = None, most_bytes: int = MOST
 ) -> tuple[dict[str, Any], bytes]:
-    """What `viewer.js` draws: what there is and where it begins, and all numbers one by one.
+    """Pack what `viewer.js` draws: a head that tells where arrays begin, and all their numbers.
 
     Numbers are little-endian: places (n, 3) and values (n,) as 16-bit parts of their range, the
     corners of triangles as 32-bit numbers of places.

@@ -51,14 +51,15 @@ class Balance:
             [mechanics.form(sum(ufl.derivative(e, U, v) for e, U in energy))] if energy else []
         )
         self._strain_work = [
-            (s.history, mechanics.form(self._eigenstrain_work(e, s.strain)))
+            (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.strain))))
             for e in scene.elastic
             for s in e.eigenstrains
         ]
         elastic = {e.region: e for e in scene.elastic}
         self._swelling = [
-            (free, mechanics.form(self._swelling_work(elastic[region])))
+            (free, mechanics.form(self._work_of(elastic[region], elasticity.swelling(test))))
             for region, free in mechanics.swelling.items()
+            for test in [ufl.TestFunction(mechanics.scalars)]
         ]
         self._setting = [
             (displacements[b], mechanics.form(s.internal_work(b, v)))
@@ -100,15 +101,8 @@ class Balance:
         """Measure a restored state, whose displacements are spread; collective."""
         self._last = self._measure(u, trial)
 
-    def _eigenstrain_work(self, e: Elastic, components: tuple[float, ...]) -> object:
-        return self._strain_work_of(e, elasticity.symmetric(components))
-
-    def _swelling_work(self, e: Elastic) -> object:
-        return self._strain_work_of(
-            e, elasticity.swelling(ufl.TestFunction(self._problem.mechanics.scalars))
-        )
-
-    def _strain_work_of(self, e: Elastic, strain: Expr) -> Any:
+    def _work_of(self, e: Elastic, strain: Expr) -> Any:
+        """Work of a region's stress in a free strain."""
         mechanics, problem = self._problem.mechanics, self._problem
         U = problem.displacements()[problem.bodies.of_region[e.region]]
         σ = elasticity.stress(

@@ -32,7 +32,7 @@ from meshes.distribute import TaggedMesh
 
 @dataclass(frozen=True)
 class OutputNodes:
-    """Nodes of the grid that this rank writes, as one layer sees them.
+    """Nodes of the grid that this rank writes, as one part sees them.
 
     Attributes:
         body: Body of each node (n,).
@@ -70,13 +70,13 @@ class Fields:
     saved = ("steps", "_order")
 
     def __init__(self, tagged: TaggedMesh, groups: Sequence[FieldGroup], path: Path) -> None:
-        self._layers, self._path = tuple(groups), path
+        self._groups, self._path = tuple(groups), path
         space, owned = groups[0].space, tagged.mesh.topology.index_map(3).size_local
         tags = cell_tags(tagged)[:owned]
         dofs = space.dofmap.list[:owned]
         self._cells = owned
         bodies, group = np.unique(
-            np.stack([layer.bodies.of_tag[tags] for layer in groups], axis=1),
+            np.stack([part.bodies.of_tag[tags] for part in groups], axis=1),
             axis=0,
             return_inverse=True,
         )
@@ -87,8 +87,8 @@ class Fields:
         cell, local = np.divmod(first, dofs.shape[1])
         # What the points and cells of the file are, in the order of the ranks.
         of_mesh, of_points = self._vertices(tagged, cell, local), none(len(dof))
-        for k, layer in enumerate(groups):
-            of_points = of_points * len(layer.bodies.names) + bodies[group, k]
+        for k, part in enumerate(groups):
+            of_points = of_points * len(part.bodies.names) + bodies[group, k]
         keys = of_points * tagged.mesh.geometry.index_map().size_global ** 2 + of_mesh
         comm = self._comm = tagged.mesh.comm
         mine, number = _owners(comm, keys)
@@ -160,9 +160,9 @@ class Fields:
         """Append a step; collective."""
         point: dict[str, Floats] = {}
         cell: dict[str, Floats] = {}
-        for layer, nodes in zip(self._layers, self._nodes, strict=True):
-            point |= layer.point(nodes, samples)
-            cell |= layer.cell(self._cells)
+        for part, nodes in zip(self._groups, self._nodes, strict=True):
+            point |= part.point(nodes, samples)
+            cell |= part.cell(self._cells)
         self._file.write(time, point, cell)
         self.steps = self._file.steps
 

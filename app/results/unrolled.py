@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app import figures
 from app.arrays import Floats, Ints
 from app.case.geometries import Sides
-from app.results.reading import EDGES, FACES, Run
+from app.results.reading import FACES, Run
 
 # The angle runs from here by 360 degrees.
 SEAM = -90.0
@@ -49,48 +48,22 @@ class Sheet:
 
 
 def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
-    """Triangles of an interface as seen from one side.
+    """Corners of the facets of an interface (m, 3), in the cells of one side.
 
     Args:
         run: The run.
         side: Numbers of the regions on this side.
         other: Of those on the other.
-
-    Returns:
-        Their nodes (m, 3), in the cells of this side. Of second order each facet is four of them
-        where something is known in the middle of its edges.
     """
-    (mine, middles), (theirs, _) = (_faces(run, regions) for regions in (side, other))
+    mine, theirs = (
+        run.cells[np.isin(run.region, regions)][:, np.array(FACES)].reshape(-1, 3)
+        for regions in (side, other)
+    )
     # Bodies that can part have nodes of their own at the same places.
-    here, there = (_keys(run.points[f].mean(axis=1)) for f in (mine, theirs))
-    own = np.isin(here, there)
-    mine, middles = mine[own], middles[own]
-    if middles.shape[1] == 0 or not _known(run, middles):
-        return mine
-    a, b, c = mine.T
-    ab, bc, ca = middles.T
-    parts = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-    return np.concatenate([np.stack(p, axis=1) for p in parts])
-
-
-def _faces(run: Run, regions: Sequence[int]) -> tuple[Ints, Ints]:
-    """Corners of all faces of cells of some regions (f, 3), and the middles of their edges."""
-    cells = run.cells[np.isin(run.region, regions)]
-    corners = cells[:, np.array(FACES)].reshape(-1, 3)
-    if cells.shape[1] == 4:
-        return corners, np.zeros((len(corners), 0), dtype=np.int64)
-    number = {frozenset(e): 4 + k for k, e in enumerate(EDGES)}
-    sides = [[number[frozenset((f[i], f[(i + 1) % 3]))] for i in range(3)] for f in FACES]
-    return corners, cells[:, np.array(sides)].reshape(-1, 3)
-
-
-def _keys(x: Floats) -> NDArray[Any]:
-    return np.ascontiguousarray(np.round(x, 6) + 0.0).view(np.dtype((np.void, 24))).ravel()
-
-
-def _known(run: Run, nodes: Ints) -> bool:
-    """Whether contact is known at nodes, of any interface."""
-    return any(bool(run.on_interface(name)[nodes].all()) for name in run.contacts)
+    here, there = (
+        np.round(run.points[f].mean(axis=1), 6).view("f8,f8,f8").ravel() for f in (mine, theirs)
+    )
+    return mine[np.isin(here, there)]
 
 
 def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:

@@ -50,16 +50,13 @@ def summaries(output: Path, varied: Sequence[Varied]) -> dict[int, dict[str, Any
     }
 
 
-def prepare(
-    case: LoadedCase, output: Path, *, force: bool = False, keep: bool = False, restart: str = ""
-) -> bool:
+def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str = "") -> bool:
     """Make the folder of a run, before anything is started for it.
 
     Args:
         case: The case.
         output: The run directory.
-        force: Whether results in it are replaced.
-        keep: Whether what is finished with this very case stays.
+        force: Whether results in it are replaced, also those of this very case.
         restart: A checkpoint to go on from, ``auto`` or nothing.
 
     Returns:
@@ -72,8 +69,9 @@ def prepare(
     if restart not in ("", "auto") and case.config.variations:
         raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
     memory.check(case.file, case.config)
-    folders.prepare_run(output, force or keep or bool(restart))
-    if not (keep and _everything(case, output)):
+    done = not force and restart in ("", "auto") and _everything(case, output)
+    folders.prepare_run(output, force or done or bool(restart))
+    if not done:
         return False
     names = [v.name for v in case.variations()] if case.config.variations else [""]
     check_usable(

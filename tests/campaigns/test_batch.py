@@ -175,9 +175,9 @@ def test_what_changed_runs_again_and_the_same_runs_once(bench: Bench) -> None:
     ]
     results = bench.run(*jobs)
     assert bench.calls() == [
-        "2.0 --keep --restart auto -n 2 1",
-        "2.0 --keep --restart auto 1",
-        "3.0 --keep --restart auto 1",
+        "2.0 --restart auto -n 2 1",
+        "2.0 --restart auto 1",
+        "3.0 --restart auto 1",
     ]
     assert [r.summary["size"] for r in results] == [1, 2, 2, 3, 3]
     assert results[0].folder == first[0].folder
@@ -395,7 +395,7 @@ def test_a_broken_snakemake_is_told(bench: Bench, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_result_that_cannot_be_read_runs_again(bench: Bench) -> None:
-    """`mantle run --keep` would take it for finished."""
+    """`mantle run` would take it for finished."""
     (first,) = bench.run(bench.job(1.0))
     bench.calls()
     (first.folder / "summary.json").write_text("{")

@@ -41,7 +41,7 @@ def test_a_run_that_is_not_to_be_used_says_so(
     case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "out"
-    for again in ([], ["--keep"]):
+    for again in ([], ["--restart", "auto"], []):
         assert main(["run", str(case), "-o", str(folder), "--set", FAR, *again]) == 6
         told = f"do not use the numbers in {folder}: slip on low_high exceeds the size of its"
         assert told in capsys.readouterr().err

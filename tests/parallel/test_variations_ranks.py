@@ -38,9 +38,10 @@ solver: {tolerance: 1.0e-12, max_iterations: 12}
 variations:
   tied: {interfaces.stem_cement: {kind: bonded}}
   lifted: {loads.aside.force: [0 N, 0 N, 2000 N]}
-  grid:
-    interfaces.stem_cement.friction_coefficient: [0.3, 0.4]
-    loads.*.history: [[1, 1], [2, 2]]
+  slippery: {interfaces.stem_cement.friction_coefficient: 0.3}
+  as_is: {}
+  slippery_twice: {interfaces.stem_cement.friction_coefficient: 0.3, loads.*.history: [2, 2]}
+  twice: {loads.*.history: [2, 2]}
 """
 
 
@@ -70,7 +71,9 @@ def test_variations_on_two_ranks(tmp_path: Path) -> None:
     # What is finished stays, on two ranks too; what failed is tried again.
     output = tmp_path / "2"
     before = {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")}
-    again = support.on_ranks(2, "-m", "mantle", "run", case, "-o", output, "--keep", code=4)
+    again = support.on_ranks(
+        2, "-m", "mantle", "run", case, "-o", output, "--restart", "auto", code=4
+    )
     assert again.stdout.count("5 of 6 variations are finished already") == 1
     assert {p: p.stat().st_mtime_ns for p in output.glob("*/DONE")} == before
     table = json.loads((output / "variations.json").read_text())

@@ -45,7 +45,7 @@ def test_importing_mantle_imports_nothing_of_the_stack() -> None:
 
 def test_the_package_is_the_command() -> None:
     assert python("-m", "mantle", "--help").startswith("usage: mantle ")
-    assert python("-m", "mantle", "version") == f"mantle {mantle.__version__}\n"
+    assert python("-m", "mantle", "--version") == f"mantle {mantle.__version__}\n"
 
 
 # ---------------------------------------------------------------------------------- one case
@@ -104,11 +104,11 @@ def test_a_run_tells_its_steps_and_gives_its_results(tmp_path: Path) -> None:
     np.testing.assert_allclose(end[top, 2] - first[top, 2], -0.1, rtol=1e-6)
     with pytest.raises(InputError, match="no step of a stage 'pull'"):
         f.displacement("pull")
-    # As on the command line: results are not replaced unasked, and kept if they are the same.
+    # As on the command line: results are kept if they are the same, and not replaced unasked.
     with pytest.raises(InputError, match="is not empty"):
-        mantle.run(case, tmp_path / "out")
+        mantle.run(mantle.load(CONFIGS / "cylinders.yaml", title="other"), tmp_path / "out")
     written = (tmp_path / "out" / "DONE").stat().st_mtime_ns
-    mantle.run(case, tmp_path / "out", keep=True, progress=lambda step: pytest.fail("it ran"))
+    mantle.run(case, tmp_path / "out", progress=lambda step: pytest.fail("it ran"))
     assert (tmp_path / "out" / "DONE").stat().st_mtime_ns == written
 
 

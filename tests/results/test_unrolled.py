@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.results import unrolled
-from app.results.reading import FACES, Run
+from app.results.reading import Run
 
 N, LAYERS, RADIUS, LENGTH = 12, 3, 5.0, 30.0
 
@@ -74,28 +74,22 @@ def two_bodies(order: int) -> Any:
         corners = [np.vstack([x, x[ends].mean(axis=1)]) for x in corners]
     width = len(corners[0])
     points = np.vstack(corners)
-    on = np.abs(points[:, 2]) < 1e-12
     return SimpleNamespace(
         points=points,
         cells=np.arange(2 * width).reshape(2, width),
         region=np.array([1, 2]),
-        contacts=("lower_upper",),
-        on_interface=lambda name: on,
     )
 
 
-@pytest.mark.parametrize("order, count", [(1, 1), (2, 4)])
-def test_facets_are_those_between_the_bodies(order: int, count: int) -> None:
-    """Of second order, where contact is known in the middle of edges, each is four."""
+@pytest.mark.parametrize("order", [1, 2])
+def test_facets_are_those_between_the_bodies(order: int) -> None:
     run = two_bodies(order)
     triangles = unrolled.facets(run, [2], [1])
-    assert len(triangles) == count
     assert (triangles >= len(run.points) // 2).all()
     x = run.points[triangles]
     assert x[:, :, 2] == pytest.approx(0.0)
     area = np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1) / 2
-    assert area.sum() == pytest.approx(2.0)
-    assert len(FACES) == 4
+    assert area == pytest.approx([2.0])
 
 
 def test_a_flat_interface_is_drawn_in_its_own_plane() -> None:

@@ -25,7 +25,9 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from app.case import gmsh_header, overlay, study_file, sweep_file
+from app.case import gmsh_header, overlay
+from app.case import study as study_file
+from app.case import sweep as sweep_file
 from app.case.case import dump, resolve
 from app.errors import InputError
 from app.schema import yaml_file

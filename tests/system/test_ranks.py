@@ -59,8 +59,7 @@ def test_a_wrong_number_of_ranks_is_an_input_error(value: str | None, joined: st
     "command",
     [
         *(["check", "a.yaml"], ["mesh", "a.yaml"], ["study", "a.yaml"], ["sweep", "a.yaml"]),
-        *(["report", "a"], ["verify"], ["stress"], ["bench"], ["schema"], ["doctor"]),
-        ["version"],
+        *(["report", "a"], ["verify"], ["stress"], ["bench"], ["explain"], ["doctor"]),
     ],
 )
 def test_only_a_run_takes_ranks(

@@ -188,12 +188,13 @@ def test_finest_rungs_are_of_the_long_tier() -> None:
     assert [len(sine.up_to(tier).runs) for tier in ("quick", "default", "long")] == [4, 4, 5]
 
 
-def test_options_of_the_version_before(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_options_reach_the_engine(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[tuple[str, Options]] = []
     monkeypatch.setattr(engine, "run", lambda *all: given.append(all) or len(given) < 3)
-    assert cli.main(["verify", "--fine", "-o", "there", "--cores", "1"]) == 0
-    assert "--fine is now --tier long" in capsys.readouterr().err
-    assert cli.main(["bench", "-k", "stem", "--full", "--slurm=-p long", "--cores", "1"]) == 0
+    assert cli.main(["verify", "--tier", "long", "-o", "there", "--cores", "1"]) == 0
+    assert (
+        cli.main(["bench", "-k", "stem", "--tier", "long", "--slurm=-p long", "--cores", "1"]) == 0
+    )
     assert cli.main(["stress", "--tier", "quick", "--cores", "1"]) == 1
     assert given == [
         ("verify", Options(Path("there"), 1, tier="long")),
