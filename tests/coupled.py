@@ -115,7 +115,7 @@ def solve(
     before = [0.0]
 
     def so_far() -> float:
-        jumps = [j for m in made.mechanics for j in m.problem.jumps]
+        jumps = [m.problem.contact for m in made.mechanics if m.problem.contact]
         return sum(float(j.history.dissipation.sum()) for j in jumps)
 
     def on_heat(step: LoadStep, accepted: HeatStep) -> None:

@@ -242,7 +242,7 @@ class Model:
 
     def _nested(self, m: Mechanical) -> tuple[CoarseModelStart, ...]:
         """A start from a cheaper model, if that pays."""
-        if not m.problem.jumps or self.scene.conductors:
+        if m.problem.contact is None or self.scene.conductors:
             return ()
         case = coarser_case.cheaper(self._case, sum(m.solver.block_sizes.values()))
         return (

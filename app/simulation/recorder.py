@@ -115,8 +115,8 @@ class Recorder:
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of own contact points."""
-        jumps = [j for m in self._model.mechanics for j in m.problem.jumps]
-        return {"_contact": jumps[0].row_keys} if jumps else {}
+        contacts = [m.problem.contact for m in self._model.mechanics if m.problem.contact]
+        return {"_contact": contacts[0].row_keys} if contacts else {}
 
     def restored(self) -> None:
         """Go on from a restored model; collective."""

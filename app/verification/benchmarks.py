@@ -248,16 +248,10 @@ def _orders(runs: Sequence[Run]) -> Sample:
 
 
 def equal_error(two: Run, ones: Sequence[Run], reference: Run) -> float:
-    """Time of a run over that of others of the same case at the same error of slip_p99.
+    """Time of a run over that of others, from coarse to fine, at the same error of slip_p99.
 
-    Args:
-        two: The run.
-        ones: The others, from coarse to fine.
-        reference: The run that errors are against.
-
-    Returns:
-        The ratio, by the straight line in logarithms between the two others about it. Where none of
-        the others is as good, the last is taken: one as good takes longer, the ratio is smaller.
+    By the straight line in logarithms between the two others about it. Where none of the others is
+    as good, the last is taken: one as good takes longer, the ratio is smaller.
     """
     known = _numbers(reference, "slip_p99")
 

@@ -301,7 +301,7 @@ supports:
 def cylinder_points(**values: object) -> ContactPoints:
     case = support.case(CYLINDERS.format(**values))
     problem, _ = support.assemble(case)
-    (jumps,) = problem.jumps
+    jumps = problem.contact
     return jumps.points
 
 

@@ -117,7 +117,7 @@ def test_friction_dissipates_at_every_point_in_every_step(text: str, law: str, s
     if law == PENALTY:
         return
     # Friction times slip, from forces and jumps alone: the points have one face each.
-    j = solved.problem.jumps[0]
+    j = solved.problem.contact
     assert (j.points.faces[~j.points.held.any(axis=1)] == 1).all()
     normals = j.points.normals[:, 0]
 
@@ -182,7 +182,7 @@ def test_edges_and_corners_dissipate_too(law: str, tmp_path: Path) -> None:
     peg(tmp_path / "peg.msh")
     text = random_path(PEG.replace("{path}", str(tmp_path / "peg.msh")), law, seed=3)
     solved = support.solve(text, balances=True)
-    assert (np.bincount(solved.problem.jumps[0].points.faces)[1:] > 3).all()
+    assert (np.bincount(solved.problem.contact.points.faces)[1:] > 3).all()
     assert_never_negative(solved)
     assert solved.balances.max() < 1e-8
 
@@ -295,7 +295,7 @@ def test_work_of_a_growing_interference_is_not_contact_work() -> None:
         stages="[{name: a}, {name: b}]",
     )
     solved = support.solve(text, balances=True)
-    (j,) = solved.problem.jumps
+    j = solved.problem.contact
     assert solved.balances.max() < 1e-8
     work = abs(float(j.history.work.sum()))
     assert work > 1e-3
