@@ -52,6 +52,7 @@ class ContactSamples:
         dissipation: Dissipated by friction (n,) [N mm].
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
+        own: History variables of the laws, by name: (n, ...).
         edge_lengths: Mean edge of the facets of each interface [mm].
         found: What `interface` has found of them, by interface.
     """
@@ -95,6 +96,7 @@ class ContactSamples:
         self.dissipation, self.least, self.contact_work = (
             whole[k][order] for k in ("dissipation", "least", "contact_work")
         )
+        self.own = {name: whole[f"own {name}"][order] for name in history.own}
         self.overlap = overlap(contact, trial.jump)
 
 

@@ -67,7 +67,7 @@ class ContactHeat:
         self.begin(np.inf, self.zero_work())
         self.friction_work: Floats = self.zero_work()
         self.heats = _heats(scene, problem, contact, operators, number)
-        heated = {f.interface for f in scene.friction_heat}
+        heated = {f.name for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
         self.rubbing = np.isin(
             contact.interface, [i for i, name in enumerate(names) if name in heated]

@@ -16,6 +16,7 @@ import pytest
 import meshes
 from app.arrays import Floats, Ints
 from app.case.case import Case, load
+from app.laws.interface_laws import Coulomb
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import mechanical
