@@ -1,4 +1,4 @@
-"""What heats or cools: given temperatures, fluxes, convection, sources, perfusion."""
+"""Heat conditions: given temperatures, fluxes, convection, sources, perfusion."""
 
 from __future__ import annotations
 

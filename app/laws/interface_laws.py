@@ -107,8 +107,8 @@ class InterfaceLaw(Extensible):
 
     @property
     def friction(self) -> float:
-        """Coulomb's coefficient; 0 for none."""
-        return 0.0
+        """Coulomb's coefficient: the key `friction_coefficient`, 0 without it."""
+        return getattr(self, "friction_coefficient", 0.0)
 
     @property
     def frictional(self) -> bool:
@@ -117,13 +117,13 @@ class InterfaceLaw(Extensible):
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
-        """How the heat of friction is shared; None if there is none."""
-        return None
+        """The key `friction_heating`: how the heat of friction is shared; None if there is none."""
+        return getattr(self, "friction_heating", None)
 
     @property
     def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """The initial gap [mm], and its history."""
-        return 0.0, None
+        """The keys `gap` [mm] and `gap_history`."""
+        return getattr(self, "gap", 0.0), getattr(self, "gap_history", None)
 
     @property
     def values(self) -> Mapping[str, float]:
@@ -193,21 +193,6 @@ class Unilateral(InterfaceLaw):
     the start, and an interference grows through the first stage."""
     friction_heating: FrictionHeating | None = None
     """Part of the heat of friction that goes into the first side; none is heated by default."""
-
-    @property
-    def friction(self) -> float:
-        """Coulomb's coefficient; 0 for none."""
-        return self.friction_coefficient
-
-    @property
-    def heated_by_friction(self) -> FrictionHeating | None:
-        """How the heat of friction is shared; None if there is none."""
-        return self.friction_heating
-
-    @property
-    def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """The initial gap [mm], and its history."""
-        return self.gap, self.gap_history
 
     @model_validator(mode="after")
     def _rubs(self) -> Unilateral:

@@ -68,7 +68,11 @@ class Elastic(Named):
 
     def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
         """Strain energy density ψ(ε) [MPa], its constants handed in as UFL constants."""
-        raise NotImplementedError
+        from forms import elasticity
+
+        if self.fibre is None:
+            return elasticity.isotropic_energy(ε, *coefficients)
+        return elasticity.transversely_isotropic_energy(ε, fibre, *coefficients)
 
 
 class Isotropic(Elastic):
@@ -114,12 +118,6 @@ class Isotropic(Elastic):
     def modulus(self) -> float:
         """Young's modulus [MPa]."""
         return self.youngs_modulus
-
-    def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
-        """Strain energy density ψ(ε) [MPa]."""
-        from forms import elasticity
-
-        return elasticity.isotropic_energy(ε, *coefficients)
 
 
 class TransverselyIsotropic(Elastic):
@@ -201,12 +199,6 @@ class TransverselyIsotropic(Elastic):
     def modulus(self) -> float:
         """Larger of its Young's moduli [MPa]."""
         return max(self.axial_youngs_modulus, self.transverse_youngs_modulus)
-
-    def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
-        """Strain energy density ψ(ε) [MPa]."""
-        from forms import elasticity
-
-        return elasticity.transversely_isotropic_energy(ε, fibre, *coefficients)
 
 
 def _true(value: object) -> object:

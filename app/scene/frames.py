@@ -85,7 +85,7 @@ def held_at(
     supports: Sequence[Support],
     facets: InterfaceFacets,
 ) -> tuple[Holds, dict[int, Floats]]:
-    """What supports hold at vertices of interfaces, and the axes of those with their own."""
+    """Supports at vertices of interfaces, and the axes of vertices that have their own."""
     numbers, first = np.unique(facets.vertices, return_index=True)
     holds = held_vertices(tagged, bodies, space, supports, numbers)
     if frames is None:
