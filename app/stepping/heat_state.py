@@ -74,9 +74,7 @@ class HeatState:
     def __init__(
         self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
     ) -> None:
-        """Begin at the initial temperatures; collective."""
-        assert scene.time is not None
-        self.options = scene.time
+        self.options = scene.time[0]
         self.step, self.operators, self.solver = step, step.operators, solver
         self.coupled = coupled
         self.outcome = NewtonResult(False, 0, 0, (), (), False)
