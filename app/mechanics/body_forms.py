@@ -65,14 +65,18 @@ class OnBody:
         """A constant, in UFL."""
         return self._mechanics.constant(value)
 
-    def spread(self, density: Field, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
-        """A field (3,) and the measure of each of the body's regions among some.
+    def spread(
+        self, density: Field, regions: Sequence[str] | None
+    ) -> list[tuple[Expr, ufl.Measure]]:
+        """A field (3,) and the measure of each of the body's regions among some, or of all.
 
         The field is a function of points and not an expression in UFL: all densities share one
         compiled form. The degree of quadrature is exact for constants on curved cells, and leaves
         second order its third order in the displacement where the density varies.
         """
         mechanics = self._mechanics
+        if regions is None:
+            regions = [e.region for e in mechanics.scene.elastic]
         own = [r for r in regions if mechanics.bodies.of_region[r] == self._body]
         if not own:
             return []

@@ -85,7 +85,7 @@ def refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
         InputError: One holds a body where another one holds what it touches.
     """
     for s, support in enumerate(supports):
-        if not all(support.active) and (points.given == s).any():
+        if support.stages is not None and (points.given == s).any():
             raise InputError(
                 f"supports.{support.name}: it is let go of, but holds its body on an interface "
                 "where the other side is held too; allowed: a boundary away from such edges, the "

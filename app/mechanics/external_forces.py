@@ -16,6 +16,9 @@ import numpy as np
 import ufl
 
 from app.arrays import Floats
+from app.laws.loads import Load
+from app.laws.materials import Elastic
+from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms, OnBody
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies

@@ -97,7 +97,8 @@ class Stiffness:
             Whether they changed.
         """
         before, self.stage = self.stage, stage
-        if all(s.holds(before) == s.holds(stage) for s in self._parts[0].supports):
+        scene = self._parts[0]
+        if all(scene.holds(s, before) == scene.holds(s, stage) for s in scene.supports):
             return False
         old = self.constraints
         self.constraints = Constraints(*self._parts, stage, self.frames)

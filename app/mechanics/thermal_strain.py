@@ -20,6 +20,7 @@ from dolfinx import fem
 from numpy.typing import NDArray
 
 from app.laws.materials import Elastic
+from app.laws.thermal import Thermal
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact import ContactInterfaces

@@ -74,7 +74,8 @@ class HeatState:
     def __init__(
         self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
     ) -> None:
-        self.options = scene.time[0]
+        assert scene.time is not None
+        self.options = scene.time
         self.step, self.operators, self.solver = step, step.operators, solver
         self.coupled = coupled
         self.outcome = NewtonResult(False, 0, 0, (), (), False)

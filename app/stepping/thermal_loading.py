@@ -44,7 +44,8 @@ class ThermalLoading:
     saved = ("_strains",)
 
     def __init__(self, scene: Scene, operators: HeatOperators) -> None:
-        self._operators, self._step = operators, scene.time[0].mechanical_step
+        assert scene.time is not None
+        self._operators, self._step = operators, scene.time.mechanical_step
         n = len(operators.bodies.names)
         self._temperatures = [fem.Function(operators.forms.space) for _ in range(n)]
         self._curing = operators.cure.nodes if operators.cure else []
