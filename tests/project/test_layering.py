@@ -231,11 +231,8 @@ def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -
         "app.results.thermal_record",
         "app.soundness.failure",
     ):
-        seen = {m for m in imported(path) if package_of(m) in ("schema", "laws", "case")}
-        # A default value, and the table of numbers.
-        known = {"app.case.run_options"} if path.stem == "contact_law" else set()
-        known |= {"app.case.quantities"} if path.stem == "interface_numbers" else set()
-        assert seen <= known
+        seen = {m for m in imported(path) if package_of(m) in ("schema", "case")}
+        assert seen <= ({"app.case.quantities"} if path.stem == "interface_numbers" else set())
 
 
 @all_of("app")
