@@ -128,12 +128,7 @@ def _levels(values: Sequence[str]) -> str:
 
 
 def multiples(cases: Sequence[SweptCase], folder: Path) -> list[Figure]:
-    """Draw each headline number over each numeric key that varies.
-
-    Args:
-        cases: Those that have something in common.
-        folder: Where the pictures go.
-    """
+    """Draw each headline number over each numeric key that varies."""
     done = [c for c in cases if c.done]
     keys = dict.fromkeys(key for c in done for key in c.overrides)
     figures = []

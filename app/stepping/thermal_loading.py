@@ -44,12 +44,6 @@ class ThermalLoading:
     saved = ("_strains",)
 
     def __init__(self, scene: Scene, operators: HeatOperators) -> None:
-        """Begin without strain.
-
-        Args:
-            scene: The scene.
-            operators: Its heat.
-        """
         assert scene.time is not None
         self._operators, self._step = operators, scene.time.mechanical_step
         n = len(operators.bodies.names)
