@@ -48,7 +48,6 @@ class OnBody:
     """One body of the mechanics as loads see it (`laws.loads.Acting`)."""
 
     def __init__(self, mechanics: BodyForms, body: int) -> None:
-        """Look at a body."""
         self._mechanics, self._body = mechanics, body
         self.x = ufl.SpatialCoordinate(mechanics.mesh)
         self.n = ufl.FacetNormal(mechanics.mesh)
