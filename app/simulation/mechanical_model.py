@@ -34,7 +34,7 @@ class Mechanical:
         self.stresses = Stresses(problem, timing, around_z)
         self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
         self.neighbours = WarmStart(problem, solver)
-        self._balance: list[Balance] = []
+        self._balance: Balance | None = None
 
     def begin(self, build: Scene, augmentation_factor: float, tolerance: float) -> None:
         """Begin another model, at rest; collective."""
@@ -52,8 +52,8 @@ class Mechanical:
         Args:
             about: Point that moments are taken about (3,) [mm], always the same.
         """
-        if self._balance:
-            self._balance[0].begin()
+        if self._balance is None:
+            self._balance = Balance(self.problem, about)
         else:
-            self._balance.append(Balance(self.problem, about))
-        return self._balance[0]
+            self._balance.begin()
+        return self._balance

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
 from app.case.case import Case
 from app.heat.flows import stored, through
@@ -55,17 +54,13 @@ class ThermalModel:
         # Once a steady state has been reached the first instants are over.
         self._settled = False
         self.record.start(self._reported(0.0))
-        keys = self._keys()
-        self.cure: tuple[CureRecord, ...] = (
-            (CureRecord(operators.comm, heating.degrees(), keys),) if keys else ()
-        )
+        self.cure: CureRecord | None = None
+        if operators.cure:
+            nodes = operators.row_keys
+            keys = {n.region: nodes[n.dof] for n in operators.cure.nodes}
+            self.cure = CureRecord(operators.comm, heating.degrees(), keys)
         self.balance = HeatBalance(stored(operators, heating.vectors()), {})
         self.flows: dict[str, dict[str, float]] = {}
-
-    def _keys(self) -> dict[str, NDArray[np.int64]]:
-        """Keys of the nodes of each region that sets."""
-        nodes, cure = self.operators.row_keys, self.operators.cure
-        return {n.region: nodes[n.dof] for n in cure.nodes} if cure else {}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Temperatures of the bodies, as they are reported at a time; collective."""
@@ -88,8 +83,8 @@ class ThermalModel:
         highest = heating.step.bounds(x).high
         rates = heating.slopes() if heating.begins_at_event(accepted) else ()
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
-        for cure in self.cure:
-            cure.update(accepted.seconds, heating.degrees(), heating.rates())
+        if self.cure:
+            self.cure.update(accepted.seconds, heating.degrees(), heating.rates())
         self.flows = {"into": dict(accepted.flows), "through": through(heating.step, x)}
         heat = stored(operators, x)
         rounding = heating.step.measure(x, heating.step.vectors())[0].rounding
@@ -105,6 +100,6 @@ class ThermalModel:
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""
         row = self.record.row()
-        for cure in self.cure:
-            row |= cure.row()
+        if self.cure:
+            row |= self.cure.row()
         return row | {"heat balance [-]": self.balance.heat}
