@@ -383,4 +383,4 @@ def test_conductance_varies_where_heat_and_contact_depend_on_each_other() -> Non
             ours = numbers["thermal"]["regions"][region]["temperature_mean"]
             theirs = expected["thermal"]["regions"][region]["temperature_mean"]
             assert ours == pytest.approx(theirs, rel=1e-8)
-    assert len(runs.kin) == 1
+    assert len(runs.last._others) == 1
