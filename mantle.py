@@ -89,10 +89,10 @@ def load(path: str | os.PathLike[str], **overrides: Any) -> LoadedCase:
     Raises:
         InputError: The file cannot be read or is wrong; every defect at once, one line each.
     """
-    from app.case import case, study_options
+    from app.case import case, points
 
     keys = {key: key if "." in key else key.replace("__", ".") for key in overrides}
-    changes = study_options.options({keys[key]: value for key, value in overrides.items()})
+    changes = points.as_overrides({keys[key]: value for key, value in overrides.items()})
     return case.load(Path(path), changes)
 
 

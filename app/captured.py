@@ -1,4 +1,4 @@
-"""What libraries write to standard output and error by themselves goes to the log instead."""
+"""Catch what libraries write to standard output and error, and send it to the log instead."""
 
 from __future__ import annotations
 

@@ -34,14 +34,7 @@ GRACE = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        arguments: The command line without the program's name; that of the process by default.
-
-    Returns:
-        The exit code.
-    """
+    """Run a command, that of the process by default, and return its exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         # Paths can hold what is no text.
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
@@ -97,11 +90,7 @@ def _explain(error: Exception) -> EnvironmentProblem | None:
 
 
 def _leave(error: MantleError) -> int:
-    """Say what is wrong, once, and leave together; ranks that do not come too are ended.
-
-    Returns:
-        The exit code.
-    """
+    """Say what is wrong, once, and leave together; ranks that do not come too are ended."""
     if rank() == 0:
         print(painted(error, "bad", sys.stderr), file=sys.stderr, flush=True)
     else:

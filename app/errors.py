@@ -43,17 +43,14 @@ class MantleError(Exception):
 
 
 class InputError(MantleError):
-    """The input is wrong; holds one message per defect."""
+    """The input is wrong; holds one message per defect.
+
+    A message is ``file:line:column: key: what is wrong; what is allowed``.
+    """
 
     exit_code = 2
 
     def __init__(self, messages: str | Sequence[str]) -> None:
-        """Keep the list of defects.
-
-        Args:
-            messages: One line per defect,
-                ``file:line:column: key: what is wrong; what is allowed``.
-        """
         self.messages = [messages] if isinstance(messages, str) else list(messages)
         super().__init__("\n".join(self.messages))
 
@@ -92,7 +89,6 @@ class AloneError(MantleError):
     """An error of one rank, of which the others know nothing: all that is left is to end them."""
 
     def __init__(self, error: MantleError) -> None:
-        """Keep the message and the exit code."""
         super().__init__(str(error))
         self.exit_code = error.exit_code
 
@@ -102,9 +98,6 @@ def stack_needed(petsc: bool = True) -> Iterator[None]:
     """Turn a missing package of the solver stack into an error of the environment.
 
     PETSc is started without its files of options: the one in the working folder may be another's.
-
-    Args:
-        petsc: Whether PETSc is needed.
 
     Raises:
         EnvironmentProblem: A package that is not of mantle's own is missing.
@@ -131,12 +124,7 @@ KINDS = (
 
 
 def gravest(codes: Iterable[int], message: str) -> MantleError:
-    """An error that leaves with the highest of some exit codes; one that is none of ours is 70.
-
-    Args:
-        codes: How runs have ended that failed.
-        message: What to say.
-    """
+    """An error with the highest of the exit codes of failed runs; one that is not ours is 70."""
     kinds: dict[int, type[MantleError]] = {kind.exit_code: kind for kind in KINDS}
     worst = max((kinds.get(code, MantleError) for code in codes), key=lambda kind: kind.exit_code)
     return worst(message)
@@ -163,12 +151,7 @@ def agree(comm: Any, error: MantleError) -> None:
 
 
 def everywhere(comm: Any, action: Callable[[], T]) -> T:
-    """Do something on every rank; an error on one is raised on all, so that none waits.
-
-    Args:
-        comm: Communicator.
-        action: What every rank does; not collective.
-    """
+    """Call an action on every rank, not collective; an error on one is raised on all."""
     error = None
     try:
         result = action()

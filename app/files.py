@@ -15,13 +15,7 @@ LEFT = re.compile(r"\.[0-9a-f]{16}\.partial$")
 
 
 def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
-    """Write a file under another name, flush it to disk and rename it; all of it or nothing.
-
-    Args:
-        path: The file.
-        content: What it holds.
-        mode: Who may do what with it, beside what the umask forbids.
-    """
+    """Write a file under another name, flush it to disk and rename it; all of it or nothing."""
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}{PARTIAL}")
     new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     try:

@@ -67,10 +67,8 @@ def sorted_facets(
     comm: MPI.Comm,
     interface: Ints,
     vertices: Ints,
-    master: Ints,
-    slave: Ints,
-    vertex_dofs: Ints,
-    edge_dofs: Ints,
+    bodies: Ints,
+    dofs: tuple[Ints, Ints],
     x: Floats,
     inside_slave: Floats,
     stiffness: Floats,
@@ -81,17 +79,16 @@ def sorted_facets(
         comm: Communicator.
         interface: Index of the interface (f,).
         vertices: Vertex numbers of the mesh file (f, 3).
-        master: Body on the master side (f,).
-        slave: Body on the slave side (f,).
-        vertex_dofs: Global blocked dofs at the vertices (f, 3).
-        edge_dofs: Global blocked dofs at the edges opposite them (f, 3) or (f, 0).
+        bodies: Bodies on the master and on the slave side (f, 2).
+        dofs: Global blocked dofs at the vertices (f, 3) and at the edges opposite them (f, 3) or
+            (f, 0).
         x: Coordinates of the vertices (f, 3, 3), and where cells are curved of the middles of the
             edges opposite them (f, 6, 3) [mm].
         inside_slave: A point inside the slave cell (f, 3) [mm].
         stiffness: Modulus of the master and of the slave cell (f, 2) [MPa].
     """
-    interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness = gather(
-        comm, interface, vertices, master, slave, vertex_dofs, edge_dofs, x, inside_slave, stiffness
+    interface, vertices, bodies, vertex_dofs, edge_dofs, x, inside_slave, stiffness = gather(
+        comm, interface, vertices, bodies, *dofs, x, inside_slave, stiffness
     )
     # The three vertices of a facet in rising order, then the facets by interface and vertices.
     order = np.argsort(vertices, axis=1)
@@ -111,8 +108,8 @@ def sorted_facets(
     return InterfaceFacets(
         interface=interface[rows],
         vertices=vertices,
-        master=master[rows],
-        slave=slave[rows],
+        master=bodies[rows, 0],
+        slave=bodies[rows, 1],
         vertex_dofs=vertex_dofs[rows],
         edge_dofs=edge_dofs[rows],
         x=x[:, :3],

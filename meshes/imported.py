@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,76 +46,65 @@ def build(geometry: Any, mesh: Any) -> MeshData:
 
 def _named(geometry: Any, found: Content) -> MeshData:
     """Put the pieces of the file together."""
-    regions = number(found.cells)
-    if not len(found.node_tags):
-        raise GeometryError(f"{geometry.path}: the mesh has no nodes")
-    order = np.argsort(found.node_tags, kind="stable")
-    tags = found.node_tags[order].astype(np.int64)
-
-    def rows(wanted: Ints) -> Ints:
-        """Rows of nodes by their tags, which may be any numbers."""
-        at = np.searchsorted(tags, wanted).clip(max=len(tags) - 1)
-        if (tags[at] != wanted).any():
-            raise GeometryError(f"{geometry.path}: cells have nodes that the file does not list")
-        return np.asarray(order[at])
-
-    widths = {block.shape[1] for block in found.cells.values() if len(block)}
+    path, regions = geometry.path, number(found.cells)
+    rows = _rows_of(path, found.node_tags)
+    widths = {block.shape[1] for block in found.cells.values()}
     if len(widths) != 1:
-        what = (
-            "mixes straight and quadratic cells" if widths else "has no tetrahedra in its regions"
-        )
-        raise GeometryError(f"{geometry.path}: the mesh {what}")
-    width = widths.pop()
-    cells = rows(np.concatenate([block.reshape(-1, width) for block in found.cells.values()]))
-    cell_tags = np.concatenate(
-        [np.full(len(block), regions[n], dtype=np.int32) for n, block in found.cells.items()]
-    )
+        what = "mixes straight and quadratic cells" if widths else "has no tetrahedra in regions"
+        raise GeometryError(f"{path}: the mesh {what}")
+    cells = rows(np.concatenate([*found.cells.values()]))
+    cell_tags = np.repeat([*regions.values()], [*map(len, found.cells.values())]).astype(np.int32)
     if len(np.unique(np.sort(cells[:, :4], axis=1), axis=0)) < len(cells):
-        raise GeometryError(f"{geometry.path}: some cells belong to two physical volumes")
+        raise GeometryError(f"{path}: some cells belong to two physical volumes")
     points = found.points * MILLIMETRES[geometry.unit]
-    if width == 10 and geometry.is_script and not bent(points, cells):
-        cells, width = cells[:, :4], 4
+    if cells.shape[1] == 10 and geometry.is_script and not bent(points, cells):
+        cells = cells[:, :4]
     negative = cell_volumes(points, cells) < 0
-    cells[negative] = cells[negative][:, _MIRROR[width]]
+    cells[negative] = cells[negative][:, _MIRROR[cells.shape[1]]]
     try:
-        overlap = overlapping(cells)
-        exterior = exterior_facets(cells)
+        overlap, exterior = overlapping(cells), exterior_facets(cells)
     except ValueError as error:
-        raise GeometryError(f"{geometry.path}: {error}; the mesh is not conforming") from error
+        raise GeometryError(f"{path}: {error}; the mesh is not conforming") from error
     if len(overlap):
-        where = places(points, cells, cell_tags, regions, overlap)
+        where = "\n".join(places(points, cells, cell_tags, regions, overlap))
         raise GeometryError(
-            f"{geometry.path}: {len(overlap)} of {len(cells)} cells overlap their neighbours: both "
-            "lie on the same side of the face between them, or bend it differently; a node is in "
-            "the wrong place:\n" + "\n".join(where) + "\nRepair the mesh file."
+            f"{path}: {len(overlap)} of {len(cells)} cells overlap their neighbours: both lie on "
+            "the same side of the face between them, or bend it differently; a node is in the "
+            f"wrong place:\n{where}\nRepair the mesh file."
         )
-    if width == 10 and geometry.is_script:
+    if cells.shape[1] == 10 and geometry.is_script:
         points = untangle(points, cells)
-    told = []
-    if turned := int(negative.sum()):
-        told.append(
-            f"geometry: {turned} of {len(cells)} cells of the file list their nodes inside out: "
-            "they are turned, and no cell overlaps its neighbours"
-        )
     corners = {name: rows(block[:, :3]) for name, block in found.surfaces.items()}
     masks = {name: _among(exterior[0], wanted) for name, wanted in corners.items()}
-    inside = sorted(name for name, mask in masks.items() if not mask.any())
-    data = assemble(
-        points,
-        cells,
-        cell_tags,
-        regions,
-        geometry.interfaces,
-        {name: mask for name, mask in masks.items() if mask.any()},
-        exterior,
+    boundaries = {name: mask for name, mask in masks.items() if mask.any()}
+    data = assemble(points, cells, cell_tags, regions, geometry.interfaces, boundaries, exterior)
+    turned = (
+        f"geometry: {negative.sum()} of {len(cells)} cells of the file list their nodes inside "
+        "out: they are turned, and no cell overlaps its neighbours"
     )
     notes = {
-        "file": str(geometry.path),
-        "interior_surfaces": inside,
+        "file": str(path),
+        "interior_surfaces": sorted({*masks} - {*boundaries}),
         "cells_without_region": found.everything - len(cells),
-        "told": told,
+        "told": [turned] if negative.any() else [],
     }
     return replace(data, notes=notes)
+
+
+def _rows_of(path: Path, node_tags: Ints) -> Callable[[Ints], Ints]:
+    """A function that finds rows of nodes by their tags, which may be any numbers."""
+    if not len(node_tags):
+        raise GeometryError(f"{path}: the mesh has no nodes")
+    order = np.argsort(node_tags, kind="stable")
+    tags = node_tags[order].astype(np.int64)
+
+    def rows(wanted: Ints) -> Ints:
+        at = np.searchsorted(tags, wanted).clip(max=len(tags) - 1)
+        if (tags[at] != wanted).any():
+            raise GeometryError(f"{path}: cells have nodes that the file does not list")
+        return np.asarray(order[at])
+
+    return rows
 
 
 def _among(facets: Ints, wanted: Ints) -> Any:

@@ -115,7 +115,7 @@ def solve(
     before = [0.0]
 
     def so_far() -> float:
-        jumps = made.mechanics.problem.jumps if made.mechanics else ()
+        jumps = [made.mechanics.problem.contact] if made.mechanics else []
         return sum(float(j.history.dissipation.sum()) for j in jumps)
 
     def on_heat(step: LoadStep, accepted: HeatStep) -> None:

@@ -45,7 +45,7 @@ from app.campaigns.runs import (
 )
 from app.campaigns.scheduler import MEGABYTE, execute
 from app.case.case import dump, plain
-from app.case.variation_options import split
+from app.case.variations import split
 from app.errors import InputError, StoppedError
 from app.schema import yaml_text
 from app.soundness import memory

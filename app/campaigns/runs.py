@@ -16,7 +16,7 @@ from typing import Any
 
 from app.case.case import Case, dump, load, plain
 from app.case.geometries import MeshFile
-from app.case.variation_options import CHANGED, split
+from app.case.variations import CHANGED, split
 from app.errors import ConvergenceError, InputError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
 from app.system import identity

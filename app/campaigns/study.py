@@ -1,27 +1,26 @@
-"""``mantle study``: error against run time of a case, by its ``study`` section."""
+"""``mantle study``: error against run time of a case."""
 
 from __future__ import annotations
 
 import logging
 import math
-import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from app.campaigns import batch, many, study_report
+from app.campaigns import batch, many, study_picture, study_report
 from app.campaigns import work_precision as wp
 from app.campaigns.many import Options
 from app.campaigns.runs import Job, Result
-from app.campaigns.study_model import Measured, PlannedRun, Report, StudyRun, percent
-from app.case import quantities, study_file, study_options
-from app.case.case import Case, load
-from app.case.study_file import Source
-from app.case.study_options import Study
-from app.errors import InputError, gravest
-from app.schema import yaml_file
-from app.schema.yaml_file import CaseFile, Fault
+from app.campaigns.study_report import Measured, Report, StudyRun, percent
+from app.case import quantities
+from app.case import study as study_file
+from app.case.case import Case
+from app.case.planned_run import PlannedRun
+from app.case.study import PlannedStudy, Study
+from app.errors import InputError, StoppedError, gravest
+from app.schema.yaml_file import key_parts
+from app.system import folders
 from app.system.layout import duration
 
 log = logging.getLogger("mantle")
@@ -29,146 +28,106 @@ log = logging.getLogger("mantle")
 QUICK = 2  # points of each line
 
 
-def run(case: Path, overrides: list[str], options: Options) -> None:
+def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     """Run all points of a study and report them.
 
     Args:
-        case: The case file, with a study section, or a study of another case.
+        path: The study file.
         overrides: ``--set`` options; they hold for every point, so not for what varies.
         options: Where everything goes, how it is run, which lines. Runs go one at a time, so that
             their times can be compared.
 
     Raises:
-        InputError: The case or any point is wrong: everything at once, before anything runs.
+        InputError: The file or any point is wrong: everything at once, before anything runs.
         MantleError: Every run failed, of which it has the gravest exit code.
         StoppedError: Interrupted; the same command goes on from there.
     """
-    folder = options.folder
-    source = _chosen(study_file.read(case, overrides), options)
-    points = plan(source.study)
-    cases = _resolve(points, source)
-    jobs = [_job(p, source) for p in points]
-    results = batch.run(jobs, folder, options.cores, options.slurm)
-    runs = [_run(*each) for each in zip(points, cases, results, strict=True)]
-    report = evaluate(source.study, runs)
-    written = study_report.write(report, source, options.cores, folder)
+    planned = study_file.read(path, overrides)
+    chosen = _chosen(planned, options)
+    jobs = [_job(p) for p in chosen]
+    results = batch.run(jobs, options.folder, options.cores, options.slurm)
+    runs = [_study_run(p, result) for p, result in zip(chosen, results, strict=True)]
+    report = evaluate(planned.study, runs)
+    written = _write(report, planned, options)
     log.info("%s", study_report.table(report))
-    log.info("written in %s: %s", folder, ", ".join(written))
+    log.info("written in %s: %s", options.folder, ", ".join(written))
     if all(r.exit_code for r in results):
         text = f"every run of the study failed:\n{results[0].message}"
         raise gravest([r.exit_code for r in results], text)
 
 
-def dry_run(case: Path, overrides: list[str], options: Options) -> str:
+def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
     """List the runs that `run` would start, as a table.
 
     Raises:
         InputError: As `run`.
     """
-    source = _chosen(study_file.read(case, overrides), options)
-    points = plan(source.study)
-    _resolve(points, source)
-    jobs = [_job(p, source) for p in points]
-    return many.plan(f"{source.file.name}: {len(jobs)} runs", jobs, options)
+    chosen = _chosen(study_file.read(path, overrides), options)
+    return many.plan(f"{path}: {len(chosen)} runs", [_job(p) for p in chosen], options)
 
 
-def _chosen(source: Source, options: Options) -> Source:
-    """A study with the lines that are wanted; a quick one has the first points of each.
+def _chosen(planned: PlannedStudy, options: Options) -> list[PlannedRun]:
+    """The runs of the lines that are wanted, and of the reference; of a quick study the first two.
 
     Raises:
         InputError: No line has such a name.
     """
-    study = source.study
-    lines = {name: line for name, line in study.lines.items() if options.pattern in name}
-    if not lines:
-        names = ", ".join(study.lines)
+    lines: dict[str, list[PlannedRun]] = {}
+    for r in planned.runs:
+        lines.setdefault(_line(r), []).append(r)
+    if not any(name and options.pattern in name for name in lines):
+        names = ", ".join(filter(None, lines))
         raise InputError(f"-k {options.pattern}: no line has this in its name; allowed: {names}")
-    reference = study.reference
-    if options.tier == "quick":
-        lines = {name: _first(line) for name, line in lines.items()}
-        if reference.run is not None:
-            reference = reference.model_copy(update={"run": _first(reference.run)})
-    chosen = study.model_copy(update={"lines": lines, "reference": reference})
-    return replace(source, study=chosen)
+    most = QUICK if options.tier == "quick" else None
+    own = [runs[:most] for name, runs in lines.items() if not name or options.pattern in name]
+    return [r for runs in own for r in runs]
 
 
-def _first(line: dict[str, Any]) -> dict[str, Any]:
-    return {k: v[:QUICK] if isinstance(v, list) else v for k, v in line.items()}
+def _line(run: PlannedRun) -> str:
+    """Name of its line; empty for the reference."""
+    return "" if run.point.path == study_file.REFERENCE else run.point.part
 
 
-def plan(study: Study) -> list[PlannedRun]:
-    """Every point of a study, in the order of the file; the reference's come last."""
-    lines = [(("study", "lines", name), name, line) for name, line in study.lines.items()]
-    if study.reference.run is not None:
-        lines.append((("study", "reference", "run"), "", study.reference.run))
-    return [
-        PlannedRun(path, name, i, changes, (*study_options.varying(line), "")[0])
-        for path, name, line in lines
-        for i, changes in enumerate(study_options.steps(line))
-    ]
+def _job(run: PlannedRun) -> Job:
+    name = run.point.name if _line(run) else f"reference/{run.point.name.partition('/')[2]}"
+    return Job(name.rstrip("/"), run.base, run.overrides, run.ranks, alone=True)
 
 
-def _overrides(point: PlannedRun, common: Sequence[str]) -> list[str]:
-    """The options that make a case the point's."""
-    own = {key: value for key, value in point.changes.items() if key != "ranks"}
-    return [*common, *study_options.options(own), *study_file.ALONE]
-
-
-def _job(point: PlannedRun, source: Source) -> Job:
-    name = "-".join(filter(None, (point.line or "reference", point.label)))
-    return Job(
-        name=name.replace(" ", ""),
-        case=source.case,
-        overrides=tuple(_overrides(point, source.overrides)),
-        ranks=point.changes.get("ranks", source.ranks),
-        alone=True,
-    )
-
-
-def _resolve(points: Sequence[PlannedRun], source: Source) -> list[Case]:
-    """The configuration of each point.
+def _write(report: Report, planned: PlannedStudy, options: Options) -> list[str]:
+    """Write tables and pictures; their names.
 
     Raises:
-        InputError: All that is wrong with any of them, each located at its value in the study.
+        StoppedError: The folder cannot be written.
     """
-    cases: list[Case] = []
-    problems: list[Fault] = []
-    for point in points:
-        try:
-            cases.append(load(source.case, _overrides(point, source.overrides)).config)
-        except InputError as error:
-            problems += [_located(point, message, source.file) for message in error.messages]
-    condition = "solver.condition"
-    if condition in source.study.quantities and not all(c.output.condition for c in cases):
-        at = ("study", "quantities", source.study.quantities.index(condition))
-        problems.append(Fault(at, "needs output.condition: true"))
-    source.file.raise_all(problems)
-    return cases
+    folder = options.folder
+    try:
+        # What is not drawn again would stay beside other numbers.
+        folders.remove(folder / name for name in study_picture.NAMES)
+        written = study_report.write(report, planned, options.cores, folder)
+        return written + study_picture.draw(report, folder)
+    except OSError as error:
+        raise StoppedError(f"cannot write the study in {folder}: {error.strerror}") from error
 
 
-def _located(point: PlannedRun, message: str, file: CaseFile) -> Fault:
-    """A defect of a point, where its cause stands in the study."""
-    if found := yaml_file.at_override(message, {k: (*point.path, k) for k in point.changes}):
-        item = (*found.path, point.index)
-        return Fault(item, found.text) if item in file.places else found
-    at = f"with {point.key} = {point.label}: " if point.key else ""
-    return Fault(point.path, at + message)
-
-
-def _run(point: PlannedRun, case: Case, result: Result) -> StudyRun:
-    """Run of a point of the study, with its result and time."""
+def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
+    """A run with what varies in it, and its time."""
+    point = planned.point
+    lists = [key for key in point.varied if isinstance(point.places[key][-1], int)]
+    key = next((k for k in lists if k == "mesh.size"), lists[0] if lists else "")
+    value = point.changes.get(key, "")
+    number = int(point.places[key][-1]) + 1 if key else 0
+    label = f"#{number}" if isinstance(value, dict | list) else str(value)
     timing = result.summary.get("timing")
     cached = ("mesh", "compile", "error")
     time = timing["total"] - sum(timing.get(k, 0.0) for k in cached) if timing else None
-    x, unit = _number(case, point)
-    tolerance = case.solver.tolerance
-    return StudyRun(**vars(point), x=x, unit=unit, time=time, tolerance=tolerance, result=result)
+    x, unit = _number(planned.case, key, planned.ranks)
+    return StudyRun(_line(planned), planned, result, key, label, x, unit, time)
 
 
-def _number(case: Case, point: PlannedRun) -> tuple[float | None, str]:
-    """The value of the point's key as a positive number, if it is one, and its internal unit."""
-    value: Any = point.changes if point.key == "ranks" else case.model_dump(mode="json")
-    for item in re.sub(r"\[(\d+)\]", r".\1", point.key).split("."):
+def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
+    """The value of a key as a positive number, if it is one, and its internal unit."""
+    value: Any = ranks if key == "ranks" else case.model_dump(mode="json")
+    for item in key_parts(key) if key != "ranks" else ():
         if isinstance(value, list):
             value = value[int(item)]
         else:
@@ -187,28 +146,23 @@ def evaluate(study: Study, runs: Sequence[StudyRun]) -> Report:
     ladder = [r for r in runs if not r.line]
     measured = [_measure(study, name, curve, ladder) for name in study.quantities]
     pairs = [(m.name, p) for m in measured for p in m.points]
-    return Report(
-        target=study.target,
-        runs=curve,
-        ladder=ladder,
-        quantities=measured,
-        advice=_advice_on_all(study.target, curve, measured),
-        effectivity=wp.effectivity(pairs),
-    )
+    advice = _advice_on_all(study.target, curve, measured)
+    return Report(study.target, curve, ladder, measured, advice, wp.effectivity(pairs))
 
 
-def _measure(study: Study, name: str, curve: list[StudyRun], ladder: list[StudyRun]) -> Measured:
+def _measure(
+    study: Study, name: str, curve: Sequence[StudyRun], ladder: Sequence[StudyRun]
+) -> Measured:
     """One quantity over all runs."""
     compared = study.compares(name)
     reference = _reference(study, name, ladder) if compared else None
     points = []
     for r in curve:
-        summary = r.result.summary
-        value, estimate = (quantities.read(summary, name, s) for s in ("", "_error"))
-        point = wp.Point(r.line, r.label, r.x, r.time, value, estimate, r.tolerance)
+        value, estimate = (quantities.read(r.result.summary, name, s) for s in ("", "_error"))
+        tolerance = r.planned.case.solver.tolerance
+        point = wp.ErrorPoint(r.line, r.label, r.x, r.time, value, estimate, tolerance)
         points.append(wp.compare(point, reference))
     errors = [p.bound for p in points]
-    times = [p.time for p in points]
     lines = dict.fromkeys(r.line for r in curve)
     return Measured(
         name=name,
@@ -217,17 +171,17 @@ def _measure(study: Study, name: str, curve: list[StudyRun], ladder: list[StudyR
         reference=reference,
         points=points,
         exponents={n: wp.exponent([p for p in points if p.line == n]) for n in lines},
-        front=wp.pareto(times, errors),
+        front=wp.pareto([p.time for p in points], errors),
         errors=errors,
         advice=_advice(study.target, name, curve, errors, reference) if compared else "",
     )
 
 
-def _reference(study: Study, name: str, ladder: list[StudyRun]) -> wp.ReferenceValue | None:
+def _reference(study: Study, name: str, ladder: Sequence[StudyRun]) -> wp.ReferenceValue | None:
     """Reference value of a quantity; None if the ladder failed."""
     values = study.reference.values
     if values is not None:
-        return wp.ReferenceValue(study_options.known_value(name, values[name]), 0.0, None, "given")
+        return wp.ReferenceValue(study_file.known_value(name, values[name]), 0.0, None, "given")
     found = [(r, v) for r in ladder if (v := quantities.read(r.result.summary, name)) is not None]
     if found and len(ladder) == 1:
         return wp.ReferenceValue(found[0][1], 0.0, None, "of one run")
@@ -242,8 +196,8 @@ def _reference(study: Study, name: str, ladder: list[StudyRun]) -> wp.ReferenceV
 def _advice(
     target: float,
     name: str,
-    curve: list[StudyRun],
-    errors: list[float | None],
+    curve: Sequence[StudyRun],
+    errors: Sequence[float | None],
     reference: wp.ReferenceValue | None,
 ) -> str:
     """Advice on mesh and order for one quantity."""
@@ -258,7 +212,7 @@ def _advice(
     return _sentence(target, name, curve, errors)
 
 
-def _advice_on_all(target: float, curve: list[StudyRun], measured: list[Measured]) -> str:
+def _advice_on_all(target: float, curve: Sequence[StudyRun], measured: Sequence[Measured]) -> str:
     """Advice for all quantities together that have a reference good enough."""
     compared = [m for m in measured if m.compared]
     good = [
@@ -278,7 +232,7 @@ def _advice_on_all(target: float, curve: list[StudyRun], measured: list[Measured
 
 
 def _sentence(
-    target: float, what: str, curve: list[StudyRun], errors: Sequence[float | None]
+    target: float, what: str, curve: Sequence[StudyRun], errors: Sequence[float | None]
 ) -> str:
     wanted = percent(target)
     i, reached = wp.best([r.time for r in curve], errors, target)

@@ -1,53 +1,62 @@
-"""Error against run time as a picture: a panel for each quantity."""
+"""Pictures of a study: error against run time, and quantities over a number that varies."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from app.campaigns.study_model import FLAT, Measured, Report, percent
+from app.campaigns.study_report import FLAT, Measured, Report, percent
+from app.case.quantities import printed
 from app.system import style
 from app.system.style import COLOURS, MARKERS
 
+NAMES = ("study.png", "study_parameters.png")
 MOST_PANELS = 6
 EXACT = 1e-16  # what an error of zero is drawn as
+# Largest over smallest value from which an axis is logarithmic.
+DECADES = 30.0
+# Values smaller than the largest by this factor are zero to rounding.
+ROUNDING = 1e-9
 
 
-def picture(report: Report, path: Path) -> bool:
-    """Draw the first six quantities that have an error.
-
-    Args:
-        report: The study.
-        path: The PNG to write.
-
-    Returns:
-        Whether there is any.
-    """
-    shown = [m for m in report.quantities if m.compared][:MOST_PANELS]
-    if not shown:
-        return False
-    columns = 2 if len(shown) in (1, 2, 4) else 3
-    panels(path, shown, lambda axes, m: _panel(axes, report, m), columns, (5.2, 4.2))
-    return True
+def draw(report: Report, folder: Path) -> list[str]:
+    """Draw what there is: the first six quantities of each kind; names of the files."""
+    compared = [m for m in report.quantities if m.compared][:MOST_PANELS]
+    columns = 2 if len(compared) in (1, 2, 4) else 3
+    found = []
+    if compared:
+        _draw(folder / NAMES[0], compared, partial(_against_time, report), columns, (5.2, 4.2))
+        found.append(NAMES[0])
+    if lines := varying_lines(report):
+        shown = report.quantities[:MOST_PANELS]
+        _draw(folder / NAMES[1], shown, partial(_over_number, report, lines), 2, (4.6, 2.9))
+        found.append(NAMES[1])
+    return found
 
 
-def panels(
+def varying_lines(report: Report) -> dict[str, list[int]]:
+    """Lines that vary a number other than the mesh, with the indices of their runs."""
+    found: dict[str, list[int]] = {}
+    for i, r in enumerate(report.runs):
+        found.setdefault(r.line, []).append(i)
+    return {
+        name: own
+        for name, own in found.items()
+        if all(report.runs[i].x and not report.runs[i].key.startswith("mesh.") for i in own)
+    }
+
+
+def _draw(
     path: Path,
     shown: Sequence[Measured],
     panel: Callable[[Any, Measured], None],
     columns: int,
     size: tuple[float, float],
 ) -> None:
-    """Draw a panel for each quantity, and one legend for all.
-
-    Args:
-        path: The PNG to write.
-        shown: The quantities.
-        panel: Draws one of them into its axes.
-        columns: How many stand beside each other, at most.
-        size: Width and height of a panel [inch].
-    """
+    """A panel for each quantity, and one legend for all."""
     figure, every = style.panels(len(shown), columns, *size)
     for axes, m in zip(every, shown, strict=True):
         axes.set_title(m.name, fontsize=11, loc="left")
@@ -56,18 +65,14 @@ def panels(
     handles = style.handles(every)
     if "failed" in handles:
         handles["failed"] = handles.pop("failed")  # last
-    figure.legend(
-        handles.values(),
-        handles,
-        loc="outside lower center",
-        ncols=min(len(handles), 5),
-        frameon=False,
-    )
+    columns = min(len(handles), 5)
+    place = {"loc": "outside lower center", "ncols": columns, "frameon": False}
+    figure.legend(handles.values(), handles, **place)
     figure.savefig(path, dpi=130)
 
 
-def _panel(axes: Any, report: Report, m: Measured) -> None:
-    """One quantity: its lines, the front, the target, and what failed."""
+def _against_time(report: Report, axes: Any, m: Measured) -> None:
+    """Error against run time: lines, front, target, and failed runs."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="error")
@@ -81,40 +86,23 @@ def _panel(axes: Any, report: Report, m: Measured) -> None:
     for k, name in enumerate(m.exponents):
         _line(axes, report, m, error, name, k)
     _front(axes, m, error)
-    _limits(axes, report, m, error)
-    axes.axhline(
-        report.target, color="0.3", lw=1, ls=(0, (5, 3)), label=f"target {percent(report.target)}"
-    )
+    _limits(axes, report, error)
+    target = f"target {percent(report.target)}"
+    axes.axhline(report.target, color="0.3", lw=1, ls=(0, (5, 3)), label=target)
     if m.reference is not None and m.reference.uncertainty and m.reference.value:
         own = m.reference.uncertainty / abs(m.reference.value)
-        axes.axhspan(
-            axes.get_ylim()[0],
-            own,
-            color="0.88",
-            lw=0,
-            zorder=0,
-            label="below the reference's own error",
-        )
+        below = {"color": "0.88", "lw": 0, "zorder": 0, "label": "below the reference's own error"}
+        axes.axhspan(axes.get_ylim()[0], own, **below)
     if all(e is None for e in error):
         axes.text(0.5, 0.5, "no known error", transform=axes.transAxes, ha="center", color="0.4")
 
 
 def _front(axes: Any, m: Measured, error: list[float | None]) -> None:
-    """The Pareto front as steps: what can be had by a time."""
+    """The Pareto front as steps: the error that can be had by a time."""
     time = [m.points[i].time for i in m.front]
     if time:
-        axes.step(
-            time,
-            [error[i] for i in m.front],
-            where="post",
-            color="#f2c14e",
-            lw=6,
-            alpha=0.55,
-            solid_capstyle="round",
-            solid_joinstyle="round",
-            label="Pareto front",
-            zorder=1,
-        )
+        band = {"color": "#f2c14e", "lw": 6, "alpha": 0.55, "zorder": 1, "label": "Pareto front"}
+        axes.step(time, [error[i] for i in m.front], where="post", **band)
 
 
 def _line(
@@ -123,49 +111,76 @@ def _line(
     """The k-th line with its labels and its order; failed runs as crosses at the top."""
     from matplotlib.patheffects import withStroke
 
-    halo = [withStroke(linewidth=2.5, foreground="white")]
     colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
+    halo = [withStroke(linewidth=2.5, foreground="white")]
+    look = {"textcoords": "offset points", "color": colour, "path_effects": halo, "zorder": 2}
     above = k % 2 == 0  # so that the labels of two lines side by side can be read
     own = [i for i, r in enumerate(report.runs) if r.line == name]
     good = [i for i in own if error[i] is not None and m.points[i].time is not None]
     style.curve(axes, [m.points[i].time for i in good], [error[i] for i in good], k, name)
     for i in good:
-        hollow = not m.points[i].trusted
-        if hollow:
-            axes.plot(m.points[i].time, error[i], marker, mfc="white", mec=colour, ms=6, zorder=4)
-        axes.annotate(
-            m.points[i].label,
-            (m.points[i].time, error[i]),
-            xytext=(5, 5 if above else -10),
-            textcoords="offset points",
-            fontsize=7,
-            color=colour,
-            path_effects=halo,
-            zorder=2,
-        )
+        at = (m.points[i].time, error[i])
+        if not m.points[i].trusted:
+            axes.plot(*at, marker, mfc="white", mec=colour, ms=6, zorder=4)
+        axes.annotate(m.points[i].label, at, xytext=(5, 5 if above else -10), fontsize=7, **look)
     exponent = m.exponents[name]
     if good and exponent is not None and abs(exponent) >= FLAT:
         letter = "h" if report.runs[own[0]].key == "mesh.size" else "x"
         middle = good[len(good) // 2]
-        axes.annotate(
-            rf"$\sim {letter}^{{{exponent:.1f}}}$",
-            (m.points[middle].time, error[middle]),
-            xytext=(-8, -14) if above else (8, 6),
-            textcoords="offset points",
-            ha="right" if above else "left",
-            fontsize=10,
-            color=colour,
-            path_effects=halo,
-            zorder=2,
-        )
+        at, place = (m.points[middle].time, error[middle]), (-8, -14) if above else (8, 6)
+        text, side = rf"$\sim {letter}^{{{exponent:.1f}}}$", "right" if above else "left"
+        axes.annotate(text, at, xytext=place, ha=side, fontsize=10, **look)
     failed = [r.result for r in (report.runs[i] for i in own) if r.result.exit_code]
     style.crosses(axes, [max(result.seconds, 1e-2) for result in failed], k, 0.97)
 
 
-def _limits(axes: Any, report: Report, m: Measured, error: list[float | None]) -> None:
+def _limits(axes: Any, report: Report, error: list[float | None]) -> None:
     """At least a decade of error, with room for labels and crosses."""
-    known = [e for e in error if e is not None] or [report.target]
-    low, high = min(*known, report.target), max(*known, report.target)
+    known = [e for e in error if e is not None]
+    low, high = min(*known, report.target, report.target), max(*known, report.target, report.target)
     axes.set_ylim(low / 2.5, max(high, 10 * low) * 3)
     times = [r.time or r.result.seconds for r in report.runs]
     axes.set_xlim(max(min(times), 1e-2) / 1.6, max(times) * 2.2)
+
+
+def _over_number(report: Report, lines: dict[str, list[int]], axes: Any, m: Measured) -> None:
+    """A quantity over a number that varies, its reference, and failed runs."""
+    factor = m.quantity.factor
+    title = f"{m.name} ({printed(m.quantity.shown)})".removesuffix(" ()")
+    axes.set_title(title, fontsize=11, loc="left")
+    axes.set(xscale="log", xlabel=_label(report, lines))
+    drawn = []
+    if m.reference is not None:
+        value = factor * m.reference.value
+        drawn.append(value)
+        label, band = f"reference ± {percent(report.target)}", report.target * abs(value)
+        axes.axhspan(value - band, value + band, color="0.88", lw=0, zorder=0, label=label)
+        axes.axhline(value, color="0.45", lw=1, zorder=1, label=label)
+    for k, (name, own) in enumerate(lines.items()):
+        known = {i: factor * v for i in own if (v := m.points[i].value) is not None}
+        drawn += known.values()
+        style.curve(axes, [report.runs[i].x for i in known], list(known.values()), k, name)
+        failed = [report.runs[i].x for i in own if report.runs[i].result.exit_code]
+        style.crosses(axes, failed, k, 0.93 - 0.08 * k)  # two lines may fail at the same number
+    set_scale(axes, drawn)
+
+
+def set_scale(axes: Any, values: Sequence[float]) -> None:
+    """A logarithmic axis for values that span decades; what is zero to rounding is at its zero."""
+    largest = max(map(abs, values), default=0.0)
+    positive = [v for v in values if v > ROUNDING * largest]
+    if not positive or min(values) < -ROUNDING * largest or largest < DECADES * min(positive):
+        return
+    if len(positive) == len(values):
+        axes.set_yscale("log")
+    else:
+        axes.set_yscale("symlog", linthresh=min(positive))
+        axes.set_ylim(bottom=-0.3 * min(positive))
+
+
+def _label(report: Report, lines: dict[str, list[int]]) -> str:
+    """Names and units of the varied numbers: ``penalty, augmentation (MPa/mm)``."""
+    names: dict[str, dict[str, None]] = {}
+    for run in (report.runs[own[0]] for own in lines.values()):
+        names.setdefault(run.unit, {})[re.sub(r".*\.", "", run.key)] = None
+    return ", ".join(", ".join(n) + (f" ({unit})" if unit else "") for unit, n in names.items())

@@ -1,21 +1,109 @@
-"""Results of a study as a table, ``study.csv``, ``study.json`` and ``study.png``."""
+"""Results of a study: plain data, a table, ``study.csv`` and ``study.json``."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from app.campaigns import study_parameters, study_picture
-from app.campaigns.study_model import FLAT, Measured, Report, StudyRun, percent
-from app.campaigns.work_precision import USEFUL, Effectivity, ReferenceValue
+from app.campaigns.runs import Result
+from app.campaigns.work_precision import USEFUL, Effectivity, ErrorPoint, ReferenceValue
+from app.case.planned_run import PlannedRun
 from app.case.quantities import Quantity
-from app.case.study_file import Source
-from app.errors import StoppedError
+from app.case.study import PlannedStudy
 from app.system import layout
-from app.system.folders import csv_text, remove, write_json, write_text
+from app.system.folders import csv_text, write_json, write_text
 from app.system.layout import duration
 from app.version import __version__
+
+# Exponents nearer to 0 say that the error does not depend on the key.
+FLAT = 0.05
+
+
+@dataclass(frozen=True)
+class StudyRun:
+    """A point of a line, or of the reference's ladder, and its result.
+
+    Attributes:
+        line: The line; empty in the reference.
+        planned: Its case.
+        result: Its result.
+        key: The key that stands for all that vary; empty if none does.
+        label: The value of that key, as written.
+        x: The same as a number, if it is one.
+        unit: Internal unit of the number; empty if it has none.
+        time: Run time without meshing and compiling, which are done once, and without companions
+            that tell the error [s]; None if it failed.
+    """
+
+    line: str
+    planned: PlannedRun
+    result: Result
+    key: str
+    label: str
+    x: float | None
+    unit: str
+    time: float | None
+
+    @property
+    def status(self) -> str:
+        """Done, or how it failed."""
+        code = self.result.exit_code
+        return f"failed (exit code {code})" if code else "done"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One quantity over the runs of all lines.
+
+    Attributes:
+        name: Its name.
+        quantity: What it is.
+        compared: Whether it has an error; else only its values are shown.
+        reference: What it is compared with; None if there is nothing.
+        points: A point for each run.
+        exponents: The p of error ~ key^p along each line.
+        front: Points that no other beats in time and error, fastest first.
+        errors: Error of each point, not less than the reference's own; None if unknown.
+        advice: What to use; empty if it is not compared.
+    """
+
+    name: str
+    quantity: Quantity
+    compared: bool
+    reference: ReferenceValue | None
+    points: Sequence[ErrorPoint]
+    exponents: dict[str, float | None]
+    front: list[int]
+    errors: list[float | None]
+    advice: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """All results of a study.
+
+    Attributes:
+        target: Relative error wanted.
+        runs: The runs of all lines.
+        ladder: Those of the reference.
+        quantities: The quantities over `runs`.
+        advice: What to use for all of them; empty for a single quantity.
+        effectivity: How good the estimated errors are.
+    """
+
+    target: float
+    runs: Sequence[StudyRun]
+    ladder: Sequence[StudyRun]
+    quantities: Sequence[Measured]
+    advice: str
+    effectivity: Effectivity
+
+
+def percent(value: float) -> str:
+    """A relative number for people: 0.41 %, 12 %."""
+    return f"{100 * value:.0f} %" if value >= 1 else f"{100 * value:.2g} %"
 
 
 def shown(value: float | None, q: Quantity) -> str:
@@ -65,8 +153,13 @@ def table(report: Report) -> str:
         if m.compared:
             lines.append(f"  {m.advice}")
     lines += ["", "* no other run is both faster and closer"]
-    if report.effectivity.pairs:
-        lines += _effectivity(report.effectivity)
+    e, (low, high) = report.effectivity, USEFUL
+    if e.pairs:
+        lines.append(
+            f"estimated over true error is within {low:g} to {high:g} for {e.useful} of {e.pairs} "
+            f"numbers ({percent(e.useful / e.pairs)})"
+        )
+    lines += [f"  {n} with {p.line} at {p.label}: {p.effectivity:.2f}" for n, p in e.others]
     return "\n".join([*lines, *([report.advice] if report.advice else [])])
 
 
@@ -81,72 +174,18 @@ def _row(r: StudyRun, m: Measured, i: int) -> list[str]:
     return [*start, *numbers, shown(p.estimate, q), index]
 
 
-def _effectivity(e: Effectivity) -> list[str]:
-    """How good the estimated errors are, and where they are not."""
-    low, high = USEFUL
-    lines = [
-        f"estimated over true error is within {low:g} to {high:g} for {e.useful} of {e.pairs} "
-        f"numbers ({percent(e.useful / e.pairs)})"
-    ]
-    for name, p in e.others:
-        lines.append(f"  {name} with {p.line} at {p.label}: {p.effectivity:.2f}")
-    return lines
-
-
-def write(report: Report, source: Source, cores: int, folder: Path) -> list[str]:
-    """Write the files.
-
-    Returns:
-        Their names; a picture of nothing is not drawn.
-
-    Raises:
-        StoppedError: The folder cannot be written.
-    """
+def write(report: Report, planned: PlannedStudy, cores: int, folder: Path) -> list[str]:
+    """Write ``study.json`` and ``study.csv``; their names."""
+    e = report.effectivity
     record = {
         "mantle": __version__,
-        "study": source.file.name,
-        "case": str(source.case),
-        "overrides": source.overrides,
+        "study": planned.file.name,
+        "case": str(planned.runs[0].base),
+        "overrides": planned.overrides,
         "cores": cores,
-        **_record(report),
-    }
-    try:
-        # What is not drawn again would stay beside other numbers.
-        remove(folder / name for name in ("study.png", "study_parameters.png"))
-        write_json(folder / "study.json", record)
-        write_text(folder / "study.csv", _csv(report))
-        drawn = {
-            "study.png": study_picture.picture(report, folder / "study.png"),
-            "study_parameters.png": study_parameters.picture(
-                report, folder / "study_parameters.png"
-            ),
-        }
-    except OSError as error:
-        raise StoppedError(f"cannot write the study in {folder}: {error.strerror}") from error
-    return ["study.json", "study.csv", *(name for name, done in drawn.items() if done)]
-
-
-def _record(report: Report) -> dict[str, Any]:
-    """The report as plain data."""
-    e = report.effectivity
-    return {
         "target": report.target,
         "advice": report.advice,
-        "quantities": {
-            m.name: {
-                "unit": m.quantity.unit,
-                "advice": m.advice,
-                "compared": m.compared,
-                "reference": None if m.reference is None else asdict(m.reference),
-                "exponents": m.exponents,
-                "points": [
-                    asdict(p)
-                    | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
-                    for i, p in enumerate(m.points)
-                ],
-            }
-            for m in report.quantities
-        },
+        "quantities": {m.name: _measured_record(m) for m in report.quantities},
         "effectivity": {
             "pairs": e.pairs,
             "useful": e.useful,
@@ -155,12 +194,30 @@ def _record(report: Report) -> dict[str, Any]:
         "runs": [_run_record(r) for r in report.runs],
         "reference_runs": [_run_record(r) for r in report.ladder],
     }
+    write_json(folder / "study.json", record)
+    rows = [_flat(r, m, i) for m in report.quantities for i, r in enumerate(report.runs)]
+    write_text(folder / "study.csv", csv_text(rows))
+    return ["study.json", "study.csv"]
+
+
+def _measured_record(m: Measured) -> dict[str, Any]:
+    return {
+        "unit": m.quantity.unit,
+        "advice": m.advice,
+        "compared": m.compared,
+        "reference": None if m.reference is None else asdict(m.reference),
+        "exponents": m.exponents,
+        "points": [
+            asdict(p) | {"effectivity": p.effectivity, "trusted": p.trusted, "pareto": i in m.front}
+            for i, p in enumerate(m.points)
+        ],
+    }
 
 
 def _run_record(r: StudyRun) -> dict[str, Any]:
     return {
         "line": r.line,
-        "overrides": r.changes,
+        "overrides": r.planned.point.changes,
         "status": r.status,
         "message": r.result.message,
         "folder": str(r.result.folder),
@@ -170,13 +227,8 @@ def _run_record(r: StudyRun) -> dict[str, Any]:
     }
 
 
-def _csv(report: Report) -> str:
-    """A row for each run and quantity; values in the unit of their row."""
-    return csv_text([_flat(r, m, i) for m in report.quantities for i, r in enumerate(report.runs)])
-
-
 def _flat(r: StudyRun, m: Measured, i: int) -> dict[str, Any]:
-    """A point of a quantity with what it cost."""
+    """A row of ``study.csv``: a point of a quantity with what it cost, in the unit of the row."""
     p, ref, summary = m.points[i], m.reference, r.result.summary
     timing, solver = summary.get("timing", {}), summary.get("solver", {})
     return {

@@ -21,9 +21,10 @@ from typing import Any
 from app.campaigns import batch, many, uncertainty
 from app.campaigns.many import Options
 from app.campaigns.runs import Job, Result
-from app.case import quantities, sweep_file
-from app.case.sweep_file import SweptRun
-from app.case.sweep_options import Sweep, samples
+from app.case import quantities
+from app.case import sweep as sweep_file
+from app.case.planned_run import PlannedRun
+from app.case.sweep import Sweep
 from app.errors import InputError, gravest
 from app.results.closing_lines import UNUSABLE
 from app.schema import yaml_text
@@ -63,7 +64,7 @@ def run(path: Path, overrides: Sequence[str], options: Options) -> None:
     log.info("%s", _table(rows))
     for text in layout.noted([(r["name"], r["notes"]) for r in rows]):
         log.warning("note: %s", text)
-    if spread := uncertainty.table(uncertainty.of_parts(rows, samples(sweep))):
+    if spread := uncertainty.table(uncertainty.of_parts(rows, sweep.uncertain())):
         log.info("\n%s", spread)
     log.info(
         "written in %s: sweep.csv, sweep.json; mantle report %s makes figures and tables",
@@ -98,7 +99,7 @@ def _spent(folder: Path) -> float:
     return 0.0
 
 
-def _job(p: SweptRun) -> Job:
+def _job(p: PlannedRun) -> Job:
     return Job(p.point.name, p.base, p.overrides, p.ranks, share=True)
 
 
@@ -106,7 +107,7 @@ def _write(
     sweep: Sweep,
     path: Path,
     overrides: Sequence[str],
-    planned: Sequence[SweptRun],
+    planned: Sequence[PlannedRun],
     results: Sequence[Result],
     options: Options,
     begin: float,
@@ -126,7 +127,7 @@ def _write(
                 "program": identity.program(),
                 "cores": options.cores,
                 "seconds": round(time.monotonic() - begin, 1),
-                "uncertainty": uncertainty.of_parts(rows, samples(sweep)),
+                "uncertainty": uncertainty.of_parts(rows, sweep.uncertain()),
                 "cases": rows,
             },
         )
@@ -139,7 +140,7 @@ def _write(
     return rows
 
 
-def _row(p: SweptRun, result: Result, folder: Path) -> dict[str, Any]:
+def _row(p: PlannedRun, result: Result, folder: Path) -> dict[str, Any]:
     """A case as the tables have it."""
     summary = result.summary
     numbers = variations.headlines(summary)

@@ -34,7 +34,7 @@ class ReferenceValue:
 
 
 @dataclass(frozen=True)
-class Point:
+class ErrorPoint:
     """A run and one quantity of it.
 
     Attributes:
@@ -129,7 +129,7 @@ def _observed_order(h: Sequence[float], f: Sequence[float]) -> float | None:
     return 0.5 * (low + high)
 
 
-def compare(point: Point, reference: ReferenceValue | None) -> Point:
+def compare(point: ErrorPoint, reference: ReferenceValue | None) -> ErrorPoint:
     """The point with its error."""
     if reference is None or point.value is None or reference.value == 0.0:
         return point
@@ -142,7 +142,7 @@ def compare(point: Point, reference: ReferenceValue | None) -> Point:
     )
 
 
-def exponent(points: Sequence[Point]) -> float | None:
+def exponent(points: Sequence[ErrorPoint]) -> float | None:
     """The p of error ~ x^p by least squares in logarithms, over the trusted points of a line.
 
     Errors within the tolerance of the solution are not fitted.
@@ -216,10 +216,10 @@ class Effectivity:
 
     pairs: int
     useful: int
-    others: tuple[tuple[str, Point], ...]
+    others: tuple[tuple[str, ErrorPoint], ...]
 
 
-def effectivity(points: Sequence[tuple[str, Point]]) -> Effectivity:
+def effectivity(points: Sequence[tuple[str, ErrorPoint]]) -> Effectivity:
     """Share of useful estimates among the points that have an index.
 
     Args:

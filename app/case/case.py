@@ -23,14 +23,13 @@ from pydantic import (
     field_validator,
 )
 
-from app.case import checks, overlay, study_options
+from app.case import checks, overlay, points
 from app.case.geometries import (
     Geometry,
     MeshOptions,
 )
 from app.case.run_options import OutputOptions, SolverOptions, Stage
-from app.case.study_options import Study
-from app.case.variation_options import Variations, every, expand, titled
+from app.case.variations import Variations, expand, title_with_changes
 from app.errors import InputError
 from app.laws.interface_laws import Bonded, Interface
 from app.laws.loads import (
@@ -95,10 +94,8 @@ class Case(Section):
     output: OutputOptions = OutputOptions()
     """Results that are written."""
     variations: Variations = Field(default_factory=dict)
-    """Runs of the case on one mesh with one stiffness, by name: overrides as after ``--set``. Of
-    the lists under ``grid`` every combination is one. With it, only these are run."""
-    study: Study | None = None
-    """Study that `mantle study` makes; a run does not look at it."""
+    """Runs of the case on one mesh with one stiffness, by name: overrides as after ``--set``. With
+    it, only these are run."""
     base: Text | None = None
     """Case that this one is laid over: a file, relative to this one, or the name of a shipped case,
     such as `stance`. Mappings merge key by key, of another kind they replace; lists and values
@@ -221,28 +218,24 @@ def _varied(file: CaseFile, folder: Path, case: Case) -> list[Varied]:
         InputError: All that is wrong with any of them, each at its place in the section.
     """
     found: list[Varied] = []
-    every_one = expand(case.variations)
     # The places of what options have set are their keys.
     options = [place for place in file.places.values() if isinstance(place, str)]
-    varied = [
-        (v.places[key], full)
-        for v in every_one
-        for key in v.changes
-        for full in every(key, file.data)
-    ]
-    faults = yaml_file.clashes(options, varied)
-    for v in every_one:
-        keys = {full: key for key in v.changes for full in every(key, file.data)}
-        overrides = tuple(study_options.options({k: v.changes[key] for k, key in keys.items()}))
+    faults: list[Fault] = []
+    for name, changes in case.variations.items():
+        keys = {full: key for key in changes for full in expand(key, file.data)}
+        places: dict[str, yaml_file.Path] = {
+            full: ("variations", name, key) for full, key in keys.items()
+        }
+        faults += yaml_file.clashes(options, ((place, full) for full, place in places.items()))
+        overrides = tuple(points.as_overrides({full: changes[key] for full, key in keys.items()}))
         copy = yaml_file.changed(file, overrides)
         del copy.data["variations"]
         try:
-            found.append(Varied(v.name, overrides, v.changes, _resolved(copy, folder)))
+            found.append(Varied(name, overrides, changes, _resolved(copy, folder)))
         except InputError as error:
-            places = {full: v.places[key] for full, key in keys.items()}
             faults += [
                 yaml_file.at_override(message, places)
-                or Fault(("variations",), f"{v.name}: {message}")
+                or Fault(("variations",), f"{name}: {message}")
                 for message in error.messages
             ]
     file.raise_all(faults)
@@ -264,7 +257,7 @@ def _resolved(file: CaseFile, folder: Path) -> Case:
         curved = mesh.order == 2 and case.geometry.has_curved_surfaces
         mesh = mesh.model_copy(update={"curved": curved})
     time = (case.time or TimeOptions()) if case.conducts else None
-    title = titled(case.title, file)
+    title = title_with_changes(case.title, file)
     changes = {"title": title, "regions": regions, "interfaces": laws, "mesh": mesh, "time": time}
     return case.model_copy(update=changes)
 
@@ -292,12 +285,12 @@ def read_geometry(data: dict[str, Any], folder: Path) -> Geometry | None:
 
 
 def plain(case: Case) -> dict[str, Any]:
-    """A case alone, without study and variations, as mappings, lists and scalars."""
-    return case.model_dump(mode="json", exclude_none=True, exclude={"study", "variations"})
+    """A case alone, without variations, as mappings, lists and scalars."""
+    return case.model_dump(mode="json", exclude_none=True, exclude={"variations"})
 
 
 def dump(case: Case) -> str:
-    """A case alone, as YAML in internal units; without study and variations reads back equal."""
+    """A case alone, as YAML in internal units; without variations reads back equal."""
     return yaml_text.to_yaml(plain(case))
 
 

@@ -31,7 +31,6 @@ def cross_check(case: Any) -> list[Fault]:
         *_side(case),
         *thermal_checks.cross_check(case),
         *thermal_checks.probe_regions(case),
-        *quantities(case.geometry, case.study),
     ]
 
 

@@ -1,4 +1,4 @@
-"""The keys of case, sweep and study files as pages of the manual, from the schema."""
+"""The table of all keys of a file, from the schema: for `mantle explain` and the manual."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import inspect
 import re
 import types
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -13,8 +15,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from app.case.case import Case
-from app.case.study_options import StudyFile
-from app.case.sweep_options import Sweep
+from app.case.study import StudyFile
+from app.case.sweep import Sweep
 from app.schema.expressions import Varying
 from app.schema.section import Scalar, docstrings
 from app.schema.units import ConductancePerArea, Dimension, Plain
@@ -22,13 +24,7 @@ from app.schema.units import ConductancePerArea, Dimension, Plain
 NUMBERS = {2: "two", 3: "three", 6: "six"}
 # So many equal rows of two kinds are written once; bounds beyond this keep overflows out.
 SHARED, HUGE = 8, 1e9
-# The anchor of the section of each model.
-Links = dict[type[BaseModel], str]
-
-
-def case_page() -> str:
-    """Every key of a case file."""
-    intro = """# Keys of a case file
+CASE = """# Keys of a case file
 
 A case is a YAML file. A value with a dimension is text with its unit: `110 GPa`, `4 mm`. Any unit
 of the right dimension is accepted. The column *unit* names the unit in which mantle keeps and
@@ -43,57 +39,119 @@ An *expression* is arithmetic in the coordinates x, y, z in mm, for example
 required; *none* means that it may be left out. `mantle explain --schema` prints the same as a JSON
 schema, for completion in editors.
 """
-    return "\n".join([intro, *_tables(Case, "Sections of a case", "##")])
-
-
-def campaigns_page() -> str:
-    """Every key of sweep and study files."""
-    intro = """# Keys of sweep and study files
+CAMPAIGNS = """# Keys of sweep and study files
 
 How to use them: [Many runs](../howto/many-runs.md). Keys of overrides are written as after
 `--set`: `interfaces.stem_cement.friction_coefficient`. The key `ranks` sets the number of MPI
 ranks of a run.
 """
-    sweep = _tables(Sweep, "Sections of a sweep file", "##")
-    study = _tables(StudyFile, "Sections of a study file", "##")
-    text = "A study may also be the section `study` of a case.\n"
-    return "\n".join([intro, *sweep, text, *study])
 
 
-Place = tuple[str, type[BaseModel]]
+@dataclass(frozen=True)
+class Key:
+    """A key of a file, with texts in Markdown.
+
+    Attributes:
+        section: The path of its section, ``interfaces.<name>``; empty at the top.
+        kind: The kind of the section, if it has one.
+        name: The key.
+        value: Its type and bounds.
+        unit: The unit in which the value is kept, or "".
+        default: Its default; "" if it is required.
+        meaning: Its description.
+        inner: The sections that its value may be.
+    """
+
+    section: str
+    kind: str
+    name: str
+    value: str
+    unit: str
+    default: str
+    meaning: str
+    inner: tuple[type[BaseModel], ...]
+
+    @property
+    def path(self) -> str:
+        """The whole key."""
+        return f"{self.section}.{self.name}" if self.section else self.name
+
+    @property
+    def row(self) -> str:
+        """Its row in the manual."""
+        cells = (f"`{self.name}`", self.value, self.unit, self.default, self.meaning)
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _tables(root: type[BaseModel], title: str, level: str) -> Iterator[str]:
-    """A heading, a sentence and a table for a model and for each model within it, once."""
-    every = list(places("", root, set()))
-    heads = {model: _heading(path, model) if path else title for path, model in every}
-    links = {model: _slug(head) for model, head in heads.items()}
-    written: dict[str, tuple[str, dict[str, str]]] = {}
-    for path, model in every:
-        yield f"{level} {heads[model]}\n"
+@cache
+def table(root: type[BaseModel] = Case) -> dict[type[BaseModel], list[Key]]:
+    """All keys of a file by section, in the order of the file.
+
+    Args:
+        root: The file: `Case`, `StudyFile` or `Sweep`.
+    """
+    places = dict((model, path) for path, model in _places("", root, set()))
+    return {model: list(_keys(model, path, places)) for model, path in places.items()}
+
+
+def case_page() -> str:
+    """Every key of a case file, in Markdown."""
+    return "\n".join([CASE, *_page(Case, "Sections of a case")])
+
+
+def campaigns_page() -> str:
+    """Every key of sweep and study files, in Markdown."""
+    sweep = _page(Sweep, "Sections of a sweep file")
+    study = _page(StudyFile, "Sections of a study file")
+    return "\n".join([CAMPAIGNS, *sweep, *study])
+
+
+def _page(root: type[BaseModel], title: str) -> Iterator[str]:
+    """A heading, a sentence and a table for a file and for each of its sections."""
+    written: dict[str, tuple[str, list[str]]] = {}
+    for model, keys in table(root).items():
+        path = keys[0].section
+        yield f"## {_heading(path, model) if path else title}\n"
         if path:
             yield f"{prose(inspect.cleandoc(model.__doc__ or ''))}\n"
-        own = rows = dict(_rows(model, links))
-        kind, others = written.get(path, ("", {}))
-        same = {key for key in rows if others.get(key) == rows[key]}
-        if len(same) > SHARED:
-            own = {key: row for key, row in rows.items() if key not in same}
+        rows = [key.row for key in keys]
+        kind, others = written.get(path, ("", []))
+        own = [row for row in rows if row not in others]
+        if len(rows) - len(own) > SHARED:
+            rows = own
             yield f"All keys of kind `{kind}`, and:\n"
         else:
             written[path] = kind_of(model), rows
         yield "| key | value | unit | default | meaning |\n|---|---|---|---|---|"
-        yield from own.values()
+        yield from rows
         yield ""
 
 
-def places(path: str, model: type[BaseModel], seen: set[type[BaseModel]]) -> Iterator[Place]:
-    """Where each model within a model stands first, in the order of the file."""
+def _places(
+    path: str, model: type[BaseModel], seen: set[type[BaseModel]]
+) -> Iterator[tuple[str, type[BaseModel]]]:
+    """Each section within a section, where it stands first, in the order of the file."""
     seen.add(model)
     yield path, model
     for key, field in model.model_fields.items():
-        for place, other in models(annotation_of(field), f"{path}.{key}" if path else key):
+        for place, other in _models(_annotation(field), f"{path}.{key}" if path else key):
             if other not in seen:
-                yield from places(place, other, seen)
+                yield from _places(place, other, seen)
+
+
+def _keys(model: type[BaseModel], path: str, places: dict[type[BaseModel], str]) -> Iterator[Key]:
+    """The keys of a section."""
+    links = {m: _slug(_heading(place, m)) for m, place in places.items()}
+    texts = docstrings(model)
+    for name, field in model.model_fields.items():
+        annotation = _annotation(field)
+        value, unit = _value(annotation, links)
+        meaning = prose(texts.get(name, ""))
+        if name == "kind":
+            value, unit, meaning = f"`{kind_of(model)}`", "", "Says that it is of this kind."
+        inner = tuple(m for _, m in _models(annotation, ""))
+        kind = kind_of(model) if path else ""
+        yield Key(path, kind, name, value, unit, _default(name, field), meaning, inner)
 
 
 def _heading(path: str, model: type[BaseModel]) -> str:
@@ -107,22 +165,10 @@ def _slug(heading: str) -> str:
 
 
 def kind_of(model: type[BaseModel]) -> str:
-    """What a file calls a model; empty if it has no kind."""
+    """The kind of a section as a file calls it; empty if it has none."""
     if "kind" in model.model_fields:
         return str(get_args(model.model_fields["kind"].annotation)[0])
     return "rigid" if "rigid" in model.model_fields else ""
-
-
-def _rows(model: type[BaseModel], links: Links) -> Iterator[tuple[str, str]]:
-    """The row of each key of a model."""
-    texts = docstrings(model)
-    for key, field in model.model_fields.items():
-        value, unit = value_of(annotation_of(field), links)
-        meaning = texts.get(key, "")
-        if key == "kind":
-            value, unit, meaning = f"`{kind_of(model)}`", "", "Says that it is of this kind."
-        cells = (f"`{key}`", value, unit, default_of(key, field), prose(meaning))
-        yield key, "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def prose(text: str) -> str:
@@ -131,7 +177,7 @@ def prose(text: str) -> str:
     return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
 
 
-def annotation_of(field: FieldInfo) -> Any:
+def _annotation(field: FieldInfo) -> Any:
     """The annotation of a field with the marks that pydantic has taken off it."""
     annotation: Any = field.annotation
     for mark in field.metadata:
@@ -139,61 +185,27 @@ def annotation_of(field: FieldInfo) -> Any:
     return annotation
 
 
-def models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
-    """The models in an annotation, and where each stands."""
+def _models(annotation: Any, path: str) -> Iterator[tuple[str, type[BaseModel]]]:
+    """The sections in an annotation, and where each stands."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield from ((path, model) for model in variants(annotation))
+        yield from ((path, model) for model in _variants(annotation))
         return
-    place = path
-    if get_origin(annotation) is dict:
-        place = f"{path}.<name>"
-    elif get_origin(annotation) is tuple:
-        place = f"{path}[]"
+    ends = {dict: ".<name>", tuple: "[]"}
     for argument in get_args(annotation):
-        yield from models(argument, place)
+        yield from _models(argument, path + ends.get(get_origin(annotation), ""))
 
 
-def variants(model: type[BaseModel]) -> list[type[BaseModel]]:
-    """A model, or the kinds that derive from one that is of no kind itself."""
+def _variants(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """A section, or the kinds that derive from one that is of no kind itself."""
     kind = model.model_fields.get("kind")
     if kind is None or get_args(kind.annotation):
         return [model]
     # Kinds that somebody has added from outside are not the program's.
     below = [c for c in model.__subclasses__() if c.__module__.startswith("app.")]
-    return list(dict.fromkeys(v for c in below for v in variants(c)))
+    return list(dict.fromkeys(v for c in below for v in _variants(c)))
 
 
-def value_of(annotation: Any, links: Links) -> tuple[str, str]:
-    """Type of a value, in words, and the unit in which it is kept."""
-    marks, bare = marks_of(annotation)
-    for mark in marks:
-        if isinstance(mark, Scalar):
-            return _scalar(mark)
-    least = [mark.ge for mark in marks if hasattr(mark, "ge")]
-    most = [mark.le for mark in marks if hasattr(mark, "le")]
-    if bare is int and least:
-        return f"whole number{_bounds(None, least[0], next(iter(most), None), None)}", ""
-    if any(type(mark).__name__ == "_Conductance" for mark in marks):
-        constant, unit = value_of(ConductancePerArea, links)
-        return f"`perfect`, {constant}, or {value_of(get_args(bare)[1], links)[0]}", unit
-    origin, arguments = get_origin(bare), get_args(bare)
-    if origin is Literal:
-        return ", ".join(f"`{_yaml(a)}`" for a in arguments), ""
-    if origin in (Union, types.UnionType):
-        return _union([a for a in arguments if a is not type(None)], links)
-    if origin is dict:
-        inner, unit = value_of(arguments[1], links)
-        return ("mapping of keys to values" if arguments[1] is Any else f"by name: {inner}"), unit
-    if origin is tuple:
-        return _sequence(arguments, links)
-    if isinstance(bare, type) and issubclass(bare, BaseModel):
-        kinds = [f"[`{kind_of(m)}`](#{links[m]})" for m in variants(bare) if kind_of(m)]
-        return f"kind {', '.join(kinds)}" if kinds else f"[section](#{links[bare]})", ""
-    words = {bool: "`true`, `false`", str: "text", int: "whole number", Path: "path"}
-    return words.get(bare, "number" if bare is float else "any value"), ""
-
-
-def marks_of(annotation: Any) -> tuple[list[Any], Any]:
+def _marks(annotation: Any) -> tuple[list[Any], Any]:
     """The marks of an annotation, and the annotation without them."""
     marks: list[Any] = []
     while get_origin(annotation) is Annotated:
@@ -202,8 +214,39 @@ def marks_of(annotation: Any) -> tuple[list[Any], Any]:
     return marks, annotation
 
 
-def _union(arguments: list[Any], links: Links) -> tuple[str, str]:
-    found = [value_of(a, links) for a in arguments]
+def _value(annotation: Any, links: dict[type[BaseModel], str]) -> tuple[str, str]:
+    """Type of a value, in words, and the unit in which it is kept."""
+    marks, bare = _marks(annotation)
+    for mark in marks:
+        if isinstance(mark, Scalar):
+            return _scalar(mark)
+    least = [mark.ge for mark in marks if hasattr(mark, "ge")]
+    most = [mark.le for mark in marks if hasattr(mark, "le")]
+    if bare is int and least:
+        return _scalar(Plain(integer=True, at_least=least[0], at_most=next(iter(most), None)))
+    if any(type(mark).__name__ == "_Conductance" for mark in marks):
+        constant, unit = _value(ConductancePerArea, links)
+        return f"`perfect`, {constant}, or {_value(get_args(bare)[1], links)[0]}", unit
+    origin, arguments = get_origin(bare), get_args(bare)
+    if origin is Literal:
+        return ", ".join(f"`{_yaml(a)}`" for a in arguments), ""
+    if origin in (Union, types.UnionType):
+        return _union([_value(a, links) for a in arguments if a is not type(None)])
+    if origin is dict:
+        inner, unit = _value(arguments[1], links)
+        return ("mapping of keys to values" if arguments[1] is Any else f"by name: {inner}"), unit
+    if origin is tuple:
+        found = [_value(a, links) for a in arguments if a is not Ellipsis]
+        return _sequence(found, Ellipsis in arguments)
+    if isinstance(bare, type) and issubclass(bare, BaseModel):
+        kinds = [f"[`{kind_of(m)}`](#{links[m]})" for m in _variants(bare) if kind_of(m)]
+        return f"kind {', '.join(kinds)}" if kinds else f"[section](#{links[bare]})", ""
+    words = {bool: "`true`, `false`", str: "text", int: "whole number", Path: "path"}
+    return words.get(bare, "number" if bare is float else "any value"), ""
+
+
+def _union(found: list[tuple[str, str]]) -> tuple[str, str]:
+    """Any of some values."""
     kinds = [text.removeprefix("kind ") for text, _ in found if text.startswith("kind ")]
     others = list(dict.fromkeys(text for text, _ in found if not text.startswith("kind ")))
     if {"text", "whole number", "number"} <= set(others):
@@ -212,13 +255,14 @@ def _union(arguments: list[Any], links: Links) -> tuple[str, str]:
     return " or ".join(parts), next((unit for _, unit in found if unit), "")
 
 
-def _sequence(arguments: tuple[Any, ...], links: Links) -> tuple[str, str]:
-    found = [value_of(a, links) for a in arguments if a is not Ellipsis]
-    units = list(dict.fromkeys(unit for _, unit in found if unit))
-    if Ellipsis in arguments:
-        return f"list of: {found[0][0]}", found[0][1]
+def _sequence(found: list[tuple[str, str]], endless: bool) -> tuple[str, str]:
+    """A list of some values."""
+    text, unit = found[0]
+    if endless:
+        return f"list of: {text}", unit
     if len(set(found)) == 1:
-        return f"list of {NUMBERS[len(found)]}: {found[0][0]}", found[0][1]
+        return f"list of {NUMBERS[len(found)]}: {text}", unit
+    units = dict.fromkeys(unit for _, unit in found if unit)
     return f"pair of {' and '.join(text for text, _ in found)}", ", ".join(units)
 
 
@@ -229,44 +273,40 @@ def _scalar(mark: Scalar) -> tuple[str, str]:
             text, unit = _scalar(mark.constant)
             return f"{text}, or an expression", unit
         case Dimension():
-            bounds = _bounds(mark.above, mark.at_least, mark.at_most, None)
             what = mark.what.removeprefix("a ").removeprefix("an ")
-            return f"{what}{bounds}, e.g. `{mark.example}`", mark.unit
+            return f"{what}{_bounds(mark)}, e.g. `{mark.example}`", mark.unit
         case Plain():
-            bounds = _bounds(mark.above, mark.at_least, mark.at_most, mark.below)
-            return f"{'whole number' if mark.integer else 'number'}{bounds}", ""
+            return f"{'whole number' if mark.integer else 'number'}{_bounds(mark)}", ""
     return "`effusivity`, or a number from 0 to 1", ""
 
 
-def _bounds(
-    above: float | None, at_least: float | None, at_most: float | None, below: float | None
-) -> str:
-    pairs = {"above": above, "at least": at_least, "at most": at_most, "below": below}
-    parts = [
-        f"{word} {value:g}" for word, value in pairs.items() if value is not None and value < HUGE
-    ]
+def _bounds(mark: Any) -> str:
+    """The bounds of a number, in words."""
+    words = {"above": "above", "at_least": "at least", "at_most": "at most", "below": "below"}
+    found = {word: getattr(mark, key, None) for key, word in words.items()}
+    parts = [f"{word} {v:g}" for word, v in found.items() if v is not None and v < HUGE]
     return f", {' and '.join(parts)}" if parts else ""
 
 
-def default_of(key: str, field: FieldInfo) -> str:
+def _default(key: str, field: FieldInfo) -> str:
     """The default of a key, in Markdown; empty if it is required."""
     if field.is_required() or (key == "kind" and field.default != "isotropic"):
         return ""
     default = field.get_default(call_default_factory=True)
-    marks, _ = marks_of(annotation_of(field))
-    for mark in marks:
+    for mark in _marks(_annotation(field))[0]:
         if isinstance(mark, Scalar) and default is not None:
             return f"`{_yaml(mark.write(default))}`"
-    if default is None:
-        return "none"
-    if isinstance(default, BaseModel):
-        return "its defaults"
-    if default in ("", (), {}):
-        return "empty"
-    if isinstance(default, tuple):
-        if isinstance(default[0], BaseModel):
+    match default:
+        case None:
+            return "none"
+        case BaseModel():
+            return "its defaults"
+        case "" | () | {} if not default:
+            return "empty"
+        case (BaseModel(), *_):
             return "`[{name: load}]`"
-        return "`[" + ", ".join(f"{value:g}" for value in default) + "]`"
+        case tuple():
+            return "`[" + ", ".join(f"{value:g}" for value in default) + "]`"
     return f"`{_yaml(default)}`"
 
 

@@ -36,6 +36,7 @@ SECTIONS = frozenset(
     "library title geometry side mesh regions interfaces supports loads heat stages time solver "
     "output variations".split()
 )
+STUDY_APART = "a study stands in a file of its own: base: CASE and this section; see mantle study"
 AXES = frozenset({"grid", "lists", "table", "latin_hypercube", "parts"})
 
 
@@ -70,11 +71,13 @@ def read(path: FilePath, overrides: Sequence[str] = ()) -> CaseFile:
     if faults:
         case.raise_all(faults)
     yaml_file.apply(case, overrides)
+    if case.data.pop("study", None) is not None:
+        case.complaints.append(case._locate(Fault(("study",), STUDY_APART)))
     return case
 
 
 def is_study(data: Mapping[str, Any]) -> bool:
-    """Whether a file holds a study of another case (`case.study_file`) instead of a case."""
+    """Whether a file holds a study of a case (`case.study`) instead of a case."""
     return "base" in data and bool({"set", "study"} & data.keys()) and not SECTIONS & data.keys()
 
 

@@ -34,11 +34,7 @@ log = logging.getLogger("mantle")
 
 
 def dispatch(arguments: list[str]) -> int:
-    """Parse the command line and call the command.
-
-    Returns:
-        The exit code.
-    """
+    """Parse the command line, call the command and return its exit code."""
     count, rest = ranks.split(arguments)
     cut = rest.index("--") if "--" in rest else len(rest)
     petsc_options = rest[cut + 1 :]
@@ -158,11 +154,7 @@ def _mesh(options: argparse.Namespace) -> int:
 
 
 def _mesh_path(output: Path | None, stem: str) -> Path:
-    """The file to write the mesh to; its folder is made.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """The file to write the mesh to; its folder is made."""
     path = output or Path("out") / f"{stem}.msh"
     if path.is_dir() or path.suffix != ".msh":
         path = path / f"{stem}.msh"

@@ -28,7 +28,7 @@ COMMANDS = {
         "make the mesh of a case, a .msh file, and pictures of it",
         f"{CASE} -o",
     ),
-    "study": ("error against run time of a case, by its study section", f"{CASE} {SUITE}"),
+    "study": ("error against run time of a case, by a study file", f"{CASE} {SUITE}"),
     "sweep": (
         "run many cases of one base case, and compare them",
         f"sweep --set --allow-scripts {MANY}",
@@ -56,7 +56,7 @@ OUTPUTS = {
     "mesh": "a folder, or a file that ends in .msh (default: out/<name of CASE>.msh)",
     "report": "the page of several runs (default: out/compare.html)",
     "run": "default: out/<name of CASE>",
-    "study": "default: out/<name of CASE>-study",
+    "study": "default: out/<name of the study>-study",
     "sweep": "default: out/<name>-sweep",
 }
 ARGUMENTS: dict[str, dict[str, Any]] = {

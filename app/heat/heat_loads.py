@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,14 +102,21 @@ class HeatLoads:
                 total[b] += multiplier(h.course, seconds) * nodal
         return total
 
-    def exchanges(self, reference: float) -> tuple[list[Floats], list[Floats]]:
-        """Exchange of own nodes of each body, and the heat it brings in at a reference [K]."""
-        per_kelvin, heat = self._forms.zeros(), self._forms.zeros()
+    def per_kelvin(self) -> list[Floats]:
+        """Heat per kelvin that own nodes of each body exchange with surroundings [N mm/(s K)]."""
+        total = self._forms.zeros()
         for e in self.exchange:
             for b, nodal in e.per_kelvin.items():
-                per_kelvin[b] += nodal
-                heat[b] += nodal * (e.outside - reference)
-        return per_kelvin, heat
+                total[b] += nodal
+        return total
+
+    def exchanged(self, T: Sequence[Floats]) -> list[Floats]:
+        """Heat that own nodes of each body, at temperatures [K], give to surroundings [N mm/s]."""
+        total = self._forms.zeros()
+        for e in self.exchange:
+            for b, nodal in e.per_kelvin.items():
+                total[b] += nodal * (T[b] - e.outside)
+        return total
 
 
 class FixedTemperatures:
@@ -174,18 +182,18 @@ class FixedTemperatures:
 
     def continuous(self, values: list[Floats]) -> Floats:
         """The continuous temperature where it is given (owned,) [K], else zero."""
-        given: Floats = np.zeros(len(self.base))
-        for s, value in enumerate(values):
-            given = np.where(self.base == s, value, given)
-        return given
+        return _pick(self.base, values)
 
     @staticmethod
     def jumps(values: list[Floats], jumps: TemperatureJumps) -> Floats:
         """Jumps that are given (n,) [K], else zero."""
-        given = np.zeros(len(jumps.dof))
-        for s, value in enumerate(values):
-            at = value[jumps.dof]
-            given += np.where(jumps.given[:, 1] == s, at, 0) - np.where(
-                jumps.given[:, 0] == s, at, 0
-            )
-        return given
+        at = [value[jumps.dof] for value in values]
+        return _pick(jumps.given[:, 1], at) - _pick(jumps.given[:, 0], at)
+
+
+def _pick(condition: Ints, values: list[Floats]) -> Floats:
+    """Of each row the value of its condition (n,); 0 where it has none."""
+    found: Floats = np.zeros(len(condition))
+    for s, value in enumerate(values):
+        found = np.where(condition == s, value, found)
+    return found

@@ -76,6 +76,7 @@ class ImplicitStep(System):
         self.seconds = 0.0
         self._held = operators.fixed.held
         self._blocks = HeatMatrices(operators.principle.matrices, operators.jumps, self._held)
+        self._per_kelvin = operators.loads.per_kelvin()
         self._rate = 1.0
         self._start, self._heats = operators.forms.zeros(), operators.forms.zeros()
         self._given: list[Floats] = []
@@ -162,7 +163,7 @@ class ImplicitStep(System):
 
     def _refuse_cut_off(self) -> None:
         operators = self.operators
-        here = [bool((e > 0).any()) for e in operators.exchange]
+        here = [bool((e > 0).any()) for e in self._per_kelvin]
         for b, condition in operators.fixed.of_body.items():
             here[b] = here[b] or bool((condition >= 0).any())
         reached = np.any(self.comm.allgather(here), axis=0)
@@ -177,7 +178,7 @@ class ImplicitStep(System):
     def _fill(self) -> None:
         """Set the linear part of the Jacobian."""
         self._last = None
-        pairs = zip(self.operators.capacity, self.operators.exchange, strict=True)
+        pairs = zip(self.operators.capacity, self._per_kelvin, strict=True)
         self._blocks.fill(self.operators.principle.matrices, [m * self._rate + r for m, r in pairs])
 
     def _set_given(self, seconds: float) -> None:
@@ -210,15 +211,15 @@ class ImplicitStep(System):
             if self.comm.allreduce(same, MPI.LAND):
                 return self._last
         T = o.nodal(x)
+        exchanged = o.loads.exchanged(T)
         lacking, parts = [], list[Floats]()
         above, flow = self._work
         for b, K in enumerate(o.principle.matrices):
             above.array[:] = T[b] - o.reference
             K.mult(above, flow)
-            exchanged = o.exchange[b] * above.array_r - o.brought[b]
             stored = self._rate * o.capacity[b] * (T[b] - self._start[b])
-            lacking.append(flow.array_r + exchanged + stored - self._heats[b])
-            parts += [exchanged, stored, self._heats[b]]
+            lacking.append(flow.array_r + exchanged[b] + stored - self._heats[b])
+            parts += [exchanged[b], stored, self._heats[b]]
         sources = [o.cure.heats(T)] if o.cure else []
         sources += [o.friction.nodal] if o.friction else []
         for source in sources:

@@ -43,8 +43,6 @@ class HeatOperators:
         jumps: The temperature jumps, where an interface has a finite conductance.
         capacity: Heat capacity of own nodes in each body [N mm/K].
         reference: Temperature that heat is counted from [K].
-        exchange: Heat per kelvin that own nodes of each body exchange [N mm/(s K)].
-        brought: What that brings in at the reference [N mm/s].
         cure: Heat of cure, where anything sets.
         friction: Heat of friction, where an interface rubs.
         principle: The conduction matrices, corrected where they have to be.
@@ -77,7 +75,6 @@ class HeatOperators:
         self.capacity = forms.capacities(scene.conductors)
         # Heat is counted from a temperature that is near all of them: less is lost to rounding.
         self.reference = float(np.mean([c.initial for c in scene.conductors]))
-        self.exchange, self.brought = self.loads.exchanges(self.reference)
         self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None
         rubbing = {f"friction {f.interface}": 0.0 for f in scene.friction_heat}
         self.friction = FrictionHeating(forms.zeros(), rubbing) if rubbing else None

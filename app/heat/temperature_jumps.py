@@ -76,40 +76,38 @@ class TemperatureJumps:
         holds = _holds(forms, facets, held)
         self.points, entries = contact_points(facets, holds, len(contacts))
         self.mine, place = owners(comm, index_map, self.points.dof)
-        start = index_map.local_range[0]
+        begin, end = index_map.local_range
         n = len(self.mine)
-        self.dof = self.points.dof[self.mine] - start
+        self.dof = self.points.dof[self.mine] - begin
         self.interface = self.points.interface[self.mine]
         self.bodies = self.points.bodies[self.mine]
         self.weight = self.points.weight[self.mine]
         self.given = self.points.given[self.mine, 0]
         self.held = self.given[:, 0] >= 0
         # Temperature has one component where displacement has three.
-        first = entries.column % 3 == 0
-        row, point = entries.row[first] // 3, entries.column[first] // 3
+        own = (entries.column % 3 == 0) & (entries.row >= 3 * begin) & (entries.row < 3 * end)
+        row, column, body = (
+            entries.row[own] // 3 - begin,
+            entries.column[own] // 3,
+            entries.body[own],
+        )
+        value = entries.value[own]
         self.moves: dict[int, PETSc.Mat] = {}
         for b in map(int, np.unique(entries.body)):
-            mine = (entries.body[first] == b) & (row >= start) & (row < index_map.local_range[1])
-            self.moves[b] = from_triplets(
-                comm,
-                forms.owned,
-                n,
-                row[mine] - start,
-                place[point[mine]],
-                entries.value[first][mine],
-            )
+            i = body == b
+            columns = place[column[i]]
+            self.moves[b] = from_triplets(comm, forms.owned, n, row[i], columns, value[i])
         self.pressure: Floats = np.zeros(n)
         self.friction: Floats = np.zeros(n)
         shares = {f.interface: f.slave_share for f in scene.friction_heat}
         self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
         with forms.compiling():
+            names = ("p", "τ", "open", "per_pressure", "cap")
             self._law = Pointwise(
                 comm,
                 n,
-                {"p": 1, "τ": 1, "open": 1, "per_pressure": 1, "cap": 1},
-                lambda x: interface_heat.flux_and_derivatives(
-                    x["p"], x["τ"], x["open"], x["per_pressure"], x["cap"]
-                ),
+                dict.fromkeys(names, 1),
+                lambda x: interface_heat.flux_and_derivatives(*(x[name] for name in names)),
             )
         laws = np.array([[c.open, c.per_pressure, c.cap] for c in contacts])[self.interface]
         self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])

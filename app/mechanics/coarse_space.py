@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx import fem, la
 
 from app.arrays import Bools, Floats, Ints
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import block_diagonal, fill, from_triplets, matrix_sum
@@ -134,22 +135,25 @@ class SlidingMotions:
 
     def __init__(self, problem: Problem) -> None:
         """Find who moves where; collective."""
-        (j,) = problem.jumps
+        contact = problem.contact
+        assert contact is not None
         comm, space, reduction = problem.comm, problem.space, problem.reduction
-        self._comm, self._allowing = comm, np.eye(3) - j.held
+        self._comm, self._allowing = comm, np.eye(3) - contact.held
         nodes = space.dofmap.index_map.size_local
-        x, y = space.tabulate_dof_coordinates()[:nodes], j.points.x[j.mine]
-        large = Boxes(j.points.x)
-        small = Boxes(j.points.x, SMALL[problem.scene.order] * float(np.mean(j.edge_lengths)))
+        x, y = space.tabulate_dof_coordinates()[:nodes], contact.points.x[contact.mine]
+        large = Boxes(contact.points.x)
+        small = Boxes(
+            contact.points.x, SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
+        )
         grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
-        frame = _frame(j.points.x)
+        frame = _frame(contact.points.x)
         rigid = {r.region for r in problem.scene.rigid}
         nodal, others = _Entries(comm, 3 * nodes), _Entries(comm, len(problem.held))
         jumps = _Entries(comm, 3 * len(y))
         first, stiffest = 0, _stiffest(problem)
         for body, name in enumerate(problem.bodies.names):
-            own = _components(problem, body)
-            master, slave = (j.points.bodies[j.mine] == body).T
+            own = _components(problem, contact, body)
+            master, slave = (contact.points.bodies[contact.mine] == body).T
             sign = slave.astype(float) - master
             if rigid.issuperset(name.split(" + ")):
                 moves = _unknowns(problem, own)[:, None]
@@ -231,7 +235,7 @@ def _frame(x: Floats) -> Floats:
     return frame
 
 
-def _components(problem: Problem, body: int) -> Bools:
+def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bools:
     """Own nodal components of a body, those that jumps move left out (n, 3); collective."""
     space = problem.space
     cells = np.flatnonzero(problem.bodies.of_tag[cell_tags(problem.tagged)] == body)
@@ -239,10 +243,9 @@ def _components(problem: Problem, body: int) -> Bools:
     marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)
     own = np.asarray(marks.x.array[: 3 * space.dofmap.index_map.size_local] > 0)
-    (j,) = problem.jumps
-    if body in j.moves:
+    if body in contact.moves:
         # There nodes are those of the other bodies.
-        own &= np.diff(j.moves[body].getValuesCSR()[0]) == 0
+        own &= np.diff(contact.moves[body].getValuesCSR()[0]) == 0
     return own.reshape(-1, 3)
 
 

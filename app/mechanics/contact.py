@@ -47,8 +47,8 @@ from meshes.distribute import TaggedMesh
 CLOSED = 1e-6
 
 
-class Jumps:
-    """Jumps of all contact interfaces on this rank.
+class ContactInterfaces:
+    """Contact of all interfaces on this rank: points, coupling to the bodies, law, state.
 
     Attributes:
         points: All contact points, replicated.
@@ -241,6 +241,20 @@ class Jumps:
         logs = float(np.log(usual / self.default_stiffness[here]).sum())
         total, count = self.comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
         return float(np.exp(total / count)) if count else 1.0
+
+    def augmentation(self, trial: bool = False) -> dict[str, float]:
+        """Augmentation or penalty of each interface that can open [MPa/mm]; collective.
+
+        Args:
+            trial: Of penalties what they are solved with, not what they are.
+        """
+        values = {}
+        for i, c in enumerate(self._contacts):
+            if c.law.can_open:
+                stiffness = self.stiffness if c.law.augmented or trial else self.default_stiffness
+                local = float(stiffness[self.interface == i].max(initial=0.0))
+                values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
+        return values
 
     def _stiffen(self) -> None:
         """Stiffness of the trial forces S, and the share of the force of equilibrium in them."""

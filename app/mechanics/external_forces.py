@@ -6,7 +6,7 @@ are handed in as they change.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ import ufl
 
 from app.arrays import Floats
 from app.mechanics.body_forms import BodyForms
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.loads import LoadTerm
 from app.scene.terms import Elastic, Scene, amplitude
@@ -40,7 +40,7 @@ class Forces:
         scene: Scene,
         mechanics: BodyForms,
         bodies: Bodies,
-        jumps: Sequence[Jumps],
+        contact: ContactInterfaces | None,
         known: Forces | None = None,
     ) -> None:
         """Assemble loads and eigenstrains at full amplitude; collective.
@@ -49,10 +49,10 @@ class Forces:
             scene: The scene.
             mechanics: Its forms.
             bodies: Its bodies.
-            jumps: Its jumps, if any.
+            contact: Its contact, if any.
             known: Forces of the same problem: what it has too is not assembled again.
         """
-        self._mechanics, self._bodies, self._jumps = mechanics, bodies, jumps
+        self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
         self.comm = mechanics.comm
         self._owned = 3 * mechanics.space.dofmap.index_map.size_local
         self._full: dict[LoadTerm, Action] = {} if known is None else known._full
@@ -97,16 +97,16 @@ class Forces:
             own = total.duplicate()
             own.array[:] = part.array[: self._owned]
             total.axpy(1.0, own)
-            for j in self._jumps:
-                if body in j.moves:
-                    moved = j.moves[body].createVecRight()
-                    j.moves[body].multTranspose(own, moved)
-                    jump += moved.array
+            if self._contact and body in self._contact.moves:
+                B = self._contact.moves[body]
+                moved = B.createVecRight()
+                B.multTranspose(own, moved)
+                jump += moved.array
         return Action(total, jump)
 
     def _nothing(self) -> tuple[PETSc.Vec, Floats]:
         nodal = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
-        return nodal, np.zeros(sum(3 * len(j.mine) for j in self._jumps))
+        return nodal, np.zeros(3 * len(self._contact.mine) if self._contact else 0)
 
     def set_free(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.mechanics.constraints import Reduction
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 
 
 class ConstrainedRows:
@@ -29,14 +29,15 @@ class ConstrainedRows:
         self._lifts = [_lift(K, unit) for unit in self._unit]
         self._index = PETSc.IS().createGeneral(self.rows, comm=K.comm)
         self._by_displacement = K.createSubMatrix(self._index)
-        self._by_jumps: list[PETSc.Mat] = []
+        self._by_jumps: PETSc.Mat | None = None
         diagonal = K.getDiagonal()
         self.typical = float(diagonal.sum()) / diagonal.getSize()
         K.zeroRowsColumns(self.rows, diag=self.typical)
 
-    def couple(self, jumps: Sequence[Jumps]) -> None:
+    def couple(self, contact: ContactInterfaces | None) -> None:
         """Take what the supports meet of the coupling to the jumps."""
-        self._by_jumps = [j.C.createSubMatrix(self._index) for j in jumps]
+        if contact:
+            self._by_jumps = contact.C.createSubMatrix(self._index)
 
     def move(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
         """Displacements that supports give at amplitudes (n,); add what these bring to f [N]."""
@@ -50,8 +51,8 @@ class ConstrainedRows:
         """Forces of a state through the supports, loads aside [N]."""
         found = self._by_displacement.createVecLeft()
         self._by_displacement.mult(u, found)
-        for C in self._by_jumps:
-            C.multAdd(q, found, found)
+        if self._by_jumps is not None:
+            self._by_jumps.multAdd(q, found, found)
         return found
 
 

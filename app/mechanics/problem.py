@@ -18,7 +18,7 @@ from dolfinx import fem
 from app.arrays import Floats, Ints
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import near_null_space, reduction_of
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.contact_law import PointForces
 from app.mechanics.curing_stress import CuringStress
 from app.mechanics.external_forces import Forces
@@ -39,8 +39,9 @@ ROUNDING = 2.0
 
 @dataclass(frozen=True)
 class TrialState:
-    """The jump block at a trial state: equilibrium (n, 3) [N], jumps (n, 3) [mm], the law."""
+    """Contact at a trial state: equilibrium (n, 3) [N], jumps (n, 3) [mm], the law."""
 
+    contact: ContactInterfaces
     equilibrium: Floats
     jump: Floats
     law: PointForces
@@ -50,9 +51,9 @@ class Problem:
     """Operators and state of a scene.
 
     Attributes:
-        jumps: The jump block, or an empty tuple.
-        expansions: Thermal expansion of what has constant moduli, or an empty tuple.
-        setting: What sets, or an empty tuple.
+        contact: Contact of the interfaces, if there are any.
+        thermal_strain: Thermal expansion of what has constant moduli, if anything expands.
+        setting: Stress of what sets, if anything does.
         u: Displacement, the continuous field.
         frames: Nodes with axes of their own, if a support needs them.
         time: Current time: stage k runs from k to k + 1.
@@ -63,7 +64,7 @@ class Problem:
         load_size: Norm of the nodal forces of loads and free strains [N].
     """
 
-    saved = ("time", "_stage", "u", "mechanics", "jumps", "setting")
+    saved = ("time", "_stage", "u", "mechanics", "contact", "setting")
 
     def __init__(
         self,
@@ -96,8 +97,8 @@ class Problem:
         self._stage = self.version = 0
         self.frames = frames_of(scene, tagged, self.bodies, self.space)
         self._reduce()
-        self.setting: tuple[CuringStress, ...] = (
-            (CuringStress(scene, self.mechanics, self.bodies, timing),) if scene.cures else ()
+        self.setting = (
+            CuringStress(scene, self.mechanics, self.bodies, timing) if scene.cures else None
         )
         self._stiffness = self.mechanics.stiffness()
         self.K = self._constrained()
@@ -107,18 +108,17 @@ class Problem:
         own = inverse_of(self)
         self.inverse: Inverse = like.inverse if like is not None else own
         parts = scene, tagged, self.bodies, self.mechanics, self.reduction, self.frames
-        self.jumps: tuple[Jumps, ...] = (
-            (Jumps(*parts, augmentation_factor, timing),) if scene.contacts else ()
+        self.contact = (
+            ContactInterfaces(*parts, augmentation_factor, timing) if scene.contacts else None
         )
-        self.supports.couple(self.jumps)
+        self.supports.couple(self.contact)
         self.moved = {
             b: fem.Function(self.space, name=f"displacement {self.bodies.names[b]}")
-            for j in self.jumps
-            for b in j.moves
+            for b in (self.contact.moves if self.contact else ())
         }
-        self.forces = Forces(scene, self.mechanics, self.bodies, self.jumps)
-        self.expansions: tuple[ThermalStrain, ...] = (
-            (ThermalStrain(scene, self.mechanics, self.bodies),) if self.mechanics.swelling else ()
+        self.forces = Forces(scene, self.mechanics, self.bodies, self.contact)
+        self.thermal_strain = (
+            ThermalStrain(scene, self.mechanics, self.bodies) if self.mechanics.swelling else None
         )
         self.set_time(0.0)
 
@@ -133,9 +133,9 @@ class Problem:
         self.set_stage(0, self.K.createVecRight())
         for state in (self.u, *self.moved.values(), *self.mechanics.swelling.values()):
             state.x.array[:] = 0
-        for j in self.jumps:
-            j.begin(scene.contacts, augmentation_factor)
-        self.forces = Forces(scene, self.mechanics, self.bodies, self.jumps, self.forces)
+        if self.contact:
+            self.contact.begin(scene.contacts, augmentation_factor)
+        self.forces = Forces(scene, self.mechanics, self.bodies, self.contact, self.forces)
         self.set_time(0.0)
 
     # Construction
@@ -158,9 +158,9 @@ class Problem:
         """Assemble the stiffness and the coupling again, in the same matrices."""
         K = self._constrained()
         K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        for j in self.jumps:
-            j.update_stiffness(self.mechanics, self.reduction)
-        self.supports.couple(self.jumps)
+        if self.contact:
+            self.contact.update_stiffness(self.mechanics, self.reduction)
+        self.supports.couple(self.contact)
         self.version += 1
         self.set_time(self.time)
 
@@ -182,9 +182,9 @@ class Problem:
     def take_up(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
         """Fill the unknowns with the restored displacement and jumps; collective."""
         self.reduction.contract(self.u.x.petsc_vec).copy(u)
-        for j in self.jumps:
+        if self.contact:
             assert q is not None
-            q.array[:] = j.history.jump.ravel()
+            q.array[:] = self.contact.history.jump.ravel()
         self.spread(u, q)
 
     # State in time
@@ -215,8 +215,8 @@ class Problem:
         self.load_size = float(self.f.norm())
         amplitudes = [amplitude(s.history, time) for s in self.scene.supports]
         self._given = self.supports.move(self.f, amplitudes)
-        for j in self.jumps:
-            j.set_time(time)
+        if self.contact:
+            self.contact.set_time(time)
         self.mechanics.set_amplitudes(
             {
                 (e.region, k): amplitude(s.history, time)
@@ -231,8 +231,8 @@ class Problem:
         Args:
             temperatures: For each region that expands, values at the vertices [K], ghosts included.
         """
-        for x in self.expansions:
-            self.forces.set_free("heat", x.set(temperatures))
+        if self.thermal_strain:
+            self.forces.set_free("heat", self.thermal_strain.set(temperatures))
         self.set_time(self.time)
 
     def set_cure(
@@ -244,8 +244,8 @@ class Problem:
             degrees: For each region that sets, the degree of cure at the vertices [-].
             strains: Its free strain accumulated since gelation at the vertices [-].
         """
-        for s in self.setting:
-            s.set(degrees, strains)
+        if self.setting:
+            self.setting.set(degrees, strains)
 
     def update_stiffness(self) -> None:
         """Take in the stiffness and the stress of what has set so far; before every solve.
@@ -253,11 +253,12 @@ class Problem:
         The matrices are assembled again, in place, only if a modulus has changed; then `version`
         is another one.
         """
-        for s in self.setting:
-            if s.stiffen():
-                self._renew()
-            self.forces.set_free("cure", s.forces())
-            self.set_time(self.time)
+        if self.setting is None:
+            return
+        if self.setting.stiffen():
+            self._renew()
+        self.forces.set_free("cure", self.setting.forces())
+        self.set_time(self.time)
 
     def thermal_stiffness(self, moves: Mapping[str, PETSc.Mat]) -> ThermalStiffness:
         """How the forces change with temperature; zero in supported rows; collective.
@@ -265,8 +266,10 @@ class Problem:
         Args:
             moves: For each region whose temperatures jumps move, what they add to the nodal ones.
         """
-        (x,) = self.expansions
-        return x.stiffness(moves, self.reduction, self.jumps, self.supports.rows)
+        assert self.thermal_strain is not None
+        return self.thermal_strain.stiffness(
+            moves, self.reduction, self.contact, self.supports.rows
+        )
 
     def impose(self, u: PETSc.Vec) -> None:
         """Set the supported components of a displacement to their current values."""
@@ -275,11 +278,12 @@ class Problem:
     # Residual and Jacobian
 
     def trial(self, u: PETSc.Vec, q: PETSc.Vec) -> TrialState:
-        """The jump block at a trial state; only for scenes with contact."""
-        (j,) = self.jumps
-        e = j.equilibrium(u, q, self.f_q).copy()
+        """Contact at a trial state; only for scenes with contact."""
+        contact = self.contact
+        assert contact is not None
+        e = contact.equilibrium(u, q, self.f_q).copy()
         jump = q.array.reshape(-1, 3).copy()
-        return TrialState(e, jump, j.law(e, jump))
+        return TrialState(contact, e, jump, contact.law(e, jump))
 
     def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
         """K u + C q - f [N]; in supported rows what is missing to the given displacements.
@@ -287,8 +291,8 @@ class Problem:
         A preconditioner of another stage moves these too: to leave them out would hide it.
         """
         self.K.mult(u, out)
-        for j in self.jumps:
-            j.C.multAdd(q, out, out)
+        if self.contact:
+            self.contact.C.multAdd(q, out, out)
         out.axpy(-1.0, self.f)
         out.array[self.held] = self.supports.typical * (u.array_r - self._given)[self.held]
 
@@ -299,9 +303,9 @@ class Problem:
         far more than any force there is.
         """
         scale = self.load_size
-        for j in self.jumps:
-            e = j.equilibrium(u, q, self.f_q)
-            for forces in (j.let(e), self.f_q):
+        if self.contact:
+            e = self.contact.equilibrium(u, q, self.f_q)
+            for forces in (self.contact.let(e), self.f_q):
                 scale += float(np.sqrt(self.comm.allreduce(float(np.sum(forces**2)), MPI.SUM)))
         return scale + float(self.supports.forces(u, q).norm())
 
@@ -316,13 +320,14 @@ class Problem:
         nodal = self.reduction.expand(u)
         self.u.x.petsc_vec.array[: self._owned] = nodal.array
         self.u.x.scatter_forward()
-        for j in self.jumps:
-            extra = nodal.duplicate()
-            for body, B in j.moves.items():
-                B.mult(q, extra)
-                function = self.moved[body]
-                function.x.petsc_vec.array[: self._owned] = nodal.array + extra.array
-                function.x.scatter_forward()
+        if self.contact is None:
+            return
+        extra = nodal.duplicate()
+        for body, B in self.contact.moves.items():
+            B.mult(q, extra)
+            function = self.moved[body]
+            function.x.petsc_vec.array[: self._owned] = nodal.array + extra.array
+            function.x.scatter_forward()
 
     def displacements(self) -> list[fem.Function]:
         """Displacement of each body, as last spread."""
@@ -334,20 +339,11 @@ class Problem:
         Args:
             trial: Of penalties what they are solved with, not what they are.
         """
-        values = {}
-        for j in self.jumps:
-            for i, c in enumerate(self.scene.contacts):
-                if not c.law.can_open:
-                    continue
-                stiffness = j.stiffness if c.law.augmented or trial else j.default_stiffness
-                local = float(stiffness[j.interface == i].max(initial=0.0))
-                values[c.name] = float(self.comm.allreduce(local, MPI.MAX))
-        return values
+        return self.contact.augmentation(trial) if self.contact else {}
 
     def commit(self, trial: TrialState | None) -> None:
         """Make a converged state, whose displacements have been spread, the history."""
-        for j in self.jumps:
-            if trial is not None:
-                j.commit(trial.equilibrium, trial.jump, trial.law)
-        for s in self.setting:
-            s.commit(self.displacements())
+        if trial is not None:
+            trial.contact.commit(trial.equilibrium, trial.jump, trial.law)
+        if self.setting:
+            self.setting.commit(self.displacements())

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.mechanics.coarse_space import SlidingMotions
-from app.mechanics.contact import Jumps
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
@@ -21,7 +20,7 @@ from app.numerics.system import Measure, System, size
 
 def mechanical(problem: Problem) -> BondedSystem | ContactSystem:
     """The system of a mechanical problem."""
-    return ContactSystem(problem) if problem.jumps else BondedSystem(problem)
+    return ContactSystem(problem) if problem.contact else BondedSystem(problem)
 
 
 def _stiffness(linear: str, problem: Problem) -> Options:
@@ -88,15 +87,15 @@ class ContactSystem(System):
         """Set up the blocks of the Jacobian."""
         self._problem, self.comm = problem, problem.comm
         self.inverses = {"displacement": problem.inverse}
-        (self._jumps,) = problem.jumps
-        j: Jumps = self._jumps
-        self._C = j.C.copy()
+        assert problem.contact is not None
+        contact = self._contact = problem.contact
+        self._C = contact.C.copy()
         self._C.zeroRows(problem.supports.rows, diag=0.0)
         self._coupled = self.version
-        self._rows = block_diagonal(j.comm, len(j.mine))
-        self._A_qu = self._rows.matMult(j.Ct)
-        self._A_qq = self._rows.matMult(j.D)
-        self._added = block_diagonal(j.comm, len(j.mine))
+        self._rows = block_diagonal(contact.comm, len(contact.mine))
+        self._A_qu = self._rows.matMult(contact.Ct)
+        self._A_qq = self._rows.matMult(contact.D)
+        self._added = block_diagonal(contact.comm, len(contact.mine))
         self._coarse_version = -1
         self._forces: Floats | None = None
         self.active = ActiveSet(self.comm)
@@ -110,7 +109,7 @@ class ContactSystem(System):
         """Displacement and jumps."""
         return {
             "displacement": self._problem.K.createVecLeft(),
-            "jump": self._jumps.D.createVecLeft(),
+            "jump": self._contact.D.createVecLeft(),
         }
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
@@ -125,20 +124,20 @@ class ContactSystem(System):
         """Put given displacements and jumps into a state."""
         u, q = x
         self._problem.impose(u)
-        j = self._jumps
-        q.array[:] = (j.let(q.array_r.reshape(-1, 3)) + j.given).ravel()
+        contact = self._contact
+        q.array[:] = (contact.let(q.array_r.reshape(-1, 3)) + contact.given).ravel()
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
         self._problem.residual_u(x[0], x[1], f[0])
         trial = self.trial = self._trial(x)
-        f[1].array[:] = self._jumps.residual(trial.equilibrium, trial.jump, trial.law).ravel()
+        f[1].array[:] = self._contact.residual(trial.equilibrium, trial.jump, trial.law).ravel()
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
         self._couple()
         self.trial = self._trial(x)
-        self._set_rows(*self._jumps.row_factors(self.trial.law))
+        self._set_rows(*self._contact.row_factors(self.trial.law))
 
     def linearize_at(self, forces: Floats | None) -> None:
         """Take the laws as linear about these interface forces, or as they are."""
@@ -153,9 +152,9 @@ class ContactSystem(System):
         trial = self._problem.trial(*x)
         if self._forces is None:
             return trial
-        j, known = self._jumps, self._forces
-        law = j.law(-j.weight[:, None] * known, trial.jump)
-        change = j.share[:, None] * (j.forces(trial.equilibrium) - j.let(known))
+        contact, known = self._contact, self._forces
+        law = contact.law(-contact.weight[:, None] * known, trial.jump)
+        change = contact.share[:, None] * (contact.forces(trial.equilibrium) - contact.let(known))
         force = law.force + np.einsum("pij,pj->pi", law.jacobian, change)
         return replace(trial, law=replace(law, force=force))
 
@@ -163,15 +162,15 @@ class ContactSystem(System):
         """Take in the coupling, if it has changed."""
         if self._coupled != self.version:
             self._coupled = self.version
-            self._jumps.C.copy(self._C)
+            self._contact.C.copy(self._C)
             self._C.zeroRows(self._problem.supports.rows, diag=0.0)
 
     def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
         """Set the rows of the jumps."""
         fill(self._rows, times)
         fill(self._added, added)
-        self._rows.matMult(self._jumps.Ct, result=self._A_qu)
-        self._rows.matMult(self._jumps.D, result=self._A_qq)
+        self._rows.matMult(self._contact.Ct, result=self._A_qu)
+        self._rows.matMult(self._contact.D, result=self._A_qq)
         self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def coarse_space(self) -> SlidingMotions:
@@ -197,7 +196,7 @@ class ContactSystem(System):
 
     def scale_augmentation(self, factor: float) -> bool:
         """Solve with this multiple of the default augmentation."""
-        self._jumps.scale_augmentation(factor)
+        self._contact.scale_augmentation(factor)
         return True
 
     def augmentation(self) -> dict[str, float]:
@@ -206,8 +205,8 @@ class ContactSystem(System):
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen; collective."""
-        return self._jumps.usual_augmentation()
+        return self._contact.usual_augmentation()
 
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""
-        return self._jumps.tie(on)
+        return self._contact.tie(on)

@@ -7,7 +7,7 @@ the forces are G e with a matrix G for each region, assembled once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Reduction
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.terms import Expansion, Scene
 
@@ -73,7 +73,7 @@ class ThermalStrain:
         self,
         moves: Mapping[str, PETSc.Mat],
         reduction: Reduction,
-        jumps: Sequence[Jumps],
+        contact: ContactInterfaces | None,
         supported: NDArray[np.int32],
     ) -> ThermalStiffness:
         """How the forces change with temperature.
@@ -81,7 +81,7 @@ class ThermalStrain:
         Args:
             moves: For each region whose temperatures jumps move, what they add to those.
             reduction: From nodal displacements to unknowns.
-            jumps: The jumps of the displacement, if any.
+            contact: Contact, if any.
             supported: Rows of the displacement that supports hold: zero.
         """
         by_θ = _sums((self.body[x.region], self._scaled(x)) for x in self._terms)
@@ -99,12 +99,8 @@ class ThermalStrain:
             return rows
 
         def on_q(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
-            moved = [
-                B.transposeMatMult(parts[b])
-                for j in jumps
-                for b, B in j.moves.items()
-                if b in parts
-            ]
+            by_jump = contact.moves if contact else {}
+            moved = [B.transposeMatMult(parts[b]) for b, B in by_jump.items() if b in parts]
             return reduce(add, moved) if moved else None
 
         # First the jumps: without rigid regions the rows of the displacement are the parts.

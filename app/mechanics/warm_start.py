@@ -93,13 +93,12 @@ class WarmStart:
     def _state(self) -> Neighbour:
         """Current solution, with the loads, gaps and friction that it belongs to."""
         problem = self._problem
-        gaps = [j.gap.ravel() for j in problem.jumps]
         contacts = problem.scene.contacts if problem.comm.rank == 0 else ()
         friction = [math.log(max(c.law.friction, LITTLE)) for c in contacts]
         return Neighbour(
             self._solver.x.copy(),
             problem.f.array.copy(),
-            np.concatenate([np.zeros(0), *gaps]),
+            problem.contact.gap.ravel() if problem.contact else np.zeros(0),
             np.array(friction),
         )
 

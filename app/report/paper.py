@@ -60,20 +60,13 @@ class Cases:
 
     def thicknesses(self, stem: str, friction: float = BONE_FRICTION, done: bool = True) -> Family:
         """Stances by thickness of the mantle, at a friction coefficient at the bone."""
-        return _family(
-            self._stances(stem, done, lambda c: same(bone_friction(c), friction)), thickness
-        )
+        own = (c for c in self.stances if stem_of(c) == stem and c.done >= done)
+        return _family((c for c in own if same(bone_friction(c), friction)), thickness)
 
     def frictions(self, stem: str) -> Family:
         """Stances with a mantle of 4 mm, by friction coefficient at the bone."""
-        return _family(
-            self._stances(stem, True, lambda c: same(thickness(c), THICKNESS)), bone_friction
-        )
-
-    def _stances(
-        self, stem: str, done: bool, chosen: Callable[[SweptCase], bool]
-    ) -> list[SweptCase]:
-        return [c for c in self.stances if stem_of(c) == stem and chosen(c) and c.done >= done]
+        own = (c for c in self.stances if stem_of(c) == stem and c.done)
+        return _family((c for c in own if same(thickness(c), THICKNESS)), bone_friction)
 
     def of_stems(self) -> dict[str, SweptCase]:
         """Stances with a mantle of 4 mm, by material of the stem."""

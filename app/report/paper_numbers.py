@@ -7,7 +7,7 @@ says so.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -214,33 +214,6 @@ def _extreme_rows(fact: Fact, cases: Cases) -> list[ComparedNumber]:
         )
     why = "no case of this sweep computes stress in the heated femur"
     return rows or [ComparedNumber(fact, fact.stem, remark=why)]
-
-
-def csv_rows(rows: Iterable[ComparedNumber]) -> list[dict[str, Any]]:
-    """The comparison as rows of a table, by their titles."""
-    return [
-        {
-            "id": r.fact.id,
-            "model": r.fact.model,
-            "stem": r.stem or r.fact.stem,
-            "thickness [mm]": r.fact.thickness if r.thickness is None else r.thickness,
-            "cement-bone friction": r.fact.cement_bone_friction,
-            "place": r.fact.place,
-            "quantity": r.fact.quantity,
-            "kind": r.fact.kind,
-            "unit": r.fact.unit,
-            "paper": r.fact.value,
-            "mantle quantity": r.quantity or r.fact.quantity,
-            "mantle max": r.peak,
-            "mantle percentile": r.number and r.number.value,
-            "mantle error": r.number and r.number.error,
-            "max over paper": r.ratios[0],
-            "percentile over paper": r.ratios[1],
-            "case": r.case,
-            "remark": "; ".join(filter(None, (r.remark, r.fact.remark))),
-        }
-        for r in rows
-    ]
 
 
 # Figures

@@ -22,8 +22,8 @@ from app.report.curves import Figure
 from app.report.page import Blocks, bullets, paragraph, table
 from app.report.sweep_results import CONVERGED, SweptCase
 from app.results import closing_lines as text
+from app.results import tables
 from app.results.reading import Run
-from app.results.tables import TABLES
 from app.system.folders import write_text
 from app.system.layout import noted, plain
 from app.system.ranks import rank
@@ -207,9 +207,11 @@ def _numbers(summary: dict[str, Any]) -> Blocks:
     found: Blocks = []
     for section, named in _sections(summary):
         own = TABLE[section]
-        columns = TABLES[section][1] if section in TABLES else ()
-        keys = [key for column in columns for key in column.keys.split()]
-        keys = [*keys, *MORE.get(section, ()), *(k for k, q in own.items() if q.compute)]
+        keys = [
+            *tables.keys(section),
+            *MORE.get(section, ()),
+            *(k for k, q in own.items() if q.compute),
+        ]
         chosen = [own[k] for k in keys or own if not own[k].vector]
         found += page.titled(TITLES[section], table(["", *named], _rows(named, chosen)))
         if section == "thermal.regions":

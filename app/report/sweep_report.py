@@ -26,12 +26,12 @@ from app.report.page import Blocks, bullets, paragraph, table
 from app.report.paper_claims import Trend
 from app.report.paper_numbers import ComparedNumber
 from app.report.sweep_results import STATUSES, SweepResults, SweptCase, named, read
-from app.system.folders import csv_text, remove, write_text
+from app.system.folders import remove, write_text
 from app.system.layout import duration, noted
 
-PAGE, PAPER, COMPARISON, PICTURES = "report.html", "paper.html", "comparison.csv", "report"
+PAGE, PAPER, PICTURES = "report.html", "paper.html", "report"
 # What an earlier report may have left in the folder of its pictures.
-OURS = ("figure[3-8].*", "over_*.*", "map[0-9]_*.png", "shielding.png", COMPARISON)
+OURS = ("figure[3-8].*", "over_*.*", "map[0-9]_*.png", "shielding.png")
 HONESTY = (
     "Geometry, muscle forces and bone constants of the paper (Rakotomanana and Ramaniraka) are not "
     "published; mantle's are its own and nothing was tuned. Agreement in size and in trend is the "
@@ -124,9 +124,6 @@ def _paper(
     text = page.page(title, sections, facts=_facts(sweep), summary=summary, note=HONESTY)
     files = [sweep.folder / PAPER, *(folder / f.name for f in figures)]
     write_text(files[0], text)
-    if rows:
-        files.append(folder / COMPARISON)
-        write_text(files[-1], csv_text(paper_numbers.csv_rows(rows)))
     return files, trends
 
 

@@ -60,11 +60,10 @@ class Balance:
             for region, free in mechanics.swelling.items()
             for test in [ufl.TestFunction(mechanics.scalars)]
         ]
-        self._setting = [
-            (displacements[b], mechanics.form(s.internal_work(b, v)))
-            for s in problem.setting
-            for b in s.bodies
-        ]
+        self._setting: list[tuple[fem.Function, fem.Form]] = []
+        if s := problem.setting:
+            forms = [(b, mechanics.form(s.internal_work(b, v))) for b in s.bodies]
+            self._setting = [(displacements[b], form) for b, form in forms]
         # The traction k_i U_i of each bed of springs on each body.
         beds = [
             ([k[i] * U[i] for i in range(3)], ds)
@@ -122,17 +121,15 @@ class Balance:
         def scalar(form: fem.Form) -> float:
             return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
 
-        held_q = np.zeros(0)
-        jump = np.zeros(0)
-        for j in problem.jumps:
-            jump = trial.jump.ravel().copy() if trial is not None else np.zeros(3 * len(j.mine))
-            e = trial.equilibrium if trial is not None else np.zeros((len(j.mine), 3))
-            held_q = (e - j.let(e)).ravel()
+        jump = held_q = np.zeros_like(loads_q)
+        if trial is not None:
+            jump, e = trial.jump.ravel().copy(), trial.equilibrium
+            held_q = (e - trial.contact.let(e)).ravel()
         return {
             "u": problem.reduction.expand(u).array.copy(),
             "q": jump,
             "loads_u": loads_u,
-            "loads_q": loads_q if len(loads_q) else np.zeros_like(jump),
+            "loads_q": loads_q,
             "reaction": reaction,
             "reaction_q": held_q,
             "energy": sum(scalar(f) for f in self._energy),
@@ -174,7 +171,7 @@ class Balance:
         external = float(comm.allreduce(external, MPI.SUM)) + works("strain_work", "amplitudes")
         self._spent += float(comm.allreduce(works("setting_forces", "setting"), MPI.SUM))
         self._work += external
-        contact = sum(float(comm.allreduce(j.history.work.sum(), MPI.SUM)) for j in problem.jumps)
+        contact = float(comm.allreduce(trial.contact.history.work.sum(), MPI.SUM)) if trial else 0.0
         spent = (new["energy"], self._spent, contact)
         free = problem.forces.free_work(problem.reduction.expand(u))
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))

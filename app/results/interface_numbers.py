@@ -52,29 +52,29 @@ class ContactSamples:
         dissipation: Dissipated by friction (n,) [N mm].
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
+        edge_lengths: Mean edge of the facets of each interface [mm].
         found: What `interface` has found of them, by interface.
     """
 
     def __init__(self, problem: Problem, trial: TrialState) -> None:
         self.found: dict[int, dict[str, Any]] = {}
-        (j,) = problem.jumps
-        history = j.history
-        opening = np.einsum("pi,pki->pk", trial.jump + j.gap, j.normals)
+        contact, history = trial.contact, trial.contact.history
+        opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, contact.normals)
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
-        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[j.interface][:, None]
-        used = np.arange(3)[None, :] < j.faces[:, None]
+        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[contact.interface][:, None]
+        used = np.arange(3)[None, :] < contact.faces[:, None]
         local = {
-            "row": j.mine,
+            "row": contact.mine,
             "gap": np.where(used, opening, 0.0),
             "opening": np.max(opening, axis=1, where=used, initial=-np.inf),
             "slip": sign * history.slip,
             "path": history.path,
             "motion": sign * trial.jump,
-            "pressure": _pressure(trial.law.pressures, j.normals),
+            "pressure": _pressure(trial.law.pressures, contact.normals),
             "shear": np.linalg.norm(history.friction, axis=1),
             "force": -sign * history.force,
-            "status": np.where(j.faces > 0, trial.law.status, STICK),
+            "status": np.where(contact.faces > 0, trial.law.status, STICK),
             "dissipation": history.dissipation,
             "least": history.least,
             "contact_work": history.contact_work,
@@ -82,8 +82,9 @@ class ContactSamples:
         pieces = problem.comm.allgather(local)
         whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
         order = np.argsort(whole.pop("row"))
-        self.points = j.points
-        self.interface, self.x, self.weight = j.points.interface, j.points.x, j.points.weight
+        self.points, self.edge_lengths = contact.points, contact.edge_lengths
+        self.interface, self.x = contact.points.interface, contact.points.x
+        self.weight = contact.points.weight
         self.gap, self.opening, self.slip, self.path, self.motion = (
             whole[k][order] for k in ("gap", "opening", "slip", "path", "motion")
         )
@@ -93,7 +94,7 @@ class ContactSamples:
         self.dissipation, self.least, self.contact_work = (
             whole[k][order] for k in ("dissipation", "least", "contact_work")
         )
-        self.overlap = overlap(j, trial.jump)
+        self.overlap = overlap(contact, trial.jump)
 
 
 def interface(problem: Problem, samples: ContactSamples, i: int) -> dict[str, Any]:
@@ -141,7 +142,7 @@ def _interface(problem: Problem, s: ContactSamples, i: int) -> dict[str, Any]:
         "stick_fraction": fraction(STICK),
         "slip_fraction": fraction(SLIP),
         "area": total,
-        "facet_size": problem.jumps[0].edge_lengths[i],
+        "facet_size": s.edge_lengths[i],
         "force": [float(c) for c in (weight[:, None] * s.force[at]).sum(axis=0)],
         "dissipation": float(s.dissipation[at].sum()),
         "dissipation_min": float(s.least[at].min()),

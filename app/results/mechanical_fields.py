@@ -83,8 +83,8 @@ class MechanicalFields:
         ends = np.take_along_axis(dofs, corner[nodes.ends], axis=1)
         numbers = self.space.dofmap.index_map.local_to_global(ends.ravel().astype(np.int32))
         body = np.repeat(nodes.body, 2)
-        for j in self._problem.jumps:
-            p = j.points
+        if self._problem.contact:
+            p = self._problem.contact.points
             for i in range(len(self._problem.scene.contacts)):
                 found = np.full(len(numbers), -1, dtype=np.int64)
                 here = np.flatnonzero(p.interface == i)

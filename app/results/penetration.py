@@ -9,24 +9,24 @@ from __future__ import annotations
 import numpy as np
 
 from app.arrays import Floats, Ints
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from meshes.contact_facets import InterfaceFacets, shape_functions, surface
 
 # Where a facet is looked at: corners, middles of edges, and between them (barycentric).
 LATTICE = np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]) / 4
 
 
-def overlap(j: Jumps, jump: Floats) -> list[dict[str, float]]:
+def overlap(contact: ContactInterfaces, jump: Floats) -> list[dict[str, float]]:
     """Penetration of each interface on its facets: largest and mean over the area; collective.
 
     Args:
-        j: The contact points.
+        contact: The contact points.
         jump: Jumps of those of this rank (n, 3) [mm].
     """
-    motion, clearance = _motion(j, jump), _clearance(j)
+    motion, clearance = _motion(contact, jump), _clearance(contact)
     found = []
-    for rows, triangles in zip(j.points.facets, j.points.triangles, strict=True):
-        gap, area = gaps(j.facets, rows, motion[rows], clearance[triangles])
+    for rows, triangles in zip(contact.points.facets, contact.points.triangles, strict=True):
+        gap, area = gaps(contact.facets, rows, motion[rows], clearance[triangles])
         depth = np.maximum(-gap, 0.0)
         found.append(
             {
@@ -56,25 +56,29 @@ def gaps(
     return along + clearance @ LATTICE.T, area
 
 
-def _motion(j: Jumps, jump: Floats) -> Floats:
+def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
     """Displacement of the slave side against the master at the nodes of all facets (f, m, 3)."""
-    dofs = np.concatenate([j.facets.vertex_dofs, j.facets.edge_dofs], axis=1)
+    dofs = np.concatenate([contact.facets.vertex_dofs, contact.facets.edge_dofs], axis=1)
     nodes, place = np.unique(dofs, return_inverse=True)
     place = place.reshape(dofs.shape)
-    moved = np.zeros((1 + int(max(j.facets.master.max(), j.facets.slave.max())), len(nodes), 3))
-    for body, B in j.moves.items():
+    moved = np.zeros(
+        (1 + int(max(contact.facets.master.max(), contact.facets.slave.max())), len(nodes), 3)
+    )
+    for body, B in contact.moves.items():
         q, u = B.createVecs()
         q.array[:] = jump.ravel()
         B.mult(q, u)
         start, end = (k // 3 for k in u.getOwnershipRange())
         own = (nodes >= start) & (nodes < end)
         moved[body, own] = u.array.reshape(-1, 3)[nodes[own] - start]
-    moved = j.comm.allreduce(moved)
-    return moved[j.facets.slave[:, None], place] - moved[j.facets.master[:, None], place]
+    moved = contact.comm.allreduce(moved)
+    return (
+        moved[contact.facets.slave[:, None], place] - moved[contact.facets.master[:, None], place]
+    )
 
 
-def _clearance(j: Jumps) -> Floats:
+def _clearance(contact: ContactInterfaces) -> Floats:
     """Initial gap at all contact points (n,) [mm]; 0 where supports hold every component."""
-    here = np.zeros(len(j.points.weight))
-    here[j.mine] = np.einsum("pi,pi->p", j.gap, j.normals[:, 0])
-    return j.comm.allreduce(here)
+    here = np.zeros(len(contact.points.weight))
+    here[contact.mine] = np.einsum("pi,pi->p", contact.gap, contact.normals[:, 0])
+    return contact.comm.allreduce(here)

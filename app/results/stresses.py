@@ -72,7 +72,7 @@ class Stresses:
             if e.region not in setting and e.region not in self._plain
         }
         # Where stress is history it is known at the points where it was summed up.
-        self._history = {r: s for s in problem.setting for r in setting}
+        self._history = {r: problem.setting for r in setting if problem.setting}
 
     def _law(self, e: Elastic) -> _Law:
         """Stress of any region without free strain that has the same law as this one."""

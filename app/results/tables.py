@@ -2,66 +2,47 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from app.case.quantities import NECROSIS, TABLE, numbers_of
 from app.system import layout
 
 Rows = Mapping[str, Mapping[str, Any]]
 
-
-class Column(NamedTuple):
-    """A column of a table: title, quantities, what separates them, and their unit."""
-
-    title: str
-    keys: str
-    between: str = " / "
-    unit: str = ""
-
-
-# By section of the summary: title of the column of names, and the others.
-TABLES: dict[str, tuple[str, tuple[Column, ...]]] = {
-    "interfaces": (
-        "interface",
-        (
-            Column("gap max/p99", "gap_max gap_p99"),
-            Column("slip max/p99", "slip_max slip_p99"),
-            Column("motion max/p99", "motion_max motion_p99"),
-            Column("pressure max/p95", "pressure_max pressure_p95"),
-            Column("shear max/p95", "shear_max shear_p95"),
-            Column(
-                "open/stick/slip", "open_fraction stick_fraction slip_fraction", unit="% of area"
-            ),
-        ),
-    ),
-    "regions": (
-        "region",
-        (
-            Column("von Mises p99", "von_mises_p99"),
-            Column("tension max/p99", "principal_max principal_p99"),
-            Column("mean stress", "mean_stress_min mean_stress_max", " .. "),
-        ),
-    ),
-    "thermal.regions": (
-        "temperature",
-        (
-            Column("hottest", "temperature_max"),
-            Column("at time", "temperature_max_time"),
-            Column("hottest at end", "temperature_end_max"),
-            Column("mean at end", "temperature_mean"),
-            Column("over 47 degC", "seconds_over_47"),
-        ),
-    ),
-    "thermal.interfaces": (
-        "interface",
-        (
-            Column("hottest, first side", "temperature_max_first"),
-            Column("second side", "temperature_max_second"),
-            Column("largest jump", "temperature_jump_max"),
-            Column("largest flux", "heat_flux_max"),
-        ),
-    ),
+# By section of the summary: titles of columns, that of the names first, and their quantities.
+TABLES: dict[str, dict[str, str]] = {
+    "interfaces": {
+        "interface": "",
+        "gap max/p99": "gap_max / gap_p99",
+        "slip max/p99": "slip_max / slip_p99",
+        "motion max/p99": "motion_max / motion_p99",
+        "pressure max/p95": "pressure_max / pressure_p95",
+        "shear max/p95": "shear_max / shear_p95",
+        "open/stick/slip": "open_fraction / stick_fraction / slip_fraction",
+    },
+    "regions": {
+        "region": "",
+        "von Mises p99": "von_mises_p99",
+        "tension max/p99": "principal_max / principal_p99",
+        "mean stress": "mean_stress_min .. mean_stress_max",
+    },
+    "thermal.regions": {
+        "temperature": "",
+        "hottest": "temperature_max",
+        "at time": "temperature_max_time",
+        "hottest at end": "temperature_end_max",
+        "mean at end": "temperature_mean",
+        "over 47 degC": "seconds_over_47",
+    },
+    "thermal.interfaces": {
+        "interface": "",
+        "hottest, first side": "temperature_max_first",
+        "second side": "temperature_max_second",
+        "largest jump": "temperature_jump_max",
+        "largest flux": "heat_flux_max",
+    },
 }
 SENTENCES = {
     "bonds": "{name}, bonded: {strength_fraction} of its area above its strength; "
@@ -89,17 +70,23 @@ def lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield from (_sentence(section, *row) for row in rows[section].items())
 
 
+def keys(section: str) -> list[str]:
+    """Quantities that the table of a section has, in its order."""
+    return re.findall(r"\w+", " ".join(TABLES.get(section, {}).values()))
+
+
 def _table(section: str, rows: Rows) -> list[str]:
     """A table of a section; what other packages have added stands on the right."""
-    own, (name, columns) = TABLE[section], TABLES[section]
-    columns += tuple(Column(q.label, key) for key, q in own.items() if q.compute)
-    units = [c.unit or own[c.keys.split()[0]].shown for c in columns]
-    cells = [
-        [row, *(c.between.join(own[key].text(q) for key in c.keys.split()) for c in columns)]
-        for row, q in rows.items()
-    ]
-    head = [name, *(c.title for c in columns)]
-    return layout.table(head, cells, ["", *units]).splitlines() if rows else []
+    own = TABLE[section]
+    columns = TABLES[section] | {q.label: key for key, q in own.items() if q.compute}
+    templates = list(filter(None, columns.values()))
+
+    def cell(template: str, numbers: Mapping[str, Any]) -> str:
+        return re.sub(r"\w+", lambda key: own[key[0]].text(numbers), template)
+
+    cells = [[name, *(cell(t, numbers) for t in templates)] for name, numbers in rows.items()]
+    units = ["", *(own[c.split()[0]].shown for c in templates)]
+    return layout.table(list(columns), cells, units).splitlines() if rows else []
 
 
 def _necrosis(regions: Rows) -> list[str]:

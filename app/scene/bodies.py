@@ -202,17 +202,16 @@ def contact_facets(
     stiffness = np.zeros(len(bodies.of_tag))
     for region, modulus in moduli.items():
         stiffness[tagged.regions[region]] = modulus
+    sides = np.stack([tags[master], tags[slave]], axis=1)
     return sorted_facets(
         tagged.mesh.comm,
         interface,
         vertices,
-        bodies.of_tag[tags[master]],
-        bodies.of_tag[tags[slave]],
-        vertex_dofs,
-        edge_dofs,
+        bodies.of_tag[sides],
+        (vertex_dofs, edge_dofs),
         x,
         inside,
-        stiffness[np.stack([tags[master], tags[slave]], axis=1)],
+        stiffness[sides],
     )
 
 

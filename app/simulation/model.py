@@ -250,7 +250,7 @@ class Model:
 
     def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
         """States of models before and, if that pays, a start from a cheaper model."""
-        if not m.problem.jumps or self.scene.conductors:
+        if m.problem.contact is None or self.scene.conductors:
             return (m.neighbours,)
         case = coarser_case.cheaper(self._case, sum(m.solver.block_sizes.values()))
         if case is None:

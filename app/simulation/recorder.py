@@ -119,7 +119,8 @@ class Recorder:
     def row_keys(self) -> dict[str, Ints]:
         """Keys of own contact points."""
         m = self._model.mechanics
-        return {"_contact": m.problem.jumps[0].row_keys} if m and m.problem.jumps else {}
+        contact = m.problem.contact if m else None
+        return {"_contact": contact.row_keys} if contact else {}
 
     def restored(self) -> None:
         """Go on from a restored model; collective."""

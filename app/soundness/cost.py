@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from app.case.case import Case
-from app.case.variation_options import expand
 from app.laws.materials import Conductor, TransverselyIsotropic
 from app.system.layout import count, duration, plain
 
@@ -212,7 +211,7 @@ def _size(
     # Factors of a direct solver grow as n^(4/3) in three dimensions; the rest is proportional.
     memory = 0.4 + 2e-6 * unknowns + 25 * 8e-9 * unknowns ** (4 / 3)
     first, others = _duration(case, cells, sizes), _duration(case, cells, sizes, alone=False)
-    more = len(expand(case.variations)) - 1
+    more = len(case.variations) - 1
     every = f", {duration(first + more * others)} for all variations" if more > 0 else ""
     return (
         f"{title}\n  {', '.join(parts)}\n"

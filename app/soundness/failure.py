@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.errors import Reason
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem, TrialState
 from app.numerics.active_set import ActiveSet
 from app.numerics.newton import NewtonResult, Solver
@@ -73,11 +73,14 @@ def explain(problem: Problem, solver: Solver, outcome: NewtonResult) -> Explanat
     places: list[str] = []
     u, q = solver.u_and_q(solver.failed_state)
     if q is not None:
-        (j,) = problem.jumps
         trial = problem.trial(u, q)
+        contact = trial.contact
         free = loose_bodies.free_bodies(problem, trial)
-        friction = [*([] if free else loose_bodies.sliding(problem)), *uniqueness.beyond(problem)]
-        places = [_largest(problem, j, trial), *_oscillating(problem, j, solver.system.active)]
+        friction = [
+            *([] if free else loose_bodies.sliding(problem, contact)),
+            *uniqueness.beyond(problem),
+        ]
+        places = [_largest(problem, trial), *_oscillating(problem, contact, solver.system.active)]
     if free:
         short = free[0]
     elif outcome.linear_failed:
@@ -103,17 +106,18 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
     return text + halved
 
 
-def _place(problem: Problem, j: Jumps, row: int) -> str:
-    name = problem.scene.contacts[j.interface[row]].name
-    return f"on interface '{name}' at {point_text(j.points.x[j.mine[row]])}"
+def _place(problem: Problem, contact: ContactInterfaces, row: int) -> str:
+    name = problem.scene.contacts[contact.interface[row]].name
+    return f"on interface '{name}' at {point_text(contact.points.x[contact.mine[row]])}"
 
 
-def _oscillating(problem: Problem, j: Jumps, active: ActiveSet) -> list[str]:
+def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet) -> list[str]:
     """Contact points that change their states most in the last iterations; collective."""
     local = [
         (
             r.changes,
-            f"changing: {' <-> '.join(STATES[s] for s in r.states)} {_place(problem, j, r.row)}, "
+            f"changing: {' <-> '.join(STATES[s] for s in r.states)} "
+            f"{_place(problem, contact, r.row)}, "
             f"in {r.changes} of the last {r.iterations} iterations",
         )
         for r in active.oscillating()[:SHOWN]
@@ -122,12 +126,16 @@ def _oscillating(problem: Problem, j: Jumps, active: ActiveSet) -> list[str]:
     return [text for _, text in every[:SHOWN]]
 
 
-def _largest(problem: Problem, j: Jumps, trial: TrialState) -> str:
+def _largest(problem: Problem, trial: TrialState) -> str:
     """Interface, place and state of the largest residual of contact points; collective."""
-    r = np.linalg.norm(j.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
+    contact = trial.contact
+    r = np.linalg.norm(contact.residual(trial.equilibrium, trial.jump, trial.law), axis=1)
     found = (-1.0, "")
     if len(r):
         k = int(np.argmax(r))
         state = STATES[trial.law.status[k]]
-        found = float(r[k]), f"largest residual: {r[k]:.2e} N {_place(problem, j, k)}, {state}"
+        found = (
+            float(r[k]),
+            f"largest residual: {r[k]:.2e} N {_place(problem, contact, k)}, {state}",
+        )
     return max(problem.comm.allgather(found))[1]

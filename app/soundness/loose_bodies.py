@@ -26,7 +26,8 @@ from meshes.contact_faces import spread_of_normals
 from meshes.pieces import Parts, Piece
 
 if TYPE_CHECKING:
-    from app.mechanics.problem import Problem, TrialState
+    from app.mechanics.contact import ContactInterfaces
+from app.mechanics.problem import Problem, TrialState
 
 # A motion is free if what resists it is below this part of what resists any; contact without
 # friction hardly resists one that it is sloped against by less than so many degrees in the mean, or
@@ -224,55 +225,55 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     The resistance of the contacts is the generalized Jacobian at each point, seen through the
     relative rigid motions of the two bodies; its null space beyond the supports is what is free.
     """
-    (j,) = problem.jumps
-    x, names = j.points.x, problem.bodies.names
+    contact, names = trial.contact, problem.bodies.names
+    x = contact.points.x
     centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.jacobian)
-    R = rigid_modes((x[j.mine] - centre) / size)
-    A = _assembled(problem, j.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
-    total = float(np.sum(j.points.weight)) or 1.0
+    R = rigid_modes((x[contact.mine] - centre) / size)
+    A = _assembled(problem, contact, contact.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
+    total = float(np.sum(contact.points.weight)) or 1.0
     for body in _held(problem):
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     free = vectors[:, values <= FREE * max(values[-1], total)]
-    near = [(j.points.bodies == b).any(axis=1) for b in range(len(names))]
+    near = [(contact.points.bodies == b).any(axis=1) for b in range(len(names))]
     centres = np.array([x[here].mean(axis=0) if here.any() else centre for here in near])
     return describe(free, [f"'{name}'" for name in names], centres, centre, size)
 
 
-def _assembled(problem: Problem, resistance: Floats) -> Floats:
+def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats) -> Floats:
     """Resistance to the motions of all n bodies (6 n, 6 n), from that of own points (p, 6, 6)."""
-    (j,) = problem.jumps
     n = len(problem.bodies.names)
     A = np.zeros((6 * n, 6 * n))
-    for master, slave in np.unique(j.points.bodies, axis=0):
-        here = (j.points.bodies[j.mine] == (master, slave)).all(axis=1)
+    for master, slave in np.unique(contact.points.bodies, axis=0):
+        here = (contact.points.bodies[contact.mine] == (master, slave)).all(axis=1)
         add_relative(A, master, slave, resistance[here].sum(axis=0))
     return np.asarray(problem.comm.allreduce(A))
 
 
-def sliding(problem: Problem) -> list[str]:
+def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
     """Bodies that friction alone held in the last converged state, and hardly did; collective.
 
     Pulled further they may come off. That is no proof: smaller steps are tried all the same.
     """
-    (j,) = problem.jumps
-    normal = np.linalg.norm(j.history.force - j.history.friction, axis=1)
-    shear = np.linalg.norm(j.history.friction, axis=1)
+    normal = np.linalg.norm(contact.history.force - contact.history.friction, axis=1)
+    shear = np.linalg.norm(contact.history.friction, axis=1)
     fixed = {b for b, part in _held(problem).items() if np.linalg.eigvalsh(part)[0] > HELD}
     found = []
-    for i, contact in enumerate(problem.scene.contacts):
-        on = (j.interface == i) & (normal > 0)
-        slips = on & (shear >= ALL_OF_IT * contact.law.friction * normal)
-        local = np.array([j.weight[slips].sum(), j.weight[on].sum()])
+    for i, term in enumerate(problem.scene.contacts):
+        on = (contact.interface == i) & (normal > 0)
+        slips = on & (shear >= ALL_OF_IT * term.law.friction * normal)
+        local = np.array([contact.weight[slips].sum(), contact.weight[on].sum()])
         slip, touch = problem.comm.allreduce(local)
-        bodies = problem.comm.allgather(set(j.points.bodies[j.mine][on].ravel().tolist()))
+        bodies = problem.comm.allgather(
+            set(contact.points.bodies[contact.mine][on].ravel().tolist())
+        )
         loose = set().union(*bodies) - fixed
-        if contact.law.frictional and touch and slip >= SLIDES * touch and loose:
+        if term.law.frictional and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
             found.append(
                 f"friction hardly holds body '{who}': {100 * slip / touch:.0f} % of what touches "
-                f"on interface '{contact.name}' slips in the last converged state "
+                f"on interface '{term.name}' slips in the last converged state "
                 f"[{Reason.LOOSE_BODY}]"
             )
     return found
@@ -284,17 +285,17 @@ def runaway(problem: Problem, trial: TrialState) -> str:
     A body that contact does not hold may still be caught by the facets of a curved interface. It
     has then moved further than small displacements allow, and against hardly any stiffness.
     """
-    (j,) = problem.jumps
+    contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
     pushed = any(unit.any() for unit in problem.reduction.unit)
     if any(problem.comm.allgather(pushed)) or not forces:
         return ""  # where supports move the model, they may move it far
-    size = float(np.linalg.norm(np.ptp(j.points.x, axis=0)))
+    size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0)))
     # What closes a gap or makes room for an interference is no running away.
-    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(j.gap, axis=1)
-    for i, contact in enumerate(problem.scene.contacts):
-        largest = max(problem.comm.allgather(float(moved[j.interface == i].max(initial=0.0))))
-        elastic = forces / (contact.modulus * size)
+    moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
+    for i, term in enumerate(problem.scene.contacts):
+        largest = max(problem.comm.allgather(float(moved[contact.interface == i].max(initial=0.0))))
+        elastic = forces / (term.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
             free = free_bodies(problem, trial)
             how = (
@@ -304,7 +305,7 @@ def runaway(problem: Problem, trial: TrialState) -> str:
                 else "left each other for good"
             )
             by = "" if free else ": nothing holds them but the facets of the mesh"
-            return "; ".join([*free, f"the sides of interface '{contact.name}' {how}{by}"])
+            return "; ".join([*free, f"the sides of interface '{term.name}' {how}{by}"])
     return ""
 
 
@@ -318,13 +319,13 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     smooth = [c.law.can_open and not c.law.frictional for c in problem.scene.contacts]
     if not any(smooth):
         return ""
-    (j,) = problem.jumps
-    n, points = len(problem.bodies.names), j.points
+    contact = trial.contact
+    n, points = len(problem.bodies.names), contact.points
     size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
-    R = rigid_modes((points.x[j.mine] - points.x.mean(axis=0)) / size)
+    R = rigid_modes((points.x[contact.mine] - points.x.mean(axis=0)) / size)
     free = np.setdiff1d(np.arange(n), sorted(_held(problem)))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
-    resistances = _against_spread(problem, trial, R, np.array(smooth)[j.interface])
+    resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
     if not A.any():
         return ""
@@ -339,9 +340,9 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     soft = np.zeros((6 * n, int(few.sum())))
     soft[rows] = scale.T @ vectors[:, few]
     parts = soft.reshape(n, 6, -1)
-    master, slave = points.bodies[j.mine].T
+    master, slave = points.bodies[contact.mine].T
     moved = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
-    w, q, sum_ = j.weight, trial.jump, problem.comm.allreduce
+    w, q, sum_ = contact.weight, trial.jump, problem.comm.allreduce
     turned = sum_(np.einsum("p,pi,pik->k", w, q, moved))
     gram = sum_(np.einsum("p,pik,pil->kl", w, moved, moved))
     amounts = np.linalg.lstsq(gram, turned, rcond=1e-12)[0]
@@ -360,21 +361,26 @@ def _against_spread(
     problem: Problem, trial: TrialState, R: Floats, smooth: Bools
 ) -> tuple[Floats, Floats]:
     """Resistance of contact to rigid motions R (p, 3, 6), and that by the spread of normals."""
-    (j,) = problem.jumps
-    r = np.where(trial.law.status == OPEN, 0.0, j.stiffness * j.weight)
+    contact = trial.contact
+    r = np.where(trial.law.status == OPEN, 0.0, contact.stiffness * contact.weight)
     B = trial.law.jacobian
     # Friction holds what it touches, though no stiffness tells so while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
     A, N = (
-        _assembled(problem, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
-        for own in (S, spread_of_normals(j.points.x, j.points.normals, j.points.triangles)[j.mine])
+        _assembled(problem, contact, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
+        for own in (
+            S,
+            spread_of_normals(contact.points.x, contact.points.normals, contact.points.triangles)[
+                contact.mine
+            ],
+        )
     )
     # Normals that are off at random agree in the mean, the more of them the better.
-    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), j.normals)
+    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.normals)
     mean = r[:, None] * np.einsum("pij,pi->pj", R, touching)
-    sides = np.column_stack([j.points.interface, j.points.bodies])
+    sides = np.column_stack([contact.points.interface, contact.points.bodies])
     for i, m, s in np.unique(sides, axis=0):
-        here = (sides[j.mine] == (i, m, s)).all(axis=1)
+        here = (sides[contact.mine] == (i, m, s)).all(axis=1)
         local = (mean[here].sum(axis=0), float(r[here].sum()), int(here.sum()))
         g, weight, count = (problem.comm.allreduce(x) for x in local)
         add_relative(A, m, s, count * np.outer(g, g) / (weight or 1.0))

@@ -1,4 +1,4 @@
-"""Refuses a mesh that this machine cannot hold, before the mesher tries to make it."""
+"""Refuse a mesh that this machine cannot hold, before the mesher tries to make it."""
 
 from __future__ import annotations
 
@@ -39,34 +39,33 @@ def needed(case: Case) -> float:
 
 
 def available(environ: Mapping[str, str] = os.environ) -> float:
-    """Memory of the machines that a run has [byte]: what is built in, or what it may use of it."""
+    """Memory of the machines that a run has [byte]: installed, or what it may use of that."""
     limits = [float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))]
     if (limit := resource.getrlimit(resource.RLIMIT_AS)[0]) != resource.RLIM_INFINITY:
         limits.append(limit - UNUSED)
     for file in _group_limits():
         with suppress(OSError, ValueError):  # there is none, or "max"
             limits.append(float(file.read_text()))
-    number = environ.get("SLURM_NNODES", "1")
-    ranks, here = (environ.get(f"OMPI_COMM_WORLD_{n}SIZE", "1") for n in ("", "LOCAL_"))
-    machines = int(ranks) / int(here) if ranks.isdigit() and here.isdigit() else 1.0
-    return min(limits) * max(machines, float(number) if number.isdigit() else 1.0, 1.0)
+    names = ("SLURM_NNODES", "OMPI_COMM_WORLD_SIZE", "OMPI_COMM_WORLD_LOCAL_SIZE")
+    given = (environ.get(name, "") for name in names)
+    nodes, ranks, here = (float(text) if text.isdigit() else 1.0 for text in given)
+    return min(limits) * max(nodes, ranks / here, 1.0)
 
 
 def _group_limits() -> Iterator[Path]:
-    """Where limits of the control groups of this process may stand, and of those above them.
+    """Files that may limit the control groups of this process, and the groups above them.
 
     In a container the path may be that outside of it; its own group is the root there.
     """
     with suppress(OSError):
         for line in OWN_GROUPS.read_text().splitlines():
             _, controllers, path = line.split(":", 2)
-            folder, name = GROUPS, "memory.max"
-            if controllers:  # of version 1
-                if "memory" not in controllers.split(","):
-                    continue
-                folder, name = GROUPS / "memory", "memory.limit_in_bytes"
             group = Path(path.strip("/"))
-            yield from (folder / part / name for part in (group, *group.parents))
+            for part in (group, *group.parents):
+                if not controllers:
+                    yield GROUPS / part / "memory.max"
+                elif "memory" in controllers.split(","):  # of version 1
+                    yield GROUPS / "memory" / part / "memory.limit_in_bytes"
 
 
 def explain(error: BaseException) -> EnvironmentProblem | None:
@@ -76,7 +75,7 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
     while link is not None and link not in chain:  # what PETSc hands back may be its own cause
         chain.append(link)
         link = link.__cause__ or link.__context__
-    found = next(filter(_for_want, chain), error if _short() else None)
+    found = next(filter(_lacks_memory, chain), error if _nearly_full() else None)
     if found is None:
         return None
     lines = filter(None, map(str.strip, str(found).splitlines()))
@@ -86,32 +85,27 @@ def explain(error: BaseException) -> EnvironmentProblem | None:
     )
 
 
-def _for_want(error: BaseException) -> bool:
-    """Whether an error says that there is no more memory."""
+def _lacks_memory(error: BaseException) -> bool:
     return (
         isinstance(error, MemoryError)
         or getattr(error, "errno", None) == errno.ENOMEM
         or getattr(error, "ierr", None) == OUT_OF_MEMORY
-        or any(word in str(error) for word in SAID)
+        or any(text in str(error) for text in SAID)
     )
 
 
-def _short() -> bool:
+def _nearly_full() -> bool:
     """Whether this process has nearly had all that it may: libraries do not always say why."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit == resource.RLIM_INFINITY:
-        return False
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-    (peak,) = re.findall(r"VmPeak:\s+(\d+) kB", status)
-    return 1024 * int(peak) > NEARLY * limit
+    peak = re.search(r"VmPeak:\s+(\d+) kB", status)
+    return bool(peak and limit > 0 and 1024 * int(peak[1]) > NEARLY * limit)
 
 
 def _limits() -> str:
-    """Limit of memory of this process, in words."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    memory = f"{available({}) / GIGABYTE:.1f} GB"
     if limit == resource.RLIM_INFINITY:
-        return f"a process may use {memory}"
+        return f"a process may use {available({}) / GIGABYTE:.1f} GB"
     return f"a process may use {limit / GIGABYTE:.1f} GB of addresses (ulimit -v)"
 
 
@@ -147,13 +141,12 @@ def check(file: CaseFile, case: Case) -> None:
 
 
 def _fitting(case: Case, memory: float) -> float:
-    """A size with which a case fits: of two digits, and at most a tenth too large [mm]."""
-    digit = 10.0 ** (math.floor(math.log10(case.mesh.size)) - 1)
-    size = digit * math.ceil(case.mesh.size / digit)
+    """A size with which a case fits [mm]: of two digits, and a few tenths too large at most."""
+    size = case.mesh.size
     while needed(_with_size(case, size)) > memory:
-        digit = digit if size < 99.5 * digit else 10.0 * digit
-        size = digit * (round(size / digit) + 1)
-    return float(f"{size:.2g}")
+        size *= 1.02
+    digit = 10.0 ** (math.floor(math.log10(size)) - 1)
+    return float(f"{digit * math.ceil(size / digit):.2g}")
 
 
 def _with_size(case: Case, size: float) -> Case:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from app.case.case import Case
-from app.laws.thermal import PressureConductance, Thermal
+from app.laws.thermal import PressureConductance
 from app.schema.section import Section
 from app.system.layout import plain
 
@@ -57,7 +57,11 @@ def warnings(case: Case) -> list[str]:
             if hasattr(region, key):
                 messages += _far_off(f"regions.{name}.{key}", region, key, *known)
         if region.thermal is not None:
-            messages += _unusual(f"regions.{name}.thermal", region.thermal)
+            place, thermal = f"regions.{name}.thermal", region.thermal
+            for key, limits in USUAL.items():
+                messages += _far_off(f"{place}.{key}", thermal, key, *limits)
+            if thermal.cure is not None:
+                messages += _far_off(f"{place}.cure.heat", thermal.cure, "heat", 1.0, 1e4)
     expands = any(
         r.thermal is not None and r.thermal.thermal_expansion for r in case.regions.values()
     )
@@ -67,12 +71,10 @@ def warnings(case: Case) -> list[str]:
         for name, law in case.interfaces.items()
         if expands and isinstance(law.conductance, PressureConductance)
     ]
-    if case.geometry.kind in ("femur", "intact_femur"):
-        messages += [
-            f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?"
-            for force in _largest_force(case)
-            if not HIP_FORCES[0] <= force <= HIP_FORCES[1]
-        ]
+    force = _largest_force(case)
+    if case.geometry.kind in ("femur", "intact_femur") and force:
+        if not HIP_FORCES[0] <= force <= HIP_FORCES[1]:
+            messages.append(f"the largest of the loads is {force:.3g} N, on a hip: a wrong unit?")
     for name, condition in case.heat.items():
         for key in ("temperature", "ambient"):
             if isinstance(getattr(condition, key, None), float):
@@ -88,22 +90,10 @@ def _acts(case: Case) -> bool:
     return bool(case.loads) or gaps or moved or strained
 
 
-def _largest_force(case: Case) -> Iterable[float]:
-    """The largest force at any time, if there are forces [N]."""
-    sizes = [
-        math.hypot(*load.resultant) * max(map(abs, load.history or (1.0,)))
-        for load in case.loads.values()
-        if load.resultant is not None
-    ]
-    return [max(sizes)] if any(sizes) else []
-
-
-def _unusual(place: str, thermal: Thermal) -> Iterable[str]:
-    """Data of a region a thousand times off what any material has: a wrong unit."""
-    for key, (low, high) in USUAL.items():
-        yield from _far_off(f"{place}.{key}", thermal, key, low, high)
-    if thermal.cure is not None:
-        yield from _far_off(f"{place}.cure.heat", thermal.cure, "heat", 1.0, 1e4)
+def _largest_force(case: Case) -> float:
+    """The largest force at any time [N]."""
+    loads = [(load.resultant or (0.0,), load.history or (1.0,)) for load in case.loads.values()]
+    return max((math.hypot(*force) * max(map(abs, h)) for force, h in loads), default=0.0)
 
 
 def _far_off(place: str, model: Section, key: str, low: float, high: float) -> Iterable[str]:

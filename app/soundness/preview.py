@@ -9,7 +9,6 @@ from typing import Any
 
 from app.case.case import Case
 from app.case.run_options import Stage
-from app.case.variation_options import expand
 from app.laws.materials import Rigid
 from app.schema.section import Section
 from app.soundness.cost import solid
@@ -69,9 +68,10 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         lines += ["time", *_entries(case.time, given.get("time", {}))]
     if case.output.probes:
         lines += ["probes", *_table(case.output.probes)]
-    if varied := expand(case.variations):
+    if varied := case.variations:
         lines.append(f"variations: {len(varied)} runs, and none of the case without them")
-        lines += [f"  {v.name}: {plain(v.changes) or 'the case as it is'}" for v in varied]
+        for name, changes in varied.items():
+            lines.append(f"  {name}: {plain(changes) or 'the case as it is'}")
     return "\n".join(lines)
 
 

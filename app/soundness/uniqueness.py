@@ -51,7 +51,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.errors import Reason
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
 from app.system.layout import point_text
 
@@ -92,7 +92,7 @@ def critical_friction(stiffness: Floats, normals: Floats) -> Floats:
     return critical
 
 
-def critical_friction_of_points(j: Jumps) -> Floats:
+def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     """Least critical coefficient of the faces of each own point, all else held (n,).
 
     An estimate, local and on the safe side. With the stiffness that a point meets while the bodies
@@ -100,15 +100,17 @@ def critical_friction_of_points(j: Jumps) -> Floats:
     uniqueness (not sufficient), but each point takes a solve: on the shipped cases, coarsened, the
     least such value is 20 to 85 % above the least found here.
     """
-    stiffness = j.local_stiffness()
+    stiffness = contact.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
-    free = np.eye(3) - j.held
+    free = np.eye(3) - contact.held
     stiffness = free @ stiffness @ free
-    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * j.held
-    critical = np.full(len(j.mine), np.inf)
-    for k in range(j.normals.shape[1]):
-        on = j.faces > k
-        critical[on] = np.minimum(critical[on], critical_friction(stiffness[on], j.normals[on, k]))
+    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.held
+    critical = np.full(len(contact.mine), np.inf)
+    for k in range(contact.normals.shape[1]):
+        on = contact.faces > k
+        critical[on] = np.minimum(
+            critical[on], critical_friction(stiffness[on], contact.normals[on, k])
+        )
     return critical
 
 
@@ -130,23 +132,30 @@ def beyond(problem: Problem) -> list[str]:
 
 def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
     """Least critical coefficient of each frictional interface, and what there is to say."""
-    found, sentences = {}, []
-    for j in problem.jumps:
-        critical = critical_friction_of_points(j)
-        for i, contact in enumerate(problem.scene.contacts):
-            on = np.flatnonzero(j.interface == i)
-            k = on[np.argmin(critical[on])] if len(on) else 0
-            here = (float(critical[k]), tuple(j.points.x[j.mine[k]])) if len(on) else (np.inf, ())
-            least, x = min(problem.comm.allgather(here))
-            over = int((critical[on] < contact.law.friction).sum())
-            over = problem.comm.allreduce(over, MPI.SUM)
-            if not contact.law.frictional or not np.isfinite(least):
-                continue
-            found[contact.name] = least
-            if over:
-                sentences.append(
-                    f"interface '{contact.name}': friction coefficient {contact.law.friction:g} "
-                    f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
-                    f"{point_text(x)}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
-                )
+    found: dict[str, float] = {}
+    sentences: list[str] = []
+    contact = problem.contact
+    if contact is None:
+        return found, sentences
+    critical = critical_friction_of_points(contact)
+    for i, term in enumerate(problem.scene.contacts):
+        on = np.flatnonzero(contact.interface == i)
+        k = on[np.argmin(critical[on])] if len(on) else 0
+        here = (
+            (float(critical[k]), tuple(contact.points.x[contact.mine[k]]))
+            if len(on)
+            else (np.inf, ())
+        )
+        least, x = min(problem.comm.allgather(here))
+        over = int((critical[on] < term.law.friction).sum())
+        over = problem.comm.allreduce(over, MPI.SUM)
+        if not term.law.frictional or not np.isfinite(least):
+            continue
+        found[term.name] = least
+        if over:
+            sentences.append(
+                f"interface '{term.name}': friction coefficient {term.law.friction:g} "
+                f"exceeds the critical one of {over} of its points (least {least:.3g}, at "
+                f"{point_text(x)}): solutions may not be unique there [{Reason.NOT_UNIQUE}]"
+            )
     return found, sentences

@@ -20,7 +20,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.errors import MantleError, StoppedError
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.predictors import imbalance
 from app.mechanics.problem import Problem
 from app.numerics.newton import Solver
@@ -51,6 +51,8 @@ class CoarseModelStart:
             solver: Its solver.
             make: Makes the cheaper model, at rest; collective.
         """
+        assert problem.contact is not None
+        self._contact = problem.contact
         self._problem, self._solver, self._make = problem, solver, make
         self._coarse: LoadStepper | None = None
         self._failed = False
@@ -83,12 +85,12 @@ class CoarseModelStart:
 
     def _found(self, time: float) -> Floats:
         """Jumps and forces of own points at a time, interpolated (n, 6) [mm, MPa]."""
-        (j,) = self._problem.jumps
         if self._coarse is None:
-            self._coarse = self._make()
-            (source,) = self._coarse.problem.jumps
-            self._weights = interpolation(source.points, j.points, j.mine)
-            self._known = [(0.0, np.zeros((len(j.mine), 6)))]
+            contact, self._coarse = self._contact, self._make()
+            source = self._coarse.problem.contact
+            assert source is not None
+            self._weights = interpolation(source.points, contact.points, contact.mine)
+            self._known = [(0.0, np.zeros((len(contact.mine), 6)))]
         for then in [*self._past, time]:
             while then > (last := self._known[-1][0]):
                 # A run that was taken up again has not told of the stages before.
@@ -109,16 +111,16 @@ class CoarseModelStart:
         # A start that takes many steps to find is not worth it.
         stage = replace(problem.scene.stages[k], adaptive=False)
         coarse.run_path(stage, 1.0, set_load, begin, time)
-        (source,) = problem.jumps
-        self._known = [*self._known[-1:], (time, self._weights @ replicated(source))]
+        assert problem.contact is not None
+        known = self._weights @ replicated(problem.contact)
+        self._known = [*self._known[-1:], (time, known)]
 
     def _start(self, jump: Floats, force: Floats) -> None:
         """Start from jumps and forces, and the displacement in rough equilibrium with the jumps."""
         problem, solver = self._problem, self._solver
         named = solver.blocks_by_name()
         u, q = named["displacement"], named["jump"]
-        (j,) = problem.jumps
-        q.array[:] = (j.let(jump) + j.given).ravel()
+        q.array[:] = (self._contact.let(jump) + self._contact.given).ravel()
         problem.impose(u)
         r, du = u.duplicate(), u.duplicate()
         problem.residual_u(u, q, r)
@@ -138,11 +140,11 @@ def between(known: list[tuple[float, Floats]], time: float) -> Floats:
     return (1 - s) * before + s * after
 
 
-def replicated(jumps: Jumps) -> Floats:
+def replicated(contact: ContactInterfaces) -> Floats:
     """Committed jumps and forces of all points, on every rank (n, 6) [mm, MPa]; collective."""
-    every = np.zeros((len(jumps.points.weight), 6))
-    own = np.hstack([jumps.history.jump, jumps.history.force])
-    for rows, values in jumps.comm.allgather((jumps.mine, own)):
+    every = np.zeros((len(contact.points.weight), 6))
+    own = np.hstack([contact.history.jump, contact.history.force])
+    for rows, values in contact.comm.allgather((contact.mine, own)):
         every[rows] = values
     return every
 

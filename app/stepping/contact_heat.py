@@ -1,9 +1,9 @@
 r"""Contact as the heat sees it: pressures, the power of friction, and how both change.
 
-Friction heats by what it dissipates (`Jumps.rubbing`): w = F_T · s per area since the time step
-began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty stretch. A
-stage of length h that starts from the work w* has the power (w - w*)/h: w is one more unknown of
-the integrator, so that its sum over the stages is the work of the whole step.
+Friction heats by what it dissipates (`ContactInterfaces.rubbing`): w = F_T · s per area since the
+time step began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty
+stretch. A stage of length h that starts from the work w* has the power (w - w*)/h: w is one more
+unknown of the integrator, so that its sum over the stages is the work of the whole step.
 
 With the law of a contact point, F = P(S), S = -e/W + r (q + g), and its generalized derivative P',
 pressure p = |F_n| and friction work change by
@@ -28,6 +28,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.contact_law import PointForces
 from app.mechanics.problem import ROUNDING, Problem, TrialState
 from app.numerics.sparse import from_triplets, owners
@@ -58,16 +59,19 @@ class ContactHeat:
         """Find who is where; collective."""
         self._problem, self._operators = problem, operators
         self.expands = set(problem.mechanics.swelling)
-        (j,) = problem.jumps
-        comm, points = problem.comm, j.points
+        assert problem.contact is not None
+        contact = self._contact = problem.contact
+        comm, points = problem.comm, contact.points
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
-        self._n = len(j.mine)
+        self._n = len(contact.mine)
         self.begin(np.inf, self.zero_work())
         self.friction_work: Floats = self.zero_work()
-        self.heats = _heats(scene, problem, operators, number)
+        self.heats = _heats(scene, problem, contact, operators, number)
         heated = {f.interface for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
-        self.rubbing = np.isin(j.interface, [i for i, name in enumerate(names) if name in heated])
+        self.rubbing = np.isin(
+            contact.interface, [i for i, name in enumerate(names) if name in heated]
+        )
         known = {
             (names[i], v): n
             for i, v, n in zip(points.interface, points.vertex, number, strict=True)
@@ -105,8 +109,8 @@ class ContactHeat:
 
     def to_heat(self, trial: TrialState) -> None:
         """Set the pressures and the friction heat that the heat equation uses."""
-        (j,) = self._problem.jumps
-        pressure = np.linalg.norm(_normal(trial.law, j.normals), axis=1)
+        contact = self._contact
+        pressure = np.linalg.norm(_normal(trial.law, contact.normals), axis=1)
         self.friction_work = np.where(self.rubbing, _dot(*self._rubbing(trial)), 0.0)
         power = np.asarray((self.friction_work - self._before) / self._h, dtype=np.float64)
         jumps, friction = self._operators.jumps, self._operators.friction
@@ -116,7 +120,7 @@ class ContactHeat:
             friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
-                    mine = float((j.weight * power)[j.interface == i].sum())
+                    mine = float((contact.weight * power)[contact.interface == i].sum())
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
     def report(self, seconds: float) -> None:
@@ -127,54 +131,55 @@ class ContactHeat:
 
     def _rubbing(self, trial: TrialState) -> tuple[Floats, Floats]:
         """Friction [MPa] and slip [mm] at own points, each (n, 3)."""
-        (j,) = self._problem.jumps
-        return j.rubbing(trial.equilibrium, trial.jump, trial.law)
+        return self._contact.rubbing(trial.equilibrium, trial.jump, trial.law)
 
     def rounding(self, trial: TrialState) -> float:
         """Rounding error of the power of friction by long slips; collective [N mm/s]."""
-        (j,) = self._problem.jumps
-        slip = np.linalg.norm(trial.jump - j.history.jump, axis=1)
+        contact = self._contact
+        slip = np.linalg.norm(trial.jump - contact.history.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may be far from where they were.
-        met = j.share * j.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
-        force = (met + j.stiffness * j.weight) * np.linalg.norm(trial.jump, axis=1)
+        met = contact.share * contact.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
+        force = (met + contact.stiffness * contact.weight) * np.linalg.norm(trial.jump, axis=1)
         power = np.where(self.rubbing, force * slip, 0.0) / self._h
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> PointDerivatives:
         """How the pressure changes."""
-        (j,) = self._problem.jumps
-        force = _normal(trial.law, j.normals)
+        force = _normal(trial.law, self._contact.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
 
     def power_rows(self, trial: TrialState) -> PointDerivatives:
         """How the friction power changes."""
-        (j,) = self._problem.jumps
+        contact = self._contact
         force, slip = self._rubbing(trial)
-        given = force / j.stiffness[:, None]
+        given = force / contact.stiffness[:, None]
         rows = self._rows(slip - given, trial)
         scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
-        lost = (j.share / j.weight)[:, None] * given
+        lost = (contact.share / contact.weight)[:, None] * given
         return PointDerivatives(
             scale * (rows.by_equilibrium - lost), scale * (rows.by_jump + force)
         )
 
     def _rows(self, along: Floats, trial: TrialState) -> PointDerivatives:
         """Of the force along directions (n, 3): by -e/W as far as the trial force has it, by q."""
-        (j,) = self._problem.jumps
+        contact = self._contact
         by_force = np.einsum("pi,pij->pj", along, trial.law.jacobian)
         by_jump = np.einsum("pi,pij->pj", along, trial.law.by_jump)
-        return PointDerivatives(-(j.share / j.weight)[:, None] * by_force, by_jump)
+        return PointDerivatives(-(contact.share / contact.weight)[:, None] * by_force, by_jump)
 
 
 def _heats(
-    scene: Scene, problem: Problem, operators: HeatOperators, number: Ints
+    scene: Scene,
+    problem: Problem,
+    contact: ContactInterfaces,
+    operators: HeatOperators,
+    number: Ints,
 ) -> dict[int, PETSc.Mat]:
     """Nodal heat on each thermal body by friction power per area at the contact points [mm2]."""
-    (j,) = problem.jumps
-    points, space = j.points, operators.forms.space
+    points, space = contact.points, operators.forms.space
     facets = contact_facets(problem.tagged, problem.bodies, space, scene.contacts, {})
     vertices, first = np.unique(facets.vertices, return_index=True)
     dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
@@ -192,7 +197,7 @@ def _heats(
         found[b] = from_triplets(
             problem.comm,
             operators.forms.owned,
-            len(j.mine),
+            len(contact.mine),
             dof[own] - start,
             number[own],
             (points.weight * value)[own],

@@ -17,6 +17,7 @@ import numpy as np
 
 from app.arrays import Floats
 from app.heat.implicit_step import ImplicitStep
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import ContactSystem
 from app.numerics.deflation import CoarseSpace
@@ -225,8 +226,8 @@ class CoupledSystem(System):
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and what comes back to its own."""
-        (j,) = self._problem.jumps
-        power = self._matrices(self.exchange.power_rows(trial))
+        contact = trial.contact
+        power = self._matrices(contact, self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
         jumps, pressed = self._heat.operators.jumps, self.exchange.pressed
         if jumps is not None and pressed is not None:
@@ -235,20 +236,19 @@ class CoupledSystem(System):
             growth = jumps.weight * jumps.flux(x[1].array)[2]
             by_pressure.array[:] = np.where(jumps.held, 0.0, -growth)
             squeezed.diagonalScale(by_pressure)
-            pressure = self._matrices(self.exchange.pressure_rows(trial))
+            pressure = self._matrices(contact, self.exchange.pressure_rows(trial))
             rows[1] = [
                 _plus(A, squeezed.matMult(R)) for A, R in zip(rows[1], pressure, strict=True)
             ]
-        up = [[E.matMult(j.Ct), _plus(E.matMult(j.D), Q)] for E, Q in rows]
+        up = [[E.matMult(contact.Ct), _plus(E.matMult(contact.D), Q)] for E, Q in rows]
         if self._forces is None:
             return up, []
         return up, [[E.matMult(G) for G in self._forces[1]] for E, _ in rows]
 
-    def _matrices(self, rows: PointDerivatives) -> list[PETSc.Mat]:
+    def _matrices(self, contact: ContactInterfaces, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
-        (j,) = self._problem.jumps
-        start = j.D.getOwnershipRange()[0]
+        start = contact.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())

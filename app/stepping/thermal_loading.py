@@ -130,8 +130,8 @@ class ThermalLoading:
     def restore(self, problem: Problem, state: ThermalState) -> None:
         """Tell restored mechanics of the state that they were solved with; collective."""
         self.interpolate(problem, state, state, 1.0)
-        for s in problem.setting:
-            s.begin_at(problem.displacements())
+        if problem.setting:
+            problem.setting.begin_at(problem.displacements())
 
     def interpolate(self, problem: Problem, a: ThermalState, b: ThermalState, s: float) -> None:
         """Tell the mechanics of a state between two others: a at s = 0, b at s = 1.

@@ -25,9 +25,6 @@ ROUNDING = 1e-10
 def check(comm: MPI.Comm) -> None:
     """Compute what is known; collective.
 
-    Args:
-        comm: Communicator.
-
     Raises:
         EnvironmentProblem: It came out wrong, on any rank.
     """
@@ -110,12 +107,7 @@ def _most(values: np.ndarray) -> float:
 
 
 def crowd(ranks: int, environ: Mapping[str, str] = os.environ) -> str:
-    """Warning about more threads than cores on this machine; empty if there are not.
-
-    Args:
-        ranks: How many run here.
-        environ: The environment variables.
-    """
+    """Warning about more threads than cores on this machine; empty if there are not."""
     found = (environ.get(f"{name}_NUM_THREADS", "") for name in ("OPENBLAS", "OMP"))
     threads = next((int(n) for n in found if n.isdigit()), 1)
     cores = len(os.sched_getaffinity(0))

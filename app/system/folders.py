@@ -84,11 +84,7 @@ def _copy(seed: Path, folder: Path) -> None:
 def cache(name: str) -> Path | None:
     """The folder for cached data of a kind, made if necessary; of this user alone.
 
-    Args:
-        name: The kind, for example ``meshes``.
-
-    Returns:
-        ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``), or None if it cannot be written.
+    It is ``$XDG_CACHE_HOME/mantle/<name>`` (default ``~/.cache``); None if it cannot be written.
     """
     try:
         folder = cache_home() / "mantle" / name
@@ -103,10 +99,6 @@ def prepare_run(folder: Path, force: bool) -> None:
 
     Nothing is written into it: under MPI every rank comes here before the first collective call,
     and all have to see the same.
-
-    Args:
-        folder: The folder.
-        force: Whether it may hold something.
 
     Raises:
         InputError: It is a file, not empty or not writable.
@@ -129,15 +121,7 @@ def prepare_run(folder: Path, force: bool) -> None:
 
 
 def claim(folder: Path) -> int:
-    """Keep other runs out of a folder, until what is returned is closed or this process ends.
-
-    Nothing is written for it.
-
-    Args:
-        folder: The folder of a run.
-
-    Returns:
-        A file descriptor.
+    """Keep other runs out of a folder, until the descriptor is closed or this process ends.
 
     Raises:
         InputError: Another run has it.

@@ -12,10 +12,7 @@ NUMBER = re.compile(r"([-+<]?\s*[\d.][\d.,e+\-±/ ]*( ?[^\d\s]{1,3})?|[-/. ]*)")
 def table(head: Sequence[str], rows: Iterable[Sequence[object]], units: Sequence[str] = ()) -> str:
     """A table: columns as wide as their widest cell, those of numbers to the right.
 
-    Args:
-        head: The titles.
-        rows: The cells; None is nothing.
-        units: What stands below the titles, if anything.
+    A cell that is None is empty; units, if any, stand below the titles.
     """
     body = [["" if cell is None else str(cell) for cell in row] for row in rows]
     numbers = [all(map(NUMBER.fullmatch, c)) and any(c) for c in zip(*body, strict=True)]
@@ -50,11 +47,7 @@ def point_text(x: Iterable[float]) -> str:
 
 
 def noted(cases: Iterable[tuple[str, Iterable[str]]]) -> list[str]:
-    """Each note of some cases once, with the cases that have it: all, or their names.
-
-    Args:
-        cases: Names of all cases, and the notes of each.
-    """
+    """Each note of some cases once, with the names of the cases that have it."""
     every = list(cases)
     found: dict[str, list[str]] = {}
     for name, notes in every:

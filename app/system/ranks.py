@@ -47,11 +47,9 @@ _FOLDER = str(Path(__file__).resolve().parents[2])
 def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
     """Take ``-n N``, ``-nN`` or ``-n=N`` out of the arguments.
 
-    Args:
-        arguments: Command line; what follows a bare ``--`` are PETSc's options and stays.
-
     Returns:
-        The number of ranks asked for, ``None`` if none was, and the other arguments in order.
+        The number of ranks asked for, ``None`` if none was, and the other arguments in order; those
+        behind a bare ``--`` are PETSc's and stay.
 
     Raises:
         InputError: N is missing or not a positive whole number.
@@ -76,41 +74,21 @@ def split(arguments: Sequence[str]) -> tuple[int | None, list[str]]:
 
 
 def world_size(environ: Mapping[str, str] = os.environ) -> int | None:
-    """Tell how many ranks the surrounding ``mpirun`` or Slurm step has.
-
-    Args:
-        environ: The environment variables.
-
-    Returns:
-        The number, 0 where it is unknown, ``None`` outside of any.
-    """
+    """Number of ranks of the surrounding ``mpirun`` or Slurm step; 0 if unknown, None outside."""
     if not any(mark in environ for mark in _WORLD_MARKS):
         return None
-    for name in _WORLD_SIZES:
-        if environ.get(name, "").isdigit():
-            return int(environ[name])
-    return 0
+    sizes = (environ.get(name, "") for name in _WORLD_SIZES)
+    return next((int(size) for size in sizes if size.isdigit()), 0)
 
 
 def rank(environ: Mapping[str, str] = os.environ) -> int:
-    """Tell the MPI rank of this process, also where MPI is not up yet.
-
-    Args:
-        environ: The environment variables.
-
-    Returns:
-        The rank, 0 where it is unknown.
-    """
+    """MPI rank of this process, also where MPI is not up yet; 0 if unknown."""
     told = (environ.get(name, "") for name in RANK_VARIABLES)
     return next((int(value) for value in told if value.isdigit()), 0)
 
 
 def environment(environ: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Give the environment of the ranks: one thread each, and no noise from Open MPI.
-
-    Args:
-        environ: The environment variables; what is set in them stays.
-    """
+    """Environment of the ranks: one thread each, no noise from Open MPI; what is set stays."""
     defaults = {"OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     if not any(name in environ for name in _SCHEDULERS):
         defaults |= ONE_NODE
@@ -123,9 +101,6 @@ def keep_quiet(environ: MutableMapping[str, str] = os.environ) -> None:
     """Keep Open MPI from looking for a network, audibly, where all ranks are on this node.
 
     To be called before MPI is initialised, for ranks that were started by a plain ``mpirun``.
-
-    Args:
-        environ: The environment variables; a choice of transport in them stays.
     """
     size = environ.get("OMPI_COMM_WORLD_SIZE")
     if size is not None and environ.get("OMPI_COMM_WORLD_LOCAL_SIZE") == size:
@@ -136,45 +111,64 @@ def find_program(environ: MutableMapping[str, str] = os.environ) -> None:
     """Have all that this process starts import mantle, and nothing from the current folder.
 
     Python looks there first: an ``app.py`` or a ``numpy.py`` of the user's would come instead.
-
-    Args:
-        environ: The environment variables; folders in PYTHONPATH stay, behind the program's.
+    Folders in PYTHONPATH stay, behind the program's.
     """
     folders = [f for f in environ.get("PYTHONPATH", "").split(os.pathsep) if f and f != _FOLDER]
     environ["PYTHONPATH"] = os.pathsep.join([_FOLDER, *folders])
     environ["PYTHONSAFEPATH"] = "1"
 
 
-def end_with_parent(environ: Mapping[str, str] = os.environ) -> None:
-    """End this rank when ``mpirun`` is killed: the others would wait for each other for ever.
-
-    Args:
-        environ: The environment variables.
-    """
-    if "OMPI_COMM_WORLD_SIZE" in environ:
+def end_with_parent() -> None:
+    """End this rank when ``mpirun`` is killed: the others would wait for each other for ever."""
+    if "OMPI_COMM_WORLD_SIZE" in os.environ:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def stop_signals() -> list[signal.Signals]:
-    """Return the signals that ask a run to stop.
-
-    Under ``nohup`` SIGHUP is ignored: such a run goes on without its terminal.
-    """
+    """Signals that ask a run to stop; under ``nohup`` SIGHUP is ignored and not among them."""
     heard = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
     lost = [signal.SIGHUP] if heard else []
     return [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, *lost]
 
 
+class _Stop:
+    """Handler that passes the first signal on to mpirun, and ends the ranks at a second.
+
+    The ranks get SIGUSR1, the one signal that mpirun passes on without ending them: they have the
+    time they need to save their state and leave.
+    """
+
+    def __init__(self) -> None:
+        self.received: list[int] = []
+        self._first = math.inf
+        self._child: subprocess.Popen[bytes] | None = None
+
+    def __call__(self, number: int, _frame: object) -> None:
+        # One Ctrl-C may arrive twice: from the terminal and passed on by whatever started this.
+        if self.received and time.monotonic() < self._first + SAME_SIGNAL:
+            return
+        self.received.append(number)
+        self._first = min(self._first, time.monotonic())
+        if self._child is None:
+            return
+        if len(self.received) == 1:
+            self._child.send_signal(signal.SIGUSR1)
+            tell("stopping; the state is saved first (once more: stop at once)")
+        else:
+            self._child.send_signal(signal.SIGTERM if len(self.received) < 4 else signal.SIGKILL)
+
+    def follow(self, child: subprocess.Popen[bytes]) -> None:
+        """Send signals to this mpirun, one that has come before included."""
+        self._child = child
+        if self.received:
+            child.send_signal(signal.SIGUSR1)
+
+
 def launch(ranks: int, command: Sequence[str]) -> int:
     """Run a command on several ranks and wait for it.
 
-    The ranks get SIGUSR1, the one signal that mpirun passes on without ending them, for the first
-    SIGINT (Ctrl-C), SIGTERM, SIGHUP or SIGUSR1 received here: they have the time they need to save
-    their state and leave. A second one, a second later or more, ends them at once.
-
-    Args:
-        ranks: How many, at least 1.
-        command: The program and its arguments.
+    The first SIGINT (Ctrl-C), SIGTERM, SIGHUP or SIGUSR1 has them save their state and leave; a
+    second one, a second later or more, ends them at once.
 
     Returns:
         The exit code of the first rank that failed, 0 if none did; 5 where they were stopped before
@@ -186,25 +180,7 @@ def launch(ranks: int, command: Sequence[str]) -> int:
     mpirun = shutil.which("mpirun")
     if mpirun is None:
         raise EnvironmentProblem("-n needs mpirun, which is not installed (Debian: openmpi-bin)")
-    received: list[int] = []
-    first = math.inf
-    child: subprocess.Popen[bytes] | None = None
-
-    def stop(number: int, _frame: object) -> None:
-        nonlocal first
-        # One Ctrl-C may arrive twice: from the terminal and passed on by whatever started this.
-        if received and time.monotonic() < first + SAME_SIGNAL:
-            return
-        received.append(number)
-        first = min(first, time.monotonic())
-        if child is None:
-            return
-        if len(received) == 1:
-            child.send_signal(signal.SIGUSR1)
-            tell("stopping; the state is saved first (once more: stop at once)")
-        else:
-            child.send_signal(signal.SIGTERM if len(received) < 4 else signal.SIGKILL)
-
+    stop = _Stop()
     for number in stop_signals():
         signal.signal(number, stop)
     libc = ctypes.CDLL(None)
@@ -219,21 +195,21 @@ def launch(ranks: int, command: Sequence[str]) -> int:
         # Should this process be killed, mpirun and the ranks go too.
         preexec_fn=lambda: libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM),
     )
-    if received:
-        child.send_signal(signal.SIGUSR1)
-    assert child.stderr is not None
+    stop.follow(child)
+    source, target = child.stderr, sys.stderr.buffer
     relay = threading.Thread(
-        target=filter_messages, args=(child.stderr, sys.stderr.buffer, received), daemon=True
+        target=filter_messages, args=(source, target, stop.received), daemon=True
     )
     relay.start()
     code = child.wait()
     relay.join(timeout=2.0)
     if folder:
         scratch.remove(folder, held)
-    if received and (code < 0 or code == 1 or code > 128):
+    if stop.received and (code < 0 or code == 1 or code > 128):
         # The ranks did not listen yet, and there was nothing to save; or they were not let.
-        tell("stopped" if len(received) == 1 else "stopped before the state was saved")
-        return StoppedError.exit_code if len(received) == 1 else 130
+        once = len(stop.received) == 1
+        tell("stopped" if once else "stopped before the state was saved")
+        return StoppedError.exit_code if once else 130
     # 128 + a signal: a rank crashed or was killed, which mpirun has reported.
     return 70 if code < 0 or code > 128 or code == _CRASHED else code
 
@@ -266,7 +242,7 @@ def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int
 
     Args:
         source: Standard error of mpirun, read to its end.
-        target: Where it goes.
+        target: Its new place.
         received: Signals received so far; after one the end of a rank by a signal is no news.
     """
     block: list[bytes] = []
@@ -293,7 +269,7 @@ def filter_messages(source: IO[bytes], target: IO[bytes], received: Sequence[int
 
 
 def _is_noise(line: bytes) -> bool:
-    """Tell the messages of a job manager that is interrupted while it closes down."""
+    """Whether this is a message of a job manager interrupted while it closes down."""
     return b"PMIX ERROR: PMIX_ERR_UNREACH" in line or line.startswith(b"Abort is in progress")
 
 

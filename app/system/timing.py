@@ -86,5 +86,4 @@ def peak_memory() -> float:
     By the kernel's account of this program: that of `getrusage` counts what started it too.
     """
     status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
-    (peak,) = re.findall(r"VmHWM:\s+(\d+) kB", status)
-    return int(peak) * 1024 / 1e6
+    return int(re.findall(r"VmHWM:\s+(\d+) kB", status)[0]) * 1024 / 1e6

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from statistics import median
 from time import perf_counter
@@ -62,9 +62,7 @@ def benchmarks() -> list[Check]:
     stem = (CheckRun(STEM, times=TIMES),)
     middle = stance("contact", "100k")
     ladder = tuple(stance("contact", rung) for rung in RUNGS)
-    second = tuple(
-        CheckRun("stance.yaml", (f"mesh.size={h}", *STANCE)) for h in (SECOND, REFERENCE)
-    )
+    second = [CheckRun("stance.yaml", (f"mesh.size={h}", *STANCE)) for h in (SECOND, REFERENCE)]
     largest = stance("contact", "170k")
     half = CheckRun("cure.yaml", (HALF_AN_HOUR,), times=TIMES)
     bonded = CheckRun("cure.yaml", (HALF_AN_HOUR, *CONDUCTION), times=TIMES)
@@ -76,27 +74,7 @@ def benchmarks() -> list[Check]:
         _goal("stem_cpu", "CPU time [s]", stem, _median(cpu), 5.0, "quick"),
         _goal("stem_memory", "peak memory [MB]", stem, _median(memory), 500.0, "quick"),
         _goal("stem_penetration", "penetration [mm]", stem, _penetration, ROUNDING, "quick"),
-        *(
-            _goal(
-                f"contact_over_bonded_{rung}",
-                "CPU time of contact over that of bonded interfaces",
-                (stance("contact", rung), stance("bonded", rung)),
-                _ratio(cpu),
-                2.0 if rung in SMALL else 1.25,
-                {"20k": "quick", LONG: "long"}.get(rung, "default"),
-            )
-            for rung in RUNGS
-        ),
-        *(
-            _goal(
-                f"moderate_over_bonded_{rung}",
-                "the same of a stem pressed in, of which a quarter slips",
-                (_stem(rung, MODERATE), _stem(rung, BONDED)),
-                _ratio(cpu),
-                1.2,
-            )
-            for rung in STEM_RUNGS
-        ),
+        *_over_bonded(),
         _goal("growth_exponent", "of CPU time over unknowns", ladder, growth, 1.12),
         _goal("newton_spread", "of iterations about their middle", ladder, spread, 3.0),
         _goal(
@@ -124,6 +102,27 @@ def benchmarks() -> list[Check]:
         ),
         _goal("million_minutes", "start to finish", million, _median(_minutes), 5.0, "long"),
     ]
+
+
+def _over_bonded() -> Iterator[Check]:
+    """CPU time of contact over that of the same model with bonded interfaces."""
+    for rung in RUNGS:
+        yield _goal(
+            f"contact_over_bonded_{rung}",
+            "CPU time of contact over that of bonded interfaces",
+            (stance("contact", rung), stance("bonded", rung)),
+            _ratio(cpu),
+            2.0 if rung in SMALL else 1.25,
+            {"20k": "quick", LONG: "long"}.get(rung, "default"),
+        )
+    for rung in STEM_RUNGS:
+        yield _goal(
+            f"moderate_over_bonded_{rung}",
+            "the same of a stem pressed in, of which a quarter slips",
+            (_stem(rung, MODERATE), _stem(rung, BONDED)),
+            _ratio(cpu),
+            1.2,
+        )
 
 
 def _goal(
@@ -249,16 +248,10 @@ def _orders(runs: Sequence[Run]) -> Sample:
 
 
 def equal_error(two: Run, ones: Sequence[Run], reference: Run) -> float:
-    """Time of a run over that of others of the same case at the same error of slip_p99.
+    """Time of a run over that of others, from coarse to fine, at the same error of slip_p99.
 
-    Args:
-        two: The run.
-        ones: The others, from coarse to fine.
-        reference: The run that errors are against.
-
-    Returns:
-        The ratio, by the straight line in logarithms between the two others about it. Where none of
-        the others is as good, the last is taken: one as good takes longer, the ratio is smaller.
+    By the straight line in logarithms between the two others about it. Where none of the others is
+    as good, the last is taken: one as good takes longer, the ratio is smaller.
     """
     known = _numbers(reference, "slip_p99")
 

@@ -97,16 +97,7 @@ CHANGES: dict[str, Callable[[MeshData], MeshData]] = {
 
 
 def change(case: Case, name: str, folder: Path) -> tuple[str, ...]:
-    """Write the changed mesh of a case.
-
-    Args:
-        case: The case.
-        name: The change, of `CHANGES`.
-        folder: Where the ``.msh`` file goes.
-
-    Returns:
-        The overrides that make it the geometry of the case.
-    """
+    """Write a changed mesh of a case, and return the overrides that make it its geometry."""
     data = meshes.build(case.geometry, case.mesh, folders.cache("meshes"))
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{data.notes['quality']['cells']}_{name}.msh"

@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import configs
+from app.campaigns.runs import Result
 from app.errors import Reason
 from app.results.reading import Run
 
@@ -153,3 +155,72 @@ def finest(measure: Measure) -> Judge:
 def worst(samples: Sequence[Sample]) -> Sample:
     """The sample with the largest error, where none is worse than one that is no number."""
     return max(samples, key=lambda s: math.inf if math.isnan(s.error) else s.error)
+
+
+PASSED, REFUSED, MISSED, FAILED = OUTCOMES = ("passed", "refused", "missed", "failed")
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """Result of a check.
+
+    Attributes:
+        check: The check.
+        outcome: One of `OUTCOMES`.
+        message: Why, in words.
+        results: Of its runs.
+        sample: What its judge says; None if there is nothing to be judged.
+        order: Fitted order of a ladder.
+    """
+
+    check: Check
+    outcome: str
+    message: str
+    results: Sequence[Result] = ()
+    sample: Sample | None = None
+    order: float | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of its runs, those it shares with others included."""
+        return sum({r.folder: r.seconds for r in self.results}.values())
+
+    @property
+    def ratio(self) -> float:
+        """Error over tolerance; zero may be tolerated, and met."""
+        error = self.sample.error if self.sample else math.inf
+        if math.isnan(error):
+            return math.inf
+        return error / self.check.tolerance if self.check.tolerance else error and math.inf
+
+    def as_json(self) -> dict[str, Any]:
+        """The entry of the JSON file."""
+        c, s = self.check, self.sample or Sample(math.nan)
+        return {
+            "name": c.name,
+            "group": c.group,
+            "tier": c.tier,
+            "outcome": self.outcome,
+            "error": _number(s.error),
+            "tolerance": c.tolerance if c.judge else None,
+            "order": _number(self.order),
+            "expected_order": c.order,
+            "quantity": c.what,
+            "value": _number(s.value),
+            "reference": _number(s.reference),
+            "rung": c.rung,
+            "sizes": [r.size for r in c.runs] if c.order else [],
+            "errors": [_number(e) for e in s.errors],
+            "note": s.note,
+            "message": self.message,
+            "seconds": round(self.seconds, 2),
+            "runs": [
+                {"folder": str(r.folder), "case": str(r.job.case), "overrides": r.job.overrides}
+                for r in self.results
+            ],
+        }
+
+
+def _number(value: float | None) -> float | None:
+    """A number that JSON has."""
+    return None if value is None or not math.isfinite(value) else float(value)

@@ -282,13 +282,13 @@ class Hertz:
 
 
 def hertz_line(load: float, radius: float, modulus: float) -> Hertz:
-    """A cylinder under a load per length [N/mm] (Johnson, Contact BodyForms, section 4.2c)."""
+    """A cylinder under a load per length [N/mm] (Johnson, Contact Mechanics, section 4.2c)."""
     a = math.sqrt(4 * load * radius / (math.pi * modulus))
     return Hertz(a, 2 * load / (math.pi * a), math.nan)
 
 
 def hertz_point(load: float, radius: float, modulus: float) -> Hertz:
-    """A ball under a load [N] (Johnson, Contact BodyForms, section 4.2a)."""
+    """A ball under a load [N] (Johnson, Contact Mechanics, section 4.2a)."""
     a = (3 * load * radius / (4 * modulus)) ** (1 / 3)
     return Hertz(a, 3 * load / (2 * math.pi * a * a), a * a / radius)
 
@@ -296,7 +296,7 @@ def hertz_point(load: float, radius: float, modulus: float) -> Hertz:
 def stick_half_width(a: float, shear: float, pressure: float, friction: float) -> float:
     """Half-width of the strip that sticks in a line contact, Q after P, Q < μP [mm].
 
-    Cattaneo 1938, Mindlin 1949 (Johnson, Contact BodyForms, section 7.2).
+    Cattaneo 1938, Mindlin 1949 (Johnson, Contact Mechanics, section 7.2).
     """
     return a * math.sqrt(1 - shear / (friction * pressure))
 

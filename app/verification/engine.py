@@ -7,10 +7,9 @@ selection ``SUITE-TIER-NAME.json`` and so on. Finished runs are not done again.
 from __future__ import annotations
 
 import logging
-import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +24,21 @@ from app.system import layout
 from app.system.folders import csv_text, remove, write_json, write_text
 from app.verification import picture
 from app.verification.benchmarks import solution
-from app.verification.check import CONFIGS, Check, Sample, within
+from app.verification.check import (
+    CONFIGS,
+    FAILED,
+    MISSED,
+    OUTCOMES,
+    PASSED,
+    REFUSED,
+    Check,
+    CheckResult,
+    within,
+)
 from app.verification.suites import SUITES
 
 log = logging.getLogger("mantle")
 
-PASSED, REFUSED, MISSED, FAILED = OUTCOMES = ("passed", "refused", "missed", "failed")
 # Exit codes of a refusal.
 REFUSALS = tuple(e.exit_code for e in (InputError, GeometryError, ConvergenceError))
 ORDER_TOLERANCE = 0.2
@@ -41,82 +49,12 @@ class TimedRun(Run):
     """A run directory with the wall time of its process [s]."""
 
     def __init__(self, result: Result) -> None:
-        """Open it.
-
-        Args:
-            result: Of its job.
-        """
         super().__init__(result.folder)
         self.seconds = result.seconds
 
 
-@dataclass(frozen=True)
-class CheckResult:
-    """Result of a check.
-
-    Attributes:
-        check: The check.
-        outcome: One of `OUTCOMES`.
-        message: Why, in words.
-        results: Of its runs.
-        sample: What its judge says; None if there is nothing to be judged.
-        order: Fitted order of a ladder.
-    """
-
-    check: Check
-    outcome: str
-    message: str
-    results: Sequence[Result] = ()
-    sample: Sample | None = None
-    order: float | None = None
-
-    @property
-    def seconds(self) -> float:
-        """Wall time of its runs, those it shares with others included."""
-        return sum({r.folder: r.seconds for r in self.results}.values())
-
-    @property
-    def ratio(self) -> float:
-        """Error over tolerance; zero may be tolerated, and met."""
-        error = self.sample.error if self.sample else math.inf
-        if math.isnan(error):
-            return math.inf
-        return error / self.check.tolerance if self.check.tolerance else error and math.inf
-
-    def as_json(self) -> dict[str, Any]:
-        """The entry of the JSON file."""
-        c, s = self.check, self.sample or Sample(math.nan)
-        return {
-            "name": c.name,
-            "group": c.group,
-            "tier": c.tier,
-            "outcome": self.outcome,
-            "error": _number(s.error),
-            "tolerance": c.tolerance if c.judge else None,
-            "order": _number(self.order),
-            "expected_order": c.order,
-            "quantity": c.what,
-            "value": _number(s.value),
-            "reference": _number(s.reference),
-            "rung": c.rung,
-            "sizes": [r.size for r in c.runs] if c.order else [],
-            "errors": [_number(e) for e in s.errors],
-            "note": s.note,
-            "message": self.message,
-            "seconds": round(self.seconds, 2),
-            "runs": [
-                {"folder": str(r.folder), "case": str(r.job.case), "overrides": r.job.overrides}
-                for r in self.results
-            ],
-        }
-
-
 def run(suite: str, options: Options) -> bool:
-    """Run the checks of a suite and judge them.
-
-    Args:
-        suite: One of `SUITES`.
-        options: What is wanted of it, and where it goes.
+    """Run the checks of a suite, one of `SUITES`, and judge them.
 
     Returns:
         Whether all are as they should be; of a benchmark, whether all could be measured.
@@ -147,22 +85,13 @@ def run(suite: str, options: Options) -> bool:
 
 
 def dry_run(suite: str, options: Options) -> str:
-    """List the runs that `run` would start, as a table.
-
-    Raises:
-        InputError: As `run`.
-    """
+    """A table of the runs that `run` would start."""
     checks = _chosen(suite, options)
     jobs = [job for c in checks for job, why in _planned(c, options.folder) if not why]
     return many.plan(f"{suite}: {len(checks)} checks", jobs, options)
 
 
 def _chosen(suite: str, options: Options) -> list[Check]:
-    """The checks that are wanted.
-
-    Raises:
-        InputError: No check has such a name.
-    """
     everything = [c for c in SUITES[suite]() if within(c.tier, options.tier)]
     chosen = [c.up_to(options.tier) for c in everything if options.pattern in c.name]
     if not chosen:
@@ -222,12 +151,7 @@ def _same(job: Job) -> Job:
 
 
 def judge(check: Check, results: Sequence[Result]) -> CheckResult:
-    """Say what became of a check.
-
-    Args:
-        check: The check.
-        results: Of its runs, in their order.
-    """
+    """Judge a check by the results of its runs, in their order."""
     # Whether numbers are right is judged here, also those that are not to be used.
     failed = [r for r in results if r.exit_code not in (0, UnusableError.exit_code)]
     if failed:
@@ -289,7 +213,7 @@ def _summed(name: str, own: Sequence[CheckResult]) -> Sequence[object]:
 
 
 def verdict(outcomes: Sequence[CheckResult]) -> str:
-    """One sentence."""
+    """How many checks passed, and which did not."""
     names = {x: [o.check.name for o in outcomes if o.outcome == x] for x in OUTCOMES}
     said = ", ".join(f"{len(own)} {x}" for x, own in names.items() if own)
     off = ", ".join(names[MISSED] + names[FAILED])
@@ -298,20 +222,18 @@ def verdict(outcomes: Sequence[CheckResult]) -> str:
 
 
 def _write(suite: str, options: Options, outcomes: Sequence[CheckResult]) -> None:
-    """Write JSON, costs and picture."""
     tier = options.tier if options.tier != "default" else ""
     name = "-".join(filter(None, (suite, tier, options.pattern)))
     options.folder.mkdir(parents=True, exist_ok=True)
-    entries = [o.as_json() for o in outcomes]
     drawing = options.folder / f"{name}.png"
     remove([drawing])  # should the new one fail, the old one is not beside new numbers
-    write_json(options.folder / f"{name}.json", entries)
+    write_json(options.folder / f"{name}.json", [o.as_json() for o in outcomes])
     write_text(options.folder / f"{name}.csv", csv_text(list(costs(outcomes))))
-    picture.draw(entries, drawing)
+    picture.draw(outcomes, drawing)
 
 
 def costs(outcomes: Iterable[CheckResult]) -> Iterator[dict[str, Any]]:
-    """List the cost of each run that is done, a row for each."""
+    """The cost of each run that is done, a row for each."""
     done = {r.folder: r for o in outcomes for r in o.results if r.summary}
     for r in done.values():
         solver, timing = r.summary.get("solver", {}), r.summary.get("timing", {})
@@ -326,8 +248,3 @@ def costs(outcomes: Iterable[CheckResult]) -> Iterator[dict[str, Any]]:
             "mesh [s]": timing.get("mesh"),
             "memory [MB]": r.summary.get("memory", {}).get("peak"),
         }
-
-
-def _number(value: float | None) -> float | None:
-    """A number that JSON has."""
-    return None if value is None or not math.isfinite(value) else float(value)

@@ -27,14 +27,10 @@ Field = Callable[[Floats, int, float], Floats]
 def temperatures(
     run: Run, field: Field, scale: float, ends: Sequence[float] = (), since: float = 0.0
 ) -> Sample:
-    """The node whose temperature is furthest off at any written step.
+    """The node whose temperature is furthest off at any written step, over a scale [K].
 
-    Args:
-        run: The run.
-        field: Exact temperatures.
-        scale: What the error is relative to [K].
-        ends: Seconds at the start and at the end of each stage; empty for a steady state.
-        since: Seconds before which nothing is compared.
+    ``ends`` are seconds at the start and at the end of each stage, empty for a steady state; before
+    ``since`` [s] nothing is compared.
     """
     samples = []
     for step, seconds in _written(run, ends):
@@ -51,14 +47,7 @@ def temperatures(
 
 
 def mean_square(run: Run, field: Field, zero: float, ends: Sequence[float] = ()) -> Sample:
-    """Temperatures over one of them, relative in L2, at the worst written step.
-
-    Args:
-        run: The run.
-        field: Exact temperatures.
-        zero: The temperature that they are compared over.
-        ends: As above.
-    """
+    """Temperatures over zero, relative in L2, at the worst written step; ``ends`` as above."""
     samples = []
     for step, seconds in _written(run, ends):
         error, norm, reference = run.norms(
@@ -289,10 +278,7 @@ def endured(run: Run, low: float, high: float) -> Sample:
     The error is the largest of: heat lost, over all heat that moved; temperatures [degC] beyond the
     bounds, over their distance; degrees of cure beyond 0 and 1.
 
-    Args:
-        run: The run.
-        low: Lowest temperature of the data.
-        high: Highest; infinite if there is a source of heat.
+    ``low`` and ``high`` are those of the data, the latter infinite if there is a source of heat.
     """
     summary = run.summary
     regions: list[dict[str, Any]] = list(summary["thermal"]["regions"].values())

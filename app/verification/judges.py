@@ -59,12 +59,8 @@ def same(
 ) -> Sample:
     """Every field after every step is that of the second run, times a factor.
 
-    Args:
-        runs: The run and its reference.
-        lengths: What displacements, gaps and slips are multiplied by.
-        stresses: What tractions are multiplied by.
-        points: What the mesh is.
-        turn: Rotation (3, 3) of the model; none by default.
+    Displacements, gaps and slips are multiplied by ``lengths``, tractions by ``stresses``, the mesh
+    by ``points``; the model is turned by a rotation (3, 3).
     """
     run, other = runs
     R = np.eye(3) if turn is None else turn
@@ -250,11 +246,7 @@ def wedge(runs: Sequence[Run], half_angle: float, friction: float, left: float) 
     Where it slides it is sin a +- m cos a; where friction holds it, the law of friction and the
     balances hold and pressure stays.
 
-    Args:
-        runs: The run.
-        half_angle: Of the cone [rad].
-        friction: Its coefficient.
-        left: Part of the force that is left.
+    The half angle is that of the cone [rad]; a part of the force is left.
     """
     run = runs[0]
     s, c = np.sin(half_angle), np.cos(half_angle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,9 @@ import numpy as np
 from app import figures
 from app.system import style
 from app.system.style import COLOURS
+from app.verification.check import CheckResult
 
-Entry = dict[str, Any]
-# By outcome: colour and marker.
+# Of each outcome colour and marker.
 LOOKS = {
     "passed": ("#2e8b57", "o"),
     "refused": ("#4a90c4", "s"),
@@ -24,19 +25,17 @@ LOOKS = {
 LEAST, MOST = 1e-6, 30.0
 
 
-def draw(entries: Sequence[Entry], path: Path) -> None:
-    """Draw what `verification.engine` found.
-
-    Args:
-        entries: The content of its JSON file.
-        path: The PNG to write.
-    """
-    groups = _grouped(entries)
-    ladders = _grouped([e for e in entries if e["sizes"] and e["errors"]])
-    rows = max(1, len(ladders))
+def draw(outcomes: Sequence[CheckResult], path: Path) -> None:
+    """Draw ladders with the slopes of theory, and the error over tolerance of every check."""
+    groups: dict[str, list[CheckResult]] = {}
+    ladders: dict[str, list[CheckResult]] = {}
+    for o in outcomes:
+        groups.setdefault(o.check.group, []).append(o)
+        if o.check.order and o.sample and o.sample.errors:
+            ladders.setdefault(o.check.group, []).append(o)
+    rows, columns = max(1, len(ladders)), 2 if ladders else 1
     height = max(3.4 * rows if ladders else 0.0, 1.6 + 0.36 * len(groups))
     figure = figures.new(12.5 if ladders else 7.5, height)
-    columns = 2 if ladders else 1
     cells = figure.add_gridspec(rows, columns, width_ratios=(1.0, 1.15)[:columns])
     for k, members in enumerate(ladders.values()):
         _ladder(figure.add_subplot(cells[k, 0]), members)
@@ -44,63 +43,46 @@ def draw(entries: Sequence[Entry], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _grouped(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
-    groups: dict[str, list[Entry]] = {}
-    for e in entries:
-        groups.setdefault(e["group"], []).append(e)
-    return groups
-
-
-def _ladder(axes: Any, entries: Sequence[Entry]) -> None:
+def _ladder(axes: Any, outcomes: Sequence[CheckResult]) -> None:
     """Errors over sizes, each with the slope that theory gives through its last point."""
-    for e, colour in zip(entries, COLOURS, strict=False):
-        sizes, errors = np.array(e["sizes"]), np.array(e["errors"], dtype=float)
-        label = f"{e['name']}: order {e['order'] or np.nan:.2f} ({e['expected_order']:g})"
+    every: set[float] = set()
+    for o, colour in zip(outcomes, COLOURS, strict=False):
+        assert o.sample and o.check.order
+        sizes, errors = np.array([r.size for r in o.check.runs]), np.array(o.sample.errors)
+        label = f"{o.check.name}: order {o.order or np.nan:.2f} ({o.check.order:g})"
         axes.loglog(sizes, errors, "o-", color=colour, label=label, markersize=4.5)
-        theory = errors[-1] * (sizes / sizes[-1]) ** e["expected_order"]
+        theory = errors[-1] * (sizes / sizes[-1]) ** o.check.order
         axes.loglog(sizes, theory, ":", color=colour, linewidth=1.3)
+        every |= {*sizes}
     axes.plot([], [], ":", color="#777777", label="slope of theory")
-    every = sorted({s for e in entries for s in e["sizes"]})
-    axes.set_xticks(every, [f"{s:.3g}" for s in every])
+    axes.set_xticks(sorted(every), [f"{s:.3g}" for s in sorted(every)])
     axes.xaxis.minorticks_off()
-    axes.set_xlabel(entries[0]["rung"])
-    axes.set_ylabel("relative error")
-    axes.set_title(entries[0]["quantity"], fontsize=9, loc="left")
+    axes.set(xlabel=outcomes[0].check.rung, ylabel="relative error")
+    axes.set_title(outcomes[0].check.what, fontsize=9, loc="left")
     axes.legend(fontsize=8, frameon=False)
     style.grid(axes)
 
 
-def _margins(axes: Any, groups: dict[str, list[Entry]]) -> None:
+def _margins(axes: Any, groups: dict[str, list[CheckResult]]) -> None:
     """Error over tolerance of every check, a line for each group; the names of what is off."""
-    counts = dict.fromkeys(LOOKS, 0)
+    counts = Counter(o.outcome for members in groups.values() for o in members)
     for k, members in enumerate(groups.values()):
-        for i, e in enumerate(members):
-            colour, marker = LOOKS[e["outcome"]]
-            counts[e["outcome"]] += 1
-            x, y = _ratio(e), k + 0.7 * ((i + 0.5) / len(members) - 0.5)
-            axes.plot(x, y, marker, color=colour, markersize=4.5, alpha=0.8)
-            if e["outcome"] in ("missed", "failed"):
-                axes.annotate(f"{e['name']} ", (x, y), ha="right", va="center", fontsize=7)
+        for i, o in enumerate(members):
+            colour, marker = LOOKS[o.outcome]
+            # A refusal has no error; what failed is as bad as any.
+            ratio = LEAST if o.outcome == "refused" else float(np.clip(o.ratio, LEAST, MOST))
+            y = k + 0.7 * ((i + 0.5) / len(members) - 0.5)
+            axes.plot(ratio, y, marker, color=colour, markersize=4.5, alpha=0.8)
+            if o.outcome in ("missed", "failed"):
+                name = f"{o.check.name} "
+                axes.annotate(name, (ratio, y), ha="right", va="center", fontsize=7)
     axes.axvline(1.0, color="#444444", linewidth=1)
     axes.set(xscale="log", xlim=(LEAST / 1.5, 1.7 * MOST), ylim=(len(groups) - 0.4, -0.6))
     axes.set_yticks(range(len(groups)), list(groups), fontsize=8)
     axes.set_xlabel("error / tolerance")
-    handles = [
-        axes.plot([], [], marker, color=colour, label=f"{outcome} ({counts[outcome]})")[0]
-        for outcome, (colour, marker) in LOOKS.items()
-        if counts[outcome]
-    ]
-    above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": len(handles)}
-    axes.legend(handles=handles, fontsize=8, frameon=False, **above)
+    for outcome, (colour, marker) in LOOKS.items():
+        if counts[outcome]:
+            axes.plot([], [], marker, color=colour, label=f"{outcome} ({counts[outcome]})")
+    above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": len(counts)}
+    axes.legend(fontsize=8, frameon=False, **above)
     style.grid(axes)
-
-
-def _ratio(e: Entry) -> float:
-    """Where a check is drawn; a refusal has no error, what failed is as bad as any."""
-    if e["outcome"] == "refused":
-        return LEAST
-    if e["error"] is None:
-        return MOST
-    # Zero may be tolerated, and met.
-    ratio = e["error"] / e["tolerance"] if e["tolerance"] else float(e["error"] > 0) * MOST
-    return float(np.clip(ratio, LEAST, MOST))

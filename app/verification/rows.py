@@ -1,4 +1,4 @@
-"""What the rows of ``mantle stress`` share: the cases that are varied, and how a row is named."""
+"""Cases that ``mantle stress`` varies, and the names of its rows."""
 
 from __future__ import annotations
 
@@ -27,16 +27,7 @@ def row(
     refusal: Reason | None = None,
     tier: str = "default",
 ) -> Check:
-    """A check.
-
-    Args:
-        name: ``what is varied/what else is set/value``; the first is its group.
-        runs: As of the check, like what follows; one may stand by itself.
-        judge: The same.
-        tolerance: The same.
-        refusal: The same.
-        tier: The same.
-    """
+    """A check named ``what is varied/what else is set/value``; the first is its group."""
     group, own = name.partition("/")[0], name.replace("/", "_").replace(" ", "_")
     runs = (runs,) if isinstance(runs, CheckRun) else runs
     return Check(own, "", runs, judge, tolerance, None, refusal, tier, group)

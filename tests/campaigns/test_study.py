@@ -1,4 +1,4 @@
-"""``mantle study``: its section of the case, its plan, its files; mostly on a stand-in for runs.
+"""``mantle study``: its report and its files; mostly on a stand-in for runs.
 
 The stand-in gives numbers that follow a law in the mesh size h, so that orders, references and
 advice are known: slip_p99 = 0.04 (1 - 0.01 h^2), pressure_p99 = 5 (1 + 0.04 h / order), a run time
@@ -17,14 +17,13 @@ from typing import Any
 
 import pytest
 
-from app.campaigns import batch, study, study_parameters
+from app.campaigns import batch, study, study_picture
 from app.campaigns.many import Options
-from app.campaigns.runs import Job
-from app.case import quantities, study_file, study_options
-from app.case.case import dump, load
+from app.campaigns.runs import Result
+from app.case import quantities
+from app.case import study as study_file
 from app.cli import main
-from app.errors import InputError, MantleError, StoppedError
-from tests import support
+from app.errors import MantleError
 
 CASE = """\
 geometry:
@@ -45,6 +44,8 @@ loads:
 """
 
 STUDY = """\
+base: case.yaml
+set: {mesh.curved: false}
 study:
   quantities: [lower_upper.slip_p99, lower_upper.pressure_p99]
   lines:
@@ -57,7 +58,6 @@ study:
 STAND_IN = """\
 import json, pathlib, re, sys
 case, output = pathlib.Path(sys.argv[1]).read_text(), pathlib.Path(sys.argv[3])
-assert "study" not in case
 h = float(re.search(r" size: (\\S+) mm$", case, re.M).group(1))
 order = int(re.search(r"order: (\\d)", case).group(1))
 if (pathlib.Path(__file__).parent / "broken").exists() and h == 4:
@@ -76,12 +76,13 @@ summary = {"interfaces": {"lower_upper": numbers}, "regions": {}, "stem": {}, "t
 
 
 @pytest.fixture
-def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A case with a study, beside the stand-in."""
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A study beside its case and the stand-in."""
     (tmp_path / "mantle.py").write_text(STAND_IN)
     monkeypatch.setattr(batch, "MANTLE_RUN", (sys.executable, str(tmp_path / "mantle.py")))
-    path = tmp_path / "case.yaml"
-    path.write_text(CASE + STUDY)
+    (tmp_path / "case.yaml").write_text(CASE)
+    path = tmp_path / "study.yaml"
+    path.write_text(STUDY)
     return path
 
 
@@ -90,10 +91,10 @@ def read(folder: Path) -> tuple[dict[str, Any], list[dict[str, str]]]:
         return json.loads((folder / "study.json").read_text()), list(csv.DictReader(file))
 
 
-def test_errors_orders_front_and_advice(case: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_errors_orders_front_and_advice(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
-    out = case.parent / "out"
-    study.run(case, [], Options(out, 2))
+    out = file.parent / "out"
+    study.run(file, [], Options(out, 2))
     record, rows = read(out)
     slip, pressure = record["quantities"].values()
     # The ladder ends at h = 0.25: what it corrects there is its uncertainty.
@@ -124,13 +125,13 @@ def test_errors_orders_front_and_advice(case: Path, caplog: pytest.LogCaptureFix
     assert len(list((out / "runs").glob("*/"))) == 9
 
 
-def test_given_values_estimates_and_a_target(case: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_given_values_estimates_and_a_target(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Estimates are twice and eight times the true error; --set reaches every run."""
     caplog.set_level(logging.INFO, "mantle")
     values = "{lower_upper.slip_p99: 40 um, lower_upper.pressure_p99: 5 MPa}"
     overrides = ["output.error=true", f"study.reference={{values: {values}}}", "study.target=0.05"]
-    study.run(case, overrides, Options(case.parent / "out", 2))
-    record, rows = read(case.parent / "out")
+    study.run(file, overrides, Options(file.parent / "out", 2))
+    record, rows = read(file.parent / "out")
     assert record["effectivity"]["pairs"] == 12 and record["effectivity"]["useful"] == 6
     assert [float(r["effectivity [-]"]) for r in rows] == pytest.approx([2] * 6 + [8] * 6)
     assert "within 0.5 to 3 for 6 of 12 numbers (50 %)" in caplog.text
@@ -140,149 +141,40 @@ def test_given_values_estimates_and_a_target(case: Path, caplog: pytest.LogCaptu
     assert record["reference_runs"] == []
 
 
-@pytest.mark.parametrize(
-    ("option", "place"),
-    [
-        ("mesh.size=3 mm", "lines.P1.mesh.size"),
-        ("mesh={order: 1, size: 3 mm}", "reference.run.mesh.order"),
-        ("mesh.far_size=9 mm", "lines.P2.mesh.far_size"),
-    ],
-)
-def test_what_varies_cannot_be_set_for_every_point(case: Path, option: str, place: str) -> None:
-    """As in a sweep."""
-    with pytest.raises(InputError) as error:
-        study.run(case, [option], Options(case.parent / "out", 1))
-    key = option.partition("=")[0]
-    told = [m for m in error.value.messages if f" study.{place}: varies, but --set {key} " in m]
-    assert len(told) == 1 and re.match(rf"{case}:\d+:\d+: ", told[0]), error.value.messages
-    assert not (case.parent / "out").exists()
-
-
-def test_ranks_are_set_for_every_point(case: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a sweep."""
-    wanted: list[Job] = []
-
-    def run(jobs: list[Job], folder: Path, cores: int, slurm: None) -> None:
-        wanted.extend(jobs)
-        raise StoppedError("enough")
-
-    monkeypatch.setattr(batch, "run", run)
-    with pytest.raises(StoppedError):
-        study.run(case, ["ranks=2"], Options(case.parent / "out", 2))
-    assert {job.ranks for job in wanted} == {2}
-    with pytest.raises(InputError, match="--set ranks: 0 is not a number of ranks"):
-        study.run(case, ["ranks=0"], Options(case.parent / "out", 2))
-
-
-def test_some_lines_and_a_quick_look(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_some_lines_and_a_quick_look(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """By ``-k``, and the first two points of each line and of the reference; or told only."""
-    options = ["study", str(case), "-o", str(case.parent / "out"), "--cores", "2", "-k", "P2"]
+    options = ["study", str(file), "-o", str(file.parent / "out"), "--cores", "2", "-k", "P2"]
     assert main([*options, "--dry-run"]) == 0
     said = capsys.readouterr().out
-    assert "case.yaml: 6 runs" in said and "P2-4mm" in said and "P1-4mm" not in said
-    assert not (case.parent / "out").exists()
+    assert "study.yaml: 6 runs" in said and "P2/size=4mm" in said and "P1/" not in said
+    assert not (file.parent / "out").exists()
     assert main([*options, "--tier", "quick", "--dry-run"]) == 0
-    assert "case.yaml: 4 runs" in capsys.readouterr().out
+    assert "study.yaml: 4 runs" in capsys.readouterr().out
     assert main([*options[:-1], "P3"]) == 2
     assert "-k P3: no line has this in its name; allowed: P1, P2" in capsys.readouterr().err
 
 
-def test_failed_points_are_shown_as_failed(case: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_failed_points_are_shown_as_failed(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "mantle")
-    (case.parent / "broken").touch()
-    out = case.parent / "out"
-    study.run(case, [], Options(out, 2))
+    (file.parent / "broken").touch()
+    out = file.parent / "out"
+    study.run(file, [], Options(out, 2))
     record, rows = read(out)
     failed = "failed (exit code 1)"
     assert [r["status"] for r in rows[:4]] == [failed, "done", "done", failed]
     assert rows[0]["value"] == rows[0]["error [-]"] == rows[0]["time [s]"] == ""
     assert record["runs"][0]["message"] == "no convergence"
     assert re.search(r"P1 +mesh.size 4 mm +failed \(exit code 1\)", caplog.text)
-    only = ["study.lines={P1: {mesh.size: [4 mm]}}", "study.reference.run.mesh.order=1"]
     with pytest.raises(MantleError, match="every run of the study failed") as error:
-        text = CASE + STUDY.replace("[1 mm, 0.5 mm, 0.25 mm]", "[4 mm, 4 mm]")
-        case.write_text(text)
-        study.run(case, only[:1], Options(out, 2))
+        file.write_text(STUDY.replace("[1 mm, 0.5 mm, 0.25 mm]", "[4 mm, 4 mm]"))
+        study.run(file, ["study.lines={P1: {mesh.size: [4 mm]}}"], Options(out, 2))
     assert error.value.exit_code == 70  # the stand-in leaves with 1, which mantle run never does
     record, _ = read(out)
     assert record["quantities"]["lower_upper.slip_p99"]["reference"] is None
     assert "no advice on lower_upper.slip_p99: it has no reference" in caplog.text
 
 
-def test_bad_points_are_told_together_where_they_stand(case: Path) -> None:
-    text = STUDY.replace("[4 mm, 2 mm, 1 mm]", "[4 mm, 2 N, 1 um, -1 mm, 6 mm]").replace(
-        "mesh.order: 2, mesh.size: [4 mm", "mesh.oder: 2, mesh.size: [4 mm"
-    )
-    case.write_text(CASE + text)
-    line = (CASE + text).splitlines().index("  lines:") + 2
-    with pytest.raises(InputError) as error:
-        study.run(case, [], Options(case.parent / "out", 2))
-    messages = error.value.messages
-    assert not (case.parent / "out").exists()
-    start = f"{case}:{line}:"
-    assert [m for m in messages if m.startswith(start)] == messages[:3]
-    column = (CASE + text).splitlines()[line - 1].index("2 N") + 1
-    # What the rest of the file has against a point is told at its line.
-    assert "study.lines.P1: with mesh.size = 6 mm: " in messages[0]
-    assert "mesh.far_size: 5 mm is finer than size" in messages[0]
-    assert messages[1].startswith(f"{start}{column}: study.lines.P1.mesh.size[1]: '2 N' is a force")
-    assert "study.lines.P1.mesh.size[3]: '-1 mm' must be positive" in messages[2]
-    assert len(messages) == 4 and "study.lines.P2.mesh.oder: unknown key" in messages[3]
-
-
-# Edits of STUDY, and the complaint with its place.
-BAD = [
-    ("slip_p99,", "slip_p9,", "quantities[0]: 'lower_upper.slip_p9' is not <interface>"),
-    ("[lower_upper.slip_p99", "[lowr.slip_p99", "quantities[0]: the geometry (blocks) has no"),
-    ("mesh.size: [4 mm, 2 mm, 1 mm]", "mesh.size: 4 mm", "lines.P1: varies nothing"),
-    ("[5 mm, 4 mm, 3 mm]", "[5 mm]", "lines.P2.mesh.far_size: has 1 values where mesh.size has 3"),
-    ("[4 mm, 2 mm, 1 mm]", "[]", "lines.P1.mesh.size: is an empty list"),
-    ("mesh.order: 1,", "ranks: [1, 2, 0],", "lines.P1.ranks[2]: 0 is not a number of ranks"),
-    ("mesh.order: 1,", "study.target: 1,", "lines.P1.study.target: is not what a run depends on"),
-    ("[1 mm, 0.5 mm, 0.25 mm]", "[1 mm]", "reference.run: has a single run"),
-    ("[lower_upper.slip_p99", "[solver.newton", "quantities[0]: 'solver.newton' is not one of"),
-    (
-        "    run: ",
-        "    values: {timing.solve: 1}\n    run: ",
-        "reference.values.timing.solve: is not",
-    ),
-    ("    run: {mesh.order: 2", "    rum: {mesh.order: 2", "reference.rum: unknown key"),
-    ("    run: ", "    values: {lower_upper.slip_p99: 4 MPa}\n    run: ", "reference.values.lower"),
-    (
-        "run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm, 0.25 mm]}",
-        "values: {lower_upper.slip_p99: 4 um}",
-        "reference.values: no value for lower_upper.pressure_p99",
-    ),
-    ("  lines:", "  target: 0\n  lines:", "target: 0 must be positive"),
-    ("[lower_upper.slip_p99, lower_upper.pressure_p99]", "[]", "quantities: is empty"),
-]
-
-
-@pytest.mark.parametrize(("old", "new", "complaint"), BAD)
-def test_a_bad_section_is_told(old: str, new: str, complaint: str, tmp_path: Path) -> None:
-    assert old in STUDY
-    path = tmp_path / "case.yaml"
-    path.write_text(CASE + STUDY.replace(old, new, 1))
-    with pytest.raises(InputError) as error:
-        load(path)
-    (message,) = [m for m in error.value.messages if f" study.{complaint}" in m] or [""]
-    assert message.startswith(f"{path}:"), error.value.messages
-
-
-def test_the_section_changes_no_run(case: Path) -> None:
-    """A case is dumped without its study and read back; its runs know nothing of it."""
-    loaded = load(case).config
-    copy = case.with_name("copy.yaml")
-    copy.write_text(dump(loaded))
-    assert loaded.study is not None
-    assert load(copy).config == loaded.model_copy(update={"study": None})
-    jobs = [Job("one", case)]
-    (first,) = batch.run(jobs, case.parent / "out", 1)
-    case.write_text(CASE)
-    assert batch.run(jobs, case.parent / "out", 1) == [first]
-
-
-# A study of another case: the penetration is 2 / r mm, the relative error of slip 10 / r.
+# The penetration is 2 / r mm, the relative error of slip 10 / r.
 APART = """\
 base: ../case.yaml
 set: {mesh.size: 2 mm, output.condition: true}
@@ -304,7 +196,7 @@ study:
 BY_PENALTY = """\
 import json, pathlib, re, sys
 case, output = pathlib.Path(sys.argv[1]).read_text(), pathlib.Path(sys.argv[3])
-assert "study" not in case and " size: 2.0 mm" in case and "far_size: 6.0 mm" in case
+assert " size: 2.0 mm" in case and "far_size: 6.0 mm" in case
 found = re.search(r"penalty: (\\S+) MPa/mm", case)
 r = float(found.group(1)) if found else float("inf")
 if r == 1e6:
@@ -319,16 +211,16 @@ summary = {"interfaces": {"lower_upper": numbers}, "regions": {}, "stem": {},
 
 
 @pytest.fixture
-def apart(case: Path) -> Path:
-    """A study that stands apart from its case, which has one of its own."""
-    (case.parent / "mantle.py").write_text(BY_PENALTY)
-    path = case.parent / "studies" / "apart.yaml"
+def apart(file: Path) -> Path:
+    """A study in another folder than its case."""
+    (file.parent / "mantle.py").write_text(BY_PENALTY)
+    path = file.parent / "studies" / "apart.yaml"
     path.parent.mkdir()
     path.write_text(APART)
     return path
 
 
-def test_a_study_apart_from_its_case(apart: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_study_over_a_penalty(apart: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Values of what has no error; one run as the reference; a picture over the penalty."""
     caplog.set_level(logging.INFO, "mantle")
     out = apart.parent / "out"
@@ -372,48 +264,6 @@ def test_a_study_apart_of_nothing_that_is_compared(apart: Path) -> None:
     assert "study_parameters.png" in names and "study.png" not in names
 
 
-def test_defects_of_a_study_apart_are_told_together(
-    apart: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = APART.replace("mesh.size: 2 mm", "mesh.size: 2 N, mesh.oder: 1").replace(
-        "lower_upper.slip_p99", "lowr.slip_p99"
-    )
-    apart.write_text(text)
-    case = apart.parent / ".." / "case.yaml"
-    case.write_text(CASE.replace("1 GPa", "-1 GPa", 1))
-    out = str(apart.parent / "out")
-    assert main(["study", str(apart), "-o", out, "--set", "mesh.order=3"]) == 2
-    told = capsys.readouterr().err.splitlines()
-    assert len(told) == 5
-    assert told[0].startswith(f"{apart}:2:7: set.mesh.size: '2 N' is a force")
-    assert told[1].startswith(f"{apart}:2:23: set.mesh.oder: unknown key")
-    assert told[2].startswith(f"{apart}:6:7: study.quantities[1]: the geometry (blocks) has no")
-    assert any(m.startswith("--set mesh.order: 3 must be at most 2") for m in told)
-    assert any(m.startswith(f"{case}:6:") and "regions.lower" in m for m in told)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "complaint"),
-    [
-        ("../case.yaml", "nix.yaml", ":1:1: base: "),
-        ("../case.yaml", "apart.yaml", ":1:1: base: this is a study of another case"),
-        ("../case.yaml", "[a]", ":1:1: base: a list is not text"),
-        ("set: {", "set: {study.target: 1, ", ":2:7: set.study.target: is not what a run depends"),
-        ("set: {", "sett: {", ":2:1: sett: unknown key; allowed: base, set, study"),
-        ("{run: {}}", "{run: {mesh.order: 3}}", ":15:21: study.reference.run.mesh.order: 3 must"),
-        ("{run: {}}", "{values: {}}", ":15:15: study.reference.values: no value for lower_upper."),
-        ("output.condition: true", "", ":8:7: study.quantities[3]: needs output.condition"),
-        ("&r [1e2 MPa/mm", "&r [1e2 MPa", ":13:43: study.lines.penalty.interfaces.lower_upper"),
-    ],
-)
-def test_a_bad_study_apart_is_told(old: str, new: str, complaint: str, apart: Path) -> None:
-    assert old in APART
-    apart.write_text(APART.replace(old, new))
-    with pytest.raises(InputError) as error:
-        study.run(apart, [], Options(apart.parent / "out", 2))
-    assert any(m.startswith(f"{apart}{complaint}") for m in error.value.messages), str(error.value)
-
-
 @pytest.mark.parametrize("command", ["run", "check", "mesh"])
 def test_a_study_apart_is_no_case(
     command: str, apart: Path, capsys: pytest.CaptureFixture[str]
@@ -421,28 +271,6 @@ def test_a_study_apart_is_no_case(
     assert main([command, str(apart)]) == 2
     told = capsys.readouterr().err
     assert told.startswith(f"{apart}:1:1: base: this is a study of another case, not a case; use ")
-
-
-@pytest.mark.parametrize(
-    "path", sorted((support.CONFIGS / "studies").glob("*.yaml")), ids=lambda p: p.stem
-)
-def test_every_point_of_a_shipped_study_is_a_valid_case(path: Path) -> None:
-    source = study_file.read(path, [])
-    study._resolve(study.plan(source.study), source)
-
-
-def test_the_stance_by_penalty_covers_six_decades() -> None:
-    """Each law in turn, the default last, on the same mesh."""
-    source = study_file.read(support.CONFIGS / "studies" / "stance_penalty.yaml", [])
-    points = study.plan(source.study)
-    cases = study._resolve(points, source)
-    laws = [(c.interfaces["cement_bone"], c.interfaces["stem_cement"]) for c in cases]
-    decades = [10.0**k for k in range(8)]
-    for k in (0, 1):
-        assert [getattr(law[k], "penalty", None) for law in laws[:7]] == decades[1:]
-        assert [getattr(law[k], "augmentation", None) for law in laws[7:]] == [*decades[1:7], None]
-    assert {c.mesh.size for c in cases} == {3.0} and not any(c.output.error for c in cases)
-    assert [p.label for p in points[-2:]] == ["1e6 MPa/mm", ""]
 
 
 @pytest.mark.parametrize(
@@ -463,12 +291,13 @@ def test_axes_that_span_decades_are_logarithmic(values: list[float], scale: str)
     from matplotlib.figure import Figure
 
     axes = Figure().subplots()
-    study_parameters._scale(axes, values)
+    study_picture.set_scale(axes, values)
     assert axes.get_yscale() == scale
 
 
-def test_lines_vary_ranks_laws_and_list_items(case: Path) -> None:
-    text = """\
+def test_lines_vary_ranks_laws_and_list_items(file: Path) -> None:
+    file.write_text("""\
+base: case.yaml
 study:
   quantities: [lower_upper.slip_p99]
   lines:
@@ -482,14 +311,13 @@ study:
     ranks: {ranks: [1, 2]}
     steps: {stages.0.name: only, "stages[0].increments": [1, 2], solver.tolerance: 1e-8}
   reference: {values: {lower_upper.slip_p99: 0.04 mm}}
-"""
-    case.write_text(CASE + text)
-    section = load(case).config.study
-    assert section is not None
-    points = study.plan(section)
-    assert [p.label for p in points] == ["#1", "#2", "1e3 MPa/mm", "1e4 MPa/mm", *"1212"]
-    jobs = [study._job(p, study_file.read(case, [])) for p in points]
-    cases = [load(j.case, j.overrides).config for j in jobs]
+""")
+    planned = study_file.read(file).runs
+    jobs = [study._job(p) for p in planned]
+    failed = [Result(job, file, 4, 0.0, {}, "") for job in jobs]
+    runs = [study._study_run(p, r) for p, r in zip(planned, failed, strict=True)]
+    assert [r.label for r in runs] == ["#1", "#2", "1e3 MPa/mm", "1e4 MPa/mm", *"1212"]
+    cases = [p.case for p in planned]
     assert [j.ranks for j in jobs] == [1, 1, 1, 1, 1, 2, 1, 1]
     assert all(j.alone for j in jobs)
     laws = [c.interfaces["lower_upper"] for c in cases]
@@ -497,9 +325,8 @@ study:
     assert laws[0] == laws[2] and laws[1] == laws[3]
     assert [c.stages[0].increments for c in cases[6:]] == [1, 2]
     assert cases[6].solver.tolerance == 1e-8
-    numbers = [study._number(c, p) for c, p in zip(cases, points, strict=True)]
-    assert [x for x, _ in numbers] == [None, None, 1e3, 1e4, 1, 2, 1, 2]
-    assert [unit for _, unit in numbers] == ["", "", "MPa/mm", "MPa/mm", "", "", "", ""]
+    assert [r.x for r in runs] == [None, None, 1e3, 1e4, 1, 2, 1, 2]
+    assert [r.unit for r in runs] == ["", "", "MPa/mm", "MPa/mm", "", "", "", ""]
 
 
 def test_quantities_are_found_in_a_summary() -> None:
@@ -534,7 +361,7 @@ def test_quantities_are_found_in_a_summary() -> None:
 )
 def test_quantities_of_heat(quantity: str, unit: str, given: str | float, value: float) -> None:
     assert quantities.find(quantity).unit == unit
-    assert study_options.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
+    assert study_file.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
     owner, key = quantity.split(".")
     for summary in (
         {"thermal": {"regions": {owner: {key: 3.0}}}},
@@ -547,10 +374,10 @@ def test_quantities_of_heat(quantity: str, unit: str, given: str | float, value:
 
 def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The patch test: 2 MPa on any mesh; and every quantity on offer is in a summary."""
-    path = tmp_path / "case.yaml"
+    (tmp_path / "case.yaml").write_text(CASE)
+    path = tmp_path / "study.yaml"
     path.write_text(
-        CASE
-        + "study:\n  quantities: [lower_upper.pressure_mean, lower_upper.force.z]\n"
+        "base: case.yaml\nstudy:\n  quantities: [lower_upper.pressure_mean, lower_upper.force.z]\n"
         + "  lines: {size: {mesh.size: [4 mm, 2 mm]}}\n"
         + "  reference: {values: {lower_upper.pressure_mean: 2 MPa, lower_upper.force.z: 32 N}}\n"
     )
@@ -569,34 +396,3 @@ def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
             if key == "hoop_p99":
                 continue  # blocks have no axis
             assert quantities.read(summary, f"{name}.{key}") is not None, key
-
-
-@pytest.mark.slow
-def test_a_real_study_by_penalty(tmp_path: Path) -> None:
-    """2 MPa on springs of stiffness r per area: they give way by 2 / r; the exact law does not."""
-    (tmp_path / "case.yaml").write_text(CASE)
-    path = tmp_path / "penalty.yaml"
-    path.write_text(
-        APART.replace("../case", "case")
-        .replace("[1e2 MPa/mm, 1 GPa/mm, ", "[")
-        .replace(", 1e6 MPa/mm]", "]")
-        .replace("slip_p99", "pressure_mean")
-    )
-    out = tmp_path / "out"
-    assert main(["study", str(path), "-o", str(out), "--cores", "2"]) == 0
-    record, _ = read(out)
-    depth, pressure = list(record["quantities"].values())[:2]
-    assert [p["value"] for p in depth["points"]] == pytest.approx([2e-4, 0], rel=1e-8, abs=1e-15)
-    assert pressure["reference"]["value"] == pytest.approx(2, rel=1e-9)
-    assert all(p["error"] < 1e-9 for p in pressure["points"])
-    summary = json.loads((Path(record["runs"][0]["folder"]) / "summary.json").read_text())
-    of_mechanics = [name for name in quantities.of_run() if not name.startswith("balance.heat")]
-    assert all(quantities.read(summary, name) is not None for name in of_mechanics)
-
-
-def test_a_case_without_a_study_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "case.yaml"
-    path.write_text(CASE)
-    assert main(["study", str(path), "-o", str(tmp_path / "out")]) == 2
-    assert "has no study section" in capsys.readouterr().err
-    assert support.case(CASE).study is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.campaigns import work_precision as wp
-from app.campaigns.work_precision import Point, ReferenceValue
+from app.campaigns.work_precision import ErrorPoint, ReferenceValue
 
 
 @pytest.mark.parametrize("order", [0.6, 1.0, 1.7, 2.0, 3.0, 3.9])
@@ -43,9 +43,9 @@ def test_without_a_number_along_the_ladder_nothing_is_extrapolated() -> None:
     assert found.uncertainty == pytest.approx(0.1)
 
 
-def point(x: float, error: float, *, estimate: float | None = None, **more: float) -> Point:
+def point(x: float, error: float, *, estimate: float | None = None, **more: float) -> ErrorPoint:
     """A point of the quantity 2 + 2 error, compared with 2 ± 0.002."""
-    raw = Point("P1", f"{x} mm", x, 1.0, 2 + 2 * error, estimate, more.get("algebraic", 0.0))
+    raw = ErrorPoint("P1", f"{x} mm", x, 1.0, 2 + 2 * error, estimate, more.get("algebraic", 0.0))
     return wp.compare(raw, ReferenceValue(2.0, 0.002, None, "given"))
 
 
@@ -54,7 +54,7 @@ def test_error_and_what_can_be_trusted() -> None:
     assert good.error == pytest.approx(0.05) and good.deviation == pytest.approx(0.1)
     assert good.trusted and not close.trusted
     assert good.bound == pytest.approx(0.05) and close.bound == pytest.approx(0.001)
-    failed, plain = Point("P1", "a", 1.0, None, None), Point("P1", "a", 1.0, 1.0, 1.0)
+    failed, plain = ErrorPoint("P1", "a", 1.0, None, None), ErrorPoint("P1", "a", 1.0, 1.0, 1.0)
     assert wp.compare(failed, ReferenceValue(2.0, 0.002, None, "given")) == failed
     assert wp.compare(plain, ReferenceValue(0.0, 0.0, None, "given")) == plain
     assert wp.compare(plain, None) == plain

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 import meshes
-from app.case import study_file, sweep_file
+from app.case import study as study_file
+from app.case import sweep as sweep_file
 from app.case.case import load, resolve
 from app.case.gmsh_header import ALLOWED
 from app.cli import main
@@ -53,40 +54,12 @@ def complaint(path: Path, *overrides: str) -> str:
     return message
 
 
-TITLES = {
-    "!!bool maybe": "'maybe' is not true or false",
-    "!!int ''": "'' is not a number",
-    "!!float ''": "'' is not a number",
-    '"\\ud800"': "a surrogate is no character",
-    "!!python/object/apply:os.system ['touch PWNED']": "has no meaning here",
-    "!!set {a, b}": "has no meaning here",
-    "x" * 10_001: "a text of 10001 characters; at most 10000",
-}
-
-
-@pytest.mark.parametrize("title", TITLES)
-def test_values_that_are_none(title: str, tmp_path: Path) -> None:
+def test_texts_without_end(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
-    path.write_text(f"title: {title}\n")
-    message = complaint(path)
-    assert message.startswith(f"{path}:1:8: ")
-    assert TITLES[title] in message
-
-
-OVERRIDES = {
-    "geometry.blocks.².name=a": "geometry.blocks has entries 0 to 2, not '²'",
-    ".".join("a" * 60) + "=1": "60 keys in each other; at most 50",
-    f"mesh.size=1{' ' * LONGEST_VALUE}mm": "--set mesh.size: '1   ",
-    "mesh.size=1e-200 mm": "--set mesh.size: 1e-200 mm is less than an atom",
-    "geometry.blocks.0.size.0=1e300 mm": "must be at most 1e+10 mm",
-    f"stages.0.name={'x' * 101}": "is not a name; expected letters, digits, _ and -",
-    "stages.0.name=../../x": "is not a name",
-}
-
-
-@pytest.mark.parametrize("override", OVERRIDES)
-def test_overrides_that_are_none(override: str) -> None:
-    assert OVERRIDES[override] in complaint(BLOCKS, override)
+    path.write_text(f"title: {'x' * 10_001}\n")
+    assert complaint(path) == f"{path}:1:8: a text of 10001 characters; at most 10000"
+    long = complaint(BLOCKS, f"mesh.size=1{' ' * LONGEST_VALUE}mm")
+    assert long.startswith("--set mesh.size: '1   ") and len(long) < 200
 
 
 def test_keys_do_not_steer_the_terminal(tmp_path: Path) -> None:
@@ -122,9 +95,6 @@ def test_combinations_beyond_number(tmp_path: Path) -> None:
     path.write_text(f"base: {BLOCKS}\ngrid:\n{axes}")
     with pytest.raises(InputError, match="4096000000 combinations; at most 20000 are allowed"):
         sweep_file.read(path)
-    axes = "".join(f"    interfaces.a.b{i}: {values}\n" for i in range(6))
-    path.write_text(f"{BLOCKS.read_text()}\nvariations:\n  grid:\n{axes}")
-    assert "variations.grid: 4096000000 combinations; at most 20000" in complaint(path)
 
 
 # ------------------------------------------------------------------------------------ size
@@ -279,17 +249,9 @@ def test_options_beside_a_mesh_are_not_run(tmp_path: Path, monkeypatch: pytest.M
     assert len(meshes.build(case.geometry, case.mesh).cells)
 
 
-def test_a_mesh_file_is_known_by_its_name(tmp_path: Path) -> None:
-    (tmp_path / "mesh.py").write_text("$MeshFormat\n")
-    path = scripted(tmp_path, SCRIPT)
-    assert "neither a .msh file nor a .geo script" in complaint(path, "geometry.path=mesh.py")
-
-
 def test_a_script_is_not_meshed_by_the_nanometre(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import meshes
-
     monkeypatch.setenv(ALLOWED, "1")
     case = load(scripted(tmp_path, SCRIPT), ["mesh.size=1 nm"]).config
     with pytest.raises(GeometryError, match=r"mesh\.size: 1e-06 mm: .* 2e\+06 cells long"):

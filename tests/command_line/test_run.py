@@ -514,9 +514,8 @@ def test_a_variation_that_fails_does_not_stop_the_others(tmp_path: Path) -> None
 
 def test_an_interrupt_leaves_finished_variations(tmp_path: Path) -> None:
     case, output = tmp_path / "varied.yaml", tmp_path / "out"
-    loads = ", ".join(f"'[{8 + 0.001 * i}, 0, 0] N'" for i in range(200))
-    grid = f"variations: {{grid: {{loads.push.force: [{loads}]}}}}\n"
-    case.write_text(SLIDING + grid)
+    loads = [f"  v{i}: {{loads.push.force: '[{8 + 0.001 * i}, 0, 0] N'}}\n" for i in range(200)]
+    case.write_text(SLIDING + "variations:\n" + "".join(loads))
     command = [sys.executable, "-m", "mantle", "run", str(case), "-o", str(output)]
     process = subprocess.Popen(
         command,
@@ -586,7 +585,7 @@ def check_cylinders(s: dict[str, Any]) -> None:
 
 def check_variations(s: dict[str, Any]) -> None:
     """Half of the load goes from the stem to the cement, multiplied as the variation says."""
-    factor = {"0.5": 0.5, "1.5": 1.5}.get(s["name"].rpartition("history=")[2], 1.0)
+    factor = {"half_load": 0.5, "heavy_load": 1.5}.get(s["name"], 1.0)
     for q in s["interfaces"].values():
         expected = (-900 * factor, 150 * factor)
         assert (q["force"][2], q["force"][0]) == pytest.approx(expected, rel=1e-6)
@@ -757,7 +756,7 @@ def test_shipped_configuration(name: str, coarsened: Coarsened) -> None:
     assert all("of linear cells" in note for note in notes), notes
     assert (out / "DONE").exists()
     folders = {p.parent for p in out.glob("**/summary.json")}
-    assert len(folders) == (14 if name == "variations.yaml" else 1)
+    assert len(folders) == (8 if name == "variations.yaml" else 1)
     for folder in folders:
         assert (folder / "DONE").exists()
         summary = read(folder) | {"name": folder.name}

@@ -33,7 +33,7 @@ mesh: {order: 1, size: 2.5 mm}
 def chosen(text: str, *overrides: str) -> np.ndarray:
     """Augmentation of each contact point [MPa/mm]."""
     problem, _ = support.assemble(support.case(text, *overrides))
-    return np.asarray(problem.jumps[0].stiffness)
+    return np.asarray(problem.contact.stiffness)
 
 
 def test_it_is_a_stiffness_per_length() -> None:
@@ -53,7 +53,7 @@ def test_it_is_a_stiffness_per_length() -> None:
 def test_it_follows_the_stiffness_in_force() -> None:
     """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
     problem, _ = support.assemble(support.case(STEM))
-    (j,) = problem.jumps
+    j = problem.contact
     j.scale_augmentation(0.1)
     before = j.stiffness.copy()
     coupling = j._coupling
@@ -127,7 +127,7 @@ def test_a_penalty_is_found_with_any_augmentation() -> None:
     found = []
     for factor in (1.0, 0.1):
         problem, solver = support.assemble(support.case(STEM, path, stages, *laws))
-        (j,) = problem.jumps
+        j = problem.contact
         solver.augmentation = factor
         states = []
         for time in (0.5, 1.0, 1.5, 2.0):

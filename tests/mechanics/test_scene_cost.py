@@ -100,7 +100,7 @@ def test_bonded_is_one_continuous_field(monkeypatch: pytest.MonkeyPatch) -> None
     listed = cost(monkeypatch, "lower_middle: {kind: bonded}, middle_upper: {kind: bonded}")
     for c in (unlisted, listed):
         assert c.laws == []
-        assert c.problem.jumps == () and c.problem.scene.contacts == ()
+        assert c.problem.contact is None and c.problem.scene.contacts == ()
         assert c.problem.moved == {}
         assert len(c.problem.bodies.names) == 1
         n = 3 * len(c.problem.space.tabulate_dof_coordinates())

@@ -38,10 +38,8 @@ def facets_of(
             MPI.COMM_SELF,
             np.array(interface, np.int64),
             vertices,
-            np.array(master, np.int64),
-            np.array(slave, np.int64),
-            vertices.copy(),
-            np.zeros((n, 0), np.int64),
+            np.array([master, slave], np.int64).T,
+            (vertices.copy(), np.zeros((n, 0), np.int64)),
             corners,
             np.array(inside, dtype=float),
             np.zeros((n, 2)) if stiffness is None else stiffness,
@@ -303,7 +301,7 @@ supports:
 def cylinder_points(**values: object) -> ContactPoints:
     case = support.case(CYLINDERS.format(**values))
     problem, _ = support.assemble(case)
-    (jumps,) = problem.jumps
+    jumps = problem.contact
     return jumps.points
 
 

@@ -215,7 +215,7 @@ def test_interfaces_are_factored_first_and_the_stiffness_next(
 def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.mechanics.coarse_space.STALE", 0.2)
     problem, _ = support.assemble(support.case(PUSHED))
-    (j,) = problem.jumps
+    j = problem.contact
     motions = SlidingMotions(problem)
     n = len(j.mine)
     assert motions.version == 0

@@ -38,9 +38,10 @@ solver: {tolerance: 1.0e-12, max_iterations: 12}
 variations:
   tied: {interfaces.stem_cement: {kind: bonded}}
   lifted: {loads.aside.force: [0 N, 0 N, 2000 N]}
-  grid:
-    interfaces.stem_cement.friction_coefficient: [0.3, 0.4]
-    loads.*.history: [[1, 1], [2, 2]]
+  slippery: {interfaces.stem_cement.friction_coefficient: 0.3}
+  as_is: {}
+  slippery_twice: {interfaces.stem_cement.friction_coefficient: 0.3, loads.*.history: [2, 2]}
+  twice: {loads.*.history: [2, 2]}
 """
 
 

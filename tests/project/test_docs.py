@@ -21,8 +21,8 @@ import mantle
 from app.case import new_case
 from app.case.case import Case, load
 from app.case.quantities import TABLE
-from app.case.study_options import StudyFile
-from app.case.sweep_options import Sweep
+from app.case.study import StudyFile
+from app.case.sweep import Sweep
 from app.command_line.parser import parser
 from app.system import ranks
 from app.verification.suites import SUITES

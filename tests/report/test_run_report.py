@@ -102,38 +102,32 @@ def test_the_command_draws_maps_and_files(
     assert page(copy).count("data:image/png") == 3 and len(page(copy)) < 3e6
 
 
-def test_no_page_where_none_is_wanted(tmp_path: Path) -> None:
+def test_no_page_where_none_is_wanted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """And one that fails is a warning."""
     case = mantle.load(CONFIGS / "blocks.yaml", **{**COARSE, "output.report": False})
     mantle.run(case, tmp_path / "out")
     assert not (tmp_path / "out" / "report.html").exists()
-
-
-def test_a_page_that_fails_is_a_warning(done: Path, caplog: pytest.LogCaptureFixture) -> None:
-    run_report.after_run(done.parent / "nothing", failed=False)
+    run_report.after_run(tmp_path / "nothing", failed=False)
     assert "report.html was not written" in caplog.text
-
-
-def test_units_are_printed_as_people_write_them(done: Path, tmp_path: Path) -> None:
-    def inside(numbers: dict[str, Any]) -> None:
-        numbers["interfaces"]["stem_cement"]["penetration_max"] = 2e-3
-        numbers["notes"] = ["a of 37 degC and 5 mm^2, um"]
-
-    html = shown(changed(done, tmp_path / "run", inside))
-    assert "the bodies penetrate by 2 µm" in html and "a of 37 °C and 5 mm², um" in html
 
 
 def test_a_page_without_its_view_says_why(
     done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """And its units are printed as people write them."""
+
     def broken(folder: Path) -> str:
         raise IndexError("no <such> cell")
 
-    shutil.copytree(done, tmp_path / "run")
+    def inside(numbers: dict[str, Any]) -> None:
+        numbers["interfaces"]["stem_cement"]["penetration_max"] = 2e-3
+        numbers["notes"] = ["a of 37 degC and 5 mm^2, um"]
+
     monkeypatch.setattr(viewer, "viewer", broken)
-    run_report.write(tmp_path / "run", 0.05)
-    html = page(tmp_path / "run")
+    html = changed(done, tmp_path / "run", inside)
     assert "no view in three dimensions: IndexError: no &lt;such&gt; cell" in html
     assert 'id="view"' not in html and "equilibrium: exact to rounding" in html
+    assert "the bodies penetrate by 2 µm" in html and "a of 37 °C and 5 mm², um" in html
 
 
 def test_errors_are_told_in_the_sentence(done: Path, tmp_path: Path) -> None:
@@ -194,14 +188,6 @@ def test_loads_are_told_of_runs_that_ended(done: Path) -> None:
     assert sentence.sentence(numbers, case).startswith("Under 900 N the stem")
     stopped = sentence.sentence(numbers | {"status": "stopped"}, case)
     assert stopped.startswith("The stem slides")
-
-
-def test_a_run_without_convergence_says_so(tmp_path: Path) -> None:
-    weak = {**COARSE, "solver.max_iterations": 1, "stages[1].max_cut_backs": 0}
-    with pytest.raises(mantle.ConvergenceError):
-        mantle.run(mantle.load(CONFIGS / "cylinders.yaml", **weak), tmp_path / "out")
-    written = (tmp_path / "out" / "summary.json").exists()
-    assert written == (tmp_path / "out" / "report.html").exists()
 
 
 def test_heat_is_told(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def distances(s: Solved, i: int, steps: int) -> Floats:
     The nearest of all facets' points, by Newton's method on their shape functions; its sign is that
     of the way along the normal of the deformed facet there.
     """
-    (j,) = s.problem.jumps
+    j = s.problem.contact
     facets = j.facets
     rows = np.flatnonzero(facets.interface == i)
     dofs = np.concatenate([facets.vertex_dofs, facets.edge_dofs], axis=1)[rows]

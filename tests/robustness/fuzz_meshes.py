@@ -32,20 +32,9 @@ regions:
   b: {youngs_modulus: 1 GPa, poisson_ratio: 0, tissue: other}
 supports: {base: {kind: fixed, boundary: bottom}}
 """
-NUMBERS = (
-    "0 -1 1 2 3 99 nan inf -inf 1e308 1e-320 4294967296 -9223372036854775808 18446744073709551615"
-)
 WORDS = (
-    *NUMBERS.split(),
-    "1e5",
-    "x",
-    "",
-    "$Nodes",
-    '"a"',
-    "\0",
-    "9" * 400,
-    "1000000000",
-    "4 4 4 4",
+    *"0 -1 1 2 3 99 nan inf -inf 1e308 1e-320 4294967296 1e5 x $Nodes 1000000000".split(),
+    *("-9223372036854775808", "18446744073709551615", "", '"a"', "\0", "9" * 400, "4 4 4 4"),
 )
 
 
@@ -87,11 +76,8 @@ def damaged(rng: random.Random, raw: bytes) -> bytes:
             case 1:
                 raw = raw[:at] + rng.randbytes(rng.randint(1, 20)) + raw[at + rng.randint(0, 20) :]
             case 2:
-                raw = (
-                    raw[:at]
-                    + rng.choice((b"\xff", b"\0", b"\x80")) * rng.choice((1, 4, 8))
-                    + raw[at + 8 :]
-                )
+                filler = rng.choice((b"\xff", b"\0", b"\x80")) * rng.choice((1, 4, 8))
+                raw = raw[:at] + filler + raw[at + 8 :]
             case 3:
                 raw = b"\n".join(lines[:i] + lines[j:])
             case 4:

@@ -1,4 +1,4 @@
-"""Libraries in C that go before others (LD_PRELOAD): a BLAS that is wrong, a clock that jumps."""
+"""A BLAS that is wrong, to go before others (LD_PRELOAD)."""
 
 from __future__ import annotations
 
@@ -30,14 +30,6 @@ void dgemm_(char *ta, char *tb, int *m, int *n, int *k, double *alpha, double *a
   if (wrong() && *m > 0 && *n > 0) c[0] = bad();
 }
 #endif
-#ifdef DTRSM
-void dtrsm_(char *s, char *u, char *t, char *d, int *m, int *n, double *alpha, double *a, int *lda,
-            double *b, int *ldb) {
-  void (*right)() = right_one("dtrsm_");
-  right(s, u, t, d, m, n, alpha, a, lda, b, ldb);
-  if (wrong() && *m > 0 && *n > 0) b[0] = bad();
-}
-#endif
 #ifdef DGEMV
 void dgemv_(char *t, int *m, int *n, double *alpha, double *a, int *lda, double *x, int *incx,
             double *beta, double *y, int *incy) {
@@ -66,40 +58,6 @@ void daxpy_(int *n, double *a, double *x, int *incx, double *y, int *incy) {
 #endif
 """
 ROUTINES = ("DGEMM", "DGEMV", "DDOT", "DNRM2", "DAXPY")
-
-# The clock of the wall is set back and forward by JUMP seconds at every second call.
-CLOCK = r"""
-#define _GNU_SOURCE
-#include <dlfcn.h>
-#include <stdlib.h>
-#include <sys/time.h>
-#include <time.h>
-static long jump(void) {
-  static long calls;
-  const char *by = getenv("JUMP");
-  return calls++ % 2 ? (by ? atol(by) : 0) : 0;
-}
-int clock_gettime(clockid_t id, struct timespec *t) {
-  int (*right)(clockid_t, struct timespec *) =
-      (int (*)(clockid_t, struct timespec *))dlsym(RTLD_NEXT, "clock_gettime");
-  int code = right(id, t);
-  if (id == CLOCK_REALTIME) t->tv_sec += jump();
-  return code;
-}
-int gettimeofday(struct timeval *t, void *zone) {
-  int (*right)(struct timeval *, void *) =
-      (int (*)(struct timeval *, void *))dlsym(RTLD_NEXT, "gettimeofday");
-  int code = right(t, zone);
-  t->tv_sec += jump();
-  return code;
-}
-time_t time(time_t *t) {
-  time_t (*right)(time_t *) = (time_t(*)(time_t *))dlsym(RTLD_NEXT, "time");
-  time_t now = right(0) + jump();
-  if (t) *t = now;
-  return now;
-}
-"""
 
 
 def library(folder: Path, source: str, *defined: str) -> Path:

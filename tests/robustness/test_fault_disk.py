@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import random
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.robustness.faulty import CASE, HERE, OPTIONS, mounts, run, slow
+from tests.robustness.faulty import CASE, OPTIONS, mounts, slow
 from tests.support import environment
 
 # Whatever a run writes, in an order that small disks interrupt at other places.
@@ -47,7 +46,7 @@ def command(output: Path) -> list[str]:
 
 @slow
 @mounts
-@pytest.mark.parametrize("size", [4, 8, 12, 20, 32, 48, 64, 80, 96, 128, 160, 192])
+@pytest.mark.parametrize("size", [4, 12, 32, 64, 96, 160])
 def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Path) -> None:
     """Fields, history, checkpoints, summary: whichever comes last before the disk is full."""
     (tmp_path / "out").mkdir()
@@ -63,7 +62,7 @@ def test_an_output_folder_with_little_room(size: int, warmed: Path, tmp_path: Pa
 
 @slow
 @mounts
-@pytest.mark.parametrize("size", [16, 64, 128, 256, 384, 512, 768, 1024, 1536, 2048])
+@pytest.mark.parametrize("size", [16, 128, 512, 1024, 2048])
 def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
     """Forms have to be kept, meshes need not."""
     (tmp_path / "cache").mkdir()
@@ -77,21 +76,7 @@ def test_a_cache_with_little_room(size: int, tmp_path: Path) -> None:
 
 @slow
 @mounts
-def test_meshes_without_room_are_not_kept(warmed: Path, tmp_path: Path) -> None:
-    shutil.copytree(warmed, tmp_path / "cache")
-    meshes = tmp_path / "cache" / "mantle" / "meshes"
-    for path in meshes.iterdir():
-        path.unlink()
-    done = run(
-        tmp_path / "out", HERE, tmp_path / "cache", f"mount -t tmpfs -o size=8k none {meshes}"
-    )
-    assert done.returncode == 0, done.stderr
-    assert "the mesh cannot be kept in " in done.stderr
-
-
-@slow
-@mounts
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("number", range(4))
 def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path) -> None:
     """At a random moment, as disks with errors do."""
     out = tmp_path / "out"
@@ -126,7 +111,7 @@ def test_a_disk_that_becomes_read_only(number: int, warmed: Path, tmp_path: Path
 
 
 @slow
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("number", range(4))
 def test_two_runs_in_one_folder(number: int, warmed: Path, tmp_path: Path) -> None:
     """One of them gets it, at whatever moment the other comes."""
     out = tmp_path / "out"

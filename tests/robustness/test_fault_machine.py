@@ -1,4 +1,4 @@
-"""Clocks that jump, no compiler, a wrong BLAS, too little memory, forms compiled elsewhere."""
+"""Clocks, no compiler, a wrong BLAS, too little memory, forms compiled elsewhere."""
 
 from __future__ import annotations
 
@@ -30,17 +30,9 @@ LIMIT = ("--walltime", "0:02:00")
 def solve(output: Path, *before: str, **more: str) -> subprocess.CompletedProcess[str]:
     """Run a small stem."""
     sets = [word for o in SMALL for word in ("--set", o)]
+    program = [sys.executable, *(before or ("-m", "mantle"))]
     return subprocess.run(
-        [
-            sys.executable,
-            *(before or ("-m", "mantle")),
-            "run",
-            str(STEM),
-            "-o",
-            str(output),
-            *sets,
-            *LIMIT,
-        ],
+        [*program, "run", str(STEM), "-o", str(output), *sets, *LIMIT],
         env=support.environment() | more,
         capture_output=True,
         text=True,
@@ -81,32 +73,6 @@ def test_only_records_are_by_the_clock_of_the_wall() -> None:
     }
 
 
-@slow
-@pytest.mark.parametrize("days", [-40000, -366, -30, -1, -0.04, 0.04, 1, 30, 366, 20000])
-def test_a_clock_that_is_set_changes_nothing(
-    days: float, usual: list[float], tmp_path: Path
-) -> None:
-    """To and fro at every other look at it, with limits of time and checkpoints by time."""
-    clock = str(shims.library(tmp_path, shims.CLOCK))
-    more = {"LD_PRELOAD": clock, "JUMP": str(int(86400 * days))}
-    probe = "import time; a, b = time.time(), time.time(); print(abs(b - a))"
-    jumped = subprocess.run(
-        [sys.executable, "-c", probe], env=os.environ | more, capture_output=True, text=True
-    )
-    assert float(jumped.stdout) > 1000
-    sets = [word for o in SMALL for word in ("--set", o)]
-    command = [sys.executable, "-m", "mantle", "run", str(STEM), "-o", str(tmp_path / "out"), *sets]
-    done = subprocess.run(
-        [*command, *LIMIT, "--set", "output.checkpoint.minutes=1"],
-        env=support.environment() | more,
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert done.returncode == 0, done.stderr
-    assert numbers(tmp_path / "out") == usual
-
-
 # ------------------------------------------------------------------------------------- memory
 
 
@@ -145,7 +111,7 @@ def test_no_case_fits_hardly_any_memory(tmp_path: Path) -> None:
 
 
 @slow
-@pytest.mark.parametrize("more", [1, 2, 4, 8, 12, 16, 24, 32, 48, 64, 96])
+@pytest.mark.parametrize("more", [1, 4, 12, 24, 48, 96])
 def test_memory_that_runs_out(more: int, usual: list[float], tmp_path: Path) -> None:
     """Wherever that happens it is told; the next run works."""
     done = solve(tmp_path / "out", "-m", "tests.robustness.short_of_memory", MORE=str(more))
@@ -182,26 +148,16 @@ def test_threads_that_have_no_core_are_told() -> None:
 
 
 @slow
-@pytest.mark.parametrize("nan", ["", "yes"])
+@pytest.mark.parametrize("after", [0, 400])
 @pytest.mark.parametrize("routine", shims.ROUTINES)
-def test_a_wrong_blas_is_refused(routine: str, nan: str, tmp_path: Path) -> None:
-    library = str(shims.library(tmp_path, shims.BLAS, routine))
-    done = solve(tmp_path / "out", LD_PRELOAD=library, **({"NOT_A_NUMBER": nan} if nan else {}))
-    assert done.returncode == 69, done.stderr
-    assert "computes wrong numbers: " in done.stderr and "Traceback" not in done.stderr
-
-
-@slow
-@pytest.mark.parametrize("nan", ["", "yes"])
-@pytest.mark.parametrize("routine", [*shims.ROUTINES, "DTRSM"])
-def test_a_blas_that_becomes_wrong_gives_no_wrong_result(
-    routine: str, nan: str, usual: list[float], tmp_path: Path
+def test_a_wrong_blas_gives_no_wrong_result(
+    routine: str, after: int, usual: list[float], tmp_path: Path
 ) -> None:
-    """Some time after the start: what comes out all the same is right."""
+    """Neither from the start nor some time after it: what comes out all the same is right."""
     library = str(shims.library(tmp_path, shims.BLAS, routine))
-    more = {"LD_PRELOAD": library, "AFTER": "400"} | ({"NOT_A_NUMBER": nan} if nan else {})
-    done = solve(tmp_path / "out", **more)
-    assert done.returncode in (0, 4, 5, 69, 70), done.stderr
+    done = solve(tmp_path / "out", LD_PRELOAD=library, AFTER=str(after))
+    assert done.returncode in ((0, 4, 5, 69, 70) if after else (69,)), done.stderr
+    assert after or "computes wrong numbers: " in done.stderr
     if done.returncode == 0:
         assert numbers(tmp_path / "out") == pytest.approx(usual, rel=1e-6)
     else:
@@ -288,7 +244,7 @@ def test_a_compilation_is_waited_for_as_long_as_it_goes_on(tmp_path: Path) -> No
 
 
 @slow
-@pytest.mark.parametrize("number", range(10))
+@pytest.mark.parametrize("number", range(3))
 def test_two_cold_runs_at_once(number: int, tmp_path: Path) -> None:
     """A compiler that takes longer than anybody would wait without asking."""
     compiler = tmp_path / "cc"

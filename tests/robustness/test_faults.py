@@ -78,42 +78,12 @@ def test_damaged_forms_are_compiled_again(how: str, warmed: Path, tmp_path: Path
 
 
 @slow
-def test_a_compilation_that_was_killed_is_not_waited_for(warmed: Path, tmp_path: Path) -> None:
-    shutil.copytree(warmed, tmp_path / "cache")
-    for mark in (tmp_path / "cache" / "fenics").glob("*.c.cached"):
-        mark.unlink()
-    done = run(tmp_path / "out", HERE, tmp_path / "cache")
-    assert done.returncode == 0, done.stderr
-
-
-@slow
-def test_what_another_has_left_of_a_compilation_is_no_obstacle(
-    warmed: Path, tmp_path: Path
-) -> None:
-    # Two that compile the same at once leave its mark of success without the source, for ever.
-    shutil.copytree(warmed, tmp_path / "cache")
-    for source in (tmp_path / "cache" / "fenics").glob("*.c"):
-        source.rename(source.with_suffix(".c.failed"))
-    done = run(tmp_path / "out", HERE, tmp_path / "cache")
-    assert done.returncode == 0, done.stderr
-
-
-@slow
 @pytest.mark.parametrize("ranks", [1, 2])
 def test_no_compiler_is_told(ranks: int, tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "mantle",
-        "run",
-        str(CASE),
-        "-o",
-        str(tmp_path / "out"),
-        *OPTIONS,
-    ]
+    command = [sys.executable, "-m", "mantle", "run", str(CASE), "-o", str(tmp_path / "out")]
     more = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "CC": "/nowhere/cc"}
     done = subprocess.run(
-        [*command, "-n", str(ranks)],
+        [*command, *OPTIONS, "-n", str(ranks)],
         env=environment() | more,
         capture_output=True,
         text=True,

@@ -49,7 +49,7 @@ def loaded(tmp_path: Path, text: str, *overrides: str) -> Case:
 def test_shipped_case_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
     case = load(path).config
     text = dump(case)
-    assert loaded(tmp_path, text) == case.model_copy(update={"study": None, "variations": {}})
+    assert loaded(tmp_path, text) == case.model_copy(update={"variations": {}})
     assert dump(loaded(tmp_path, text)) == text
 
 
@@ -83,7 +83,7 @@ def test_the_two_stance_cases_differ_in_the_stem_alone() -> None:
     stems = titanium.regions["stem"], cobalt.regions["stem"]
     assert [stem.youngs_modulus for stem in stems] == [110e3, 200e3]  # type: ignore[union-attr]
     regions = {**cobalt.regions, "stem": stems[0]}
-    changes = {"title": titanium.title, "regions": regions, "study": titanium.study}
+    changes = {"title": titanium.title, "regions": regions}
     assert cobalt.model_copy(update=changes) == titanium
 
 

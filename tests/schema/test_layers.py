@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
-from app.case import library, overlay, study_file, sweep_file
+from app.case import library, overlay
+from app.case import study as study_file
+from app.case import sweep as sweep_file
 from app.case.case import Case, dump, load
 from app.errors import InputError
 from app.schema import yaml_file
@@ -93,8 +95,7 @@ def test_a_base_alone_is_the_base(tmp_path: Path) -> None:
 def test_shipped_cases_are_bases_by_their_names(tmp_path: Path) -> None:
     case = loaded(tmp_path, "base: stance\nregions: {stem: {material: CoCrMo}}\ntitle: x\n")
     other = load(CONFIGS / "stance_cocr.yaml").config
-    changes = {"title": "x", "study": case.study}
-    assert case == other.model_copy(update=changes)
+    assert case == other.model_copy(update={"title": "x"})
 
 
 def test_a_chain_of_bases_reads_paths_where_they_stand(tmp_path: Path) -> None:
@@ -186,7 +187,7 @@ def test_bad_bases_are_refused(text: str, message: str, tmp_path: Path) -> None:
 
 
 def test_a_study_and_a_case_are_told_apart_by_all_keys_of_a_case() -> None:
-    assert Case.model_fields.keys() - {"base", "study"} == overlay.SECTIONS
+    assert Case.model_fields.keys() - {"base"} == overlay.SECTIONS
 
 
 def test_options_cannot_change_what_a_case_builds_upon(tmp_path: Path) -> None:
@@ -197,7 +198,7 @@ def test_options_cannot_change_what_a_case_builds_upon(tmp_path: Path) -> None:
 
 
 def test_sweeps_studies_and_variations_take_cases_with_a_base(tmp_path: Path) -> None:
-    varied = "variations: {grid: {loads.push.force: [5 N, 10 N]}}\n"
+    varied = "variations: {a: {loads.push.force: 5 N}, b: {loads.push.force: 10 N}}\n"
     write(tmp_path, blocks=BLOCKS, case="base: blocks.yaml\nmesh: {size: 2 mm}\n" + varied)
     sweep = write(tmp_path, sweep="base: case.yaml\ngrid: {loads.push.force: [1 N, 10 N]}\n")
     _, planned = sweep_file.read(sweep)
@@ -210,7 +211,7 @@ def test_sweeps_studies_and_variations_take_cases_with_a_base(tmp_path: Path) ->
         study="base: case.yaml\nstudy:\n  quantities: [lower_upper.slip_p99]\n"
         "  lines: {h: {mesh.size: [2 mm, 1 mm]}}\n  reference: {run: {mesh.size: 0.5 mm}}\n",
     )
-    assert study_file.read(study, []).case == tmp_path / "case.yaml"
+    assert study_file.read(study).runs[0].base == tmp_path / "case.yaml"
     by_name = write(tmp_path, named="base: blocks\ngrid: {mesh.size: [2 mm, 5 mm]}\n")
     assert [p.case.title[:14] for p in sweep_file.read(by_name)[1]] == ["Patch test of "] * 2
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from app.campaigns.runs import Job, resolve, runs_of
-from app.case import sweep_file
+from app.case import sweep as sweep_file
 from app.case.case import dump, load
 from tests.support import CONFIGS
 

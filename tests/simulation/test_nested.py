@@ -84,13 +84,13 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def jumps(model: Model) -> Any:
     """Jumps of the last step (n, 3) [mm]."""
-    (j,) = model.mechanics.problem.jumps
+    j = model.mechanics.problem.contact
     return j.history.jump
 
 
 def states(model: Model) -> Any:
     """Jumps and forces of the last step, each over its largest (2, n, 3)."""
-    (j,) = model.mechanics.problem.jumps
+    j = model.mechanics.problem.contact
     return np.array([v / np.abs(v).max() for v in (j.history.jump, j.history.force)])
 
 
@@ -180,7 +180,7 @@ def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
     """
     model, _ = go("stages.0.increments=1")
     m = model.mechanics
-    (j,) = m.problem.jumps
+    j = m.problem.contact
     answer, force = m.solver.x.copy(), j.history.force.copy()
     j.begin(m.problem.scene.contacts, model._case.solver.augmentation_factor)
     m.problem.set_time(1.0)
@@ -256,7 +256,7 @@ def test_a_coarse_model_that_fails_is_done_without(
 def test_interpolation_is_exact_for_linear_jumps() -> None:
     """On a plane interface, between meshes of which neither contains the other."""
     coarse, fine = (
-        support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].jumps[0]
+        support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].contact
         for size in ("3.1", "1.3")
     )
     weights = coarse_start.interpolation(coarse.points, fine.points, fine.mine)

@@ -58,9 +58,12 @@ SECTION = f"""
 variations:
   as_is: {{}}
   fit: {{interfaces.stem_cement.gap: -0.002 mm}}
-  grid:
-    {MU}: [0.2, 0.4]
-    loads.down.force: ["[0, 0, -900] N", "[0, 0, -1200] N", "[0, 0, -600] N"]
+  mu2_900: {{{MU}: 0.2, loads.down.force: "[0, 0, -900] N"}}
+  mu2_1200: {{{MU}: 0.2, loads.down.force: "[0, 0, -1200] N"}}
+  mu2_600: {{{MU}: 0.2, loads.down.force: "[0, 0, -600] N"}}
+  mu4_900: {{{MU}: 0.4, loads.down.force: "[0, 0, -900] N"}}
+  mu4_1200: {{{MU}: 0.4, loads.down.force: "[0, 0, -1200] N"}}
+  mu4_600: {{{MU}: 0.4, loads.down.force: "[0, 0, -600] N"}}
 """
 
 
@@ -73,45 +76,19 @@ def written(tmp_path: Path, text: str) -> Path:
 # What may vary
 
 
-def test_a_grid_is_every_combination_named_by_its_values(tmp_path: Path) -> None:
+def test_each_is_the_case_with_its_changes(tmp_path: Path) -> None:
     found = load(written(tmp_path, STEM + SECTION)).variations()
-    names = [v.name for v in found]
-    assert names[:3] == ["as_is", "fit", "friction_coefficient=0.2_force=#1"]
-    assert names[-1] == "friction_coefficient=0.4_force=#3" and len(names) == 8
+    assert [v.name for v in found][:3] == ["as_is", "fit", "mu2_900"] and len(found) == 8
     assert found[1].case.interfaces["stem_cement"].gap == -0.002  # type: ignore[union-attr]
     last = found[-1].case
     assert last.interfaces["stem_cement"].friction_coefficient == 0.4  # type: ignore[union-attr]
     assert last.loads["down"].force == (0, 0, -600)  # type: ignore[union-attr]
 
 
-def test_keys_with_the_same_last_word_are_told_apart(tmp_path: Path) -> None:
-    grid = {MU: [0.2], "interfaces.cement_bone.friction_coefficient": [0.5, 0.7]}
-    names = [v.name for v in load(written(tmp_path, _with(grid))).variations()]
-    both = "stem_cement.friction_coefficient=0.2_cement_bone.friction_coefficient="
-    assert names == [both + "0.5", both + "0.7"]
-
-
-def _with(grid: dict[str, Any]) -> str:
-    return STEM + f"variations: {{grid: {grid}}}\n"
-
-
-def test_values_are_called_by_their_numbers_where_that_tells_them_apart(tmp_path: Path) -> None:
-    key = "interfaces.stem_cement.gap"
-    cases = {
-        ("-0.01 mm", "0 mm"): ["gap=-0.01mm", "gap=0mm"],
-        ("0.001 * x", "-0.001 * x"): ["gap=0.001", "gap=-0.001"],
-        ("0.001 * x", "0.001 * y"): ["gap=#1", "gap=#2"],
-    }
-    for values, names in cases.items():
-        path = written(tmp_path, _with({key: list(values)}))
-        assert [v.name for v in load(path).variations()] == names
-
-
 def test_a_star_is_every_name(tmp_path: Path) -> None:
     """Of what the file lists: all loads grow together."""
-    section = "variations: {grid: {'loads.*.history': [[1, 1], [2, 2]]}}\n"
-    once, twice = load(written(tmp_path, STEM + section)).variations()
-    assert (once.name, twice.name) == ("history=#1", "history=#2")
+    section = "variations: {twice: {'loads.*.history': [2, 2]}}\n"
+    (twice,) = load(written(tmp_path, STEM + section)).variations()
     assert [load.history for load in twice.case.loads.values()] == [(2, 2), (2, 2)]
     assert twice.overrides == ("loads.down.history=[2, 2]", "loads.aside.history=[2, 2]")
     bad = "variations: {a: {interfaces.*.friction_coefficient: -1}}\n"
@@ -134,10 +111,13 @@ def test_a_variation_is_what_set_makes_of_the_case(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("option", "places"),
     [
-        (f"{MU}=0.3", [f"variations.grid.{MU}"]),
+        (f"{MU}=0.3", [f"variations.mu{m}_{f}.{MU}" for m in "24" for f in (900, 1200, 600)]),
         (
             "interfaces.stem_cement={kind: contact, friction_coefficient: 0.5}",
-            ["variations.fit.interfaces.stem_cement.gap", f"variations.grid.{MU}"],
+            [
+                "variations.fit.interfaces.stem_cement.gap",
+                *(f"variations.mu{m}_{f}.{MU}" for m in "24" for f in (900, 1200, 600)),
+            ],
         ),
     ],
 )
@@ -166,16 +146,7 @@ WRONG = {
         "2:7: variations.a.interfaces.cement_stem.friction_coefficient: interfaces.cement_stem",
     ),
     "value": (f"  a: {{{MU}: -1}}", f"2:7: variations.a.{MU}: -1 must not be negative"),
-    "in the grid": (
-        f"  grid:\n    {MU}: [0.2, -1]",
-        f"3:56: variations.grid.{MU}[1]: -1 must not be negative",
-    ),
-    "twice": (
-        f"  grid: {{{MU}: [0.2, 0.2]}}",
-        f"2:61: variations.grid.{MU}[1]: 0.2 stands here twice",
-    ),
-    "no list": (f"  grid: {{{MU}: 0.2}}", f"2:10: variations.grid.{MU}: 0.2 is not a list"),
-    "empty grid": ("  grid: {}", "2:3: variations.grid: varies nothing"),
+    "grid": (f"  grid: {{{MU}: [0.2, 0.2]}}", "2:3: variations.grid: a grid stands in a sweep"),
     "no mapping": ("  a: 3", "2:3: variations.a: 3 is not a mapping"),
     "name": ("  2nd: {}", "'2nd' is not a name"),
 }
@@ -206,10 +177,10 @@ def test_the_chain_goes_to_the_nearest(tmp_path: Path) -> None:
     chain = [found[i].name for i in variations.order(load(path).config, found)]
     assert sorted(chain) == sorted(v.name for v in found)
     assert chain[0] == "as_is" and chain[-1] == "tied"
-    assert {n.partition("_force")[0] for n in chain[1:4]} == {"friction_coefficient=0.4"}
+    assert {n.partition("_")[0] for n in chain[1:4]} == {"mu4"}
     assert chain.index("fit") > 3
     # A friction coefficient is left for the next one when all of its loads are done.
-    others = [n.partition("_force")[0] for n in chain if n.startswith("friction")]
+    others = [n.partition("_")[0] for n in chain if n.startswith("mu")]
     assert others == sorted(others, key=others.index)
 
 

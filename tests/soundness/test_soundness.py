@@ -460,6 +460,12 @@ def test_a_failure_tells_where_what_and_what_was_tried(caplog: pytest.LogCapture
     assert "what to change: " in text
 
 
+def test_a_lifted_body_is_named() -> None:
+    pull = "loads={pull: {kind: force, boundary: top, force: [0 N, 0 N, 500 N]}}"
+    with pytest.raises(ConvergenceError, match="nothing holds body 'metal'"):
+        support.solve(TWO, pull)
+
+
 def test_only_bonded_interfaces_join_bodies() -> None:
     """A law of a kind yet to come that can open is no bond; one that cannot is."""
     case = support.case(TWO)

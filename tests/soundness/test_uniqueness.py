@@ -172,7 +172,7 @@ def test_a_run_warns_beyond_it_and_only_there(caplog: pytest.LogCaptureFixture) 
 def test_stiffness_of_points_is_that_of_the_jump_block() -> None:
     """A unit jump of one component meets the forces of its column."""
     problem, solver = support.assemble(support.case(STACK.format(friction=0.5)))
-    (j,) = problem.jumps
+    j = problem.contact
     u, q = solver.u_and_q(solver.x.duplicate())
     u.set(0)
     blocks = j.local_stiffness()

@@ -45,7 +45,7 @@ def test_taylor_remainder_is_of_second_order(
     """Of every block, off a solution with points that are open, stick and slip."""
     c = coupled.solve(monkeypatch, *overrides)
     solver, problem = c.solver, c.model.mechanics.problem
-    operators, (j,) = c.model.thermal.operators, problem.jumps
+    operators, j = c.model.thermal.operators, problem.contact
     held = [
         operators.fixed.held,
         *([operators.jumps.held] if operators.jumps else []),
@@ -174,7 +174,7 @@ def test_heat_of_force_and_slip_that_grow_together(
     counts, heats = (1, 2, 4, 8), []
     for n in counts:
         c = together(monkeypatch, n, f"time.method={method}")
-        (j,) = c.model.mechanics.problem.jumps
+        j = c.model.mechanics.problem.contact
         h = j.history
         whole = float(j.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
         heats.append(sum(step.heats["friction lower_upper"] for step in c.steps))
@@ -189,7 +189,7 @@ def test_what_springs_stretch_is_no_heat(monkeypatch: pytest.MonkeyPatch, method
     law = PENALTY.replace("friction_coefficient: 0.3", "friction_coefficient: 5")
     little = "supports.slide={kind: displacement, boundary: top, x: 0.003 mm, y: 0 mm}"
     c = together(monkeypatch, 2, f"time.method={method}", law, little)
-    (j,) = c.model.mechanics.problem.jumps
+    j = c.model.mechanics.problem.contact
     h = j.history
     assert float(j.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
     assert c.dissipated == (0.0, 0.0)

@@ -26,7 +26,7 @@ Field = Callable[[np.ndarray], np.ndarray]
 def flamant(x: np.ndarray, load: float, material: exact.Elastic) -> np.ndarray:
     """Displacement (n, 3) of the half-plane z < 0 under a line load [N/mm] at 0 along -z [mm].
 
-    Plane strain, zero of u_z at r = 1 mm below the load (Johnson, Contact BodyForms, section 2.2).
+    Plane strain, zero of u_z at r = 1 mm below the load (Johnson, Contact Mechanics, section 2.2).
     """
     E, ν = material
     depth = -x[:, 2]
@@ -42,7 +42,7 @@ def flamant(x: np.ndarray, load: float, material: exact.Elastic) -> np.ndarray:
 def boussinesq(x: np.ndarray, load: float, material: exact.Elastic) -> np.ndarray:
     """Displacement (n, 3) of the half-space z < 0 under a force [N] at 0 along -z [mm].
 
-    Johnson, Contact BodyForms, section 3.2.
+    Johnson, Contact Mechanics, section 3.2.
     """
     E, ν = material
     depth = -x[:, 2]

@@ -58,7 +58,7 @@ def test_a_shrink_fit_is_even_on_a_coarse_mesh(size: float, off: float, scatter:
 def test_a_corner_of_a_fine_surface_is_no_corner() -> None:
     """A circle of three facets is one face, where flat facets would meet at 30 degrees."""
     result = support.solve(SHRINK_FIT.format(size=6.0, length=4, taper=1), balances=True)
-    (j,) = result.problem.jumps
+    j = result.problem.contact
     assert (j.faces == 1).all()
     assert result.balances.max() < 1e-8
 
@@ -97,7 +97,7 @@ def test_rigid_motions_and_widening_are_exact_between_nodes() -> None:
     """Jumps of a linear field, on edges in the plane of motion and widening: round the stem."""
     case = support.case(TAPER, "geometry.taper=0 deg")
     problem, _ = support.assemble(case)
-    (j,) = problem.jumps
+    j = problem.contact
     (B,) = j.moves.values()
     x = problem.space.tabulate_dof_coordinates()
     q, u = B.createVecRight(), B.createVecLeft()

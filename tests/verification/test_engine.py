@@ -130,10 +130,10 @@ def test_picture_and_json(done: Result, tmp_path: Path) -> None:
         *(engine.judge(check(e), [done]) for e in (0.0, 1e-12, 9e-7, 2e-6, np.inf, np.nan)),
         *(engine.judge(refused, [ended(code, LOOSE)]) for code in (4, 70)),
     ]
+    picture.draw(outcomes, tmp_path / "a.png")
     entries = [o.as_json() for o in outcomes]
     assert all(e.keys() >= KEYS for e in entries)
     json.loads(json.dumps(entries, allow_nan=False))
-    picture.draw(entries, tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 5_000
 
 

@@ -17,7 +17,7 @@ import meshes
 from app.arrays import Floats, Ints
 from app.case.case import Case, load
 from app.laws.interface_laws import Contact
-from app.mechanics.contact import Jumps
+from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem, TrialState
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
@@ -160,7 +160,7 @@ CLAMPED_STEM = HALF_STEM.replace(
 )
 
 
-def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], Jumps]:
+def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], ContactInterfaces]:
     """The application's steps: times, states in the form of the reference's, and its jumps."""
     terms = build_scene(case)
     options, timing = case.solver, Timing()
@@ -173,7 +173,7 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], J
         options.petsc,
         timing,
     )
-    (jumps,) = problem.jumps
+    jumps = problem.contact
     assert (jumps.faces <= 1).all(), "the reference has one normal per node"
     assert jumps.points.unenforced == 0
     vertex = jumps.points.vertex[jumps.mine]

@@ -53,19 +53,6 @@ def test_a_ladder_of_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> N
     assert "3 runs: 3 done already" in caplog.text[begin:]
 
 
-@pytest.mark.slow
-def test_problems_without_a_ladder(tmp_path: Path) -> None:
-    """Runs that are compared one by one, and a problem without any."""
-    assert verify("uniaxial", tmp_path)
-    entries = written(tmp_path, "uniaxial")
-    assert [e["name"] for e in entries] == ["uniaxial_along_fibre", "uniaxial_across_fibre"]
-    assert all(e["order"] is None and e["expected_order"] is None for e in entries)
-    assert all(len(e["runs"]) == 2 for e in entries)
-    assert verify("klarbring", tmp_path)
-    (entry,) = written(tmp_path, "klarbring")
-    assert entry["runs"] == [] and entry["reference"] == pytest.approx(1.25)
-
-
 def test_what_fails_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

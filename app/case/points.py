@@ -1,0 +1,310 @@
+"""Points of sweeps and studies: grid, lists, table and samples, expanded to overrides of a case."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
+from app.schema.yaml_file import Path, key_parts
+
+# Random designs of samples to choose from.
+DESIGNS = 20
+MOST_CASES = 20_000
+# A number, and its unit if it has one.
+QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+# A value that can be part of a name.
+LABEL = re.compile(r"[A-Za-z0-9_.+-]{1,24}")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One case of a sweep, or one run of a study, as overrides of a base.
+
+    Attributes:
+        name: Unique in its file: ``part/value_value``.
+        path: Where its part, or its line, stands in the file; empty if there is but one.
+        base: The case as written.
+        changes: All its overrides, ``ranks`` among them.
+        varied: The keys of them that are on an axis.
+        places: Where each override stands in the file.
+    """
+
+    name: str
+    path: Path
+    base: str
+    changes: dict[str, Any]
+    varied: tuple[str, ...]
+    places: dict[str, Path]
+
+    @property
+    def part(self) -> str:
+        """Name of its part; empty if there is but one."""
+        return str(self.path[-1]) if self.path else ""
+
+
+@dataclass(frozen=True)
+class AxisValue:
+    """One value of an axis: its name, its overrides, and where each stands in the file."""
+
+    name: str
+    changes: dict[str, Any]
+    places: dict[str, Path]
+
+
+def _together(runs: dict[str, Any]) -> dict[str, Any]:
+    """Override keys with values, of which lists vary together."""
+    lengths = {key: len(runs[key]) for key in varying(runs)}
+    first = next(iter(lengths), "")
+    for key, length in lengths.items():
+        if not length:
+            fail("is an empty list", at=(key,))
+        if length != lengths[first]:
+            fail(f"has {length} values where {first} has {lengths[first]}", at=(key,))
+    return runs
+
+
+def _varied(runs: dict[str, Any]) -> dict[str, Any]:
+    if not varying(runs):
+        fail("varies nothing; expected a list for at least one key, e.g. mesh.size: [3 mm, 2 mm]")
+    return runs
+
+
+def _distinct(values: list[Any]) -> list[Any]:
+    names = _labels(values)
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            fail(f"{name} stands here twice", at=(i,))
+    return values
+
+
+Changes = Annotated[dict[str, Any], MAPPING]
+Runs = Annotated[Changes, AfterValidator(_together)]
+Lists = Annotated[Runs, AfterValidator(_varied)]
+Values = Annotated[list[Any], ITEMS, Field(min_length=1), AfterValidator(_distinct)]
+Grid = Annotated[dict[str, Values], MAPPING, Field(min_length=1)]
+Table = Annotated[dict[Name, Changes], MAPPING, Field(min_length=1)]
+
+
+def _number(value: object) -> tuple[float, str]:
+    """A number and its unit."""
+    found = QUANTITY.fullmatch(str(value)) if isinstance(value, str | int | float) else None
+    if found is None or isinstance(value, bool):
+        fail(f"{show(value)} is not a number, with its unit if it has one")
+    number = float(found[1])
+    if not math.isfinite(number):
+        fail(f"{show(value)} is not finite")
+    return number, found[2]
+
+
+class Range(Section):
+    """Range of an uncertain input."""
+
+    low: str | int | float
+    """Least value."""
+    high: str | int | float
+    """Largest value, in the same unit."""
+    scale: Literal["linear", "logarithmic"] = "linear"
+    """Scale on which values are spread evenly between them: the value or its logarithm."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Range:
+        (low, unit), (high, other) = _number(self.low), _number(self.high)
+        if unit != other:
+            fail(f"'{unit}' and '{other}': both ends need the same unit")
+        if not low < high:
+            fail(f"{show(self.low)} is not below {show(self.high)}")
+        if self.scale == "logarithmic" and low <= 0:
+            fail(f"{show(self.low)} has no logarithm", at=("low",))
+        return self
+
+    def at(self, share: float) -> str | float:
+        """The value at a share of the way from one end to the other."""
+        (low, unit), (high, _) = _number(self.low), _number(self.high)
+        if self.scale == "logarithmic":
+            value = low * (high / low) ** share
+        else:
+            value = low + share * (high - low)
+        number = float(f"{value:.6g}")
+        return f"{number:g} {unit}" if unit else number
+
+
+class LatinHypercube(Section):
+    """Samples of uncertain inputs: each input has one value in each of as many equal parts."""
+
+    samples: Annotated[int, Field(ge=2, le=10_000)]
+    """Number of samples."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """The same seed gives the same samples."""
+    inputs: Annotated[dict[str, Range], Field(min_length=1)]
+    """The range of each key."""
+
+    def draw(self) -> list[dict[str, Any]]:
+        """The overrides of each sample (McKay, Beckman and Conover, doi:10.2307/1268522).
+
+        Of some designs the one whose inputs are least correlated by chance.
+        """
+        import numpy as np
+        from scipy.stats import qmc
+
+        sampler = qmc.LatinHypercube(len(self.inputs), seed=self.seed)
+        designs = [sampler.random(self.samples) for _ in range(DESIGNS)]
+
+        def correlation(design: Any) -> float:
+            # That of a single input is a number, not a matrix.
+            found = np.atleast_2d(np.corrcoef(design, rowvar=False))
+            return float(np.abs(np.tril(found, -1)).max())
+
+        shares = min(designs, key=correlation)
+        return [
+            {key: r.at(float(s)) for (key, r), s in zip(self.inputs.items(), row, strict=True)}
+            for row in shares
+        ]
+
+
+class SweepPart(Section):
+    """A base case and axes; every combination of one value of each is a case."""
+
+    base: Text | None = None
+    """The case, relative to this file, or a shipped one by its name; its variations are not
+    used."""
+    set: Changes = Field(default_factory=dict)
+    """Overrides for every case, as after ``--set`` (and ``ranks``)."""
+    grid: Grid | None = None
+    """Lists of values by key; each is an axis."""
+    lists: Lists | None = None
+    """Lists of values by key that vary together: one axis."""
+    table: Table | None = None
+    """Overrides by name: one axis."""
+    latin_hypercube: LatinHypercube | None = None
+    """Samples of uncertain inputs: one axis."""
+
+    @property
+    def number(self) -> int:
+        """How many cases it has."""
+        lists = next((v for v in (self.lists or {}).values() if isinstance(v, list)), [0])
+        samples = self.latin_hypercube.samples if self.latin_hypercube else 1
+        grid = math.prod(len(values) for values in (self.grid or {}).values())
+        return grid * len(lists) * len(self.table or [0]) * samples
+
+    def axes(self, path: Path) -> Iterator[list[AxisValue]]:
+        """The table, the keys of the grid, the lists, the samples.
+
+        Args:
+            path: Where the part stands in the file.
+        """
+        short = short_keys([*(self.grid or {}), *(self.lists or {})])
+        if self.table is not None:
+            yield [
+                AxisValue(name, changes, {key: (*path, "table", name, key) for key in changes})
+                for name, changes in self.table.items()
+            ]
+        for key, values in (self.grid or {}).items():
+            yield [
+                AxisValue(f"{short[key]}={name}", {key: value}, {key: (*path, "grid", key, i)})
+                for i, (name, value) in enumerate(zip(_labels(values), values, strict=True))
+            ]
+        if self.lists is not None:
+            yield along(self.lists, (*path, "lists"), short)
+        if (hypercube := self.latin_hypercube) is not None:
+            digits = len(str(hypercube.samples))
+            at = {key: (*path, "latin_hypercube", "inputs", key) for key in hypercube.inputs}
+            yield [
+                AxisValue(f"sample{i + 1:0{digits}d}", changes, at)
+                for i, changes in enumerate(hypercube.draw())
+            ]
+
+
+def along(runs: Mapping[str, Any], path: Path, short: Mapping[str, str]) -> list[AxisValue]:
+    """One axis: lists that vary together, and single values.
+
+    Args:
+        runs: Values or lists of them by override key.
+        path: Where they stand in the file.
+        short: Name of each key.
+    """
+    lists = {key: _labels(runs[key]) for key in varying(runs)}
+    return [
+        AxisValue(
+            "_".join(f"{short[key]}={names[i]}" for key, names in lists.items()),
+            {key: value[i] if key in lists else value for key, value in runs.items()},
+            {key: (*path, key, i) if key in lists else (*path, key) for key in runs},
+        )
+        for i in range(len(next(iter(lists.values()), [""])))
+    ]
+
+
+def varying(runs: Mapping[str, Any]) -> list[str]:
+    """The keys with lists of values, mesh.size first."""
+    keys = [key for key, value in runs.items() if isinstance(value, list)]
+    return sorted(keys, key=lambda key: key != "mesh.size")
+
+
+def fixed(changes: dict[str, Any], path: Path) -> AxisValue:
+    """Overrides that hold for every point, as an axis of one value without a name."""
+    return AxisValue("", changes, {key: (*path, "set", key) for key in changes})
+
+
+def combine(
+    path: Path, base: str, common: Sequence[AxisValue], axes: Iterable[Sequence[AxisValue]]
+) -> Iterator[Point]:
+    """Every combination of one value of each axis; the last axis changes fastest.
+
+    Args:
+        path: Where the part stands in the file; its last word is its name.
+        base: The case as written.
+        common: Overrides that hold for every point.
+        axes: The axes.
+    """
+    part = str(path[-1]) if path else ""
+    for values in itertools.product(*axes):
+        changes, places = dict[str, Any](), dict[str, Path]()
+        for value in (*common, *values):
+            changes |= value.changes
+            places |= value.places
+        label = "_".join(value.name for value in values if value.name)
+        name = "/".join(filter(None, (part, label))) or "base"
+        varied = tuple(key for value in values for key in value.changes)
+        yield Point(name, path, base, changes, varied, places)
+
+
+def _labels(values: Sequence[Any]) -> list[str]:
+    """Names of values: as they are, by number, by kind, or by their place in the list."""
+    singles = [v[0] if isinstance(v, list) and len(v) == 1 else v for v in values]
+    singles = [v.get("kind") if isinstance(v, dict) else v for v in singles]
+    texts = [str(v) if isinstance(v, str | int | float) else "" for v in singles]
+    whole = [text.replace(" ", "") for text in texts]
+    numbers = [text.partition(" ")[0] for text in texts]
+    if all(map(LABEL.fullmatch, whole)) and (
+        len(set(whole)) == len(whole) or not any(isinstance(v, dict) for v in values)
+    ):
+        return whole
+    if all(map(LABEL.fullmatch, numbers)) and len(set(numbers)) == len(numbers):
+        return numbers
+    return [f"#{i + 1}" for i in range(len(values))]
+
+
+def short_keys(keys: Sequence[str]) -> dict[str, str]:
+    """Each key by as many of its last words as tell it from the others."""
+    split = {key: key_parts(key) for key in keys}
+
+    def shortened(key: str) -> str:
+        own = split[key]
+        for n in range(1, len(own)):
+            if sum(w[-n:] == own[-n:] for w in split.values()) == 1:
+                return ".".join(own[-n:])
+        return ".".join(own)
+
+    return {key: shortened(key) for key in keys}
+
+
+def as_overrides(changes: Mapping[str, Any]) -> list[str]:
+    """Overrides as options ``key=value``; JSON is YAML."""
+    return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in changes.items()]

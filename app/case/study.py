@@ -1,0 +1,184 @@
+"""A study file, read and checked: a base case, what varies, what is measured, against what."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
+
+from app.case import checks, planned_run, points, quantities
+from app.case.planned_run import PlannedRun
+from app.case.points import Changes, Lists, Point, Runs
+from app.schema import section, yaml_file
+from app.schema.section import ITEMS, MAPPING, Name, Section, Text, fail, show
+from app.schema.units import PositiveNumber
+from app.schema.yaml_file import CaseFile, Fault
+
+CONDITION = "solver.condition"
+
+
+def known_value(quantity: str, value: object) -> float:
+    """A reference value in the unit of its quantity.
+
+    Raises:
+        PydanticCustomError: It has another dimension.
+    """
+    _, kind = quantities.UNITS[quantities.find(quantity).unit]
+    return float(kind.read(value))
+
+
+def _quantity(value: object) -> object:
+    """The name of a quantity, which has a unit."""
+    if not isinstance(value, str):
+        fail(f"{show(value)} is not <interface>.<key>, <region>.<key> or stem.<key>")
+    quantities.find(value)
+    return value
+
+
+def _values(value: object) -> object:
+    """Values of quantities, each with its unit."""
+    if not isinstance(value, dict):
+        fail(f"{show(value)} is not a mapping of quantities to values")
+    for quantity, entry in value.items():
+        if quantity in quantities.of_run():
+            fail("is not compared with anything", at=(quantity,))
+        try:
+            known_value(quantity, entry)
+        except PydanticCustomError as error:
+            fail((error.context or {})["text"], at=(quantity,))
+    return value
+
+
+class Reference(Section):
+    """Reference: known values, or a finer ladder that is extrapolated."""
+
+    values: Annotated[dict[str, str | int | float], BeforeValidator(_values)] | None = None
+    """The exact value of each quantity."""
+    run: Runs | None = None
+    """Runs as in a line, finest last: two, or at least three to extrapolate. Without a list, one
+    run that is the reference as it is."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Reference:
+        if (self.values is None) == (self.run is None):
+            fail("expected either values or run")
+        if any(isinstance(value, list) and len(value) < 2 for value in (self.run or {}).values()):
+            fail(
+                "has a single run; expected at least two, or its error is unknown; "
+                "without a list the run is the reference as it is",
+                at=("run",),
+            )
+        return self
+
+
+class Study(Section):
+    """Error against run time: what varies and what is measured."""
+
+    quantities: Annotated[tuple[Annotated[str, BeforeValidator(_quantity)], ...], ITEMS]
+    """Numbers of ``summary.json``: ``<interface or region>.<key>``, ``stem.<key>``, and what has a
+    value but no error: ``solver.<key>``, ``timing.<key>``, penetrations."""
+    target: PositiveNumber = 0.02
+    """Relative error for which the fastest run is advised."""
+    lines: Annotated[dict[Name, Lists], MAPPING]
+    """Curves by name: overrides as after ``--set`` (and ``ranks``); lists vary together."""
+    reference: Reference
+    """Reference that the runs are compared with."""
+
+    @model_validator(mode="after")
+    def _complete(self) -> Study:
+        for key in ("quantities", "lines"):
+            if not getattr(self, key):
+                fail("is empty", at=(key,))
+        if (values := self.reference.values) is not None:
+            missing = [q for q in self.quantities if q not in values and self.compares(q)]
+            if missing:
+                fail(f"no value for {', '.join(missing)}", at=("reference", "values"))
+        return self
+
+    def compares(self, quantity: str) -> bool:
+        """Whether a quantity is compared with the reference, or only shown."""
+        return not quantities.find(quantity).exact or quantity in (self.reference.values or {})
+
+
+class StudyFile(Section):
+    """The content of a study file."""
+
+    base: Text
+    """The case, relative to this file, or a shipped one by its name; its variations are not
+    used."""
+    set: Changes = Field(default_factory=dict)
+    """Overrides of the case for every point, as after ``--set``."""
+    study: Study
+    """Lines of runs and the numbers measured in each."""
+
+    def points(self) -> Iterator[Point]:
+        """Every run, in the order of the file; the reference's come last, in a part ``run``."""
+        lines: dict[tuple[str, ...], dict[str, Any]] = {
+            ("study", "lines", name): line for name, line in self.study.lines.items()
+        }
+        if self.study.reference.run is not None:
+            lines[REFERENCE] = self.study.reference.run
+        common = [points.fixed(self.set, ())]
+        for path, line in lines.items():
+            axis = points.along(line, path, points.short_keys(list(line)))
+            yield from points.combine(path, self.base, common, [axis])
+
+
+REFERENCE = ("study", "reference", "run")
+
+
+@dataclass(frozen=True)
+class PlannedStudy:
+    """A study and its runs.
+
+    Attributes:
+        study: The study.
+        file: The file that it stands in.
+        overrides: Options that hold for every point.
+        runs: Its runs, those of the reference last.
+    """
+
+    study: Study
+    file: CaseFile
+    overrides: tuple[str, ...]
+    runs: list[PlannedRun]
+
+
+def read(path: Path, overrides: Sequence[str] = ()) -> PlannedStudy:
+    """Read a study and check every run of it.
+
+    Args:
+        path: The study file.
+        overrides: ``--set`` options, of the study or of the case: these hold for every point, so
+            not for what varies.
+
+    Raises:
+        InputError: All that is wrong with the file or any run, each at its place.
+    """
+    own = [o for o in overrides if re.match(r"\s*study\b", o)]
+    others = [o for o in overrides if o not in own]
+    file = yaml_file.read(path, own)
+    if "study" not in file.data or "geometry" in file.data:
+        text = "expected a study file: base: CASE, set, and study with quantities, lines, reference"
+        file.raise_all([Fault(("study",) if "study" in file.data else (), text)])
+    try:
+        content = StudyFile.model_validate(file.data)
+    except ValidationError as error:
+        file.raise_all(section.faults(error))
+        raise  # only if an error could not be told in words
+    study = content.study
+    runs, problems = planned_run.plan(file, path.parent, list(content.points()), others)
+    if runs:
+        problems += checks.quantities(runs[0].case.geometry, study)
+    if CONDITION in study.quantities and not all(r.case.output.condition for r in runs):
+        at = ("study", "quantities", study.quantities.index(CONDITION))
+        problems.append(Fault(at, "needs output.condition: true"))
+    file.raise_all(problems)
+    keys = {o.partition("=")[0].strip() for o in others}
+    common = points.as_overrides({k: v for k, v in content.set.items() if k not in keys})
+    return PlannedStudy(study, file, (*common, *others), runs)

@@ -1,0 +1,372 @@
+"""Points of sweeps and studies: how they are expanded, named and refused, each at its place."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.case import overlay, points
+from app.case import study as study_file
+from app.case import sweep as sweep_file
+from app.case.case import load
+from app.case.points import Point
+from app.errors import InputError
+from app.schema import yaml_file
+from tests import support
+
+CASE = """\
+geometry:
+  kind: blocks
+  blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
+mesh: {order: 1, size: 4 mm, far_size: 6 mm}
+regions:
+  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
+interfaces:
+  lower_upper: {kind: contact, friction_coefficient: 1.0}
+supports:
+  base: {kind: fixed, boundary: bottom}
+loads:
+  press: {kind: pressure, boundary: top, pressure: 2 MPa}
+"""
+FRICTION = "interfaces.lower_upper.friction_coefficient"
+SWEEP = f"""\
+base: case.yaml
+set: {{regions.upper.poisson_ratio: 0.25}}
+table:
+  soft: {{regions.lower.youngs_modulus: 1 GPa}}
+  hard: {{regions.lower.youngs_modulus: 2 GPa}}
+grid:
+  {FRICTION}: [0.2, 0.4]
+  loads.press.pressure: [1 MPa, 3 MPa]
+"""
+STUDY = """\
+base: case.yaml
+set: {output.condition: true}
+study:
+  quantities: [lower_upper.slip_p99, lower_upper.pressure_p99, solver.condition]
+  lines:
+    P1: {mesh.order: 1, mesh.size: [4 mm, 2 mm, 1 mm]}
+    P2: {mesh.order: 2, mesh.size: [4 mm, 2 mm, 1.5 mm], mesh.far_size: [5 mm, 4 mm, 3 mm]}
+  reference:
+    run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm]}
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "case.yaml").write_text(CASE)
+    return tmp_path / "many.yaml"
+
+
+def expand(path: Path, text: str) -> list[Point]:
+    path.write_text(text)
+    return [p.point for p in sweep_file.read(path)[1]]
+
+
+def refused(path: Path, text: str, *overrides: str) -> list[str]:
+    """The messages, without the name of the file."""
+    path.write_text(text)
+    read = study_file.read if "study:" in text else sweep_file.read
+    with pytest.raises(InputError) as error:
+        read(path, overrides)
+    return [m.removeprefix(f"{path}:").removeprefix(" ") for m in error.value.messages]
+
+
+def test_axes_multiply_and_the_last_changes_fastest(path: Path) -> None:
+    found = expand(path, SWEEP)
+    assert [p.name for p in found[:5]] == [
+        "soft_friction_coefficient=0.2_pressure=1MPa",
+        "soft_friction_coefficient=0.2_pressure=3MPa",
+        "soft_friction_coefficient=0.4_pressure=1MPa",
+        "soft_friction_coefficient=0.4_pressure=3MPa",
+        "hard_friction_coefficient=0.2_pressure=1MPa",
+    ]
+    assert len(found) == 8
+    assert found[5].changes == {
+        "regions.upper.poisson_ratio": 0.25,
+        "regions.lower.youngs_modulus": "2 GPa",
+        FRICTION: 0.2,
+        "loads.press.pressure": "3 MPa",
+    }
+    assert "regions.upper.poisson_ratio" not in found[5].varied
+
+
+def test_lists_vary_together_and_parts_have_bases_of_their_own(path: Path) -> None:
+    path.with_name("other.yaml").write_text(CASE.replace("1 GPa", "5 GPa"))
+    found = expand(
+        path,
+        """\
+base: case.yaml
+set: {ranks: 2}
+parts:
+  together:
+    lists: {mesh.size: [4 mm, 2 mm], loads.press.pressure: [1 MPa, 2 MPa], ranks: 1}
+  other:
+    base: other.yaml
+    grid: {interfaces.lower_upper: [{kind: bonded}, {kind: contact, friction_coefficient: 0.1}]}
+""",
+    )
+    assert [(p.name, p.part, p.base, p.changes["ranks"]) for p in found] == [
+        ("together/size=4mm_pressure=1MPa", "together", "case.yaml", 1),
+        ("together/size=2mm_pressure=2MPa", "together", "case.yaml", 1),
+        ("other/lower_upper=bonded", "other", "other.yaml", 2),
+        ("other/lower_upper=contact", "other", "other.yaml", 2),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("grid", "names"),
+    [
+        ("{a.gap: [-0.01 mm, 0 mm]}", ["gap=-0.01mm", "gap=0mm"]),
+        ("{a.gap: [0.001 * x, -0.001 * x]}", ["gap=0.001", "gap=-0.001"]),
+        ("{a.gap: [0.001 * x, 0.001 * y]}", ["gap=#1", "gap=#2"]),
+        ("{a.mu: [0.2], b.mu: [0.5]}", ["a.mu=0.2_b.mu=0.5"]),
+        ('{a.at: ["[0, 0, -900] N", [1, 1]]}', ["at=#1", "at=#2"]),
+        (f"{{a.b: [{'1' * 30}]}}", ["b=#1"]),
+    ],
+)
+def test_values_name_the_points(grid: str, names: list[str], path: Path) -> None:
+    path.write_text(f"base: case.yaml\ngrid: {grid}\n")
+    sweep = sweep_file.Sweep.model_validate(yaml_file.read(path).data)
+    assert [p.name for p in sweep.points()] == names
+
+
+@settings(deadline=None)  # the first draw imports scipy
+@given(samples=st.integers(2, 40), seed=st.integers(0, 1000))
+def test_samples_have_one_value_in_every_part_of_every_range(samples: int, seed: int) -> None:
+    design = {
+        "samples": samples,
+        "seed": seed,
+        "inputs": {
+            "even": {"low": -1, "high": 3},
+            "decades": {"low": "1e2 W/(m^2 K)", "high": "1e5 W/(m^2 K)", "scale": "logarithmic"},
+        },
+    }
+    drawn = points.LatinHypercube.model_validate(design).draw()
+    assert drawn == points.LatinHypercube.model_validate(design).draw()
+    even = sorted((d["even"] + 1) / 4 for d in drawn)
+    texts = [re.fullmatch(r"(\S+) W/\(m\^2 K\)", d["decades"]) for d in drawn]
+    decades = sorted(math.log10(float(t[1])) / 3 - 2 / 3 for t in texts if t)
+    for shares in (even, decades):
+        assert all(i - 1e-4 <= s * samples <= i + 1 + 1e-4 for i, s in enumerate(shares))
+        assert len(shares) == samples
+
+
+def test_samples_of_a_single_input() -> None:
+    design = {"samples": 10, "inputs": {"a": {"low": 0, "high": 10}}}
+    drawn = points.LatinHypercube.model_validate(design).draw()
+    assert sorted(int(d["a"]) for d in drawn) == list(range(10))
+
+
+def test_a_study_has_its_lines_and_then_its_reference(path: Path) -> None:
+    path.write_text(STUDY)
+    planned = study_file.read(path, ["mesh.curved=false", "study.target=0.05"])
+    names = [r.point.name for r in planned.runs]
+    assert names[0] == "P1/size=4mm" and names[3] == "P2/size=4mm_far_size=5mm"
+    assert [r.point.path for r in planned.runs[-2:]] == [study_file.REFERENCE] * 2
+    assert [r.case.mesh.order for r in planned.runs] == [1] * 3 + [2] * 5
+    assert [r.case.mesh.size for r in planned.runs] == [4, 2, 1, 4, 2, 1.5, 1, 0.5]
+    assert planned.study.target == 0.05
+    assert planned.overrides == ("output.condition=true", "mesh.curved=false")
+
+
+BASE = "base: case.yaml\n"
+# A sweep, and the only complaint or the beginning of the first.
+SWEEPS = [
+    ("grid: {mesh.size: [1 mm]}", "base: missing"),
+    (BASE + "grid: {mesh.size: 3 mm}", "2:8: grid.mesh.size: '3 mm' is not a list"),
+    (BASE + "grid: {mesh.size: [3 mm, 3 mm]}", "2:26: grid.mesh.size[1]: 3mm stands here twice"),
+    (BASE + "grid: {mesh.size: []}", "2:8: grid.mesh.size: a list: value should have at"),
+    (BASE + "grid: {ranks: [0]}", "2:16: grid.ranks[0]: 0 is not a number of ranks"),
+    (BASE + "set: {ranks: two}", "2:7: set.ranks: 'two' is not a number of ranks"),
+    (BASE + "lists: {mesh.size: [1 mm, 2 mm], mesh.order: [1]}", "2:34: lists.mesh.order: has 1"),
+    (BASE + "lists: {mesh.size: 1 mm}", "2:1: lists: varies nothing"),
+    (BASE + "table: {a: 3}", "2:9: table.a: 3 is not a mapping"),
+    (BASE + "table: {2nd: {}}", "2:9: table.2nd: '2nd' is not a name"),
+    (BASE + "parts: {p: {}}\ngrid: {mesh.order: [1]}", "3:1: grid: stands beside parts"),
+    (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 1 mm, high: 2 m}}}", "both ends"),
+    (BASE + "latin_hypercube: {samples: 3, inputs: {a: {low: 2, high: 1}}}", "a: 2 is not below 1"),
+    (BASE + "gird: {}", "did you mean 'grid'?"),
+    (BASE + "grid: {mesh.sise: [1 mm]}", "2:20: grid.mesh.sise[0]: unknown key"),
+    ("base: nix.yaml\ngrid: {mesh.size: [1 mm]}", "1:1: base: "),
+    (CASE, "this is a case: use mantle run"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), SWEEPS)
+def test_what_is_no_sweep_is_refused(text: str, message: str, path: Path) -> None:
+    told = refused(path, text + "\n")
+    assert any(m.startswith(message) if message[0].isdigit() else message in m for m in told), told
+
+
+# An edit of the study, and a complaint with its place.
+STUDIES = [
+    ("case.yaml", "nix.yaml", "1:1: base: "),
+    ("case.yaml", "many.yaml", "1:1: base: this is a study of another case"),
+    ("base: case.yaml", "base: [a]", "1:1: base: a list is not text"),
+    ("set: {", "sett: {", "2:1: sett: unknown key; allowed: base, set, study"),
+    ("set: {output.condition: true}", "set:", "2:1: set: nothing is not a mapping"),
+    ("output.condition: true", "", "4:64: study.quantities[2]: needs output.condition"),
+    ("slip_p99,", "slip_p9,", "4:16: study.quantities[0]: 'lower_upper.slip_p9' is not <"),
+    ("[lower_upper.slip", "[lowr.slip", "4:16: study.quantities[0]: the geometry (blocks) has no"),
+    ("[lower_upper.slip_p99", "[solver.newton", "4:16: study.quantities[0]: 'solver.newton' is"),
+    ("1, mesh.size: [4 mm, 2 mm, 1 mm]", "1", "6:5: study.lines.P1: varies nothing"),
+    ("[5 mm, 4 mm, 3 mm]", "[5 mm]", "7:58: study.lines.P2.mesh.far_size: has 1 values where"),
+    ("[4 mm, 2 mm, 1 mm]", "[]", "6:25: study.lines.P1.mesh.size: is an empty list"),
+    ("mesh.order: 1,", "ranks: [1, 2, 0],", "6:24: study.lines.P1.ranks[2]: 0 is not a number"),
+    ("[4 mm, 2 mm, 1 mm]", "[4 mm, 2 N, 1 mm]", "6:43: study.lines.P1.mesh.size[1]: '2 N' is a"),
+    ("2 mm, 1 mm]", "2 mm, 7 mm]", "6:5: study.lines.P1: P1/size=7mm: "),
+    ("P2: {mesh.order", "P2: {mesh.oder", "7:10: study.lines.P2.mesh.oder: unknown key"),
+    ("[1 mm, 0.5 mm]", "[1 mm]", "9:5: study.reference.run: has a single run"),
+    ("    run: {", "    rum: {", "9:5: study.reference.rum: unknown key"),
+    ("    run: ", "    values: {}\n    run: ", "8:3: study.reference: expected either"),
+    ("run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm]}", "values: {lower_upper.slip_p99: 4 um}",
+     "9:5: study.reference.values: no value for lower_upper.pressure_p99"),
+    ("    run: ", "    values: {lower_upper.slip_p99: 4 MPa}\n    run: ",
+     "9:14: study.reference.values.lower_upper.slip_p99: '4 MPa'"),
+    ("    run: ", "    values: {timing.solve: 1}\n    run: ", "9:14: study.reference.values.tim"),
+    ("  lines:", "  target: 0\n  lines:", "5:3: study.target: 0 must be positive"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "message"), STUDIES)
+def test_what_is_no_study_is_refused(old: str, new: str, message: str, path: Path) -> None:
+    assert old in STUDY
+    told = refused(path, STUDY.replace(old, new, 1))
+    assert any(m.startswith(message) for m in told), told
+
+
+def test_every_error_is_told_at_once_where_it_stands(path: Path) -> None:
+    told = refused(
+        path,
+        """\
+base: case.yaml
+set: {mesh.order: 5}
+parts:
+  one:
+    grid:
+      interfaces.lower_upper.friction_coefficient: [0.2, -1]
+  two:
+    base: missing.yaml
+    table: {glued: {interfaces.glue: {kind: bonded}}}
+""",
+    )
+    assert {m.partition(": ")[0] for m in told} == {"2:7", "6:58", "8:5"}
+    path.with_name("case.yaml").write_text(CASE.replace("1 GPa", "-1 GPa", 1))
+    text = STUDY.replace("output.condition", "mesh.oder: 1, output.condition")
+    told = refused(path, text, "mesh.curved=3")
+    assert told[0].startswith("2:7: set.mesh.oder: unknown key")
+    assert any(m.startswith("--set mesh.curved: 3 is not true or false") for m in told)
+    assert [m for m in told if m.startswith(f"{path.with_name('case.yaml')}:6:") and "lower" in m]
+    assert len(told) == 3
+
+
+def test_a_study_is_no_part_of_a_case_and_a_grid_none_of_variations(path: Path) -> None:
+    """The message tells what to do instead."""
+    section, grid = STUDY[STUDY.index("study:") :], f"variations: {{grid: {{{FRICTION}: [1]}}}}\n"
+    path.write_text(CASE + section + grid)
+    with pytest.raises(InputError) as error:
+        load(path)
+    told = error.value.messages
+    assert told[0].startswith(f"{path}:14:1: study: a study stands in a file of its own")
+    assert told[1].startswith(f"{path}:21:14: variations.grid: a grid stands in a sweep file")
+    assert len(told) == 2
+    assert refused(path, path.read_text())[0].startswith("14:1: study: expected a study file")
+
+
+VARIES = """\
+base: case.yaml
+set: {stages: [{name: load}]}
+parts:
+  a:
+    grid:
+      interfaces.lower_upper: [{kind: bonded}, {kind: contact, friction_coefficient: 1}]
+      stages[0].increments: [1, 2]
+  b: {lists: {mesh.size: [2 mm, 4 mm], ranks: [1, 2]}}
+  c: {table: {one: {mesh.order: 1}, two: {mesh.order: 2}}}
+  d: {latin_hypercube: {samples: 3, inputs: {regions.lower.poisson_ratio: {low: 0.2, high: 0.3}}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "option", "place"),
+    [
+        (VARIES, "interfaces.lower_upper={kind: bonded}", "6:7: parts.a.grid.interfaces.lower"),
+        (VARIES, f"{FRICTION}=0.3", "6:7: parts.a.grid.interfaces.lower_upper"),
+        (VARIES, "interfaces={}", "6:7: parts.a.grid.interfaces.lower_upper"),
+        (VARIES, "stages.0.increments=2", "7:7: parts.a.grid.stages[0].increments"),
+        (VARIES, "stages=[{name: one}]", "7:7: parts.a.grid.stages[0].increments"),
+        (VARIES, "mesh.size=3 mm", "8:15: parts.b.lists.mesh.size"),
+        (VARIES, "ranks=2", "8:40: parts.b.lists.ranks"),
+        (VARIES, "mesh.order=2", "9:21: parts.c.table.one.mesh.order"),
+        (VARIES, "regions.lower.poisson_ratio=0.3", "10:46: parts.d.latin_hypercube.inputs"),
+        (STUDY, "mesh.size=3 mm", "6:25: study.lines.P1.mesh.size"),
+        (STUDY, "mesh={order: 1, size: 3 mm}", "6:10: study.lines.P1.mesh.order"),
+    ],
+)
+def test_what_varies_cannot_be_set_for_every_case(
+    text: str, option: str, place: str, path: Path
+) -> None:
+    """Or the table would show values that were never used."""
+    why = f"varies, but --set {option.split('=')[0]}"
+    told = [m for m in refused(path, text, option) if why in m]
+    assert told[0].startswith(place), told
+
+
+def test_overrides_hold_for_every_case(path: Path) -> None:
+    """In place of what is under set."""
+    path.write_text(SWEEP)
+    for r in sweep_file.read(path, ["regions.upper.poisson_ratio=0.4", "ranks=2"])[1]:
+        assert r.case.regions["upper"].poisson_ratio == 0.4 and r.ranks == 2
+        assert r.point.changes["regions.upper.poisson_ratio"] == 0.4
+    with pytest.raises(InputError, match="--set ranks: 'none' is not a number of ranks"):
+        sweep_file.read(path, ["ranks=none"])
+
+
+MANY = [p for name in ("studies", "sweeps") for p in (support.CONFIGS / name).glob("*.yaml")]
+
+
+@pytest.mark.parametrize("path", sorted(MANY), ids=lambda p: f"{p.parent.name}/{p.stem}")
+def test_every_point_of_a_shipped_file_is_a_valid_case(path: Path) -> None:
+    if overlay.is_study(yaml_file.read(path).data):
+        assert study_file.read(path).runs
+    else:
+        assert sweep_file.read(path)[1]
+
+
+def test_the_shipped_study_of_the_paper_is_all_there() -> None:
+    """Figures 3 to 8 need so many cases; what friction changes alone shares a process."""
+    _, planned = sweep_file.read(support.CONFIGS / "sweeps" / "paper.yaml")
+    stances = {
+        (
+            p.case.geometry.cement_thickness,
+            p.case.regions["stem"].youngs_modulus,
+            p.case.interfaces["cement_bone"].friction_coefficient,
+        )
+        for p in planned
+        if p.point.part in ("thickness", "friction")
+    }
+    assert stances == {(t, e, 1.0) for t in (2, 3, 4, 5, 7) for e in (110e3, 200e3)} | {
+        (4.0, e, friction) for e in (110e3, 200e3) for friction in (0.4, 0.6, 0.8, 1.0)
+    }
+    hot = [p.case for p in planned if p.point.part == "hot"]
+    assert {c.geometry.cement_thickness for c in hot} == {2, 3, 4, 5}
+    assert {"held" in c.heat for c in hot} == {True, False}
+    assert {p.point.part for p in planned} >= {"limits", "residual", "intact"}
+
+
+def test_the_stance_by_penalty_covers_six_decades() -> None:
+    """Each law in turn, the default last, on the same mesh."""
+    runs = study_file.read(support.CONFIGS / "studies" / "stance_penalty.yaml").runs
+    laws = [(r.case.interfaces["cement_bone"], r.case.interfaces["stem_cement"]) for r in runs]
+    decades = [10.0**k for k in range(8)]
+    for k in (0, 1):
+        assert [getattr(law[k], "penalty", None) for law in laws[:7]] == decades[1:]
+        assert [getattr(law[k], "augmentation", None) for law in laws[7:]] == [*decades[1:7], None]
+    assert {r.case.mesh.size for r in runs} == {3.0} and not any(r.case.output.error for r in runs)
