@@ -16,20 +16,16 @@ from app.system.timing import Timing
 
 
 class Mechanical:
-    """The mechanics of a model, or of one after another that differ in loads and laws alone.
+    """Mechanics of a model, or of models one after another that differ in loads and laws alone.
 
     Attributes:
-        problem: What is solved.
-        solver: By what.
-        stresses: Its stresses.
-        bonds: Bonded interfaces.
-        neighbours: States of the models before.
+        bonds: Stresses of bonded interfaces.
+        neighbours: States of the models before, as starts.
     """
 
     saved = ("problem", "solver")
 
     def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
-        """Compile what is evaluated; collective."""
         self.problem, self.solver = problem, solver
         self.stresses = Stresses(problem, timing, around_z)
         self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)

@@ -61,7 +61,12 @@ OnAccepted = Callable[[AcceptedStep], None]
 
 
 class Recorder:
-    """Turns converged steps into lines, rows, fields and the summary.
+    """Turns converged steps into lines, rows, fields and the summary; made on all ranks.
+
+    Args:
+        model: The model, at rest.
+        begin: When the run began, by `time.perf_counter`.
+        progress: Called after each step.
 
     Attributes:
         samples: Contact points after the last step, if there are any.
@@ -83,16 +88,6 @@ class Recorder:
         begin: float,
         progress: OnAccepted,
     ) -> None:
-        """Begin; collective.
-
-        Args:
-            case: The configuration.
-            model: The model, at rest.
-            writer: Where it goes.
-            timing: Where the seconds go.
-            begin: When the run began, by `time.perf_counter`.
-            progress: Called after each step.
-        """
         self._case, self._model, self._writer = case, model, writer
         self._progress = progress
         self._timing, self._begin = timing, begin
@@ -148,7 +143,7 @@ class Recorder:
                 self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + some
 
     def stage(self, stage: SceneStage) -> None:
-        """A stage begins."""
+        """Write the header of a stage's lines."""
         self._takes_time = stage.duration > 0 or stage.steady
         log.info("%s", text.heat_header() if self._takes_time else text.step_header())
 
@@ -318,7 +313,7 @@ class Recorder:
                 log.warning("%s", error)
 
     def last_state(self) -> str:
-        """Where the last converged state is."""
+        """Say where the last converged state is."""
         if not self.step_count:
             return "no step has converged: nothing is on disk"
         return (

@@ -23,11 +23,9 @@ class ThermalModel:
     """The heat of a model, and what is kept of it.
 
     Attributes:
-        operators: The operators of heat.
-        heating: Its state.
-        record: Temperatures as far as they are reported.
-        cure: Degrees of cure, if anything sets.
-        balance: What came in, is stored and left.
+        heating: Temperatures and degrees of cure in time.
+        record: Reported temperatures.
+        cure: Reported degrees of cure, if anything sets.
         flows: Heat per time at the end of the last step: into the model by condition, and through
             interfaces of finite conductance from the first side to the second [mW].
     """
@@ -35,7 +33,6 @@ class ThermalModel:
     saved = ("heating", "record", "_settled", "cure", "balance", "flows")
 
     def __init__(self, case: Case, heating: HeatState) -> None:
-        """Begin with the initial state; collective."""
         operators = heating.operators
         self.operators, self.heating = operators, heating
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
