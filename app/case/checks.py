@@ -62,7 +62,7 @@ def _names(case: Any) -> Iterable[Fault]:
             if region is not None and region.tissue is None and unsaid:
                 text = "'tissue' is missing; expected bone, cement, implant or other"
                 yield Fault(("regions", name), text)
-    for name in case.interfaces:
+    for name in case.interfaces or {}:
         if name not in geometry.interface_sides:
             yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
     for section in ("supports", "loads", "heat"):
@@ -105,7 +105,8 @@ def _histories(case: Any) -> Iterable[Fault]:
                 yield from check((section, name, key), getattr(entry, key, None))
     for name, region in (case.regions or {}).items():
         for i, eigenstrain in enumerate(getattr(region, "eigenstrains", ())):
-            yield from check(("regions", name, "eigenstrains", i, "history"), eigenstrain.history)
+            history = getattr(eigenstrain, "history", None)
+            yield from check(("regions", name, "eigenstrains", i, "history"), history)
 
 
 def _stage_names(case: Any) -> Iterable[Fault]:
@@ -143,7 +144,7 @@ def _rigid(case: Any) -> Iterable[Fault]:
     if rigid.issuperset(case.geometry.region_names):
         yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
         return
-    for name, law in case.interfaces.items():
+    for name, law in (case.interfaces or {}).items():
         sides = case.geometry.interface_sides.get(name)
         if sides is None or law is None or not law.can_part:
             continue

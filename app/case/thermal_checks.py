@@ -41,7 +41,7 @@ def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
         if stage.takes_time:
             key = "steady" if stage.steady else "duration"
             yield Fault(("stages", i, key), f"nothing takes time: {text}")
-    for name, law in case.interfaces.items():
+    for name, law in (case.interfaces or {}).items():
         for key in ("conductance", "friction_heating"):
             if getattr(law, key, None) is not None:
                 yield Fault(("interfaces", name, key), text)
@@ -61,7 +61,7 @@ def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
     for section in ("supports", "loads"):
         for name in getattr(case, section) or {}:
             yield Fault((section, name), "every region is a conductor: nothing can move")
-    for name, law in case.interfaces.items():
+    for name, law in (case.interfaces or {}).items():
         if law is not None and law.can_part:
             text = "every region is a conductor: nothing can part; expected kind: bonded"
             yield Fault(("interfaces", name), text)
@@ -81,7 +81,8 @@ def _stages(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
                 yield Fault(("stages", i), text)
     sinks = (FixedTemperature, Convection, Perfusion)
     drained = any(
-        condition is None or isinstance(condition, sinks) for condition in case.heat.values()
+        condition is None or isinstance(condition, sinks)
+        for condition in (case.heat or {}).values()
     )
     setting = [name for name, region in regions.items() if region.thermal and region.thermal.cure]
     for i, stage in enumerate(case.stages):
@@ -98,7 +99,7 @@ def probe_regions(case: Any) -> Iterable[Fault]:
     if case.geometry is None or case.output is None:
         return
     known = case.geometry.region_names
-    for name, probe in case.output.probes.items():
+    for name, probe in (case.output.probes or {}).items():
         if probe.region is not None and probe.region not in known:
             allowed = f"it has {', '.join(known)}{did_you_mean(probe.region, known)}"
             text = f"the geometry ({case.geometry.kind}) has no region '{probe.region}'; {allowed}"

@@ -47,7 +47,6 @@ class CureHeat:
     """
 
     def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
-        """Find the nodes and compile the kinetics; collective."""
         self._forms = forms
         capacity = {c.region: c.capacity for c in scene.conductors}
         self.nodes: list[CuringNodes] = []

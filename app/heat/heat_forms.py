@@ -46,16 +46,12 @@ class HeatForms:
     Attributes:
         space: Temperature space.
         owned: Nodes of this rank.
+
+    Args:
+        bodies: Thermal bodies: what interfaces of finite conductance separate.
     """
 
     def __init__(self, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
-        """Set up the space; nothing is compiled yet.
-
-        Args:
-            tagged: The mesh.
-            bodies: Thermal bodies: what interfaces of finite conductance separate.
-            timing: Where the seconds go.
-        """
         self._tagged, self._bodies, self._timing = tagged, bodies, timing
         self._mesh = tagged.mesh
         self.comm = tagged.mesh.comm

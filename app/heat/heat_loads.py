@@ -61,14 +61,12 @@ class HeatLoads:
     Attributes:
         heating: Fluxes and sources.
         exchange: Convection and perfusion.
+
+    Raises:
+        InputError: A boundary is not there, or a field cannot be evaluated.
     """
 
     def __init__(self, scene: Scene, bodies: Bodies, forms: HeatForms) -> None:
-        """Assemble them; collective.
-
-        Raises:
-            InputError: A boundary is not there, or a field cannot be evaluated.
-        """
         self._forms = forms
         self.heating: list[HeatInput] = []
         self.exchange: list[SurfaceExchange] = []
@@ -131,14 +129,12 @@ class FixedTemperatures:
         of_body: For each body held anywhere, which condition holds each own node, else -1.
         base: The same of the continuous temperature.
         held: Own nodes whose continuous temperature is given.
+
+    Raises:
+        InputError: A boundary is not there, or a field cannot be evaluated.
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
-        """Find the nodes; collective.
-
-        Raises:
-            InputError: A boundary is not there, or a field cannot be evaluated.
-        """
         self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperatureTerm)]
         self.of_body: dict[int, Ints] = {}
         self._values: list[Floats] = []

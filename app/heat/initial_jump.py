@@ -28,7 +28,6 @@ class InitialJump:
     """Nodes at which regions of different initial temperature meet."""
 
     def __init__(self, operators: HeatOperators) -> None:
-        """Find them; collective."""
         scene, forms, of = operators.scene, operators.forms, operators.bodies.of_region
         sums = [forms.zeros() for _ in range(2)]
         low = [part + np.inf for part in forms.zeros()]

@@ -30,16 +30,14 @@ class HeatMatrices:
     Attributes:
         matrix: One block, or two by two with jumps.
         version: Counts how often the linear parts were filled.
+
+    Args:
+        K: Conduction matrix of each body, with its whole diagonal in the pattern.
+        jumps: The jumps, if there are any.
+        held: Own nodes whose continuous temperature is given.
     """
 
     def __init__(self, K: Sequence[PETSc.Mat], jumps: TemperatureJumps | None, held: Bools) -> None:
-        """Find the patterns; collective.
-
-        Args:
-            K: Conduction matrix of each body, with its whole diagonal in the pattern.
-            jumps: The jumps, if there are any.
-            held: Own nodes whose continuous temperature is given.
-        """
         self.version = 0
         self._jumps, self._held = jumps, held
         self._bodies = [k.copy() for k in K]

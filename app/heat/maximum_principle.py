@@ -60,7 +60,6 @@ class Extremes:
     saved = ("_low", "_high", "_heated", "_cooled")
 
     def __init__(self, comm: MPI.Comm, low: float, high: float, heated: bool) -> None:
-        """Begin with the least and largest temperature [K], and whether anything heats."""
         self._comm = comm
         self._low, self._high = low, high
         self._heated, self._cooled = heated, False
@@ -89,18 +88,15 @@ class MaximumPrinciple:
 
     Attributes:
         matrices: The corrected matrices.
+
+    Args:
+        K: Conduction matrix of each body, with its whole diagonal in the pattern.
+        capacity: Capacity of own nodes in each body: which nodes it has.
     """
 
     saved = ("_flagged",)
 
     def __init__(self, comm: MPI.Comm, K: Sequence[PETSc.Mat], capacity: Sequence[Floats]) -> None:
-        """Find the positive edges; collective.
-
-        Args:
-            comm: Communicator.
-            K: Conduction matrix of each body, with its whole diagonal in the pattern.
-            capacity: Capacity of own nodes in each body: which nodes it has.
-        """
         self._comm, self._K = comm, list(K)
         self._present = [c > 0 for c in capacity]
         self._edges = [_positive(comm, k) for k in K]

@@ -124,7 +124,11 @@ class ProbedPoint:
 
 
 class Probes:
-    """Temperatures at named points, linear in the cells that hold them."""
+    """Temperatures at named points, linear in the cells that hold them.
+
+    Raises:
+        InputError: A point is not in its region.
+    """
 
     def __init__(
         self,
@@ -133,11 +137,6 @@ class Probes:
         of_region: Mapping[str, int],
         probes: Sequence[ProbedPoint],
     ) -> None:
-        """Find the cells; collective.
-
-        Raises:
-            InputError: A point is not in its region.
-        """
         self.names = tuple(p.name for p in probes)
         self._comm = tagged.mesh.comm
         self._mine: list[tuple[int, int, Ints, Floats]] = []

@@ -47,21 +47,14 @@ class HeatOperators:
         friction: Heat of friction, where an interface rubs.
         principle: The conduction matrices, corrected where they have to be.
         extremes: Extremes of the data.
+
+    Raises:
+        InputError: The scene does not fit the mesh.
     """
 
     saved = ("extremes", "principle")
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, timing: Timing) -> None:
-        """Assemble them; collective.
-
-        Args:
-            scene: The scene; all of its regions conduct.
-            tagged: Its mesh.
-            timing: Where the seconds go.
-
-        Raises:
-            InputError: The scene does not fit the mesh.
-        """
         self.scene, self.tagged = scene, tagged
         self.comm: MPI.Comm = tagged.mesh.comm
         self.bodies: Bodies = bodies_of(tagged, scene.thermal_contacts, ())

@@ -27,7 +27,6 @@ class KeptFactors:
     """
 
     def __init__(self) -> None:
-        """Nothing is known before the first set-up."""
         self.made = 0
         self._solves = self._applied = 0
         self._seen = self._current = -1

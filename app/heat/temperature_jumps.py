@@ -47,6 +47,13 @@ class TemperatureJumps:
         pressure: Contact pressure at own points (n,) [MPa], set from outside.
         friction: Friction heat per area at own points (n,) [N/(mm s)], set from outside.
         share: The part of it that goes into the slave (n,).
+
+    Args:
+        held: For each body that given temperatures hold anywhere, which one holds each own
+            node, -1 where none does.
+
+    Raises:
+        InputError: An interface has no facets on this mesh.
     """
 
     def __init__(
@@ -57,19 +64,6 @@ class TemperatureJumps:
         forms: HeatForms,
         held: dict[int, Ints],
     ) -> None:
-        """Find the points and compile the law; collective.
-
-        Args:
-            scene: A scene with at least one interface of finite conductance.
-            tagged: The mesh.
-            bodies: Thermal bodies.
-            forms: The forms of heat.
-            held: For each body that given temperatures hold anywhere, which one holds each own
-                node, -1 where none does.
-
-        Raises:
-            InputError: An interface has no facets on this mesh.
-        """
         contacts = scene.thermal_contacts
         comm, index_map = forms.comm, forms.space.dofmap.index_map
         facets = contact_facets(tagged, bodies, forms.space, contacts, {})

@@ -17,14 +17,7 @@ ROUNDED = {"µm": 1e-6, "MPa": 1e-8}  # below which a contact quantity is zero
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture of the report.
-
-    Attributes:
-        name: Of the file.
-        title: A line above it.
-        caption: What is to be said of it.
-        text: What is drawn, in words, for who cannot see it.
-    """
+    """A picture of the report: file, title and caption, and in words for who cannot see it."""
 
     name: str
     title: str
@@ -37,9 +30,6 @@ class Line:
     """A curve.
 
     Attributes:
-        label: Its name in the legend.
-        colour: Its colour.
-        marker: Its marker.
         numbers: With errors, over x.
         peaks: The largest values over x, which have none.
         stars: What is published: x and value.
@@ -82,14 +72,7 @@ def in_words(panels: Sequence[Panel]) -> str:
 
 
 def draw(path: Path, panels: Sequence[Panel], x: str, columns: int) -> None:
-    """Draw panels with a common legend.
-
-    Args:
-        path: The PNG to write; beside it an SVG and a PDF.
-        panels: What is drawn.
-        x: Label of the horizontal axes.
-        columns: Panels beside each other at most.
-    """
+    """Draw panels over x with a common legend, so many beside each other, as PNG, SVG and PDF."""
     columns = min(columns, len(panels))
     figure, every = style.panels(len(panels), columns, 4.7, 3.2)
     for axes, panel in zip(every, panels, strict=True):

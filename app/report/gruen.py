@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from app import figures
+from app.case.quantities import TABLE
 from app.report.curves import Figure
 from app.report.sweep_results import INTERFACES, QUANTITIES, WORDS, Number, SweptCase, magnitude
 from app.system import style
@@ -16,7 +17,6 @@ ZONES = tuple(str(z) for z in range(1, 15))
 FRONTAL = 7  # so many zones are of the frontal view, the others of the lateral one
 BONES = {"cortical_bone": "cortical bone", "cancellous_bone": "cancellous bone"}
 KJ = 1e3  # kJ/m3 of a MPa
-ROUNDING = 1e-8  # mm, MPa
 
 Table = tuple[list[str], list[list[str]]]
 
@@ -40,37 +40,30 @@ def table(case: SweptCase) -> Table:
     head += [f"{WORDS[p]} {WORDS[q]} ({u})" for p in places for q, (u, _) in QUANTITIES.items()]
     head += [f"strain energy, {BONES[b]} (kJ/m³)" for b in bones]
     rows = []
-    for name, zone in own.items():
-        view = "frontal" if int(name) <= FRONTAL else "lateral"
-        row = [f"{name} ({view})"]
+    for z, zone in own.items():
+        row = [f"{z} ({'frontal' if int(z) <= FRONTAL else 'lateral'})"]
         for place in places:
             numbers = zone.get("interfaces", {}).get(place, {})
-            for quantity, (_, factor) in QUANTITIES.items():
-                row.append(_pair(numbers, quantity, factor))
+            for name in QUANTITIES:
+                most, mean = (TABLE["interfaces"][f"{name}_{how}"] for how in ("max", "mean"))
+                row.append(f"{most.text(numbers)} / {mean.text(numbers)}")
         density, error = (zone.get(f"strain_energy_density{end}", {}) for end in ("", "_error"))
         row += [_with_error(density.get(b), error.get(b), KJ) for b in bones]
         rows.append(row)
     return head, rows
 
 
-def _pair(numbers: dict[str, Any], quantity: str, factor: float) -> str:
-    largest, mean, error = (
-        numbers.get(f"{quantity}_{how}") for how in ("max", "mean", "mean_error")
-    )
-    return f"{_shown(largest, factor)} / {_with_error(mean, error, factor)}"
-
-
 def _with_error(value: Any, error: Any, factor: float) -> str:
-    """A number with its error, where that is known and more than rounding."""
+    """A number with its error, where that is known."""
     if not isinstance(value, int | float) or not isinstance(error, int | float):
         return _shown(value, factor)
-    return str(Number(factor * value, factor * error)) if abs(value) > ROUNDING else "0"
+    return str(Number(factor * value, factor * error))
 
 
 def _shown(value: Any, factor: float) -> str:
     if not isinstance(value, int | float):
         return "-"
-    return f"{factor * value if abs(value) > ROUNDING else 0:.3g}"
+    return f"{factor * value:.3g}"
 
 
 def intact(cases: Sequence[SweptCase]) -> SweptCase | None:

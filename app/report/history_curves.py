@@ -84,10 +84,10 @@ def of_solver(history: Rows) -> list[dict[str, float]]:
 
 def draw(folder: Path, of: Sequence[Panel], x: str) -> list[Path]:
     """Draw the panels as files, for who writes a paper."""
-    paths = [folder / f"curves.{kind}" for kind in ("png", "svg")] if of else []
-    for path in paths:
-        draw_panels(path, of, x, 3)
-    return paths
+    if not of:
+        return []
+    draw_panels(folder / "curves.png", of, x, 3)
+    return [folder / f"curves.{kind}" for kind in ("png", "svg", "pdf")]
 
 
 def blocks(of: Sequence[Panel], x: str) -> Blocks:

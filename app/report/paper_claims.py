@@ -28,6 +28,7 @@ VERDICTS = CONFIRMED, NOT_CONFIRMED, UNDECIDED = "confirmed", "not confirmed", "
 FLAT = 0.20  # relative spread up to which a number counts as constant
 MUCH = 2.0  # factor that "drastically" is taken to mean at least
 ROUNDING = 1e-6  # relative difference that is none
+STEM, THICKNESS, FRICTION = "{} stem", "{} mm", "friction {}"  # what varies
 NAMED = 3  # cases named of those in which a statement does not hold
 
 
@@ -100,11 +101,12 @@ def _goes(rise: bool) -> Relation:
 
     def relation(label: str, values: Series, unit: str, over: str) -> Statement:
         if len(values) < 2:
-            return _missing(f"{label} at two values of {over}")
+            return _missing(f"{label} at two values or more")
         low, high = min(values), max(values)
         a, b = values[low], values[high]
         should = "rise" if rise else "fall"
-        text = f"{label} should {should}: {a} {unit} at {over} {plain(low)}, {b} at {plain(high)}"
+        ends = (over.format(plain(x)) for x in (low, high))
+        text = f"{label} should {should}: {a} {unit} at {next(ends)}, {b} at {next(ends)}"
         return Statement(exceeds(b, a) if rise else exceeds(a, b), text)
 
     return relation
@@ -116,13 +118,14 @@ def constant(tolerance: float, beyond: float = 0.0) -> Relation:
     def relation(label: str, values: Series, unit: str, over: str) -> Statement:
         values = {x: n for x, n in values.items() if isinstance(x, str) or x > beyond}
         if len(values) < 2:
-            return _missing(f"{label} at two values of {over}")
+            return _missing(f"{label} at two values or more")
         low, high = (pick(values, key=lambda x: values[x].value) for pick in (min, max))
         a, b = values[low], values[high]
         spread = 2 * abs(b.value - a.value) / (abs(a.value) + abs(b.value) or 1.0)
         text = (
-            f"{label}: {a} to {b} {unit} (at {over} {plain(low)} and {plain(high)}), "
-            f"spread {100 * spread:.2g} % (allowed {100 * tolerance:g} %)"
+            f"{label}: {a} to {b} {unit} (at {over.format(plain(low))} and "
+            f"{over.format(plain(high))}), spread {100 * spread:.2g} % "
+            f"(allowed {100 * tolerance:g} %)"
         )
         return Statement(alike(a, b, tolerance), text)
 
@@ -168,26 +171,26 @@ CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
     (
         "T-a",
         "At the cement-bone interface the stem's material does not matter",
-        "stem",
+        STEM,
         [(constant(0.02), BONE, "slip"), (constant(0.05), BONE, "shear")],
     ),
     (
         "T-b",
         "A mantle of 2 mm slips and opens far more than one of 3 to 5 mm",
-        "mm",
+        THICKNESS,
         [(far_more_when_thin, BONE, "slip"), (far_more_when_thin, BONE, "gap")],
     ),
     (
         "T-c",
         "Stresses do not depend on the thickness beyond 3 mm",
-        "mm",
+        THICKNESS,
         [(constant(FLAT, 3.0), place, q) for place in INTERFACES for q in ("pressure", "shear")],
     ),
     (
         "T-d",
         "The rougher the cement-bone interface, the less it slips, the more it opens and the "
         "higher its pressure; shear stays",
-        "friction",
+        FRICTION,
         [
             (falls, BONE, "slip"),
             (rises, BONE, "gap"),
@@ -199,7 +202,7 @@ CLAIMS: tuple[tuple[str, str, str, list[Row]], ...] = (
         "T-e",
         "The rougher the cement-bone interface, the more the stem slips in the cement and the "
         "less it opens",
-        "friction",
+        FRICTION,
         [(rises, "stem_cement", "slip"), (falls, "stem_cement", "gap")],
     ),
 )
@@ -227,8 +230,8 @@ def _name(place: str, quantity: str) -> str:
 
 def _statements(cases: Cases, over: str, rows: Sequence[Row], how: str) -> Iterator[Statement]:
     families: dict[str, Mapping[Any, SweptCase]] = {"": cases.of_stems()}
-    if over != "stem":
-        family = cases.frictions if over == "friction" else cases.thicknesses
+    if over != STEM:
+        family = cases.frictions if over == FRICTION else cases.thicknesses
         families = {f"{stem}, ": family(stem) for stem in STEMS.values()}
     for relation, place, quantity in rows:
         for label, own in families.items():
@@ -256,14 +259,14 @@ def _heat(cases: Cases) -> list[Trend]:
     claim = "Cement and cement-bone interface get hotter the thicker the mantle; cement is hottest"
     trends = []
     for (model, reading), family in cases.heats().items():
-        cement = rises("cement", series(family, cement_peak), "°C", "mm")
+        cement = rises("cement", series(family, cement_peak), "°C", THICKNESS)
         hottest = above(
             "cement above all else after 10 s",
             {c.name: (cement_peak(c), _hottest_beside(c)) for c in family.values()},
         )
-        by_peak = rises("bone at the interface", series(family, bone_peak), "°C", "mm")
+        by_peak = rises("bone at the interface", series(family, bone_peak), "°C", THICKNESS)
         known = series(family, bone_p99)  # where fields were written
-        p99 = rises("bone at the interface, p99", known, "°C", "mm")
+        p99 = rises("bone at the interface, p99", known, "°C", THICKNESS)
         parts = [cement, p99 if len(known) > 1 else by_peak, hottest]
         peaks = _all([cement, by_peak, hottest])
         trends.append(Trend(f"T-g ({model}, {reading})", claim, parts, peaks))

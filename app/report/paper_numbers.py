@@ -37,17 +37,13 @@ class Fact:
     """A number that the paper reports.
 
     Attributes:
-        id: Its number.
         model: ``stance`` or ``heat``.
         stem: Material of the stem, ``both`` or empty.
         thickness: Of the mantle in mm: ``4``, ``2-3``, ``>7`` or empty.
         cement_bone_friction: Friction coefficient there; None if it does not matter.
         place: Interface or region; may be empty.
-        quantity: What.
         unit: ``um``, ``MPa``, ``degC``.
-        value: The number.
         kind: peak, exceeded, not exceeded, extreme.
-        remark: What is to be said of it.
     """
 
     id: str
@@ -85,7 +81,6 @@ class ComparedNumber:
     """A number of the paper beside mantle's.
 
     Attributes:
-        fact: The paper's.
         stem: The stem of mantle's case.
         thickness: Thickness of its mantle [mm].
         case: Its name; empty if there is none.

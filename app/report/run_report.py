@@ -48,9 +48,7 @@ log = logging.getLogger("mantle")
 def after_run(folder: Path, failed: bool) -> None:
     """Write the pages at the end of a run, on rank 0; a failure is a warning and nothing more.
 
-    Args:
-        folder: The run directory.
-        failed: Whether other ranks wait to end together with this one.
+    Where the run has failed other ranks wait: the page takes no time.
     """
     if rank() != 0:
         return

@@ -41,14 +41,7 @@ HONESTY = (
 
 @dataclass(frozen=True)
 class Written:
-    """Files of a report, its verdicts and how many cases it covers.
-
-    Attributes:
-        files: The files, the page first.
-        trends: Verdicts on the paper's trends; none for another sweep.
-        done: How many cases have results.
-        cases: How many there are.
-    """
+    """Files of a report, its verdicts on the paper's trends, and how many cases have results."""
 
     files: Sequence[Path]
     trends: Sequence[Trend]
@@ -59,12 +52,9 @@ class Written:
 def run(folder: Path) -> Written:
     """Write the report of a sweep.
 
-    Args:
-        folder: Its directory.
-
     Raises:
-        InputError: It is not that of a sweep.
-        StoppedError: It cannot be written.
+        InputError: The folder is not that of a sweep.
+        StoppedError: The report cannot be written.
     """
     sweep = read(folder)
     cases = paper.Cases(sweep)

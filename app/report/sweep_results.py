@@ -66,18 +66,12 @@ class SweptCase:
     """A case of a sweep.
 
     Attributes:
-        name: Its name, unique in the sweep.
         folder: Its run directory, which may be missing.
         status: One of `STATUSES`.
-        part: The part of the sweep it belongs to.
         overrides: What makes it out of the sweep's case, as after ``--set``.
-        exit_code: That of the run.
-        message: Why it failed.
         seconds: Wall time.
         unknowns: How many, 0 if not known.
-        ranks: MPI ranks.
         numbers: Headline numbers by name, as the sweep kept them.
-        errors: Their estimated errors.
         notes: What the run has warned of.
     """
 
@@ -150,13 +144,9 @@ class SweepResults:
     """A sweep.
 
     Attributes:
-        folder: Its directory.
-        title: A line for people.
         cases: All its cases, those that failed too.
-        file: The sweep file.
         program: Version and hash of the program that ran it.
-        cores: How many it used.
-        seconds: How long it took.
+        seconds: Wall time.
         uncertainty: What samples of uncertain inputs say, by part (`app/campaigns/uncertainty.py`).
         compare_with: The publication that it is compared with, or nothing.
     """

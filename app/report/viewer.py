@@ -125,13 +125,8 @@ def packed(
     if minus is not None:
         ends = [s for s in ends if s == ends[-1] or s in minus.written_stages]
         kinds = [kind for kind in kinds if kind[0] in minus.point_fields]
-    fine = outsides(run, curved=True)
-    nodes = _used(fine)
-    # Three for the places, three for the displacement that deforms.
-    if 2 * len(nodes) * (3 + len(ends) * (3 + len(kinds))) > most_bytes:
-        fine = outsides(run, curved=False)
-        nodes = _used(fine)
-    ends = ends[-max(1, most_bytes // (2 * len(nodes) * (3 + len(kinds)))) :]
+    fine, nodes, room = _fitting(run, len(ends), len(kinds), most_bytes)
+    ends = ends[-room:]
     numbers = bytearray()
 
     def add(array: NDArray[Any]) -> int:
@@ -172,6 +167,18 @@ def packed(
         title = f"{where.replace('_', '-')}: {label}" if where else label
         head["fields"].append({"name": name, "label": title, "unit": unit, "steps": steps})
     return head, bytes(numbers)
+
+
+def _fitting(
+    run: Run, stages: int, kinds: int, most_bytes: int
+) -> tuple[dict[str, Ints], Ints, int]:
+    """Outsides of regions, curved if there is room, their nodes, and how many stages fit."""
+    fine = outsides(run, curved=True)
+    # Three for the places, three for the displacement that deforms.
+    if 2 * len(_used(fine)) * (3 + stages * (3 + kinds)) > most_bytes:
+        fine = outsides(run, curved=False)
+    nodes = _used(fine)
+    return fine, nodes, max(1, most_bytes // (2 * len(nodes) * (3 + kinds)))
 
 
 def _scaled(values: Floats, known: Bools) -> tuple[NDArray[np.uint16], float, float]:

@@ -121,10 +121,7 @@ def reasons_not_to_use(summary: Mapping[str, Any]) -> list[str]:
 
 
 def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
-    """Refuse results that are not to be used.
-
-    Args:
-        summaries: The summary of each run directory.
+    """Refuse results that are not to be used, by run directory.
 
     Raises:
         UnusableError: With the reasons of each.
@@ -136,24 +133,14 @@ def check_usable(summaries: Mapping[Path, Mapping[str, Any]]) -> None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A line on one thing that numbers are trusted for, or not.
-
-    Attributes:
-        text: The line.
-        tone: ``good``, ``doubtful``, ``bad``, or nothing where it is neither.
-    """
+    """A line on one thing: ``good``, ``doubtful``, ``bad``, or nothing where it is neither."""
 
     text: str
     tone: str = ""
 
 
-def tell(summary: dict[str, Any], table: bool = True) -> None:
-    """Log the end of a run: its tables, and what of it is good.
-
-    Args:
-        summary: Of the run.
-        table: Whether all numbers are wanted.
-    """
+def report(summary: dict[str, Any], table: bool = True) -> None:
+    """Log the end of a run: how good it is, below all its numbers if these are wanted."""
     if table:
         log.info("%s", closing_table(summary))
     for clause in (*verdict(summary), *peaks(summary)):
@@ -224,11 +211,13 @@ def _mesh_and_step(summary: Mapping[str, Any]) -> Verdict:
 
 def peaks(summary: Mapping[str, Any]) -> list[Verdict]:
     """Peaks that change most with the mesh, with their values on every mesh that was solved."""
-    told = []
+    lines = []
     for name, ((finest, value), *others) in summary.get("error", {}).get("unsettled", {}).items():
         if q := quantities.get(name):
             on = [f"{name} {q.text({q.key: value})} {q.shown} at {finest:g} mm"]
-            told.append(", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others]))
-    more = [f"{len(told) - MOST} more in error.unsettled of summary.json"] if told[MOST:] else []
-    text = f"peaks that still change with the mesh: {'; '.join(told[:MOST] + more)}"
-    return [Verdict(text, "doubtful")] if told else []
+            lines.append(
+                ", ".join(on + [f"{q.text({q.key: v})} at {size:g}" for size, v in others])
+            )
+    more = [f"{len(lines) - MOST} more in error.unsettled of summary.json"] if lines[MOST:] else []
+    text = f"peaks that still change with the mesh: {'; '.join(lines[:MOST] + more)}"
+    return [Verdict(text, "doubtful")] if lines else []

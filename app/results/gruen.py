@@ -29,12 +29,6 @@ def summary(
 ) -> dict[str, Zone]:
     """The numbers of each zone, by its own; collective.
 
-    Args:
-        problem: What was solved.
-        stresses: Its stresses.
-        samples: Its contact points, if there are any.
-        zones: Where the zones are.
-
     Returns:
         For each: ``strain_energy_density`` [MPa], the mean over the ``volume`` [mm3] of the bone
         that is in it and that the operation leaves, and ``interfaces``: what those that are in it

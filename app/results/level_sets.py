@@ -41,11 +41,7 @@ class RegionCells:
         return np.asarray(self._spread.x.array[self._dofs])
 
     def faces(self, dof: Ints) -> Floats:
-        """Faces whose corners are all among some nodes (f, 3, 3) [mm], on every rank; collective.
-
-        Args:
-            dof: Own nodes.
-        """
+        """Faces with all corners among own nodes (f, 3, 3) [mm], on every rank; collective."""
         on = self._at_corners(dof, np.ones(len(dof)), 0.0)[:, _FACES].all(axis=2)
         return np.concatenate(self._comm.allgather(self._x[:, _FACES][on]))
 

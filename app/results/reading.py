@@ -96,9 +96,6 @@ class Run(Results):
         cell_fields: Names of the fields on cells.
         hot: Whether there is a temperature.
 
-    Args:
-        folder: A run directory.
-
     Raises:
         OSError: It has no fields, or they cannot be read.
     """

@@ -133,10 +133,7 @@ class RegionTemperatures:
     def dead(self, comm: MPI.Comm, cells: RegionCells, surface: Floats) -> dict[str, float]:
         """Largest thermal doses, and dead volume and depth by criterion; collective.
 
-        Args:
-            comm: The ranks.
-            cells: The cells of the region.
-            surface: Triangles that depth is measured from (f, 3, 3) [mm].
+        Depth is measured from triangles of a surface (f, 3, 3) [mm].
         """
         x, dof = self.exposure, self.nodes.dof
         result = {

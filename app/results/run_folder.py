@@ -43,13 +43,7 @@ log = logging.getLogger("mantle")
 
 
 def on_root(comm: MPI.Comm, action: Callable[[], T], share: bool = True) -> T | None:
-    """Do something on rank 0; its errors are raised on every rank, so that none waits.
-
-    Args:
-        comm: Communicator.
-        action: What rank 0 does.
-        share: Whether the result goes to the other ranks, else None does.
-    """
+    """Do something on rank 0, and share the result or None; its errors are raised on every rank."""
     result = everywhere(comm, lambda: action() if comm.rank == 0 else None)
     return comm.bcast(result) if share else result
 
@@ -200,12 +194,7 @@ def provenance(
 ) -> dict[str, Any]:
     """Where a result comes from.
 
-    Args:
-        ranks: Number of MPI ranks.
-        digests: Of the case, then of the files that it builds upon, as they were read: by name.
-        overrides: As after ``--set``.
-        mesh_hash: Digest of the mesh.
-        started: When the run began.
+    Digests are by name, of the case, then of the files that it builds upon, as they were read.
     """
     (case, digest), *others = digests.items()
     return {

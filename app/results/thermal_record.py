@@ -193,11 +193,7 @@ class ThermalRecord:
         return {"seconds [s]": self.seconds[-1], **self.rows[-1]}
 
     def moved(self, capacities: Mapping[str, float]) -> float:
-        """Heat that has moved since the state before the last step, however it went [N mm].
-
-        Args:
-            capacities: Heat capacity of each region [N/(mm2 K)].
-        """
+        """Heat that has moved in the last step, by capacities of regions [N/(mm2 K)]; [N mm]."""
         local = sum(
             capacities[name] * float(r.nodes.volume @ np.abs(r.now - r.begin))
             for name, r in self._regions.items()

@@ -48,13 +48,7 @@ class Sheet:
 
 
 def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
-    """Corners of the facets of an interface (m, 3), in the cells of one side.
-
-    Args:
-        run: The run.
-        side: Numbers of the regions on this side.
-        other: Of those on the other.
-    """
+    """Corners of the facets of an interface (m, 3), in the cells of one side."""
     mine, theirs = (
         run.cells[np.isin(run.region, regions)][:, np.array(FACES)].reshape(-1, 3)
         for regions in (side, other)
@@ -68,10 +62,6 @@ def facets(run: Run, side: Sequence[int], other: Sequence[int]) -> Ints:
 
 def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Angle about the z axis and height of triangles that surround it.
-
-    Args:
-        points: Nodes (n, 3) [mm].
-        triangles: Their corners (m, 3).
 
     Returns:
         Corners (k, 3, 2) [degrees, mm], each triangle in one piece, those across the seam on both
@@ -94,17 +84,7 @@ def unroll(points: Floats, triangles: Ints) -> tuple[Floats, Ints]:
 
 
 def sheet(run: Run, kind: str, sides: Sides, regions: Sequence[str]) -> Sheet | None:
-    """An interface of a run in the plane.
-
-    Args:
-        run: The run.
-        kind: Of its geometry.
-        sides: Regions on both sides of the interface.
-        regions: All regions, in the order of their numbers.
-
-    Returns:
-        None if it neither surrounds a stem nor is flat.
-    """
+    """An interface of a run in the plane; None if it neither surrounds a stem nor is flat."""
     first, second = ([1 + regions.index(r) for r in side] for side in sides)
     triangles = facets(run, second, first)
     if not len(triangles):
@@ -127,8 +107,6 @@ class MapRow:
     """A quantity of a map.
 
     Attributes:
-        label: Its name and unit.
-        colours: Colour map.
         values: Of a run at its nodes, in that unit; None where it has none.
         from_zero: Whether colours begin at zero, else at the smallest value.
     """
@@ -145,11 +123,6 @@ def draw(
     """Draw quantities of an interface, one below the other, cases side by side.
 
     The colours of a row are the same in all cases, so that they can be compared.
-
-    Args:
-        path: The PNG to write.
-        columns: Title, run and interface of each case.
-        rows: What is drawn of them.
 
     Returns:
         The labels of the rows that there are; no picture if there is none.

@@ -43,44 +43,50 @@ def finite(value: int | float) -> bool:
         return False
 
 
-def outside(
-    value: float,
-    above: float | None,
-    at_least: float | None,
-    at_most: float | None,
-    below: float | None = None,
-) -> str:
-    """Bound that a value violates, in words, or ""."""
-    if below is not None and not value < below:
-        return f"must be below {below:g}"
-    if above is not None and not value > above:
-        return "must be positive" if above == 0 else f"must be above {above:g}"
-    if at_least is not None and value < at_least:
-        return "must not be negative" if at_least == 0 else f"must be at least {at_least:g}"
-    if at_most is not None and value > at_most:
-        return f"must be at most {at_most:g}"
-    return ""
+@dataclass(frozen=True, kw_only=True)
+class _Bounded(Scalar):
+    """Marks a number.
+
+    Attributes:
+        above: Exclusive lower bound.
+        at_least: Inclusive lower bound.
+        at_most: Inclusive upper bound.
+        below: Exclusive upper bound.
+    """
+
+    above: float | None = None
+    at_least: float | None = None
+    at_most: float | None = None
+    below: float | None = None
+
+    def violated(self, value: float, unit: str = "") -> str:
+        """The bound that a value violates, in words, or ""."""
+        behind = f" {unit}".rstrip()
+        if self.below is not None and not value < self.below:
+            return f"must be below {self.below:g}{behind}"
+        if self.above is not None and not value > self.above:
+            return f"must be above {self.above:g}{behind}" if self.above else "must be positive"
+        if self.at_least is not None and value < self.at_least:
+            least = f"must be at least {self.at_least:g}{behind}"
+            return least if self.at_least else "must not be negative"
+        if self.at_most is not None and value > self.at_most:
+            return f"must be at most {self.at_most:g}{behind}"
+        return ""
 
 
 @dataclass(frozen=True)
-class Dimension(Scalar):
+class Dimension(_Bounded):
     """Marks a float field as dimensional: read from text with a unit, kept in the internal unit.
 
     Attributes:
         unit: Internal unit.
         what: The dimension in words, with its article.
         example: A value as a user would write it.
-        above: Exclusive lower bound in the internal unit.
-        at_least: Inclusive lower bound in the internal unit.
-        at_most: Inclusive upper bound in the internal unit.
     """
 
     unit: str
     what: str
     example: str
-    above: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
 
     def read(self, value: object) -> float:
         """The value in the internal unit.
@@ -90,26 +96,24 @@ class Dimension(Scalar):
                 bounds.
         """
         expected = f"expected {self.what} such as '{self.example}'"
-        if not isinstance(value, str):
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                if not finite(value):
-                    fail(f"{show(value)} is not finite; {expected}")
-                fail(f"{value} needs a unit, e.g. '{value} {self.example.split(maxsplit=1)[1]}'")
-            fail(f"{show(value)} is not {self.what}; {expected}")
-        match = NUMBER.fullmatch(value) if len(value) <= LONGEST_VALUE else None
-        if match is None:
-            wrong = "is not finite" if NOT_FINITE.match(value) else f"is not {self.what}"
+        text = value if isinstance(value, str) else ""
+        match = NUMBER.fullmatch(text) if len(text) <= LONGEST_VALUE else None
+        number, unit = match.groups() if match else ("", "")
+        if isinstance(value, int | float) and not isinstance(value, bool) and finite(value):
+            number = str(value)
+        elif match is None:
+            endless = isinstance(value, int | float) and not isinstance(value, bool)
+            endless = endless or NOT_FINITE.match(text) is not None
+            wrong = "is not finite" if endless else f"is not {self.what}"
             fail(f"{show(value)} {wrong}; {expected}")
-        number, unit = match.groups()
         if not unit:
-            fail(f"{show(value)} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
+            shown = show(value) if text else number
+            fail(f"{shown} needs a unit, e.g. '{number} {self.example.split(maxsplit=1)[1]}'")
         try:
             slope, offset = conversion(unit, self.unit)
         except LookupError:
-            fail(
-                f"{show(value)}: '{unit}' is not a unit; {expected}"
-                + did_you_mean(unit, SUGGESTIONS)
-            )
+            hint = did_you_mean(unit, SUGGESTIONS)
+            fail(f"{show(value)}: '{unit}' is not a unit; {expected}{hint}")
         except ValueError as error:
             fail(f"{show(value)} is {error}; {expected}")
         if len(number) > LONGEST or not math.isfinite(float(number)):
@@ -120,11 +124,8 @@ class Dimension(Scalar):
             result = float(exact * slope + offset)
         except OverflowError:
             fail(f"{show(value)} is not finite in {self.unit}")
-        if bound := outside(result, self.above, self.at_least, self.at_most):
-            fail(
-                f"{show(value)} {bound}"
-                + ("" if bound.endswith(("positive", "negative")) else f" {self.unit}")
-            )
+        if bound := self.violated(result, self.unit):
+            fail(f"{show(value)} {bound}")
         return result
 
     def write(self, value: float) -> str:
@@ -199,22 +200,14 @@ class TemperatureDifference(Dimension):
 
 
 @dataclass(frozen=True)
-class Plain(Scalar):
+class Plain(_Bounded):
     """Marks a float or int field as dimensionless: a bare, finite number; not text, not a bool.
 
     Attributes:
         integer: Whether only whole numbers are allowed.
-        above: Exclusive lower bound.
-        at_least: Inclusive lower bound.
-        at_most: Inclusive upper bound.
-        below: Exclusive upper bound.
     """
 
     integer: bool = False
-    above: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    below: float | None = None
 
     def read(self, value: object) -> float | int:
         """The value unchanged (as a float unless `integer`).
@@ -231,7 +224,7 @@ class Plain(Scalar):
             fail(f"{show(value)} is not finite; expected a {kind}")
         if self.integer and value != int(value):
             fail(f"{value} is not a {kind}")
-        if bound := outside(value, self.above, self.at_least, self.at_most, self.below):
+        if bound := self.violated(value):
             fail(f"{value} {bound}")
         return int(value) if self.integer else float(value)
 

@@ -82,7 +82,7 @@ def run(
     with case.file.placing(), _claimed(comm, output):
         if not case.config.variations:
             summary = session.solve(case.config, (), output)
-            text.tell(summary)
+            text.report(summary)
             text.check_usable({output: summary})
         else:
             session.vary(output, keep=not force and restart in ("", "auto"))
@@ -160,7 +160,7 @@ class Session:
             return {}
         except StoppedError as stop:
             raise StoppedError(f"{place}: {stop}") from stop
-        text.tell(summary, table=False)
+        text.report(summary, table=False)
         return summary
 
     def _write_table(self, rows: dict[int, variations.Row], output: Path) -> list[variations.Row]:

@@ -41,31 +41,29 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
         case: The case.
         given: The data of the file, to show values in the units they were given in.
     """
-    geometry = case.geometry
     lines = [case.title or "(no title)", ""]
-    lines += ["geometry", *_entries(geometry, given.get("geometry", {}))]
-    lines += ["mesh", *_entries(case.mesh, given.get("mesh", {}))]
-    lines.append("regions")
+    lines += ["geometry", *_entries(case.geometry, given.get("geometry"))]
+    lines += ["mesh", *_entries(case.mesh, given.get("mesh")), "regions"]
     for name, region in case.regions.items():
         kind = "rigid" if isinstance(region, Rigid) else region.kind
         lines += [f"  {name}: {kind}", *_entries(region, given["regions"][name], 4)]
-    lines.append("interfaces")
-    laws = given.get("interfaces", {})
+    lines += ["interfaces", *([] if case.interfaces else ["  none"])]
     for name, law in case.interfaces.items():
-        a, b = (" + ".join(side) for side in geometry.interface_sides[name])
-        lines += [f"  {name} ({a} | {b}): {law.kind}", *_entries(law, laws.get(name, {}), 4)]
+        a, b = (" + ".join(side) for side in case.geometry.interface_sides[name])
+        lines += [
+            f"  {name} ({a} | {b}): {law.kind}",
+            *_entries(law, given.get("interfaces", {}).get(name), 4),
+        ]
         if case.conducts and law.conductance is None:
             lines.append("    conductance: perfect, one temperature")
-    if not case.interfaces:
-        lines.append("  none")
     if solid(case):
-        lines += ["supports", *(_table(case.supports) or ["  none"])]
-        lines += ["loads", *(_table(case.loads) or ["  none"]), *_resultant(case)]
+        lines += ["supports", *_table(case.supports)]
+        lines += ["loads", *_table(case.loads), *_resultant(case)]
     if case.conducts:
-        lines += ["heat", *(_table(case.heat) or ["  none"])]
-    lines += ["stages", *(_stage(stage) for stage in case.stages)]
+        lines += ["heat", *_table(case.heat)]
+    lines += ["stages", *map(_stage, case.stages)]
     if case.time is not None:
-        lines += ["time", *_entries(case.time, given.get("time", {}))]
+        lines += ["time", *_entries(case.time, given.get("time"))]
     if case.output.probes:
         lines += ["probes", *_table(case.output.probes)]
     if varied := case.variations:
@@ -76,10 +74,9 @@ def describe(case: Case, given: Mapping[str, Any]) -> str:
 
 
 def _stage(stage: Stage) -> str:
-    """A line on a stage."""
+    time = f"{stage.duration:g} s, " if stage.duration else ""
+    time = time or ("until nothing changes, " if stage.steady else "")
     steps = f"{stage.increments} increment{'s' if stage.increments > 1 else ''}"
-    time = "until nothing changes, " if stage.steady else ""
-    time = f"{stage.duration:g} s, " if stage.duration else time
     return f"  {stage.name}: {time}{steps}{', adaptive' if stage.adaptive else ''}"
 
 
@@ -110,7 +107,7 @@ def _table(entries: Mapping[str, Any]) -> list[str]:
         words = [f"{kind} on {place}" if place else kind] if kind else []
         words += [f"{k} {plain(v)}" for k, v in fields.items()]
         lines.append(f"  {name}: {', '.join(words)}")
-    return lines
+    return lines or ["  none"]
 
 
 def _resultant(case: Case) -> Iterable[str]:

@@ -17,13 +17,12 @@ import numpy as np
 
 from app.arrays import Floats
 from app.heat.implicit_step import ImplicitStep
-from app.mechanics.contact import ContactInterfaces
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.mechanics.systems import ContactSystem
-from app.numerics.deflation import CoarseSpace
 from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
-from app.numerics.system import Measure, System
+from app.numerics.system import Measure
 from app.scene.terms import Scene, SceneStage
 from app.stepping.contact_heat import ContactHeat, PointDerivatives
 
@@ -31,14 +30,16 @@ DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 SUBSET = PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN
 
 
-class CoupledSystem(System):
-    """Heat and mechanics as one system.
+class CoupledSystem(ContactSystem):
+    """Displacement and jumps, with temperature and its jumps before them.
 
     Attributes:
         exchange: Contact as the heat sees it.
+
+    Args:
+        committed: Their converged state: displacement and jumps, kept up to date.
     """
 
-    prefix = "mantle_"
     # Watts and newtons in one norm: a step that lowers it may be cut to nothing at a kink of the
     # contact law, where whole steps converge.
     newton: Options = {"snes_linesearch_type": "basic"}  # noqa: RUF012
@@ -46,33 +47,21 @@ class CoupledSystem(System):
     def __init__(
         self, scene: Scene, heat: ImplicitStep, problem: Problem, committed: list[PETSc.Vec]
     ) -> None:
-        """Set up the blocks between the two; collective.
-
-        Args:
-            scene: The scene.
-            heat: Its heat.
-            problem: Its mechanics.
-            committed: Their converged state: displacement and jumps, kept up to date.
-        """
-        self.comm = problem.comm
-        self._heat, self._problem, self._committed = heat, problem, committed
-        motion = self._motion = ContactSystem(problem)
-        self.inverses = motion.inverses
-        self.active = motion.active
+        super().__init__(problem)
+        self._heat, self._committed = heat, committed
         self.exchange = ContactHeat(scene, problem, heat.operators)
         self._n = len(heat.blocks())
         self._stage: tuple[int, SceneStage, float] | None = None
-        self._forces = self._thermal_forces() if self.exchange.expands else None
+        self._thermal = self._thermal_forces() if self.exchange.expands else None
         # Heat enters the rows of its nodes and of its jumps.
         self._nodes = self._entries()
         fresh = list(self.blocks().values())
         self._up, back = self._from_motion(problem.trial(*fresh[self._n :]), fresh)
-        own = heat.matrices()
         # With expansion pressures depend on temperatures directly too.
         self._own = [
-            [_joined(a, b) for a, b in zip(row, more, strict=True)]
-            for row, more in zip(own, back, strict=False)
-        ] or own
+            [matrix_sum(pair) for pair in zip(row, more, strict=True)]
+            for row, more in zip(heat.matrices(), back, strict=False)
+        ] or heat.matrices()
         self._down = self._from_heat()
 
     def begin_stage(self, k: int, stage: SceneStage, start: float) -> None:
@@ -106,40 +95,40 @@ class CoupledSystem(System):
     @property
     def version(self) -> int:
         """Changes of either's matrices."""
-        return self._heat.version + self._motion.version
+        return self._heat.version + super().version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """Those of the heat, then those of the mechanics."""
-        return self._heat.blocks() | self._motion.blocks()
+        return self._heat.blocks() | super().blocks()
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """Heat, mechanics, and what either does to the other."""
         none: list[PETSc.Mat | None] = [None] * self._n
         down = self._down or [none, none]
         top = [[*a, *b] for a, b in zip(self._own, self._up, strict=True)]
-        return [*top, *([*a, *b] for a, b in zip(down, self._motion.matrices(), strict=True))]
+        return [*top, *([*a, *b] for a, b in zip(down, super().matrices(), strict=True))]
 
     def options(self, linear: str) -> dict[str, Options]:
         """All blocks at once if the heat's are, else those of either."""
         heat = self._heat.options(linear)
-        return {"": INTERFACE} if "" in heat else heat | self._motion.options(linear)
+        return {"": INTERFACE} if "" in heat else heat | super().options(linear)
 
     def impose(self, x: list[PETSc.Vec]) -> None:
         """Put given temperatures, displacements and jumps into a state."""
         self._heat.impose(x[: self._n])
-        self._motion.impose(x[self._n :])
+        super().impose(x[self._n :])
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Heat that is lacking with the contact as it is, forces with the heat as it is."""
         self.exchange.to_mechanics(x[: self._n])
-        self._motion.residual(x[self._n :], f[self._n :])
-        self.exchange.to_heat(self._motion.trial)
+        super().residual(x[self._n :], f[self._n :])
+        self.exchange.to_heat(self.trial)
         self._heat.residual(x[: self._n], f[: self._n])
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """All blocks, of the state whose residual was asked for last."""
-        self._motion.jacobian(x[self._n :])
-        trial = self._motion.trial
+        super().jacobian(x[self._n :])
+        trial = self.trial
         self.exchange.to_heat(trial)
         self._heat.jacobian(x[: self._n])
         up, back = self._from_motion(trial, x)
@@ -151,36 +140,12 @@ class CoupledSystem(System):
                 S.axpy(1.0, B, structure=SUBSET)
         _copy(self._from_heat(), self._down)
 
-    def coarse_space(self) -> CoarseSpace:
-        """Sliding motions of the mechanics, at fixed temperatures."""
-        return self._motion.coarse_space()
-
-    def record_active_set(self) -> None:
-        """Add the contact points' states to the active set, of the residual asked for last."""
-        self._motion.record_active_set()
-
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Heat and forces, each beside its own scale."""
         heat = self._heat.measure(x[: self._n], f[: self._n])[0]
         noise = self.exchange.rounding(self._problem.trial(*x[self._n :]))
         heat = replace(heat, rounding=heat.rounding + noise)
-        return [heat, *self._motion.measure(x[self._n :], f[self._n :])]
-
-    def scale_augmentation(self, factor: float) -> bool:
-        """Solve with this multiple of the augmentation in force, if an interface has one."""
-        return self._motion.scale_augmentation(factor)
-
-    def augmentation(self) -> dict[str, float]:
-        """Augmentation in force on each interface [MPa/mm]; collective."""
-        return self._motion.augmentation()
-
-    def usual_augmentation(self) -> float:
-        """Multiple of the augmentation asked for that would be chosen; collective."""
-        return self._motion.usual_augmentation()
-
-    def tie(self, on: bool) -> bool:
-        """Solve with interfaces tied that were open everywhere so far, if there are any."""
-        return self._motion.tie(on)
+        return [heat, *super().measure(x[self._n :], f[self._n :])]
 
     def _thermal_forces(self) -> list[list[PETSc.Mat]]:
         """Forces of temperatures and temperature jumps on displacement and jumps, negative."""
@@ -203,10 +168,10 @@ class CoupledSystem(System):
 
     def _from_heat(self) -> list[list[PETSc.Mat]]:
         """Rows of displacement and jumps, columns of the heat."""
-        if self._forces is None:
+        if self._thermal is None:
             return []
-        by_u, by_q = self._forces
-        return [by_u, [self._motion.rows.matMult(A) for A in by_q]]
+        by_u, by_q = self._thermal
+        return [by_u, [self.rows.matMult(A) for A in by_q]]
 
     def _entries(self) -> list[PETSc.Mat]:
         """Heat by friction power, negative: in the rows of temperature and of jumps."""
@@ -226,8 +191,8 @@ class CoupledSystem(System):
         self, trial: TrialState, x: list[PETSc.Vec]
     ) -> tuple[list[list[PETSc.Mat]], list[list[PETSc.Mat]]]:
         """Rows of the heat: columns of the mechanics, and what comes back to its own."""
-        contact = trial.contact
-        power = self._matrices(contact, self.exchange.power_rows(trial))
+        contact = self._contact
+        power = self._point_rows(self.exchange.power_rows(trial))
         rows = [[Z.matMult(R) for R in power] for Z in self._nodes]
         jumps, pressed = self._heat.operators.jumps, self.exchange.pressed
         if jumps is not None and pressed is not None:
@@ -236,19 +201,22 @@ class CoupledSystem(System):
             growth = jumps.weight * jumps.flux(x[1].array)[2]
             by_pressure.array[:] = np.where(jumps.held, 0.0, -growth)
             squeezed.diagonalScale(by_pressure)
-            pressure = self._matrices(contact, self.exchange.pressure_rows(trial))
+            pressure = self._point_rows(self.exchange.pressure_rows(trial))
             rows[1] = [
                 _plus(A, squeezed.matMult(R)) for A, R in zip(rows[1], pressure, strict=True)
             ]
-        up = [[E.matMult(contact.Ct), _plus(E.matMult(contact.D), Q)] for E, Q in rows]
-        if self._forces is None:
+        up = [
+            [E.matMult(contact.coupling.Ct), _plus(E.matMult(contact.coupling.D), Q)]
+            for E, Q in rows
+        ]
+        if self._thermal is None:
             return up, []
-        return up, [[E.matMult(G) for G in self._forces[1]] for E, _ in rows]
+        return up, [[E.matMult(G) for G in self._thermal[1]] for E, _ in rows]
 
-    def _matrices(self, contact: ContactInterfaces, rows: PointDerivatives) -> list[PETSc.Mat]:
+    def _point_rows(self, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
-        start = contact.D.getOwnershipRange()[0]
+        start = self._contact.coupling.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())
@@ -259,12 +227,6 @@ class CoupledSystem(System):
 def _plus(A: PETSc.Mat, B: PETSc.Mat) -> PETSc.Mat:
     A.axpy(1.0, B, structure=DIFFERENT)
     return A
-
-
-def _joined(A: PETSc.Mat | None, B: PETSc.Mat) -> PETSc.Mat:
-    """A new matrix with the patterns of both."""
-    assert A is not None
-    return matrix_sum((A, B))
 
 
 def _copy(new: list[list[PETSc.Mat]], kept: list[list[PETSc.Mat]]) -> None:

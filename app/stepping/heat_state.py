@@ -74,7 +74,6 @@ class HeatState:
     def __init__(
         self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
     ) -> None:
-        """Begin at the initial temperatures; collective."""
         self.options = scene.time[0]
         self.step, self.operators, self.solver = step, step.operators, solver
         self.coupled = coupled

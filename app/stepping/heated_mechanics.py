@@ -18,19 +18,15 @@ class SolvedAfterHeat:
 
     They are solved at the ends of the increments of a stage and whenever a temperature has moved
     far enough, along the straight line between two states of the heat.
+
+    Args:
+        limit: Change of temperature, or of cure as the temperature it releases, after which
+            they are solved again [K].
     """
 
     saved = ("_before", "_time")
 
     def __init__(self, load_stepper: LoadStepper, heating: HeatState, limit: float) -> None:
-        """Let the mechanics follow.
-
-        Args:
-            load_stepper: The mechanics.
-            heating: The heat.
-            limit: Change of temperature, or of cure as the temperature it releases, after which
-                they are solved again [K].
-        """
         self._load_stepper, self._heating, self._limit = load_stepper, heating, limit
         self._time = 0.0
         self._before = heating.thermal_state()

@@ -44,12 +44,6 @@ class ThermalLoading:
     saved = ("_strains",)
 
     def __init__(self, scene: Scene, operators: HeatOperators) -> None:
-        """Begin without strain.
-
-        Args:
-            scene: The scene.
-            operators: Its heat.
-        """
         self._operators, self._step = operators, scene.time[0].mechanical_step
         n = len(operators.bodies.names)
         self._temperatures = [fem.Function(operators.forms.space) for _ in range(n)]

@@ -331,13 +331,6 @@ def test_a_run_goes_on_without_its_reader(streams: str, tmp_path: Path) -> None:
     assert (tmp_path / "DONE").exists()
 
 
-def test_the_help_of_a_command_keeps_its_capitals(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["doctor", "--help"])
-    said = capsys.readouterr().out
-    assert "Tell what mantle finds on this machine: MPI, BLAS, compiler, threads." in said
-
-
 @pytest.mark.parametrize("command", ["study", "sweep", "verify", "stress"])
 def test_cores_are_those_that_this_process_may_use(
     command: str, monkeypatch: pytest.MonkeyPatch

@@ -337,7 +337,7 @@ def test_stress_shielding_is_against_the_femur_without_a_stem(maker: Maker) -> N
     assert list(change["cortical_bone"].values()) == pytest.approx([-0.25] * 14)
     head, rows = gruen.table(found.cases[0])
     assert len(rows) == 14 and len(head) == len(rows[0]) == 1 + 10 + 1
-    assert rows[6][:2] == ["7 (frontal)", "20 / 10"] and rows[7][0] == "8 (lateral)"
+    assert rows[6][:2] == ["7 (frontal)", "20.0 / 10.0"] and rows[7][0] == "8 (lateral)"
     page = sweep_report.run(maker.folder).files[0].read_text()
     assert "Stress shielding" in page and "14 (lateral)" in page
 

@@ -55,12 +55,10 @@ def test_shipped_geometries_know_theirs(name: str, expected: dict[str, str]) -> 
     assert {n: r.tissue for n, r in case.regions.items()} == expected | bones
     changed = load(CONFIGS / f"{name}.yaml", [f"regions.{n}.tissue=other" for n in bones]).config
     assert all(changed.regions[n].tissue == "other" for n in bones)
-
-
-def test_blocks_are_neither_bone_nor_implant_unless_they_say_so() -> None:
-    case = support.case(STACK.replace(", tissue: bone", ""))
-    assert [r.tissue for r in case.regions.values()] == ["other", "cement", "implant"]
-    assert case.of_tissue("implant") == ("nail",) and case.of_tissue("bone") == ()
+    # Blocks are neither bone nor implant unless they say so.
+    stack = support.case(STACK.replace(", tissue: bone", ""))
+    assert [r.tissue for r in stack.regions.values()] == ["other", "cement", "implant"]
+    assert stack.of_tissue("implant") == ("nail",) and stack.of_tissue("bone") == ()
 
 
 def test_a_file_has_to_say_it(tmp_path: Path) -> None:

@@ -19,76 +19,7 @@ from app.scene.terms import multiplier
 from app.schema import units
 from tests import support
 
-CASE = """
-geometry:
-  kind: cylinders
-  stem_radius: 7 mm
-  cement_thickness: 4 mm
-  bone_thickness: 6 mm
-  length: 20 mm
-mesh: {size: 2 mm}
-regions:
-  stem:
-    rigid: true
-    thermal:
-      conductivity: 14.8 W/(m K)
-      density: 8300 kg/m^3
-      specific_heat: 450 J/(kg K)
-      initial_temperature: 22 degC
-  cement:
-    youngs_modulus: 2.2 GPa
-    poisson_ratio: 0.3
-    thermal:
-      conductivity: 0.2 W/(m K)
-      density: 1200 kg/m^3
-      specific_heat: 1450 J/(kg K)
-      initial_temperature: 22 degC
-      thermal_expansion: 80e-6 1/K
-      cure:
-        kinetics:
-          {kind: autocatalytic, rate_constant: 2.6397e8 1/s, activation_energy: 62866 J/mol,
-           m: 0.98, n: 1.064, limit: [[20 degC, 0.9], [100 degC, 1]]}
-        heat: 1.55e8 J/m^3
-        shrinkage: 0.003
-  bone:
-    youngs_modulus: 17 GPa
-    poisson_ratio: 0.3
-    thermal:
-      axial_conductivity: 0.6 W/(m K)
-      transverse_conductivity: 0.5 W/(m K)
-      fibre: [0, 3, 4]
-      density: 1850 kg/m^3
-      specific_heat: 1260 J/(kg K)
-      initial_temperature: 37 degC
-      thermal_expansion: 27.5e-6 1/K
-      reference_temperature: 20 degC
-interfaces:
-  stem_cement:
-    kind: contact
-    friction_coefficient: 0.4
-    conductance: {kind: pressure, open: 100 W/(m^2 K), per_pressure: 50 W/(m^2 K MPa)}
-    friction_heating: effusivity
-  cement_bone: {kind: bonded, conductance: 1000 W/(m^2 K)}
-supports:
-  base: {kind: fixed, boundary: bone_surface}
-  hold: {kind: fixed, boundary: stem_top, stages: [setting]}
-heat:
-  blood:
-    kind: perfusion
-    regions: [bone]
-    rate: 0.003 1/s
-    blood_density: 1060 kg/m^3
-    blood_specific_heat: 3770 J/(kg K)
-    temperature: 37 degC
-  outside: {kind: temperature, boundary: bone_surface, temperature: 300 + x}
-  held: {kind: temperature, regions: [stem], course: [[0 s, 40 degC], [1 min, 20 degC]]}
-  lamp: {kind: flux, boundary: stem_top, flux: 100 W/m^2, course: [[0 s, 1], [10 s, 0]]}
-  air: {kind: convection, boundary: cement_top, coefficient: 20 W/(m^2 K), ambient: 22 degC}
-  warm: {kind: source, regions: [stem, bone], density: 1e6 W/m^3}
-stages:
-  - {name: setting, duration: 1 hour, increments: 4}
-  - {name: rest}
-"""
+CASE = Path(__file__).with_name("hot.yaml").read_text()
 
 
 def build(*overrides: str) -> terms.Scene:

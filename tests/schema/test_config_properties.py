@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from app.case.case import dump, load, resolve
+from app.case.case import load
 from app.case.geometries import Blocks
 from app.errors import InputError
 from app.laws.materials import Isotropic, TransverselyIsotropic
-from app.schema import yaml_file
 from app.schema.units import Length, Modulus, Stiffness, Temperature
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
-moderate = st.floats(-1e6, 1e6)
-positive = st.floats(1e-3, 1e6)
-names = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True)
 FACTORS = {
     "mm": Fraction(1),
     "um": Fraction(1, 1000),
@@ -171,276 +166,14 @@ def test_fibres_are_of_unit_length(fibre: tuple[float, float, float]) -> None:
     assert again.fibre == material.fibre
 
 
-# ------------------------------------------------------------------------------- round trip
-
-
-def quantity(unit: str, values: st.SearchStrategy[float] = moderate) -> st.SearchStrategy[str]:
-    return values.map(lambda v: f"{v!r} {unit}")
-
-
-def vector(unit: str) -> st.SearchStrategy[Any]:
-    listed = st.lists(quantity(unit), min_size=3, max_size=3)
-    joined = st.lists(moderate, min_size=3, max_size=3).map(
-        lambda v: f"[{', '.join(map(repr, v))}] {unit}"
-    )
-    return listed | joined
-
-
-@st.composite
-def cases(draw: st.DrawFn) -> dict[str, Any]:
-    """The data of a random valid case."""
-    blocks = draw(st.lists(names, min_size=1, max_size=3, unique=True))
-    side = st.floats(1.0, 100.0)
-    x, y = draw(quantity("mm", side)), draw(quantity("cm", side))
-    stages = draw(st.lists(names, min_size=1, max_size=3, unique=True))
-    history = st.lists(finite, min_size=len(stages), max_size=len(stages)) | st.none()
-    elastic = st.fixed_dictionaries(
-        {"youngs_modulus": quantity("GPa", positive), "poisson_ratio": st.floats(-0.99, 0.49)},
-        optional={
-            "eigenstrains": st.lists(
-                st.fixed_dictionaries({"strain": finite, "history": history}), max_size=2
-            )
-        },
-    )
-    expressions = st.sampled_from(["0.01 * x", "-min(x, y) / (1 + z)", "-x", "3*max(x, 1e-3*z)"])
-    contact = st.fixed_dictionaries(
-        {"kind": st.just("contact"), "friction_coefficient": st.floats(0.0, 5.0)},
-        optional={
-            "gap": quantity("um") | expressions,
-            "gap_history": history,
-            "augmentation": quantity("MPa/mm", positive),
-        },
-    )
-    laws = contact | st.just({"kind": "bonded"})
-    support = st.fixed_dictionaries(
-        {"kind": st.just("displacement"), "boundary": st.just("x_min")},
-        optional={"history": history},
-    ).flatmap(lambda d: (quantity("mm") | expressions).map(lambda q: d | {"x": q}))
-    force = st.fixed_dictionaries(
-        {"kind": st.just("force"), "boundary": st.just("top"), "force": vector("kN")},
-        optional={"at": vector("mm"), "history": history},
-    )
-    density = st.lists(quantity("MN/m^3") | expressions, min_size=3, max_size=3)
-    volume = st.fixed_dictionaries(
-        {
-            "kind": st.just("body_force"),
-            "density": density | density.map(lambda d: f"[{', '.join(d)}]"),
-        }
-    )
-    scalars = st.integers() | finite | st.booleans() | st.text(max_size=8)
-    return {
-        "title": draw(st.text(max_size=20)),
-        "geometry": {
-            "kind": "blocks",
-            "blocks": [{"name": n, "size": [x, y, draw(quantity("mm", side))]} for n in blocks],
-        },
-        # Blocks of 1 mm go with edges of up to 20 mm.
-        "mesh": {
-            "size": draw(quantity("mm", st.floats(1e-3, 20.0))),
-            "order": draw(st.sampled_from([1, 2])),
-        },
-        "regions": {n: draw(elastic) for n in blocks},
-        "interfaces": {f"{a}_{b}": draw(laws) for a, b in pairwise(blocks)},
-        "supports": {"base": {"kind": "fixed", "boundary": "bottom"}, "side": draw(support)},
-        "loads": {draw(names): draw(force | volume)},
-        "stages": [{"name": n, "increments": draw(st.integers(1, 99))} for n in stages],
-        "solver": {"petsc": draw(st.dictionaries(names, scalars, max_size=3))},
-    }
+# ------------------------------------------------------------------------------------ files
 
 
 kelvin = st.floats(1e-3, 1e4).map(lambda v: f"{v!r} K")
 celsius = st.floats(-273.0, 1e4).map(lambda v: f"{v!r} degC")
-temperatures = kelvin | celsius
-parts = st.floats(0.0, 0.99)
 
 
-def table(
-    first: st.SearchStrategy[float], unit: str, second: st.SearchStrategy[Any]
-) -> st.SearchStrategy[Any]:
-    """Pairs whose first entries increase."""
-    keys = st.lists(first, min_size=2, max_size=4, unique=True).map(sorted)
-    return keys.flatmap(
-        lambda ts: st.tuples(*(second for _ in ts)).map(
-            lambda vs: [[f"{t!r} {unit}", v] for t, v in zip(ts, vs, strict=True)]
-        )
-    )
-
-
-seconds = st.floats(0.0, 1e5)
-courses = table(seconds, "s", moderate)
-
-
-@st.composite
-def thermal(draw: st.DrawFn, expands: bool) -> dict[str, Any]:
-    """The data of a region that conducts, and maybe sets."""
-    result: dict[str, Any] = {
-        "density": draw(quantity("kg/m^3", positive)),
-        "specific_heat": draw(quantity("J/(kg K)", positive)),
-        "initial_temperature": draw(temperatures),
-    }
-    if draw(st.booleans()):
-        result["conductivity"] = draw(quantity("W/(m K)", positive))
-    else:
-        for direction in ("axial", "transverse"):
-            result[f"{direction}_conductivity"] = draw(quantity("W/(m K)", positive))
-        if draw(st.booleans()):
-            along = [1, draw(moderate), draw(moderate)]
-            kind = draw(st.sampled_from(["", "circumferential", "radial"]))
-            through = [draw(quantity("cm", moderate)) for _ in "xyz"]
-            result["fibre"] = {"kind": kind, "axis": along, "through": through} if kind else along
-    if draw(st.booleans()):
-        result["cure"] = draw(cures())
-    if expands and draw(st.booleans()):
-        result["thermal_expansion"] = draw(quantity("1/K", st.floats(1e-9, 1e-2)))
-        if "cure" not in result and draw(st.booleans()):
-            result["reference_temperature"] = draw(temperatures)
-    return result
-
-
-def cures() -> st.SearchStrategy[dict[str, Any]]:
-    """How a region sets."""
-    numbers = st.floats(0.0, 3.0)
-    reaction = st.fixed_dictionaries(
-        {
-            "kind": st.just("autocatalytic"),
-            "rate_constant": quantity("1/min", positive),
-            "activation_energy": quantity("kJ/mol", positive),
-            "m": numbers,
-            "n": numbers,
-        },
-        optional={"limit": table(st.floats(1.0, 1e3), "K", st.floats(0.99, 1.0))},
-    )
-    clock = st.fixed_dictionaries(
-        {"kind": st.just("prescribed"), "rate": table(seconds, "s", positive)}
-    )
-    return st.fixed_dictionaries(
-        {"kinetics": reaction | clock, "heat": quantity("MJ/m^3", positive)},
-        optional={
-            "initial": st.floats(1e-9, 0.99),
-            "gel": parts,
-            "floor": st.floats(1e-6, 1.0),
-            "exponent": positive,
-            "shrinkage": parts,
-        },
-    )
-
-
-def conditions(regions: list[str]) -> st.SearchStrategy[dict[str, Any]]:
-    """What brings heat in or takes it away."""
-    place = st.just({"boundary": "top"}) | st.lists(
-        st.sampled_from(regions), min_size=1, max_size=2, unique=True
-    ).map(lambda names: {"regions": names})
-    by = temperatures.map(lambda t: {"temperature": t}) | table(seconds, "s", temperatures).map(
-        lambda c: {"course": c}
-    )
-    fixed = st.tuples(place, by).map(lambda d: {"kind": "temperature"} | d[0] | d[1])
-    flux = st.fixed_dictionaries(
-        {
-            "kind": st.just("flux"),
-            "boundary": st.just("x_min"),
-            "flux": quantity("kW/m^2") | st.just("exp(-x) * y"),
-        },
-        optional={"course": courses},
-    )
-    film = st.fixed_dictionaries(
-        {
-            "kind": st.just("convection"),
-            "boundary": st.just("bottom"),
-            "coefficient": quantity("W/(m^2 K)", positive),
-            "ambient": temperatures,
-        }
-    )
-    source = st.fixed_dictionaries(
-        {
-            "kind": st.just("source"),
-            "regions": st.just(regions),
-            "density": quantity("kW/m^3") | st.just("exp(-z)"),
-        },
-        optional={"course": courses},
-    )
-    blood = st.fixed_dictionaries(
-        {
-            "kind": st.just("perfusion"),
-            "regions": st.just(regions[:1]),
-            "rate": quantity("1/hour", positive),
-            "blood_density": quantity("g/cm^3", positive),
-            "blood_specific_heat": quantity("kJ/(kg K)", positive),
-            "temperature": temperatures,
-        }
-    )
-    return fixed | flux | film | source | blood
-
-
-constant = quantity("W/(m^2 K)", st.floats(0.0, 1e9))
-by_pressure = st.fixed_dictionaries(
-    {
-        "kind": st.just("pressure"),
-        "open": quantity("W/(m^2 K)", st.floats(0.0, 1e3)),
-        "per_pressure": quantity("W/(m^2 K MPa)", positive),
-    },
-    optional={"cap": quantity("W/(m^2 K)", st.floats(1e3, 1e9))},
-)
-
-
-@st.composite
-def hot_cases(draw: st.DrawFn) -> dict[str, Any]:
-    """The data of a random valid case with heat: with or without mechanics."""
-    data = draw(cases())
-    solid = draw(st.booleans())
-    for name, region in data["regions"].items():
-        region["thermal"] = draw(thermal(expands=solid))
-        if not solid:
-            data["regions"][name] = {"kind": "conductor", "thermal": region["thermal"]}
-    for name, law in data["interfaces"].items():
-        if not solid:
-            law = data["interfaces"][name] = {"kind": "bonded"}
-        rubs = law.get("friction_coefficient", 0.0) > 0.0
-        touches = law["kind"] != "bonded"
-        laws = constant | st.just("perfect") | (by_pressure if touches else st.nothing())
-        law |= draw(st.fixed_dictionaries({}, optional={"conductance": laws}))
-        if rubs and draw(st.booleans()):
-            law["friction_heating"] = draw(st.just("effusivity") | st.floats(0.0, 1.0))
-    for stage in data["stages"]:
-        stage["duration"] = draw(quantity("min", positive))
-    if solid:
-        held = st.lists(st.sampled_from([s["name"] for s in data["stages"]]), min_size=1)
-        data["supports"]["side"]["stages"] = draw(held)
-    else:
-        del data["supports"], data["loads"]
-    regions = list(data["regions"])
-    data["heat"] = draw(st.dictionaries(names, conditions(regions), max_size=3))
-    data["time"] = draw(
-        st.fixed_dictionaries(
-            {},
-            optional={
-                "method": st.sampled_from(["sdirk4", "backward_euler"]),
-                "tolerance": quantity("mK", positive),
-                "first_step": quantity("ms", positive),
-                "mechanical_step": quantity("K", positive),
-            },
-        )
-    )
-    probe = st.fixed_dictionaries(
-        {"at": vector("mm")}, optional={"region": st.sampled_from(regions)}
-    )
-    data["output"] = {"probes": draw(st.dictionaries(names, probe | vector("mm"), max_size=2))}
-    return data
-
-
-@given(cases() | hot_cases())
-def test_dump_and_load_give_an_equal_case(tmp_path_factory: Any, data: dict[str, Any]) -> None:
-    try:
-        case = resolve(yaml_file.CaseFile("case.yaml", data), Path())
-    except InputError as error:
-        # Random block names can make two interfaces of the same name.
-        assert "same name" in str(error)
-        return
-    path = tmp_path_factory.mktemp("case") / "case.yaml"
-    path.write_text(dump(case), encoding="utf-8", newline="")
-    assert load(path).config == case
-
-
-@given(temperatures)
+@given(kelvin | celsius)
 @settings(deadline=None)
 def test_temperatures_survive_writing(text: str) -> None:
     adapter: TypeAdapter[float] = TypeAdapter(Temperature)

@@ -52,27 +52,6 @@ def test_the_key_of_a_mesh_has_the_version_of_gmsh() -> None:
     assert _gmsh_version() == gmsh.__version__
 
 
-@pytest.mark.parametrize(
-    ("unit", "internal"),
-    [
-        *((symbol, "mm") for symbol in ("m", "cm", "mm", "um", "µm", "nm")),
-        *((symbol, "s") for symbol in ("s", "ms", "min", "minutes", "h", "hours")),
-        *((symbol, "MPa") for symbol in ("Pa", "kPa", "MPa", "GPa", "N/mm^2", "kN/m^2", "J/m^3")),
-        *((symbol, "tonne") for symbol in ("g", "kg", "tonne", "N s^2/m")),
-        *(("deg", "rad"), ("mrad", "rad"), ("degC", "K"), ("degF", "K"), ("K", "K")),
-        *(("W/(m K)", "N/s/K"), ("W/m/K", "N/s/K"), ("W m^-1 K^-1", "N/s/K")),
-        *(("J/(kg K)", "mm^2/s^2/K"), ("kJ/kg", "mm^2/s^2"), ("J/mol", "N mm/mol")),
-        *(("W/(m^2 K)", "N/mm/s/K"), ("mW/mm^3", "MPa/s"), ("1/K", "1/K"), ("1/s", "1/s")),
-        *(("MPa/mm", "N/mm^3"), ("kg/m^3", "tonne/mm^3"), ("kN*m", "N mm"), ("inch", "mm")),
-    ],
-)
-def test_units_mean_what_pint_says(unit: str, internal: str) -> None:
-    ureg = unit_conversion.registry()
-    source, target = ureg.parse_units(unit), ureg.parse_units(internal)
-    zero, one = (Fraction(ureg.Quantity(Fraction(k), source).to(target).magnitude) for k in (0, 1))
-    assert unit_conversion.conversion(unit, internal) == (one - zero, zero)
-
-
 def test_a_conversion_is_asked_of_pint_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
