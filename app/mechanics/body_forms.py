@@ -47,7 +47,6 @@ class OnBody:
     """One body of the mechanics as loads see it (`scene.loads.Acting`)."""
 
     def __init__(self, mechanics: BodyForms, body: int) -> None:
-        """Look at a body."""
         self._mechanics, self._body = mechanics, body
         self.x = ufl.SpatialCoordinate(mechanics.mesh)
         self.n = ufl.FacetNormal(mechanics.mesh)

@@ -91,7 +91,7 @@ class TrialState:
         return np.asarray((self.law.pressures > 0) | nearly)
 
     def committed(self) -> ContactState:
-        """The contact's state after a converged step: jump, tractions, slip, dissipation.
+        """State of the points after a converged step: jump, tractions, slip, dissipation.
 
         A point slides by the tangential part of a step at whose end it is in contact: the motion
         for which the law gives its friction. What it moves while it is open is no slip.

@@ -222,7 +222,6 @@ class PointLaw:
         return out
 
     def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
-        """Have tied points touch and stick."""
         own, tied = self._own, self.tied
         slid = own.tangential(old, np.ones((len(own), 3), dtype=bool))
         trial = force + self.stiffness[:, None] * (opening - slid)

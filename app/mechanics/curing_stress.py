@@ -114,7 +114,6 @@ class CuringStress:
         return g * elasticity.stress(lambda x: self._mechanics.energy_density(e, x), ε)
 
     def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
-        """Regions of a body that set, with their measures."""
         degree = self._mechanics.varying_degree
         return [
             (e, self._measure(self._mechanics.tagged.regions[r], degree=degree))
@@ -138,7 +137,7 @@ class CuringStress:
         return held - self.internal_work(body, v)
 
     def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
-        """Take in degrees of cure and free strains at the end of the step."""
+        """Set degrees of cure and free strains at the end of the step."""
         self._new = {
             r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
             for r, growth in self._growth.items()
@@ -195,7 +194,7 @@ class CuringStress:
         self._old = dict(self._new)
 
     def commit(self, displacements: Sequence[fem.Function]) -> None:
-        """Make stress and strain of a converged state the history.
+        """Commit stress and strain of a converged state.
 
         Args:
             displacements: Of each body, ghosts included.

@@ -73,7 +73,6 @@ class Stiffness:
         self.inverse = Inverse(self.K, lambda: self.version, options, lower)
 
     def _constrained(self) -> PETSc.Mat:
-        """The stiffness with the supports of the current stage."""
         K = self.constraints.matrix(assembled_matrix(self._form))
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.rows = ConstrainedRows(K, self.constraints)

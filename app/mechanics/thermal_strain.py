@@ -43,7 +43,6 @@ class ThermalStrain:
     """Thermal expansion of the elastic regions of a scene."""
 
     def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies) -> None:
-        """Assemble the forces of each region; collective."""
         self._mechanics = mechanics
         self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
         self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
@@ -128,7 +127,6 @@ def _forces(mechanics: BodyForms, e: Elastic) -> PETSc.Mat:
 
 
 def _sums(parts: Iterable[tuple[int, PETSc.Mat]]) -> dict[int, PETSc.Mat]:
-    """Sum of the matrices of each body."""
     sums: dict[int, PETSc.Mat] = {}
     for body, part in parts:
         sums[body] = sums[body] + part if body in sums else part
