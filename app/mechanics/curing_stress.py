@@ -31,11 +31,13 @@ from dolfinx import fem
 
 from app.arrays import Floats, Ints
 from app.errors import InputError
+from app.laws.cure import Cure
+from app.laws.materials import Elastic
 from app.mechanics.body_forms import BodyForms
 from app.numerics.pointwise import Pointwise
 from app.numerics.saved_state import LEFT_OUT
 from app.scene.bodies import Bodies
-from app.scene.terms import CureTerm, Elastic, Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import cure, elasticity, loads
 
@@ -212,7 +214,7 @@ class CuringStress:
         self._old = dict(self._new)
 
 
-def _growth(comm: MPI.Comm, terms: CureTerm, nodes: int) -> Pointwise:
+def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
     """Modulus over the final one by degree of cure, at every vertex of this rank."""
     constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
     law = Pointwise(

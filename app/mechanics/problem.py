@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Ints
+from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.curing_stress import CuringStress
@@ -23,7 +24,7 @@ from app.mechanics.stiffness import Stiffness
 from app.mechanics.thermal_strain import ThermalStiffness, ThermalStrain
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import bodies_of
-from app.scene.terms import Scene, amplitude
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 

@@ -17,8 +17,8 @@ import numpy as np
 from app.arrays import Bools, Floats
 from app.case.case import Case
 from app.errors import Reason
+from app.laws.values import gap_at
 from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid_modes
-from app.scene.terms import gap_at
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
 from app.system.layout import point_text
 from forms.contact import OPEN

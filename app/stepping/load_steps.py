@@ -18,7 +18,7 @@ from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.soundness.failure import explain
 from app.soundness.loose_bodies import held_by_facets, runaway
 
