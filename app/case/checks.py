@@ -102,7 +102,8 @@ def _histories(case: Any) -> Iterable[Fault]:
     for section in ("interfaces", "supports", "loads"):
         for name, entry in (getattr(case, section) or {}).items():
             for key in ("history", "gap_history"):
-                yield from check((section, name, key), getattr(entry, key, None))
+                if entry is not None and key in type(entry).model_fields:
+                    yield from check((section, name, key), getattr(entry, key))
     for name, region in (case.regions or {}).items():
         for i, eigenstrain in enumerate(getattr(region, "eigenstrains", ())):
             history = getattr(eigenstrain, "history", None)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
 from app.laws.materials import Conductor
-from app.laws.thermal import Convection, FixedTemperature, Perfusion
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
 
