@@ -339,7 +339,7 @@ def test_companions_share_their_mesh_too() -> None:
 
 
 def test_conductance_varies_where_heat_and_contact_depend_on_each_other() -> None:
-    """BodyForms are taken over, at rest and as cold as before the run."""
+    """Mechanics are taken over, at rest and as cold as before the run."""
     key = "interfaces.lower_upper.conductance.per_pressure"
     cases = [
         support.case(coupled.CASE, f"{key}={value} W/(m^2 K MPa)", "stages[1].increments=2")

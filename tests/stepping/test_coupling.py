@@ -117,7 +117,7 @@ def compare(one: coupled.Coupled, other: coupled.Coupled, tolerance: float) -> N
 def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """BodyForms that follow the heat, step by step, and the same in one system with it."""
+    """Mechanics that follow the heat, step by step, and the same in one system with it."""
     steps = (f"time.method={method}", "time.mechanical_step=1000 K")
     one = coupled.solve(monkeypatch, *steps, ONE_WAY)
     assert not one.model.scene.coupled
