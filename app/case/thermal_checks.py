@@ -48,7 +48,7 @@ def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
 
 
 def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
-    """BodyForms where no region is a solid; regions of both sorts."""
+    """Mechanics where no region is a solid; regions of both sorts."""
     solid = [name for name, region in regions.items() if not isinstance(region, Conductor)]
     if len(solid) == len(regions):
         return
