@@ -223,6 +223,18 @@ def python(
     return done
 
 
+def started(*arguments: str | Path, session: bool = False, **environ: str) -> subprocess.Popen[str]:
+    """Start Python with these arguments; with ``session``, as leader of a process group."""
+    return subprocess.Popen(
+        [sys.executable, *map(str, arguments)],
+        env=environment() | environ,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=session,
+    )
+
+
 def mpirun(ranks_: int, *arguments: str | Path) -> list[str]:
     """Command that runs Python with these arguments on a number of ranks."""
     return ["mpirun", "-n", str(ranks_), sys.executable, *map(str, arguments)]

@@ -181,7 +181,6 @@ def test_memory_is_what_the_group_of_the_process_may_use(
 
 
 def scripted(folder: Path, script: str) -> Path:
-    """A case of a script."""
     (folder / "script.geo").write_text(script)
     path = folder / "case.yaml"
     path.write_text(CASE)

@@ -22,7 +22,7 @@ import mantle
 from app.command_line.parser import parser
 from tests.meshes.test_scripts import CASE, LAYERS
 from tests.misleading import mislead
-from tests.support import ROOT, python
+from tests.support import ROOT, python, started
 
 MANTLE = ROOT / "mantle"
 
@@ -315,13 +315,7 @@ def test_a_crash_of_one_rank_ends_all(tmp_path: Path) -> None:
 
 def ready(command: list[str]) -> subprocess.Popen[str]:
     """Start Python in a group of its own, and wait until it says that it is ready."""
-    process = subprocess.Popen(
-        [sys.executable, *command],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    process = started(*command, session=True)
     assert process.stdout is not None and process.stdout.readline() == "ready\n"
     return process
 

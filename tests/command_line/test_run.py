@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -508,14 +507,7 @@ def test_an_interrupt_leaves_finished_variations(tmp_path: Path) -> None:
     case, output = tmp_path / "varied.yaml", tmp_path / "out"
     loads = [f"  v{i}: {{loads.push.force: '[{8 + 0.001 * i}, 0, 0] N'}}\n" for i in range(200)]
     case.write_text(SLIDING + "variations:\n" + "".join(loads))
-    command = [sys.executable, "-m", "mantle", "run", str(case), "-o", str(output)]
-    process = subprocess.Popen(
-        command,
-        env=support.environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = support.started("-m", "mantle", "run", case, "-o", output)
     assert process.stdout is not None
     while not process.stdout.readline().startswith("variation 3 "):
         assert process.poll() is None

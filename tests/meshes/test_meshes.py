@@ -266,8 +266,7 @@ def test_written_files_are_read_back(tmp_path: Path, unit: str, curved: bool) ->
     assert back.notes["cells_without_region"] == 0
 
 
-def test_files_in_the_old_format_are_read(tmp_path: Path) -> None:
-    """2.2, ASCII."""
+def test_files_in_format_2_2_are_read(tmp_path: Path) -> None:
     data, path = mesh(STACK, 3.0), tmp_path / "old.msh"
     meshes.write_msh(data, tmp_path / "new.msh")
     with session("old") as gmsh:

@@ -60,7 +60,6 @@ def tree(path: Path) -> ast.Module:
 
 
 def module(path: Path) -> str:
-    """Name of a module."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(part for part in parts if part != "__init__")
 
@@ -181,7 +180,6 @@ def test_meshes_know_nothing_of_the_application(path: Path) -> None:
 
 @all_of("meshes")
 def test_only_distribution_needs_the_solver(path: Path) -> None:
-    """Meshing is serial and works without dolfinx."""
     if path.name == "distribute.py":
         return
     assert not {"dolfinx", "petsc4py", "ufl"} & set(map(top, imported(path)))

@@ -48,14 +48,7 @@ def command(output: Path, *more: str) -> list[str]:
 
 def start(output: Path, *more: str, session: bool = False, **environ: str) -> subprocess.Popen[str]:
     """The same, not waited for; with ``session``, leader of a process group."""
-    return subprocess.Popen(
-        command(output, *more),
-        env=support.environment() | environ,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=session,
-    )
+    return support.started(*arguments(output, *more), session=session, **environ)
 
 
 def numbers(output: Path) -> dict[str, Any]:

@@ -172,7 +172,6 @@ def written(data: Any) -> str:
 
 
 def options(rng: RANDOM, text: str) -> list[str]:
-    """``--set`` options."""
     words = re.findall(r"[a-z_]{3,}", text)
     result = []
     for _ in range(rng.randint(1, 3)):
@@ -247,7 +246,6 @@ def wrong(call: Callable[[], None], names: tuple[str, ...], seconds: float) -> s
 
 
 def main(seed: str, first: int, last: int, folder: Path) -> None:
-    """Try the mutants of a range of numbers."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     signal.signal(signal.SIGPROF, _late)
     shutil.copytree(CONFIGS, folder / "configs")

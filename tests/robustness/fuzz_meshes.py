@@ -39,7 +39,6 @@ WORDS = (
 
 
 def good(folder: Path) -> list[bytes]:
-    """Two blocks in each format."""
     text = """
     SetFactory("OpenCASCADE");
     Box(1) = {0, 0, 0, 1, 1, 1}; Box(2) = {0, 0, 1, 1, 1, 1}; Coherence;
@@ -127,7 +126,6 @@ def attempt(path: Path) -> str:
 
 
 def main(seed: str, first: int, last: int, folder: Path) -> None:
-    """Try the mutants of a range of numbers."""
     files = good(folder)
     case, mutant = folder / "case.yaml", folder / "mutant.msh"
     case.write_text(CASE)

@@ -152,12 +152,7 @@ def waiting(folder: Path, name: str) -> subprocess.Popen[str]:
         "form_cache._find(get, sys.argv[2], [], Path(sys.argv[1]), 10)\n"
         "print('compiling', flush=True)\ntime.sleep(60)\n"
     )
-    child = subprocess.Popen(
-        [sys.executable, "-c", script, folder, name],
-        env=support.environment(),
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    child = support.started("-c", script, folder, name)
     assert child.stdout is not None and child.stdout.readline() == "compiling\n"
     return child
 

@@ -35,7 +35,6 @@ def processes(output: Path) -> dict[int, list[str]]:
 
 
 def ranks(output: Path) -> list[int]:
-    """Processes of the ranks."""
     found = []
     for pid in processes(output):
         try:

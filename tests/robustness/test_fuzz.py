@@ -11,7 +11,6 @@ from tests import support
 
 
 def fuzz(module: str, seed: str, first: int, last: int, folder: Path) -> None:
-    """Try a range of mutants in a process of its own."""
     done = support.python(
         *("-W", "error::SyntaxWarning", "-m", f"tests.robustness.{module}"),
         *(seed, str(first), str(last), folder),

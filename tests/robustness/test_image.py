@@ -45,11 +45,9 @@ class Image:
 
     @property
     def work(self) -> Path:
-        """What is /work in the container."""
         return self.folder / "work"
 
     def buildah(self, command: str, *arguments: str | Path) -> str:
-        """Run a command of buildah; what it says."""
         where = ["--root", self.folder / "storage", "--runroot", self.folder / "run"]
         done = subprocess.run(
             ["buildah", *where, "--storage-driver", "vfs", command, *arguments],
@@ -63,18 +61,15 @@ class Image:
         return done.stdout
 
     def run(self, *command: str, user: str = "mantle") -> str:
-        """Run a command in the container; what it says."""
         shown = f"{self.work}:/work"
         options = ["--isolation=chroot", "--user", user, "--volume", shown, "--workingdir", "/work"]
         return self.buildah("run", *options, "case", "--", *command)
 
     def compiled(self, cache: str) -> set[str]:
-        """The names of the compiled forms in a cache."""
         return set(self.run("sh", "-c", f"cd {cache}/fenics && ls *.so").split())
 
 
 def base(image: Image) -> None:
-    """Make the image that the Dockerfile begins with."""
     tar = image.folder / "base.tar"
     done = subprocess.run(
         ["mmdebstrap", "--variant=minbase", "--mode=root", "trixie", tar, "/etc/apt/sources.list"],

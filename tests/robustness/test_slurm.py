@@ -101,7 +101,6 @@ class Cluster:
     environ: dict[str, str]
 
     def ask(self, *command: str) -> str:
-        """What a command of Slurm says."""
         done = subprocess.run(command, env=self.environ, capture_output=True, text=True, check=True)
         return done.stdout
 
@@ -188,7 +187,6 @@ def batch_of(folder: Path, cases: int, *options: str) -> list[Result]:
 
 
 def start(cluster: Cluster, folder: Path, cases: int = CASES) -> subprocess.Popen[str]:
-    """A batch in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-c", CONTROLLER, folder, str(cases)],
         env=cluster.environ,

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from app.system import scratch
-from tests.support import environment
-
-SCRIPT = "from app.system import scratch; import sys, time; print(scratch.make()[0], flush=True)\n"
+from tests.support import started
 
 
 @pytest.fixture(autouse=True)
@@ -35,15 +31,10 @@ def test_folders_of_runs_that_live_stay(place: Path) -> None:
 
 def test_folders_of_runs_that_were_killed_go(place: Path) -> None:
     setting = (
-        "from pathlib import Path\nfrom app.system import scratch\n"
-        f"scratch.SHARED = Path('{place}')\n"
+        "import time; from pathlib import Path; from app.system import scratch;"
+        f"scratch.SHARED = Path('{place}'); print(scratch.make()[0], flush=True);"
     )
-    child = subprocess.Popen(
-        [sys.executable, "-c", setting + SCRIPT + "time.sleep(60)"],
-        env=environment(),
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+    child = started("-c", setting + "time.sleep(60)")
     assert child.stdout is not None
     old = Path(child.stdout.readline().strip())
     (old / "segment").write_text("x")
