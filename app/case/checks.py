@@ -19,19 +19,13 @@ from app.schema.yaml_file import Fault, Path
 
 
 def cross_check(case: Any) -> list[Fault]:
-    """Every contradiction between the case."""
-    return [
-        *_names(case),
-        *_too_small(case),
-        *_histories(case),
-        *_stage_names(case),
-        *_support_stages(case),
-        *_rigid(case),
-        *_held(case),
-        *_side(case),
-        *thermal_checks.cross_check(case),
-        *thermal_checks.probe_regions(case),
-    ]
+    """Every contradiction between the parts of a case; a part that is invalid is None."""
+    faults = [*_held(case), *_side(case), *thermal_checks.cross_check(case)]
+    if case.geometry is not None:
+        faults += [*_names(case), *_too_small(case), *_rigid(case)]
+    if case.stages is not None:
+        faults += _stages(case)
+    return faults
 
 
 def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Fault:
@@ -42,44 +36,46 @@ def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str)
     )
 
 
+def _entries(case: Any, *sections: str) -> Iterable[tuple[str, str, Any]]:
+    """Section, name and entry of all that are valid."""
+    for section in sections:
+        for name, entry in (getattr(case, section) or {}).items():
+            if entry is not None:
+                yield section, name, entry
+
+
 def _names(case: Any) -> Iterable[Fault]:
     """Names that the geometry does not have, and regions without material."""
-    geometry = case.geometry
-    if geometry is None:
+    kind, regions = case.geometry.kind, case.geometry.region_names
+    boundaries, interfaces = case.geometry.boundary_names, case.geometry.interface_sides
+    used: list[tuple[Path, str, Any]] = [
+        *((("regions", name), "region", name) for name in case.regions or ()),
+        *((("interfaces", name), "interface", name) for name in case.interfaces),
+    ]
+    for section, name, entry in _entries(case, "supports", "loads", "heat"):
+        used.append(((section, name, "boundary"), "boundary", getattr(entry, "boundary", None)))
+        inside = enumerate(getattr(entry, "regions", None) or ())
+        used += [((section, name, "regions", i), "region", region) for i, region in inside]
+    if case.output is not None:
+        probes = case.output.probes.items()
+        used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
+    known = {"region": regions, "interface": interfaces, "boundary": boundaries}
+    for path, what, name in used:
+        if name is not None and name not in known[what]:
+            yield _unknown(path, what, name, known[what], kind)
+    if case.regions is None:
         return
-    kind = geometry.kind
-    regions, boundaries = geometry.region_names, geometry.boundary_names
-    if case.regions is not None:
-        for name in case.regions:
-            if name not in regions:
-                yield _unknown(("regions", name), "region", name, regions, kind)
-        if missing := [name for name in regions if name not in case.regions]:
-            yield Fault(
-                ("regions",), f"no material for {', '.join(missing)}; every region needs one"
-            )
-        for name, region in case.regions.items():
-            unsaid = name in regions and name not in geometry.tissues
-            if region is not None and region.tissue is None and unsaid:
-                text = "'tissue' is missing; expected bone, cement, implant or other"
-                yield Fault(("regions", name), text)
-    for name in case.interfaces:
-        if name not in geometry.interface_sides:
-            yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
-    for section in ("supports", "loads", "heat"):
-        for name, entry in (getattr(case, section) or {}).items():
-            boundary = getattr(entry, "boundary", None)
-            if boundary is not None and boundary not in boundaries:
-                yield _unknown((section, name, "boundary"), "boundary", boundary, boundaries, kind)
-            for i, region in enumerate(getattr(entry, "regions", None) or ()):
-                if region not in regions:
-                    yield _unknown((section, name, "regions", i), "region", region, regions, kind)
+    if missing := [name for name in regions if name not in case.regions]:
+        yield Fault(("regions",), f"no material for {', '.join(missing)}; every region needs one")
+    for _, name, region in _entries(case, "regions"):
+        if region.tissue is None and name in regions and name not in case.geometry.tissues:
+            text = "'tissue' is missing; expected bone, cement, implant or other"
+            yield Fault(("regions", name), text)
 
 
 def _too_small(case: Any) -> Iterable[Fault]:
     """Lengths that cells of the mesh's size do not go with."""
-    if case.geometry is None or case.mesh is None:
-        return
-    size = case.mesh.size
+    size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():
         if size > most * length:
             text = f"cannot be meshed with edges of {size:g} mm (mesh.size)"
@@ -87,67 +83,43 @@ def _too_small(case: Any) -> Iterable[Fault]:
             yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
 
 
-def _histories(case: Any) -> Iterable[Fault]:
-    """Histories of another length than the stages."""
-    if case.stages is None:
-        return
-    number = len(case.stages)
-
-    def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Fault]:
-        if history is not None and len(history) != number:
-            names = ", ".join(s.name for s in case.stages)
-            wanted = f"{number}, one for the end of each stage ({names})"
-            yield Fault(path, f"has {len(history)} values; expected {wanted}")
-
-    for section in ("interfaces", "supports", "loads"):
-        for name, entry in (getattr(case, section) or {}).items():
-            for key in ("history", "gap_history"):
-                yield from check((section, name, key), getattr(entry, key, None))
-    for name, region in (case.regions or {}).items():
-        for i, eigenstrain in enumerate(getattr(region, "eigenstrains", ())):
-            yield from check(("regions", name, "eigenstrains", i, "history"), eigenstrain.history)
-
-
-def _stage_names(case: Any) -> Iterable[Fault]:
-    """No stages, or two of the same name."""
-    if case.stages is None:
-        return
-    if not case.stages:
+def _stages(case: Any) -> Iterable[Fault]:
+    """No stages, or two of a name; histories of another length; supports in unknown stages."""
+    names = [stage.name for stage in case.stages]
+    if not names:
         yield Fault(("stages",), "is empty; expected at least one stage")
-    names = [s.name for s in case.stages]
     for i, name in enumerate(names):
         if name in names[:i]:
-            yield Fault(
-                ("stages", i, "name"),
-                f"'{name}' is the name of an earlier stage too; expected another",
-            )
-
-
-def _support_stages(case: Any) -> Iterable[Fault]:
-    """Supports that hold in stages that there are not."""
-    if case.stages is None:
-        return
-    known = [stage.name for stage in case.stages]
-    for name, support in (case.supports or {}).items():
+            text = f"'{name}' is the name of an earlier stage too; expected another"
+            yield Fault(("stages", i, "name"), text)
+    histories: list[tuple[Path, Any]] = [
+        ((section, name, key), getattr(entry, key, None))
+        for section, name, entry in _entries(case, "interfaces", "supports", "loads")
+        for key in ("history", "gap_history")
+    ]
+    for _, name, region in _entries(case, "regions"):
+        for i, strain in enumerate(getattr(region, "eigenstrains", ())):
+            histories.append((("regions", name, "eigenstrains", i, "history"), strain.history))
+    for path, history in histories:
+        if history is not None and len(history) != len(names):
+            wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
+            yield Fault(path, f"has {len(history)} values; expected {wanted}")
+    for _, name, support in _entries(case, "supports"):
         for i, stage in enumerate(getattr(support, "stages", None) or ()):
-            if stage not in known:
-                text = f"'{stage}' is not one of {', '.join(known)}{did_you_mean(stage, known)}"
+            if stage not in names:
+                text = f"'{stage}' is not one of {', '.join(names)}{did_you_mean(stage, names)}"
                 yield Fault(("supports", name, "stages", i), text)
 
 
 def _rigid(case: Any) -> Iterable[Fault]:
     """Rigid regions in contact with each other, and models without any elastic region."""
-    if case.geometry is None or not case.regions:
-        return
-    rigid = {name for name, region in case.regions.items() if isinstance(region, Rigid)}
+    rigid = {name for _, name, region in _entries(case, "regions") if isinstance(region, Rigid)}
     if rigid.issuperset(case.geometry.region_names):
         yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
         return
-    for name, law in case.interfaces.items():
+    for _, name, law in _entries(case, "interfaces"):
         sides = case.geometry.interface_sides.get(name)
-        if sides is None or law is None or not law.can_part:
-            continue
-        if all(rigid & set(side) for side in sides):
+        if sides and law.can_part and all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
             text = f"contact between rigid regions ({regions}); one side has to be elastic"
             text += f" [{Reason.RIGID_CONTACT}]"

@@ -7,7 +7,6 @@ from typing import Any
 
 from app.laws.materials import Conductor
 from app.laws.thermal import Convection, FixedTemperature, Perfusion
-from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault
 
 
@@ -91,15 +90,3 @@ def _stages(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
         if stage.steady and setting:
             text = f"{', '.join(setting)} sets with time; expected a duration"
             yield Fault(("stages", i, "steady"), text)
-
-
-def probe_regions(case: Any) -> Iterable[Fault]:
-    """Regions of probes that the geometry does not have."""
-    if case.geometry is None or case.output is None:
-        return
-    known = case.geometry.region_names
-    for name, probe in case.output.probes.items():
-        if probe.region is not None and probe.region not in known:
-            allowed = f"it has {', '.join(known)}{did_you_mean(probe.region, known)}"
-            text = f"the geometry ({case.geometry.kind}) has no region '{probe.region}'; {allowed}"
-            yield Fault(("output", "probes", name, "region"), text)
