@@ -382,16 +382,6 @@ def test_one_rank_speaks(
     assert capsys.readouterr() == ("", "")
 
 
-def test_run_folder_is_made_once_and_refused_when_full(tmp_path: Path) -> None:
-    folder = tmp_path / "a" / "b"
-    folders.prepare_run(folder, force=False)
-    folders.prepare_run(folder, force=False)
-    (folder / "DONE").touch()
-    with pytest.raises(Exception, match="is not empty"):
-        folders.prepare_run(folder, force=False)
-    folders.prepare_run(folder, force=True)
-
-
 def test_cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert folders.cache("meshes") == tmp_path / "mantle" / "meshes"
