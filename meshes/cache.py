@@ -79,7 +79,7 @@ ARRAYS = ("points", "cells", "cell_tags", "facets", "facet_tags")
 def load(path: Path) -> MeshData | None:
     """Read a cached mesh; None when there is none or it is damaged (it is remade)."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             names = json.loads(str(stored["names"]))
             arrays = {k: stored[k] for k in ARRAYS}
         return MeshData(

@@ -133,14 +133,8 @@ def contact_points(
     """
     bodies = int(max(facets.master.max(), facets.slave.max())) + 1
     facet = np.repeat(np.arange(len(facets.area)), 3)
-    key = np.stack(
-        [
-            facets.interface[facet],
-            facets.vertices.ravel(),
-            facets.master[facet] * bodies + facets.slave[facet],
-        ],
-        axis=1,
-    )
+    pair = facets.master[facet] * bodies + facets.slave[facet]
+    key = np.stack([facets.interface[facet], facets.vertices.ravel(), pair], axis=1)
     every, first, of = distinct_rows(key)
     kept = _without_cycles(every[:, 1], every[:, 2] // bodies, every[:, 2] % bodies)
     number = np.where(kept, np.cumsum(kept) - 1, -1)

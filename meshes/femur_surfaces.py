@@ -108,17 +108,7 @@ class FemurSurfaces:
     mirrored = range(0)
 
     def __init__(self, geometry: Any, size: float, far: float) -> None:
-        """Divide the lengths of a femur.
-
-        Args:
-            geometry: The parameters of the configuration's femur.
-            size: Mesh size [mm].
-            far: Largest size below the plug [mm].
-
-        Raises:
-            GeometryError: Stem, neck or canal do not go together.
-        """
-        self.size = size
+        self.size = size  # below the plug it grows to `far`; GeometryError if lengths do not fit
         self._body = femur_stem.body(geometry)
         self._grown = self._body.offset(geometry.cement_thickness)
         self._outer = femur_bone.outer(geometry.distal_cut_z)

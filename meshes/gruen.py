@@ -28,7 +28,7 @@ EDGE = 1e-6
 
 
 class Zones:
-    """The zones of a femur with a stem, or of one that is to have it.
+    """The zones of a femur with a stem, or of one that is to have it, in the frame of the stem.
 
     Attributes:
         numbers: Their numbers.
@@ -41,7 +41,6 @@ class Zones:
     regions = ("cortical_bone", "cancellous_bone")
 
     def __init__(self, geometry: Any) -> None:
-        """Take the frame of the stem from the parameters of a configuration's femur."""
         self._geometry = geometry
         self.tip = geometry.stem_tip_z
         normal, level = self._cut

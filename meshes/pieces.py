@@ -112,7 +112,7 @@ class Parts:
 
 
 def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = ()) -> Parts:
-    """Find them.
+    """Connected pieces of a mesh, their contacts and boundaries.
 
     Args:
         data: The mesh.
@@ -140,11 +140,10 @@ def parts(data: MeshData, held: Collection[str] = (), curved: Collection[str] = 
     pieces = []
     for k in range(count):
         here = piece == k
-        nodes = data.points[np.unique(data.cells[here, :4])]
         volume = float(volumes[here].sum())
         centre = volumes[here] @ middles[here] / volume
         region = names[int(data.cell_tags[here][0])]
-        box = np.ptp(nodes, axis=0)
+        box = np.ptp(data.points[np.unique(data.cells[here, :4])], axis=0)
         part = float(free[k] / areas[k])
         pieces.append(Piece(region, int(here.sum()), centre, volume, float(areas[k]), box, part))
     rows = np.flatnonzero((behind >= 0) & outer & (piece[cell] < piece[np.maximum(behind, 0)]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pytest
 
 from app.arrays import Floats
-from app.mechanics.problem import TrialState
+from app.mechanics.contact import TrialState
 from app.numerics.newton import Solver
 from app.scene.build import build_scene
 from app.scene.terms import Scene
@@ -116,7 +116,7 @@ def solve(
 
     def so_far() -> float:
         jumps = [m.problem.contact for m in made.mechanics if m.problem.contact]
-        return sum(float(j.history.dissipation.sum()) for j in jumps)
+        return sum(float(j.state.dissipation.sum()) for j in jumps)
 
     def on_heat(step: LoadStep, accepted: HeatStep) -> None:
         steps.append(accepted)

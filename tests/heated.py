@@ -68,7 +68,7 @@ class Heated:
         assert outcome.converged, outcome.residuals
         u, q = self.solver.u_and_q()
         trial = self.problem.trial(u, q) if q is not None else None
-        self.problem.spread(u, q)
+        self.problem.update_displacements(u, q)
         self.problem.commit(trial)
         self.balance.update(u, trial)
         return ContactSamples(self.problem, trial) if trial is not None else None

@@ -23,7 +23,8 @@ from ruamel.yaml import YAML
 import meshes
 from app.arrays import Floats
 from app.case.case import Case, load
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.results import interface_numbers

@@ -1,4 +1,4 @@
-"""One engine for many runs: Snakemake over subprocesses of ``mantle run``, here or by Slurm.
+"""Many runs by Snakemake over ``mantle run``, here or by Slurm: writes what is still to do.
 
 A run lives in a directory named by its content, so that a finished one is never done twice, and a
 failed or a changed one is::
@@ -6,10 +6,11 @@ failed or a changed one is::
     folder/cases/<id>.yaml      the resolved case; <id> is case- and a digest of all it depends on
     folder/runs/<id>/           its run directory, complete once it holds DONE
     folder/runs/<id>.log        what it said
-    folder/runs/<id>.status     its exit code, and when it began and ended
+    folder/runs/<id>.status     when it began and ended, and its exit code
     folder/runs/<id>.lock       locked while it runs
     folder/runs/<id>.ok         for Snakemake: it is done
     folder/runs/<id>.slurm      what Slurm said of its job
+    folder/jobs.json            what Snakemake is to do
     folder/snakemake.log        what Snakemake said
 
 Runs that may share a stiffness (`Job.share`) are variations of one process, or of as many as keep
@@ -24,32 +25,22 @@ import math
 import os
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import IO
 
 from app import files
-from app.campaigns import cluster
-from app.campaigns.runs import (
-    BatchRun,
-    Job,
-    Result,
-    file_of,
-    resolve,
-    result_of,
-    runs_of,
-    status_of,
-)
-from app.campaigns.scheduler import MEGABYTE, execute
+from app.campaigns import engine
+from app.campaigns.runs import BatchRun, Job, Result, resolve, result_of, runs_of, tail
 from app.case.case import dump, plain
 from app.case.variations import split
-from app.errors import InputError, StoppedError
+from app.errors import EnvironmentProblem, InputError, StoppedError
 from app.schema import yaml_text
 from app.soundness import memory
 from app.system.folders import FAILED, write_json, write_text
+from app.system.layout import duration
 
 log = logging.getLogger("mantle")
 
@@ -57,6 +48,7 @@ MANTLE_RUN: tuple[str, ...] = (sys.executable, "-m", "mantle", "run")
 # Snakemake sets these to the cores of the job; ranks have one thread each.
 THREADS = ("OMP", "GOTO", "OPENBLAS", "MKL")
 BUSY = 0.5  # load of the machine beside runs whose time is compared
+OFTEN = 10.0  # s between reports on all runs that have ended so far
 
 
 def run(
@@ -69,12 +61,12 @@ def run(
     """Run what is not done yet.
 
     Args:
-        jobs: What is wanted.
+        jobs: The runs that are wanted.
         folder: Where everything goes; used by one batch at a time.
         cores: How many cores of this machine to use at most.
         slurm: Each run is a job of a Slurm cluster, with these options of sbatch; all nodes see
             the folder. None: all run here.
-        so_far: Given what `look` would say, from time to time as runs end, and if interrupted.
+        so_far: Given the results so far, from time to time as runs end, and if interrupted.
 
     Returns:
         A result for each job, in their order. A failed job is a result too.
@@ -85,33 +77,34 @@ def run(
         StoppedError: Interrupted; the same call goes on from there.
         EnvironmentProblem: Snakemake or Slurm is missing or failed.
     """
-    if slurm is not None:
-        cluster.check()
+    engine.check(slurm is not None)
+    here = cores if slurm is None else None
     cases = resolve(jobs)
-    with _folder(folder) as lock:
-        runs = runs_of(jobs, cases, folder, cores if slurm is None else None)
-        every = {r.id: r for r in runs}.values()
-        pending = [r for r in every if r.summary() is None]
+    with _locked(folder):
+        runs = runs_of(jobs, cases, folder, here)
+        every = {r.id: r for r in runs}
+        pending = {id: r for id, r in every.items() if r.summary() is None}
         log.info("%d runs: %d done already, in %s", len(every), len(every) - len(pending), folder)
-        if any(r.alone for r in pending) and (load := os.getloadavg()[0]) > BUSY:
+        if any(r.job.alone for r in pending.values()) and (load := os.getloadavg()[0]) > BUSY:
             log.warning("the machine is busy (load %.1f): measured times will be too long", load)
         if pending:
-            _write(pending, folder, cores if slurm is None else None)
+            _write(pending.values(), folder, here)
+            progress = _Progress(pending, len(every), lambda: so_far(_so_far(jobs, runs)))
+            alone = any(r.job.alone for r in pending.values())
+            try:
+                engine.execute(folder, cores, slurm, alone, progress.watch)
+            except KeyboardInterrupt:
+                so_far(_so_far(jobs, runs))
+                raise StoppedError(
+                    f"stopped after {progress.count} of {len(every)} runs in {folder}; "
+                    "the same command continues"
+                ) from None
+            progress.finish(folder / "snakemake.log")
+        return [result_of(job, r) for job, r in zip(jobs, runs, strict=True)]
 
-            def tell() -> None:
-                so_far(_look(jobs, folder, runs))
 
-            execute(pending, len(every), folder, cores, lock, slurm, tell)
-        return [result_of(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
-
-
-def look(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
-    """Results of jobs so far; runs nothing.
-
-    Args:
-        jobs: As of `run`.
-        folder: The same; it need not exist.
-        cores: The same.
+def results_so_far(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
+    """Results of jobs, as of `run`, so far; runs nothing.
 
     Returns:
         A result for each job; those that have not ended count as stopped.
@@ -119,21 +112,64 @@ def look(jobs: Sequence[Job], folder: Path, cores: int) -> list[Result]:
     Raises:
         InputError: Any job is wrong.
     """
-    return _look(jobs, folder, runs_of(jobs, resolve(jobs), folder, cores))
+    return _so_far(jobs, runs_of(jobs, resolve(jobs), folder, cores))
 
 
-def _look(jobs: Sequence[Job], folder: Path, runs: Sequence[BatchRun]) -> list[Result]:
-    results = [result_of(job, folder, r) for job, r in zip(jobs, runs, strict=True)]
-    stopped = partial(replace, exit_code=StoppedError.exit_code, message="")
+def _so_far(jobs: Sequence[Job], runs: Sequence[BatchRun]) -> list[Result]:
+    results = [result_of(job, r) for job, r in zip(jobs, runs, strict=True)]
     return [
-        result if result.summary or status_of(folder, r.process) or r.ended else stopped(result)
+        result
+        if result.summary or r.ended
+        else replace(result, exit_code=StoppedError.exit_code, message="")
         for result, r in zip(results, runs, strict=True)
     ]
 
 
+class _Progress:
+    """Tells of each run that has ended."""
+
+    def __init__(
+        self, pending: dict[str, BatchRun], total: int, report: Callable[[], object]
+    ) -> None:
+        self._open, self._total, self._report = dict(pending), total, report
+        self._due = 0.0
+
+    @property
+    def count(self) -> int:
+        """Runs that have ended, those of earlier calls included."""
+        return self._total - len(self._open)
+
+    def watch(self) -> None:
+        """Look for runs that have ended since the last time."""
+        ended = [r for r in self._open.values() if r.ended]
+        self._tell(ended)
+        if ended and self._open and time.monotonic() > self._due:
+            self._report()
+            self._due = time.monotonic() + OFTEN
+
+    def finish(self, said: Path) -> None:
+        """Look for the last time: what has begun has failed.
+
+        Raises:
+            EnvironmentProblem: Some have not begun.
+        """
+        self.watch()
+        self._tell([r for r in self._open.values() if r.file("status").exists()])
+        if self._open:
+            raise EnvironmentProblem(f"Snakemake failed, see {said}:\n{tail(said)}")
+
+    def _tell(self, ended: Iterable[BatchRun]) -> None:
+        for r in ended:
+            del self._open[r.id]
+            result = result_of(r.job, r)
+            code = result.exit_code
+            how = f"failed with exit code {code}" if code else f"done in {duration(result.seconds)}"
+            log.info("[%d/%d] %s %s", self.count, self._total, r.job.name, how)
+
+
 @contextmanager
-def _folder(folder: Path) -> Iterator[IO[str]]:
-    """Make the folder and lock it.
+def _locked(folder: Path) -> Iterator[None]:
+    """Make the folder and keep other batches out of it.
 
     Raises:
         InputError: It cannot be written, or another batch uses it.
@@ -149,13 +185,11 @@ def _folder(folder: Path) -> Iterator[IO[str]]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(f"-o {folder}: another batch is running in it") from None
-        yield file
+        yield
 
 
 def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None:
     """Write the cases and what Snakemake is to do; forget how earlier tries ended.
-
-    What a killed batch left to Slurm may be running, and end at any time: it is let.
 
     Args:
         pending: The runs.
@@ -173,21 +207,17 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
         for id, runs in shared.items():
             case, output = folder / "cases" / f"{id}.yaml", folder / "runs" / id
             write_text(case, _text(runs))
-            for r in runs:
-                (r.path / FAILED).unlink(missing_ok=True)
-                if r.summary() is None:
-                    (r.path / "DONE").unlink(missing_ok=True)
-            for kind in ("ok", "slurm", "status"):
-                file_of(folder, id, kind).unlink(missing_ok=True)
-            ranks = runs[0].ranks
-            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve()]
-            command += ["--restart", "auto"]
+            old = [path for r in runs for path in (r.path / FAILED, r.path / "DONE")]
+            for path in old + [runs[0].file(kind) for kind in ("ok", "slurm", "status")]:
+                path.unlink(missing_ok=True)
+            ranks = runs[0].job.ranks
+            command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--restart", "auto"]
             command += ["-n", ranks] if ranks > 1 else []
-            alone = any(r.alone for r in runs)
+            alone = any(r.job.alone for r in runs)
             jobs[id] = {
                 "command": shlex.join(map(str, ["env", *_environment(), *command])),
                 "threads": ranks if not cores else cores if alone else min(ranks, cores),
-                "memory": math.ceil(max(memory.needed(r.case) for r in runs) / MEGABYTE),
+                "memory": math.ceil(max(memory.needed(r.case) for r in runs) / engine.MEGABYTE),
             }
         write_json(folder / "jobs.json", jobs)
     except OSError as error:
@@ -195,9 +225,9 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
 
 
 def _text(runs: Sequence[BatchRun]) -> str:
-    """The case file of a process: of its run, or with each of those it is shared by a variation."""
+    """The case file of a process: its run, or each of those that share it as a variation."""
     first = runs[0]
-    if first.process == first.id:
+    if not first.shares:
         return dump(first.case)
     data = plain(first.case)
     _, base = split(data)

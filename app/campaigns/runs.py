@@ -1,4 +1,4 @@
-"""The runs of a batch: what identifies them, the files they leave and their results."""
+"""The runs of a batch: identity by content, the files they leave, and their results."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from app.case.variations import CHANGED, split
 from app.errors import ConvergenceError, InputError, UnusableError
 from app.results.closing_lines import reasons_not_to_use
 from app.system import identity
-from app.system.folders import FAILED
+from app.system.folders import FAILED, saved
 
 # How the ids of runs begin, and of processes that several of them share.
 CASE, SHARED = "case-", "shared-"
 DIGITS = 10  # of a digest
-RUN = re.compile(rf"{CASE}[0-9a-f]{{{DIGITS}}}", re.ASCII)
-PROCESS = re.compile(rf"{SHARED}[0-9a-f]{{{DIGITS}}}-[0-9]+", re.ASCII)
+# Such names stand in commands of a shell.
+NAMED = re.compile(rf"({SHARED}[0-9a-f]{{10}}-[0-9]+/)?{CASE}[0-9a-f]{{10}}", re.ASCII)
 LOG_LINES = 12
 LOST = 70  # the exit code of a run that left none
 
@@ -59,12 +59,12 @@ class Result:
     Attributes:
         job: The job.
         folder: Its run directory.
-        exit_code: 0 if it is done, else that of ``mantle run``: of one that is done, but not to be
-            used, too.
+        exit_code: 0 if it is done, else that of ``mantle run``; a run that is done and not to be
+            used has one, too.
         seconds: Wall time: of the process, or of the run if it shared one.
         summary: ``summary.json``; empty unless the run is done.
         message: Why it failed: the last lines of its log; empty if it is done and of use.
-        process: Who ran it; several jobs may share one.
+        process: The process that ran it; several jobs may share one.
     """
 
     job: Job
@@ -82,26 +82,44 @@ class BatchRun:
 
     Attributes:
         id: Its name.
-        name: For people.
+        job: The first job that wants it; alone if any of them is.
         case: Its case.
-        ranks: Number of MPI ranks.
-        alone: As of the job.
-        process: The id of the process that runs it: its own, or one that it shares.
-        path: Its run directory.
+        path: Its run directory: that of its process, or within that of a process that it shares.
     """
 
     id: str
-    name: str
+    job: Job
     case: Case
-    ranks: int
-    alone: bool
-    process: str
     path: Path
 
     @property
+    def shares(self) -> bool:
+        """Whether its process has other runs, too."""
+        return self.path.parent.name.startswith(SHARED)
+
+    @property
+    def process(self) -> str:
+        """The id of the process that runs it."""
+        return self.path.parent.name if self.shares else self.id
+
+    def file(self, kind: str) -> Path:
+        """A file of its process, beside the run directory of that."""
+        folder = self.path.parent if self.shares else self.path
+        return folder.with_name(f"{folder.name}.{kind}")
+
+    def status(self) -> tuple[int, float] | None:
+        """Exit code and seconds of its process; None while there are none."""
+        try:
+            begin, end, code = self.file("status").read_text().split()
+            return int(code), float(end) - float(begin)
+        except (OSError, ValueError):
+            return None
+
+    @property
     def ended(self) -> bool:
-        """Whether its directory tells that it is done or has not converged."""
-        return (self.path / "DONE").exists() or (self.path / FAILED).exists()
+        """Whether it is done, or has failed."""
+        marks = (self.path / "DONE", self.path / FAILED)  # its process may go on without it
+        return self.status() is not None or any(mark.exists() for mark in marks)
 
     def summary(self) -> dict[str, Any] | None:
         """``summary.json`` of a run that is done; None if it is not."""
@@ -114,7 +132,7 @@ class BatchRun:
 
 
 def resolve(jobs: Sequence[Job]) -> list[Case]:
-    """Read the configuration of each job.
+    """Read the case of each job.
 
     Raises:
         InputError: All that is wrong with any of them.
@@ -122,8 +140,7 @@ def resolve(jobs: Sequence[Job]) -> list[Case]:
     cases, messages = [], []
     for job in jobs:
         try:
-            case = load(job.case, job.overrides).config
-            cases.append(case)
+            cases.append(load(job.case, job.overrides).config)
         except InputError as error:
             messages += [f"{job.name}: {m}" if m.startswith("--set") else m for m in error.messages]
         if job.ranks < 1:
@@ -140,123 +157,85 @@ def runs_of(
 
     Args:
         jobs: The jobs.
-        cases: The configuration of each.
+        cases: The case of each.
         folder: The folder of the batch.
         cores: Those of this machine; None on a cluster.
     """
-    done = {mark.parent.name[-DIGITS:]: mark.parent for mark in finished(folder)}
-    saved = (folder / "runs").glob(f"{SHARED}*/*/checkpoint-*.state")
-    begun = {path.parent.name[-DIGITS:]: path.parent.parent.name for path in saved if _named(path)}
-    digests = []
+    ids = []
     for job, case in zip(jobs, cases, strict=True):
         # The same case, made in two ways, may have two titles.
         own = case.model_copy(update={"title": case.title.partition(CHANGED)[0]})
-        digests.append(_digest(case, (dump(own),), job.ranks))
-    processes = _processes(jobs, cases, digests, cores)
+        ids.append(CASE + _digest(dump(own), case, job.ranks))
+    processes, begun = _processes(jobs, cases, ids, cores), _begun(folder)
     found: dict[str, BatchRun] = {}
-    for job, case, digest in zip(jobs, cases, digests, strict=True):
-        if digest in found:
-            alone = found[digest].alone or job.alone
-            found[digest] = replace(found[digest], alone=alone)
-            continue
-        id = f"{CASE}{digest}"
-        process = processes.get(digest, id)
-        if process != id:
-            process = begun.get(digest, process)  # where the state of the run is
-        path = done.get(digest, folder / "runs" / process / (id if process != id else ""))
-        found[digest] = BatchRun(id, job.name, case, job.ranks, job.alone, process, path)
-    return [found[digest] for digest in digests]
+    for job, case, id in zip(jobs, cases, ids, strict=True):
+        path = begun.get(id, folder / "runs" / processes.get(id, "") / id)
+        first = found[id].job if id in found else job
+        found[id] = BatchRun(id, replace(first, alone=first.alone or job.alone), case, path)
+    return [found[id] for id in ids]
+
+
+def _begun(folder: Path) -> dict[str, Path]:
+    """The directory of each run that is done or has saved its state, by its id."""
+    runs, found = folder / "runs", dict[str, Path]()
+    for path in (*runs.glob(f"{CASE}*"), *runs.glob(f"{SHARED}*/{CASE}*")):
+        done = (path / "DONE").exists()
+        if NAMED.fullmatch(str(path.relative_to(runs))) and (done or saved(path)):
+            if done or path.name not in found:
+                found[path.name] = path
+    return found
 
 
 def _processes(
-    jobs: Sequence[Job],
-    cases: Sequence[Case],
-    digests: Sequence[str],
-    cores: int | None,
+    jobs: Sequence[Job], cases: Sequence[Case], ids: Sequence[str], cores: int | None
 ) -> dict[str, str]:
-    """The process of each run that shares one, by its digest.
+    """The process of each run that shares one, by its id.
 
     None has more runs than what all cores do at once allows: where the runs of a group are more,
     several processes have the same matrices.
     """
-    ranks = {digest: job.ranks for job, digest in zip(jobs, digests, strict=True)}
+    ranks = {id: job.ranks for job, id in zip(jobs, ids, strict=True)}
     several = cores and not any(job.alone for job in jobs)  # what runs alone is one process
     longest = math.ceil(sum(ranks.values()) / cores) if cores and several else len(ranks)
-    groups: dict[str, list[str]] = {}
-    for job, case, digest in zip(jobs, cases, digests, strict=True):
+    groups: dict[str, dict[str, None]] = {}
+    for job, case, id in zip(jobs, cases, ids, strict=True):
         if job.share:
-            group = groups.setdefault(_digest(case, (_shared(case),), job.ranks), [])
-            group += [digest] if digest not in group else []
+            shared = json.dumps(split(plain(case))[0], sort_keys=True)
+            groups.setdefault(_digest(shared, case, job.ranks), {})[id] = None
     found = {}
     for partner, group in groups.items():
         number = math.ceil(len(group) / longest)
-        for i, digest in enumerate(group if len(group) > 1 else ()):
-            found[digest] = f"{SHARED}{partner}-{i * number // len(group) + 1}"
+        for i, id in enumerate(group if len(group) > 1 else ()):
+            found[id] = f"{SHARED}{partner}-{i * number // len(group) + 1}"
     return found
 
 
-def finished(folder: Path) -> list[Path]:
-    """The DONE of every finished run, whether it shared a process or not."""
-    marks = [*(folder / "runs").glob(f"{SHARED}*/*/DONE"), *(folder / "runs").glob("*/DONE")]
-    return [mark for mark in marks if _named(mark) and mark.parent.name.startswith(CASE)]
-
-
-def _named(path: Path) -> bool:
-    """Whether a file is in the folder of a run that has a name given here, and nothing else.
-
-    Such names stand in commands of a shell.
-    """
-    run, above = path.parent.name, path.parent.parent.name
-    return bool(RUN.fullmatch(run) and (above == "runs" or PROCESS.fullmatch(above)))
-
-
-def _shared(case: Case) -> str:
-    """Part of a case shared by the runs of one process, as text."""
-    return json.dumps(split(plain(case))[0], sort_keys=True)
-
-
-def _digest(case: Case, text: Sequence[str], ranks: int) -> str:
+def _digest(text: str, case: Case, ranks: int) -> str:
     """Hexadecimal digits of everything the result depends on."""
-    parts = [*text, str(ranks), identity.text()]
+    parts = [text, str(ranks), identity.text()]
     if isinstance(case.geometry, MeshFile):
         parts.append(case.geometry.content)
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:DIGITS]
 
 
-def file_of(folder: Path, id: str, kind: str) -> Path:
-    """A file beside a run directory."""
-    return folder / "runs" / f"{id}.{kind}"
-
-
-def status_of(folder: Path, id: str) -> tuple[int, float] | None:
-    """Exit code and seconds of a run; None while there are none."""
-    try:
-        code, begin, end = file_of(folder, id, "status").read_text().split()
-        return int(code), float(end) - float(begin)
-    except (OSError, ValueError):
-        return None
-
-
-def result_of(job: Job, folder: Path, run: BatchRun) -> Result:
+def result_of(job: Job, run: BatchRun) -> Result:
     """How a run has ended."""
-    status = status_of(folder, run.process)
+    status = run.status()
     code, seconds = status or (LOST, 0.0)
     result = partial(Result, job, run.path, process=run.process)
     if (summary := run.summary()) is not None:
-        # It may have been done in another process than the one it would be given now, or in one
-        # that was killed before it could tell how long it took.
-        own = status_of(folder, run.path.name) if run.path.parent == folder / "runs" else None
-        total = summary.get("timing", {}).get("total", 0.0)
+        if run.shares or status is None:  # it was killed before it could tell how long it took
+            seconds = summary.get("timing", {}).get("total", 0.0)
         why = "; ".join(reasons_not_to_use(summary))
         code = UnusableError.exit_code if why else 0
-        return result(code, own[1] if own else total, summary, f"do not use: {why}" if why else "")
+        return result(code, seconds, summary, f"do not use: {why}" if why else "")
     with suppress(OSError):
         # In a process that goes on without it, what it said stands in its folder.
         why = (run.path / FAILED).read_text(encoding="utf-8").strip()
         return result(ConvergenceError.exit_code, 0.0, {}, why)
-    message = tail(file_of(folder, run.process, "log"))
+    message = tail(run.file("log"))
     if status is None:
-        message += "\n" + tail(file_of(folder, run.process, "slurm"))
+        message += "\n" + tail(run.file("slurm"))
     if code > 128 and code - 128 in set(signal.Signals):
         message += f"\nkilled by {signal.Signals(code - 128).name}"
     return result(code or LOST, seconds, {}, message.strip())

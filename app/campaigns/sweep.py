@@ -18,8 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from app.campaigns import batch, many, uncertainty
-from app.campaigns.many import Options
+from app.campaigns import batch, plan, uncertainty
+from app.campaigns.plan import Options
 from app.campaigns.runs import Job, Result
 from app.case import quantities
 from app.case import sweep as sweep_file
@@ -88,7 +88,7 @@ def dry_run(path: Path, overrides: Sequence[str], options: Options) -> str:
     """
     sweep, planned = sweep_file.read(path, overrides)
     title = f"{sweep.title or path.stem}: {len(planned)} cases"
-    return many.plan(title, [_job(p) for p in planned], options)
+    return plan.describe(title, [_job(p) for p in planned], options)
 
 
 def _spent(folder: Path) -> float:
@@ -143,25 +143,17 @@ def _write(
 def _row(p: PlannedRun, result: Result, folder: Path) -> dict[str, Any]:
     """A case as the tables have it."""
     summary = result.summary
-    numbers = variations.headlines(summary)
-    estimates = {name: quantities.read(summary, name, "_error") for name in numbers}
-    solver = summary.get("solver", {})
-    return {
-        "name": p.point.name,
+    status = STATUS.get(result.exit_code, FAILED)
+    row = variations.row(p.point, summary, status, result.seconds)
+    errors = {name: quantities.read(summary, name, "_error") for name in row["numbers"]}
+    return row | {
         "part": p.point.part,
-        "overrides": p.point.changes,
         "folder": os.path.relpath(result.folder, folder),
         "ranks": p.ranks,
-        "status": STATUS.get(result.exit_code, FAILED),
         "exit_code": result.exit_code,
         "message": result.message,
-        "notes": summary.get("notes", []),
-        "seconds": round(result.seconds, 2),
-        "unknowns": solver.get("dofs"),
-        "newton_iterations": solver.get("newton_iterations"),
-        "linear_iterations": solver.get("linear_iterations"),
-        "numbers": numbers,
-        "errors": {name: value for name, value in estimates.items() if value is not None},
+        "unknowns": summary.get("solver", {}).get("dofs"),
+        "errors": {name: value for name, value in errors.items() if value is not None},
     }
 
 

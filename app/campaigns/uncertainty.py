@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import rankdata
+from scipy.stats import spearmanr
 
 from app.case import quantities
 from app.system import layout
@@ -53,21 +52,19 @@ def _number(value: object) -> float:
 
 def _spread(numbers: Sequence[float], inputs: Mapping[str, Sequence[float]]) -> dict[str, Any]:
     low, high = np.percentile(numbers, (5, 95))
-    correlation = {key: _correlation(numbers, values) for key, values in inputs.items()}
+    found = {key: correlation(numbers, values) for key, values in inputs.items()}
     return {
         "mean": float(np.mean(numbers)),
         "deviation": float(np.std(numbers, ddof=1)),
         "p5": float(low),
         "p95": float(high),
-        "correlation": {key: r for key, r in correlation.items() if r is not None},
+        "correlation": {key: r for key, r in found.items() if r is not None},
     }
 
 
-def _correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
-    """Of ranks; None where one of them does not vary."""
-    x, y = (rankdata(v) - np.mean(rankdata(v)) for v in (a, b))
-    size = math.sqrt(float(x @ x) * float(y @ y))
-    return float(x @ y) / size if size else None
+def correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
+    """Spearman's rank correlation; None where one of them does not vary."""
+    return float(spearmanr(a, b).statistic) if min(len(set(a)), len(set(b))) > 1 else None
 
 
 def rows(of: Mapping[str, Any]) -> list[list[str]]:

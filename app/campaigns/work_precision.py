@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 # Orders of convergence that an extrapolation is trusted with.
 LOWEST_ORDER, HIGHEST_ORDER = 0.5, 4.0
@@ -86,15 +88,13 @@ def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> ReferenceVal
     """The limit of a ladder of runs by Richardson's extrapolation from the last three.
 
     The error is taken as c h^p with the p that the three values show. Where they show none between
-    0.5 and 4, the finest value stands for the limit.
+    0.5 and 4, the finest value stands for the limit. Its uncertainty is the whole of the last
+    correction; without extrapolation it is the last difference, or the larger of the last two where
+    these do not fall.
 
     Args:
         sizes: Mesh size or another number that goes to 0, coarsest first; empty if there is none.
         values: The quantity at each, at least two.
-
-    Returns:
-        The limit. Its uncertainty is the whole of the last correction; without extrapolation it is
-        the last difference, or the larger of the last two where these do not fall.
     """
     f, h = list(values[-3:]), list(sizes[-3:])
     last = abs(f[-1] - f[-2])
@@ -120,13 +120,9 @@ def _observed_order(h: Sequence[float], f: Sequence[float]) -> float | None:
     def excess(p: float) -> float:
         return (h[0] ** p - h[1] ** p) / (h[1] ** p - h[2] ** p) - ratio
 
-    low, high = LOWEST_ORDER, HIGHEST_ORDER
-    if excess(low) > 0 or excess(high) < 0:  # it grows with p
+    if excess(LOWEST_ORDER) > 0 or excess(HIGHEST_ORDER) < 0:  # it grows with p
         return None
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if excess(middle) < 0 else (low, middle)
-    return 0.5 * (low + high)
+    return float(brentq(excess, LOWEST_ORDER, HIGHEST_ORDER))
 
 
 def compare(point: ErrorPoint, reference: ReferenceValue | None) -> ErrorPoint:
@@ -163,39 +159,27 @@ def fitted_order(sizes: Sequence[float], errors: Sequence[float]) -> float:
 
 
 def pareto(costs: Sequence[float | None], errors: Sequence[float | None]) -> list[int]:
-    """Points that no other beats in both run time and error.
-
-    Args:
-        costs: Run time of each point; None if there is none.
-        errors: Error of each; None if there is none.
-
-    Returns:
-        Their indices, fastest first.
-    """
+    """Indices of points that no other beats in both run time and error, fastest first."""
     front: list[int] = []
     pairs = [
         (cost, error, i)
         for i, (cost, error) in enumerate(zip(costs, errors, strict=True))
         if cost is not None and error is not None
     ]
+    least = math.inf
     for _, error, i in sorted(pairs):
-        if not front or error < float(errors[front[-1]] or 0.0):
+        if error < least:
             front.append(i)
+            least = error
     return front
 
 
 def best(
     costs: Sequence[float | None], errors: Sequence[float | None], target: float
 ) -> tuple[int | None, bool]:
-    """The fastest point within the target, or else the one nearest to it.
+    """Index of the fastest point within the target or of the nearest to it; whether it reaches it.
 
-    Args:
-        costs: Run time of each point; None if it failed.
-        errors: Error of each; None where it is not known.
-        target: The error wanted.
-
-    Returns:
-        Its index, None if no error is known, and whether it reaches the target.
+    The index is None if no error is known.
     """
     front = pareto(costs, errors)
     for i in front:
@@ -209,7 +193,7 @@ class Effectivity:
     """How good the estimated errors are.
 
     Attributes:
-        pairs: Points and quantities whose true error is known well enough.
+        pairs: Number of points and quantities whose true error is known well enough.
         useful: How many of them have an index within `USEFUL`.
         others: The rest.
     """
@@ -220,11 +204,7 @@ class Effectivity:
 
 
 def effectivity(points: Sequence[tuple[str, ErrorPoint]]) -> Effectivity:
-    """Share of useful estimates among the points that have an index.
-
-    Args:
-        points: Quantity and point.
-    """
+    """Share of useful estimates among the points of quantities that have an index."""
     low, high = USEFUL
     judged = [(quantity, p, p.effectivity) for quantity, p in points]
     others = tuple((q, p) for q, p, e in judged if e is not None and not low <= e <= high)

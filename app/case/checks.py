@@ -57,7 +57,7 @@ def _names(case: Any) -> Iterable[Fault]:
         inside = enumerate(getattr(entry, "regions", None) or ())
         used += [((section, name, "regions", i), "region", region) for i, region in inside]
     if case.output is not None:
-        probes = case.output.probes.items()
+        probes = (case.output.probes or {}).items()
         used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
     known = {"region": regions, "interface": interfaces, "boundary": boundaries}
     for path, what, name in used:
@@ -99,7 +99,8 @@ def _stages(case: Any) -> Iterable[Fault]:
     ]
     for _, name, region in _entries(case, "regions"):
         for i, strain in enumerate(getattr(region, "eigenstrains", ())):
-            histories.append((("regions", name, "eigenstrains", i, "history"), strain.history))
+            key = ("regions", name, "eigenstrains", i, "history")
+            histories.append((key, getattr(strain, "history", None)))
     for path, history in histories:
         if history is not None and len(history) != len(names):
             wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"

@@ -29,7 +29,7 @@ from ufl.core.expr import Expr
 from app.arrays import Floats
 from app.errors import InputError, everywhere
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
-from app.scene.loads import Field, LoadTerm, Patch
+from app.scene.loads import Field, Patch
 from app.scene.terms import Elastic, Scene
 from app.system.timing import Timing
 from forms import elasticity
@@ -65,23 +65,39 @@ class OnBody:
         return self._mechanics.constant(value)
 
     def spread(self, density: Field, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
-        """A field (3,) and the measure of each of the body's regions among some."""
+        """A field (3,) and the measure of each of the body's regions among some.
+
+        The field is a function of points and not an expression in UFL: all densities share one
+        compiled form. The degree of quadrature is exact for constants on curved cells, and leaves
+        second order its third order in the displacement where the density varies.
+        """
         mechanics = self._mechanics
-        tags = [mechanics.tag(r) for r in regions if mechanics.body_of(r) == self._body]
-        if not tags:
+        own = [r for r in regions if mechanics.bodies.of_region[r] == self._body]
+        if not own:
             return []
-        b, degree = mechanics.density(density, tags)
+        degree = 2 * mechanics.scene.order + 2
+        element = basix.ufl.quadrature_element("tetrahedron", value_shape=(3,), degree=degree)
+        b = fem.Function(fem.functionspace(mechanics.mesh, element))
+        cells = np.sort(np.concatenate([mechanics.region_cells(r) for r in own]))
+        everywhere(
+            mechanics.mesh.comm, lambda: b.interpolate(lambda x: density(x.T).T, cells0=cells)
+        )
         dx = mechanics.cells()
-        return [(b, dx(t, degree=degree)) for t in tags]
+        return [(b, dx(mechanics.tagged.regions[r], degree=degree)) for r in own]
 
 
 class BodyForms:
     """Energies and loads of a scene in UFL, and their assembled vectors and matrices.
 
     Attributes:
+        scene: The scene.
+        tagged: The mesh with its regions and boundaries.
+        bodies: Who is joined to whom.
+        varying_degree: Degree of quadrature where stress is history or fibres turn: stiffness needs
+            one less.
         space: Displacement space.
         u: The continuous displacement.
-        moved: For each body that jumps move, its own displacement.
+        springs: Stiffness of each elastic foundation.
         swelling: Free strain of each elastic region that heat lets swell, at the vertices [-].
         growth: Modulus of each region that sets over its final one, at the vertices [-].
     """
@@ -94,10 +110,10 @@ class BodyForms:
         Raises:
             InputError: A load acts on nothing, or nothing can carry its moment.
         """
-        self._scene, self._tagged, self._bodies = scene, tagged, bodies
+        self.scene, self.tagged, self.bodies = scene, tagged, bodies
         self._timing = timing
+        self.varying_degree = 2 * scene.order - 1
         self.mesh = tagged.mesh
-        self.comm: MPI.Intracomm = self.mesh.comm
         self.space = fem.functionspace(self.mesh, ("Lagrange", scene.order, (3,)))
         self.u = fem.Function(self.space, name="displacement")
         self._tags = cell_tags(tagged)
@@ -128,15 +144,15 @@ class BodyForms:
 
     def _surface_measure(self) -> ufl.Measure:
         """Measure with one subdomain per boundary name in use and body."""
-        scene = self._scene
+        scene = self.scene
         used = {t.boundary for t in scene.foundations}
         used |= {boundary for load in scene.loads for boundary in load.boundaries}
         domains = self._facets
         for name in sorted(used):
-            f = boundary_facets(self._tagged, name)
-            body = self._bodies.of_tag[self._tags[f.cells]]
+            f = boundary_facets(self.tagged, name)
+            body = self.bodies.of_tag[self._tags[f.cells]]
             present = {int(b) for b in np.unique(body)}
-            for b in sorted(set().union(*self.comm.allgather(present))):
+            for b in sorted(set().union(*self.mesh.comm.allgather(present))):
                 self._patches[name, b] = len(domains) + 1
                 entities = compute_integration_domains(
                     IntegralType.exterior_facet,
@@ -157,22 +173,18 @@ class BodyForms:
         mask = np.ones(owned, dtype=bool) if pick is None else pick[:owned]
         return [
             (tag, np.flatnonzero(mask & (self._tags[:owned] == tag)).astype(np.int32))
-            for tag in sorted(self._tagged.regions.values())
+            for tag in sorted(self.tagged.regions.values())
         ]
 
     def region_cells(self, region: str) -> NDArray[np.int32]:
         """Cells of a region that this rank owns."""
         owned = self.mesh.topology.index_map(3).size_local
-        return np.flatnonzero(self._tags[:owned] == self.tag(region)).astype(np.int32)
+        return np.flatnonzero(self._tags[:owned] == self.tagged.regions[region]).astype(np.int32)
 
     def ds(self, boundary: str, body: int) -> ufl.Measure | None:
         """Measure of the part of a boundary that belongs to a body, if any."""
         patch = self._patches.get((boundary, body))
         return None if patch is None else self._surface(patch)
-
-    def tag(self, region: str) -> int:
-        """Cell tag of a region."""
-        return self._tagged.regions[region]
 
     def constant(self, value: Any) -> fem.Constant:
         """A constant, in UFL."""
@@ -194,7 +206,7 @@ class BodyForms:
 
         Where fibres turn UFL would take a degree beyond 20, with the same errors.
         """
-        own = dx(self.tag(e.region) if tag is None else tag)
+        own = dx(self.tagged.regions[e.region] if tag is None else tag)
         return own(degree=self.varying_degree) if e.fibre and e.fibre.turns else own
 
     def elastic_strain(self, e: Elastic, v: Any) -> Any:
@@ -212,10 +224,10 @@ class BodyForms:
         Regions that set have none.
         """
         total = 0
-        for e in self._scene.elastic:
-            if self._bodies.of_region[e.region] == body and e.region not in self.growth:
+        for e in self.scene.elastic:
+            if self.bodies.of_region[e.region] == body and e.region not in self.growth:
                 total += self.energy_density(e, self.elastic_strain(e, v)) * self.over(e, dx)
-        for f, k in zip(self._scene.foundations, self.springs, strict=True):
+        for f, k in zip(self.scene.foundations, self.springs, strict=True):
             ds = self.ds(f.boundary, body)
             if ds is not None:
                 total += f.energy(v, k) * ds
@@ -224,21 +236,12 @@ class BodyForms:
     def tangent_energy(self, body: int, v: Any, dx: ufl.Measure) -> Any:
         """Energy of a body whose second derivative is its stiffness, as far as it has set."""
         total = self.body_energy(body, v, dx)
-        for e in self._scene.elastic:
-            if self._bodies.of_region[e.region] == body and e.region in self.growth:
+        for e in self.scene.elastic:
+            if self.bodies.of_region[e.region] == body and e.region in self.growth:
                 ψ = self.energy_density(e, elasticity.strain(v))
-                dx_e = dx(self.tag(e.region), degree=self.varying_degree)
+                dx_e = dx(self.tagged.regions[e.region], degree=self.varying_degree)
                 total += self.growth[e.region] * ψ * dx_e
         return total
-
-    @property
-    def varying_degree(self) -> int:
-        """Degree of quadrature where stress is history or fibres turn: stiffness needs one less."""
-        return 2 * self._scene.order - 1
-
-    def displacements(self, moved: dict[int, fem.Function]) -> list[fem.Function]:
-        """Displacement of each body: its own where jumps move it, else u."""
-        return [moved.get(b, self.u) for b in range(len(self._bodies.names))]
 
     def set_amplitudes(self, value: dict[tuple[str, int], float]) -> None:
         """Set the amplitudes of the eigenstrains by (region, number); the others are zero."""
@@ -254,51 +257,8 @@ class BodyForms:
             InputError: It has no facets.
         """
         if boundary not in self._measured:
-            self._measured[boundary] = self._measure_patch(boundary)
+            self._measured[boundary] = _measured(self.tagged, boundary)
         return self._measured[boundary]
-
-    def _measure_patch(self, boundary: str) -> Patch:
-        x, _ = facet_coordinates(self._tagged, boundary_facets(self._tagged, boundary))
-        rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
-        points, weights = (np.asarray(a) for a in rule)
-        L = np.column_stack([1 - points.sum(axis=1), points])
-        _, size = surface(x, L)
-        at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
-
-        def integral(values: Floats) -> Floats:
-            local = np.einsum("q,fq,fq...->...", weights, size, values)
-            return np.asarray(self.comm.allreduce(local, MPI.SUM))
-
-        area = float(integral(np.ones(size.shape)))
-        if area <= 0:
-            raise InputError(f"boundary '{boundary}' has no facets on this mesh")
-        centroid = np.asarray(integral(at) / area, dtype=np.float64)
-        arm = at - centroid
-        second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
-        return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
-
-    def load_work(self, load: LoadTerm, body: int, v: Any) -> Any:
-        """Work of a load at full amplitude on one body in a displacement v [N mm]; 0 if none."""
-        return load.work(v, OnBody(self, body))
-
-    def body_of(self, region: str) -> int:
-        """The body that a region belongs to."""
-        return self._bodies.of_region[region]
-
-    def density(self, values: Field, tags: list[int]) -> tuple[fem.Function, int]:
-        """Force density at the quadrature points of regions, and their degree.
-
-        A function of points and not an expression in UFL: all densities share one compiled form.
-        The degree is exact for constants on curved cells, and leaves second order its third order
-        in the displacement where the density varies.
-        """
-        degree = 2 * self._scene.order + 2
-        element = basix.ufl.quadrature_element("tetrahedron", value_shape=(3,), degree=degree)
-        b = fem.Function(fem.functionspace(self.mesh, element))
-        owned = self.mesh.topology.index_map(3).size_local
-        cells = np.flatnonzero(np.isin(self._tags[:owned], tags)).astype(np.int32)
-        everywhere(self.comm, lambda: b.interpolate(lambda x: values(x.T).T, cells0=cells))
-        return b, degree
 
     # Assembly
 
@@ -306,11 +266,11 @@ class BodyForms:
     def _stiffness(self) -> CompiledForm:
         """Second derivative of the energies of all bodies moving with u, for any cells of them."""
         dx, v, w = self.cells(), ufl.TestFunction(self.space), ufl.TrialFunction(self.space)
-        energy = sum(self.tangent_energy(b, self.u, dx) for b in range(len(self._bodies.names)))
+        energy = sum(self.tangent_energy(b, self.u, dx) for b in range(len(self.bodies.names)))
         # Expanded, for what drops out of it must not count among its coefficients.
         form = expand_derivatives(ufl.derivative(ufl.derivative(energy, self.u, v), self.u, w))
         with self._timing.phase("compile", "stiffness"):
-            return fem.compile_form(self.comm, form)
+            return fem.compile_form(self.mesh.comm, form)
 
     def stiffness(self) -> fem.Form:
         """Stiffness of all bodies moving with u, supports not yet applied."""
@@ -319,7 +279,7 @@ class BodyForms:
     def strip_stiffness(self, body: int, dofs: NDArray[np.bool_]) -> fem.Form:
         """Stiffness of one body restricted to its cells that hold any of the marked dofs."""
         near = dofs[self.space.dofmap.list].any(axis=1)
-        near &= self._bodies.of_tag[self._tags] == body
+        near &= self.bodies.of_tag[self._tags] == body
         mine = {patch for (_, b), patch in self._patches.items() if b == body}
         facets = [(k, f if k in mine else f[:0]) for k, f in self._facets]
         return self._stiffness_on(self._domains(near), facets)
@@ -339,26 +299,10 @@ class BodyForms:
             {c: c for c in form.constants()},
         )
 
-    def swelling_forces(self, e: Elastic) -> PETSc.Mat:
-        """Nodal forces of the bodies by the nodal swelling of a region, both of this rank."""
-        v, free = ufl.TestFunction(self.space), ufl.TrialFunction(self.scalars)
-        # One number for any region: all that are isotropic share a compiled form.
-        dx = ufl.Measure("dx", domain=self.mesh, subdomain_data=[(1, self.region_cells(e.region))])
-        energy = self.energy_density(e, self.elastic_strain(e, self.u)) * self.over(e, dx, 1)
-        forces = -ufl.derivative(energy, self.u, v)
-        return self.matrix(self.form(ufl.derivative(forces, self.swelling[e.region], free)))
-
     def form(self, form: Any) -> fem.Form:
         """Compile a form, counting the time."""
         with self._timing.phase("compile", "forces"):
             return fem.form(form)
-
-    @staticmethod
-    def matrix(form: fem.Form) -> PETSc.Mat:
-        """Assemble a compiled bilinear form."""
-        matrix = assemble_matrix(form)
-        matrix.assemble()
-        return matrix
 
     def assemble(self, form: Any) -> PETSc.Vec:
         """Assemble a linear form into an owned vector."""
@@ -367,3 +311,31 @@ class BodyForms:
         fem.petsc.assemble_vector(vector, compiled)
         vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         return vector
+
+
+def _measured(tagged: TaggedMesh, boundary: str) -> Patch:
+    x, _ = facet_coordinates(tagged, boundary_facets(tagged, boundary))
+    rule = basix.make_quadrature(basix.CellType.triangle, MOMENT_DEGREE)
+    points, weights = (np.asarray(a) for a in rule)
+    L = np.column_stack([1 - points.sum(axis=1), points])
+    _, size = surface(x, L)
+    at = np.einsum("qn,fni->fqi", shape_functions(L, x.shape[1]), x)
+
+    def integral(values: Floats) -> Floats:
+        local = np.einsum("q,fq,fq...->...", weights, size, values)
+        return np.asarray(tagged.mesh.comm.allreduce(local, MPI.SUM))
+
+    area = float(integral(np.ones(size.shape)))
+    if area <= 0:
+        raise InputError(f"boundary '{boundary}' has no facets on this mesh")
+    centroid = np.asarray(integral(at) / area, dtype=np.float64)
+    arm = at - centroid
+    second = integral(np.einsum("fqi,fqj->fqij", arm, arm))
+    return Patch(area, centroid, np.trace(second) * np.eye(3) - second)
+
+
+def assembled_matrix(form: fem.Form) -> PETSc.Mat:
+    """Assemble a compiled bilinear form."""
+    matrix = assemble_matrix(form)
+    matrix.assemble()
+    return matrix

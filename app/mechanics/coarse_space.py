@@ -14,8 +14,9 @@ from dolfinx import fem, la
 from app.arrays import Bools, Floats, Ints
 from app.mechanics.contact import ContactInterfaces
 from app.mechanics.problem import Problem
+from app.numerics.deflation import CoarseSpace
 from app.numerics.rigid_motions import rigid_modes
-from app.numerics.sparse import block_diagonal, fill, from_triplets, matrix_sum
+from app.numerics.sparse import from_triplets, matrix_sum
 from app.scene.bodies import cell_tags
 
 # A direction of which a law resists less than this is free.
@@ -116,106 +117,77 @@ class _Entries:
         return from_triplets(self._comm, self._rows, columns, i, number[j], v)
 
 
-class SlidingMotions:
-    """Smooth motions of each body while all others stay, of displacement and jumps.
+class SlidingMotions(CoarseSpace):
+    """Coarse space: smooth sliding motions of one body past the others, of displacement and jumps.
 
     A body that deforms has those of hat functions on boxes about the interfaces: large boxes with
     all that is in them, and small ones along the interfaces of all bodies but the stiffest (where
     all move together nothing slides). A rigid one has six.
-
-    Attributes:
-        displacement: The rows of the displacement.
-        jump: Those of the jumps that the law lets go, as of `version`.
-        version: Counts how often they have followed the law; 0 as long as it lets nothing go.
     """
-
-    displacement: PETSc.Mat
-    jump: PETSc.Mat
-    version: int
 
     def __init__(self, problem: Problem) -> None:
         """Find who moves where; collective."""
         contact = problem.contact
         assert contact is not None
-        comm, space, reduction = problem.comm, problem.space, problem.reduction
-        self._comm, self._allowing = comm, np.eye(3) - contact.held
-        nodes = space.dofmap.index_map.size_local
-        x, y = space.tabulate_dof_coordinates()[:nodes], contact.points.x[contact.mine]
-        large = Boxes(contact.points.x)
-        small = Boxes(
-            contact.points.x, SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
-        )
-        grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
-        frame = _frame(contact.points.x)
-        rigid = {r.region for r in problem.scene.rigid}
-        nodal, others = _Entries(comm, 3 * nodes), _Entries(comm, len(problem.held))
-        jumps = _Entries(comm, 3 * len(y))
-        first, stiffest = 0, _stiffest(problem)
-        for body, name in enumerate(problem.bodies.names):
-            own = _components(problem, contact, body)
-            master, slave = (contact.points.bodies[contact.mine] == body).T
-            sign = slave.astype(float) - master
-            if rigid.issuperset(name.split(" + ")):
-                moves = _unknowns(problem, own)[:, None]
-                others.dense(moves * (reduction.modes.T @ frame), first)
-                jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
-                first += 6
-                continue
-            for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
-                inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
-                used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
-                place = first + 3 * (np.cumsum(used) - 1)
-                nodal.hats(at_nodes, place, used, own.astype(float))
-                jumps.hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1))
-                first += 3 * int(used.sum())
-        # A motion belongs to the rank that has most of it.
-        votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
-        owner = np.argmax(comm.allgather(votes), axis=0)
-        self.displacement = matrix_sum([reduction.rows(nodal.matrix(owner)), others.matrix(owner)])
-        self.displacement.zeroRows(problem.supports.rows, diag=0.0)
-        self._jump = jumps.matrix(owner)
-        self._free = block_diagonal(comm, len(y))
-        self.jump = self._free.matMult(self._jump)
-        self._let, self._allowed = self._jump.createVecLeft(), self._jump.createVecLeft()
-        self._known: Floats = np.zeros((len(y), 3, 3))
-        self.version = 0
+        self._comm, self._allowing = problem.comm, np.eye(3) - contact.own.projector
+        self._known: Floats = np.zeros_like(contact.own.projector)
+        super().__init__(*_motions(problem, contact))
 
-    def follow(self, slope: Floats) -> None:
-        """Let go what a law lets go, if that is much different from before; collective.
+    def update(self, slope: Floats) -> None:
+        """Update the free directions if contact states changed much; collective.
 
         Args:
             slope: Generalized derivative P' of the law at own points (n, 3, 3).
         """
-        free = free_directions(slope)
-        free = self._allowing @ free @ self._allowing
+        free = self._allowing @ free_directions(slope) @ self._allowing
         changed = (np.abs(free - self._known).max(axis=(1, 2)) > DIFFERENT).sum()
         changed, points = self._comm.allreduce(np.array([changed, len(free)]))
-        if changed <= STALE * points and (self.version or not changed):
-            return
-        self.let_go(free)
+        if changed > STALE * points or (changed and not self.version):
+            self.set_free_directions(free)
 
-    def let_go(self, free: Floats) -> None:
-        """Let directions go, whatever the law; collective.
-
-        Args:
-            free: Projectors on them at own points (n, 3, 3).
-        """
+    def set_free_directions(self, free: Floats) -> None:
+        """As `CoarseSpace.set_free_directions`."""
         self._known = free
-        self.version += 1
-        fill(self._free, free)
-        self._free.matMult(self._jump, result=self.jump)
+        super().set_free_directions(free)
 
-    def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
-        """Work of forces on displacement and jumps in each motion: Z^T r."""
-        self._free.mult(q, self._let)
-        self._jump.multTranspose(self._let, out)
-        self.displacement.multTransposeAdd(u, out, out)
 
-    def moved(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        """Displacement and jumps of motions together: Z w."""
-        self.displacement.mult(weights, u)
-        self._jump.mult(weights, self._allowed)
-        self._free.mult(self._allowed, q)
+def _motions(problem: Problem, contact: ContactInterfaces) -> tuple[PETSc.Mat, PETSc.Mat]:
+    """Rows of the displacement and of the jumps in each motion; collective."""
+    comm, space, constraints = problem.comm, problem.space, problem.stiffness.constraints
+    nodes = space.dofmap.index_map.size_local
+    x, y = space.tabulate_dof_coordinates()[:nodes], contact.own.x
+    large = Boxes(contact.points.x)
+    edge = SMALL[problem.scene.order] * float(np.mean(contact.edge_lengths))
+    small = Boxes(contact.points.x, edge)
+    grids = [(b, b(x), b(y)) for b in (large, small) if b is large or b.edge < large.edge]
+    frame = _frame(contact.points.x)
+    rigid = {r.region for r in problem.scene.rigid}
+    nodal, jumps = _Entries(comm, 3 * nodes), _Entries(comm, 3 * len(y))
+    others = _Entries(comm, len(constraints.constrained))
+    first, stiffest = 0, _stiffest(problem)
+    for body, name in enumerate(problem.bodies.names):
+        own = _components(problem, contact, body)
+        master, slave = (contact.own.bodies == body).T
+        sign = slave.astype(float) - master
+        if rigid.issuperset(name.split(" + ")):
+            moves = _unknowns(problem, own)[:, None]
+            others.dense(moves * (constraints.modes.T @ frame), first)
+            jumps.dense((sign[:, None, None] * (rigid_modes(y) @ frame)).reshape(-1, 6), first)
+            first += 6
+            continue
+        for boxes, at_nodes, at_points in grids[: 1 if body == stiffest else None]:
+            inside = at_nodes[0][own.any(axis=1)] if boxes is large else at_points[0][sign != 0]
+            used = comm.allreduce(np.bincount(inside.ravel(), minlength=boxes.size)) > 0
+            place = first + 3 * (np.cumsum(used) - 1)
+            nodal.hats(at_nodes, place, used, own.astype(float))
+            jumps.hats(at_points, place, used, np.repeat(sign[:, None], 3, axis=1))
+            first += 3 * int(used.sum())
+    # A motion belongs to the rank that has most of it.
+    votes = sum(entries.votes(first) for entries in (nodal, others, jumps))
+    owner = np.argmax(comm.allgather(votes), axis=0)
+    displacement = matrix_sum([constraints.rows(nodal.matrix(owner)), others.matrix(owner)])
+    displacement.zeroRows(problem.stiffness.rows.rows, diag=0.0)
+    return displacement, jumps.matrix(owner)
 
 
 def _stiffest(problem: Problem) -> int:
@@ -243,19 +215,19 @@ def _components(problem: Problem, contact: ContactInterfaces, body: int) -> Bool
     marks.x.array.reshape(-1, 3)[np.unique(space.dofmap.list[cells])] = 1
     marks.x.scatter_reverse(la.InsertMode.add)
     own = np.asarray(marks.x.array[: 3 * space.dofmap.index_map.size_local] > 0)
-    if body in contact.moves:
+    if body in contact.coupling.jump_to_displacement:
         # There nodes are those of the other bodies.
-        own &= np.diff(contact.moves[body].getValuesCSR()[0]) == 0
+        own &= np.diff(contact.coupling.jump_to_displacement[body].getValuesCSR()[0]) == 0
     return own.reshape(-1, 3)
 
 
 def _unknowns(problem: Problem, components: Bools) -> Bools:
     """Own unknowns that some of the own nodal components depend on."""
-    found = np.zeros(len(problem.held), dtype=bool)
-    vector = problem.K.createVecLeft()
-    for mode in problem.reduction.modes:
+    found = np.zeros(len(problem.stiffness.constraints.constrained), dtype=bool)
+    vector = problem.stiffness.K.createVecLeft()
+    for mode in problem.stiffness.constraints.modes:
         vector.array[:] = mode
-        nodal = problem.reduction.expand(vector)
+        nodal = problem.stiffness.constraints.expand(vector)
         nodal.array[~components.ravel()] = 0
-        found |= problem.reduction.vector(nodal).array != 0
+        found |= problem.stiffness.constraints.vector(nodal).array != 0
     return found

@@ -1,4 +1,4 @@
-r"""From nodal displacements to independent unknowns: supports, and regions that move rigidly.
+r"""Constraints: from nodal displacements to independent unknowns.
 
 The displacement of all nodes is U = P ũ. Mostly P is the identity. The nodes of a rigid region move
 by :math:`t + ω × (x - c)`; its six parameters are rotated so that those its supports determine come
@@ -7,8 +7,6 @@ directions than x, y, z have unknowns along axes of their own (`scene.frames`).
 """
 
 from __future__ import annotations
-
-from typing import Protocol, Self
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -19,6 +17,7 @@ from dolfinx import fem
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError, everywhere
 from app.numerics.rigid_motions import rigid_modes
+from app.numerics.sparse import from_rows
 from app.scene.bodies import Bodies, boundary_facets, cell_tags
 from app.scene.frames import Frames
 from app.scene.terms import Scene
@@ -28,40 +27,6 @@ from meshes.distribute import TaggedMesh
 # A motion of a rigid region counts as held when its supports resist it by more than this fraction
 # of the motion they resist most.
 _HELD = 1e-9
-
-
-class Reduction(Protocol):
-    """Interface between the problem and a reduction of its unknowns.
-
-    Attributes:
-        held: Own unknowns that supports hold (n,).
-        unit: For each support the values of the own unknowns at full amplitude (n,).
-        reacting: Own nodal components through which supports act (3 own nodes,).
-        modes: The six rigid modes of the whole model in own unknowns (6, n).
-    """
-
-    held: Bools
-    unit: list[Floats]
-    reacting: Bools
-    modes: Floats
-
-    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
-        """P^T K P."""
-
-    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
-        """P^T C."""
-
-    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
-        """P^T f."""
-
-    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
-        """P ũ."""
-
-    def carry(self, u: PETSc.Vec, old: Self) -> None:
-        """Express unknowns of the same scene with other supports as those of this one."""
-
-    def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
-        """Find ũ from U = P ũ; collective."""
 
 
 def _support_of_dofs(
@@ -98,7 +63,7 @@ def _support_of_dofs(
     return support[: index_map.size_local].ravel()
 
 
-def _given_values(
+def _prescribed_values(
     scene: Scene, space: fem.FunctionSpace, support_of: Ints, axes: Floats | None
 ) -> list[Floats]:
     """Displacement of own nodes by each support at full amplitude (n, 3) [mm]; collective.
@@ -127,84 +92,76 @@ def _given_values(
     return everywhere(space.mesh.comm, values)
 
 
-class AllFree:
-    """The unknowns are the nodal displacements along x, y, z."""
+class Constraints:
+    """Unknowns ũ of the displacement U = P ũ of all nodes, with the supports of a stage.
 
-    def __init__(self, scene: Scene, space: fem.FunctionSpace, support_of: Ints) -> None:
-        """Read off what supports hold."""
-        self.held: Bools = support_of >= 0
-        self.unit: list[Floats] = [g.ravel() for g in _given_values(scene, space, support_of, None)]
-        self.reacting: Bools = self.held
-        x = space.tabulate_dof_coordinates()[: len(support_of) // 3]
-        self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
+    P is a matrix where nodes have axes of their own or regions are rigid, else the identity. A
+    rigid region has six unknowns on rank 0 in place of its nodes.
 
-    def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
-        """K itself."""
-        return K
-
-    def rows(self, C: PETSc.Mat) -> PETSc.Mat:
-        """C itself."""
-        return C
-
-    def vector(self, f: PETSc.Vec) -> PETSc.Vec:
-        """A copy of f."""
-        return f.copy()
-
-    def expand(self, u: PETSc.Vec) -> PETSc.Vec:
-        """A copy of u."""
-        return u.copy()
-
-    def carry(self, u: PETSc.Vec, old: Self) -> None:
-        """Nothing to do: nodal displacements they stay."""
-
-    def contract(self, nodal: PETSc.Vec) -> PETSc.Vec:
-        """Return a copy of U."""
-        return nodal.copy()
-
-
-class ByMatrix:
-    """P as a matrix: axes of nodes, and rigid regions.
-
-    A rigid region has six unknowns on rank 0 in place of its nodes.
+    Attributes:
+        constrained: Own unknowns that supports hold (n,).
+        unit: For each support the values of the own unknowns at full amplitude (n,).
+        reacting: Own nodal components through which supports act (3 own nodes,).
+        modes: The six rigid modes of the whole model in own unknowns (6, n).
     """
 
     def __init__(
         self,
         scene: Scene,
         tagged: TaggedMesh,
+        bodies: Bodies,
         space: fem.FunctionSpace,
-        support_of: Ints,
+        stage: int,
         frames: Frames | None,
     ) -> None:
-        """Build P; collective.
+        """Find the unknowns; collective.
 
         Raises:
             InputError: Supports of a rigid region contradict each other.
         """
-        comm = tagged.mesh.comm
-        nodes = space.dofmap.index_map.size_local
+        support_of = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
+        self._bases: dict[int, Floats] = {}
+        self._P: PETSc.Mat | None = None
+        if scene.rigid or frames:
+            self._transform(scene, tagged, space, support_of.reshape(-1, 3), frames)
+            return
+        self.constrained: Bools = support_of >= 0
+        self.unit: list[Floats] = [
+            v.ravel() for v in _prescribed_values(scene, space, support_of, None)
+        ]
+        self.reacting: Bools = self.constrained
+        x = space.tabulate_dof_coordinates()[: len(support_of) // 3]
+        self.modes: Floats = rigid_modes(x).reshape(-1, 6).T
+
+    def _transform(
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        space: fem.FunctionSpace,
+        own: Ints,
+        frames: Frames | None,
+    ) -> None:
+        """Build P, from the supports that hold own components (nodes, 3); collective."""
+        comm, nodes = tagged.mesh.comm, len(own)
         x = space.tabulate_dof_coordinates()[:nodes]
         region = _region_of_nodes(scene, tagged, space)[:nodes]
-        free = self._free = np.flatnonzero(region < 0)
+        free = np.flatnonzero(region < 0)
         axes: Floats = np.tile(np.eye(3), (nodes, 1, 1))
         turned = np.zeros(nodes, dtype=bool)
         if frames:
-            mine, places = frames.own(space.dofmap.index_map)
-            axes[mine], turned[mine] = frames.axes[places], region[mine] < 0
-        n_rigid = len(scene.rigid)
-        n = 3 * len(free) + (6 * n_rigid if comm.rank == 0 else 0)
-        start = comm.exscan(n) or 0
-        tail = comm.bcast(3 * len(free))
-        self.held: Bools = np.zeros(n, dtype=bool)
-        self.unit: list[Floats] = [np.zeros(n) for _ in scene.supports]
-        own = support_of.reshape(-1, 3)
-        self.held[: 3 * len(free)] = (own[free] >= 0).ravel()
-        given = _given_values(scene, space, support_of, axes)
-        for unit, values in zip(self.unit, given, strict=True):
-            unit[: 3 * len(free)] = values[free].ravel()
+            rows, places = frames.own(space.dofmap.index_map)
+            axes[rows], turned[rows] = frames.axes[places], region[rows] < 0
+        n = 3 * len(free) + (6 * len(scene.rigid) if comm.rank == 0 else 0)
+        start, tail = comm.exscan(n) or 0, comm.bcast(3 * len(free))
+        self.constrained = np.zeros(n, dtype=bool)
+        self.constrained[: 3 * len(free)] = (own[free] >= 0).ravel()
+        prescribed = _prescribed_values(scene, space, own.ravel(), axes)
+        self.unit = [
+            np.concatenate([v[free].ravel(), np.zeros(n - v[free].size)]) for v in prescribed
+        ]
         reacting = (own >= 0) & (region < 0)[:, None]
         reacting[turned] = reacting[turned].any(axis=1, keepdims=True)
-        self.modes: Floats = np.zeros((6, n))
+        self.modes = np.zeros((6, n))
         modes = axes[free].swapaxes(1, 2) @ rigid_modes(x[free])
         self.modes[:, : 3 * len(free)] = modes.reshape(-1, 6).T
         columns = np.full((nodes, 3, 6), -1, dtype=np.int64)
@@ -213,66 +170,58 @@ class ByMatrix:
         entries[free, :, 0] = 1
         columns[turned, :, :3] = columns[turned, :, 0][:, None]
         entries[turned, :, :3] = axes[turned]
-        self._bases: dict[int, Floats] = {}
         for k, body in enumerate(scene.rigid):
             here = np.flatnonzero(region == k)
-            (nodes_of,) = gather(comm, x[here])
-            centre = nodes_of.mean(axis=0)
-            scale = np.ptp(nodes_of, axis=0).max() or 1.0
-            local = rigid_modes((x[here] - centre) / scale)
-            held = own[here] >= 0
-            along = axes[here].swapaxes(1, 2) @ local
-            rows, *wanted = gather(comm, along[held], *(values[here][held] for values in given))
-            basis, rank, amounts = _held_motions(scene, body.region, rows, wanted)
+            by_support = [v[here] for v in prescribed]
+            motions, basis, rank, amounts, whole = _rigid_unknowns(
+                comm, scene, body.region, x[here], axes[here], own[here], by_support
+            )
             place = tail + 6 * k
             columns[here] = place + np.arange(6)
-            entries[here] = local @ basis
+            entries[here] = motions
             reacting[here] |= rank > 0
             if comm.rank == 0:
                 self._bases[place] = basis
-                self.held[place : place + rank] = True
-                for s, amount in enumerate(amounts):
-                    self.unit[s][place : place + rank] = amount[:rank]
-                # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
-                whole = np.eye(6)
-                whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
-                whole[3:] *= scale
-                self.modes[:, place : place + 6] = (basis.T @ whole).T
-        self.reacting: Bools = reacting.ravel()
+                self.constrained[place : place + rank] = True
+                for unit, amount in zip(self.unit, amounts, strict=True):
+                    unit[place : place + rank] = amount[:rank]
+                self.modes[:, place : place + 6] = whole.T
+        self.reacting = reacting.ravel()
         keep = columns.reshape(-1, 6) >= 0
         pointer = np.concatenate([[0], np.cumsum(keep.sum(axis=1))])
-        self._P = PETSc.Mat().createAIJ(
-            ((3 * nodes, None), (n, None)),
-            csr=(
-                pointer.astype(PETSc.IntType),
-                columns.reshape(-1, 6)[keep].astype(PETSc.IntType),
-                entries.reshape(-1, 6)[keep],
-            ),
-            comm=comm,
-        )
-        self._P.assemble()
+        places, values = columns.reshape(-1, 6)[keep], entries.reshape(-1, 6)[keep]
+        self._P = from_rows(comm, (3 * nodes, n), pointer, places, values)
+
+    @property
+    def transforms(self) -> bool:
+        """Whether unknowns are others than nodal displacements."""
+        return self._P is not None
 
     def matrix(self, K: PETSc.Mat) -> PETSc.Mat:
         """P^T K P."""
-        return K.ptap(self._P)
+        return K.ptap(self._P) if self._P else K
 
     def rows(self, C: PETSc.Mat) -> PETSc.Mat:
         """P^T C."""
-        return self._P.transposeMatMult(C)
+        return self._P.transposeMatMult(C) if self._P else C
 
     def vector(self, f: PETSc.Vec) -> PETSc.Vec:
-        """P^T f."""
+        """P^T f, a new vector."""
+        if not self._P:
+            return f.copy()
         out = self._P.createVecRight()
         self._P.multTranspose(f, out)
         return out
 
     def expand(self, u: PETSc.Vec) -> PETSc.Vec:
-        """P ũ."""
+        """P ũ, a new vector."""
+        if not self._P:
+            return u.copy()
         out = self._P.createVecLeft()
         self._P.mult(u, out)
         return out
 
-    def carry(self, u: PETSc.Vec, old: Self) -> None:
+    def carry(self, u: PETSc.Vec, old: Constraints) -> None:
         """Turn the motions of rigid regions from the old axes to these."""
         for place, basis in self._bases.items():
             own = slice(place, place + 6)
@@ -284,6 +233,8 @@ class ByMatrix:
         P^T P has a block of 6 x 6 on rank 0 for each rigid region, else it is the identity: block
         Jacobi solves with it exactly.
         """
+        if not self._P:
+            return nodal.copy()
         solver = PETSc.KSP().create(self._P.comm)
         solver.setOperators(self._P.transposeMatMult(self._P))
         solver.setType("preonly")
@@ -308,6 +259,44 @@ def _region_of_nodes(scene: Scene, tagged: TaggedMesh, space: fem.FunctionSpace)
         mark.x.scatter_forward()
         result[mark.x.array > 0] = k
     return result
+
+
+def _rigid_unknowns(
+    comm: MPI.Comm,
+    scene: Scene,
+    region: str,
+    x: Floats,
+    axes: Floats,
+    own: Ints,
+    prescribed: list[Floats],
+) -> tuple[Floats, Floats, int, list[Floats], Floats]:
+    """Unknowns of a rigid region, from its own nodes (n of them); collective.
+
+    Args:
+        comm: Communicator.
+        scene: The scene.
+        region: Name of the region.
+        x: Positions (n, 3) [mm].
+        axes: Axes that supported components are along (n, 3, 3).
+        own: Support that holds each component (n, 3).
+        prescribed: Displacement by each support (n, 3) [mm].
+
+    Returns:
+        Displacement of the nodes by the unknowns (n, 3, 6), basis, rank and amounts as of
+        `_held_motions`, and the unknowns of the six rigid modes of the model, in columns.
+    """
+    points = gather(comm, x)[0]
+    centre, scale = points.mean(axis=0), np.ptp(points, axis=0).max() or 1.0
+    local = rigid_modes((x - centre) / scale)
+    held = own >= 0
+    along = (axes.swapaxes(1, 2) @ local)[held]
+    rows, *wanted = gather(comm, along, *(values[held] for values in prescribed))
+    basis, rank, amounts = _held_motions(scene, region, rows, wanted)
+    # A rigid mode of the model in terms of this body: t + w x c, and w * scale.
+    whole = np.eye(6)
+    whole[:3, 3:] = rigid_modes(centre[None])[0, :, 3:]
+    whole[3:] *= scale
+    return local @ basis, basis, rank, amounts, basis.T @ whole
 
 
 def _held_motions(
@@ -344,31 +333,3 @@ def _held_motions(
             )
         amounts[alike[0]] = basis.T @ motion
     return basis, rank, amounts
-
-
-def reduction_of(
-    scene: Scene,
-    tagged: TaggedMesh,
-    bodies: Bodies,
-    space: fem.FunctionSpace,
-    stage: int,
-    frames: Frames | None,
-) -> Reduction:
-    """The reduction a scene needs in a stage; collective."""
-    support_of = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
-    if scene.rigid or frames:
-        return ByMatrix(scene, tagged, space, support_of, frames)
-    return AllFree(scene, space, support_of)
-
-
-def near_null_space(comm: MPI.Comm, K: PETSc.Mat, modes: Floats) -> PETSc.NullSpace:
-    """The six rigid modes, orthonormal, for algebraic multigrid."""
-    vectors: list[PETSc.Vec] = []
-    for values in modes:
-        vector = K.createVecLeft()
-        vector.array[:] = values
-        for other in vectors:
-            vector.axpy(-vector.dot(other), other)
-        vector.normalize()
-        vectors.append(vector)
-    return PETSc.NullSpace().create(vectors=vectors, comm=comm)

@@ -1,4 +1,4 @@
-"""Interface laws at the contact points of one rank: UFL in, arrays out.
+"""Interface laws at the contact points of one rank: UFL in, arrays out; their trial stiffness.
 
 Points with the same number of faces and laws of the same form share one compiled law; a scene
 without friction or without edges never compiles the others.
@@ -7,7 +7,7 @@ without friction or without edges never compiles the others.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,12 +17,17 @@ import numpy as np
 from ufl import as_ufl
 from ufl.core.expr import Expr
 
-from app.arrays import Floats, Ints
+from app.arrays import Bools, Floats, Ints
+from app.case.run_options import USUAL_AUGMENTATION
+from app.mechanics.contact_points import OwnPoints
+from app.mechanics.contact_state import ContactState
 from app.numerics import kernel_cache, pointwise
 from app.numerics.pointwise import Pointwise
 from app.scene import laws
 from app.scene.laws import AtPoint, InterfaceLaw
+from app.system.timing import Timing
 from forms import contact
+from forms.contact import STICK
 
 # All that says what a law is, beside the module it is in: another text is another law.
 SOURCES = (contact, laws, pointwise, sys.modules[__name__])
@@ -50,87 +55,157 @@ class PointForces:
     history: Mapping[str, Floats] = field(default_factory=dict)
 
 
+# Rows of points with the same number of faces and laws of the same form: one of these, compiled.
+Group = tuple[Ints, InterfaceLaw, Pointwise]
+
+
 class PointLaw:
-    """The compiled law of every point of this rank.
+    """Laws of the interfaces at the contact points of this rank, during one run.
 
     Attributes:
+        can_open, frictional: Whether the law of each point can open, has friction (n,).
         history: Shapes of what the laws remember, by name.
+        tied: Points that stick whatever their law (n,).
+        default_stiffness: Stiffness of the trial force as the laws have it (n,) [MPa/mm].
+        stiffness: The one in force (n,) [MPa/mm].
+        multiplier_share: Part of the force of equilibrium in the trial force: 1 for an
+            augmentation (n,).
     """
 
-    def __init__(
-        self,
-        comm: MPI.Comm,
-        normals: Floats,
-        faces: Ints,
-        laws: Sequence[InterfaceLaw],
-        interface: Ints,
-    ) -> None:
-        """Compile the laws that the scene needs; collective.
+    def __init__(self, comm: MPI.Comm, own: OwnPoints, timing: Timing) -> None:
+        self._comm, self._own, self._timing = comm, own, timing
+        self._known: dict[tuple[Hashable, ...], list[Group]] = {}
+
+    def begin(self, laws: Sequence[InterfaceLaw], factor: float, local_stiffness: Floats) -> None:
+        """Take the laws of a run, compiled once for all of the same forms; collective.
 
         Args:
-            comm: Communicator of the mesh: the law is compiled once and shared.
-            normals: Unit normals of the faces (n, 3, 3).
-            faces: Number of faces (n,); a point with none carries no force.
             laws: The law of each interface.
-            interface: Interface of each point (n,).
+            factor: Default augmentation over the local stiffness per area.
+            local_stiffness: As of `update_stiffness`.
         """
-        forms = list(dict.fromkeys(law.form for law in laws))
-        form = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[interface]
-        here = {(int(m), int(k)) for m, k in zip(faces, form, strict=True) if m}
-        kinds = sorted(set().union(*comm.allgather(here)))
-        self._n, self._interface = len(faces), interface
-        self.history = {k: shape for law in laws for k, shape in law.history.items()}
-        self._groups = []
-        for m, k in kinds:
-            rows = np.flatnonzero((faces == m) & (form == k))
-            law = next(law for law in laws if law.form == forms[k])
-            self._groups.append((rows, law, _compile(comm, normals[rows, :m], law)))
-        self.set(laws)
-
-    def set(self, laws: Sequence[InterfaceLaw]) -> None:
-        """Change the constants of the laws: one for each interface, of the same forms."""
+        own, forms = self._own, tuple(law.form for law in laws)
+        if forms not in self._known:
+            with self._timing.phase("compile", "contact"):
+                self._known[forms] = self._compiled(laws)
+        self._laws, self._factor, self._groups = laws, factor, self._known[forms]
         for rows, law, compiled in self._groups:
             for name in law.values:
-                each = [own.values.get(name, 0.0) for own in laws]
-                compiled.set(**{name: np.array(each)[self._interface[rows]]})
+                each = np.array([other.values.get(name, 0.0) for other in laws])
+                compiled.set(**{name: each[own.interface[rows]]})
+        self.history = {k: shape for law in laws for k, shape in law.history.items()}
+        self.can_open = np.array([law.can_open for law in laws])[own.interface]
+        self.frictional = np.array([law.frictional for law in laws])[own.interface]
+        self.tied = np.zeros(len(own), dtype=bool)
+        self._scale = 1.0
+        self.update_stiffness(local_stiffness)
 
-    @property
-    def laws(self) -> int:
-        """Number of compiled laws."""
-        return len(self._groups)
+    def _compiled(self, laws: Sequence[InterfaceLaw]) -> list[Group]:
+        own, forms = self._own, list(dict.fromkeys(law.form for law in laws))
+        form = np.array([forms.index(law.form) for law in laws], dtype=np.int64)[own.interface]
+        here = {(int(m), int(k)) for m, k in zip(own.faces, form, strict=True) if m}
+        groups = []
+        for m, k in sorted(set().union(*self._comm.allgather(here))):
+            rows = np.flatnonzero((own.faces == m) & (form == k))
+            law = next(law for law in laws if law.form == forms[k])
+            groups.append((rows, law, _compile(self._comm, own.normals[rows, :m], law)))
+        return groups
 
-    def evaluate(
-        self,
-        force: Floats,
-        jump: Floats,
-        gap: Floats,
-        jump_old: Floats,
-        r: Floats,
-        history: Mapping[str, Floats] | None = None,
-    ) -> PointForces:
-        """Evaluate the laws at every point.
+    # Stiffness of the trial force
+
+    def update_stiffness(self, local_stiffness: Floats) -> None:
+        """Set the default stiffness of the trial force.
+
+        By default it is a factor of what the jump meets per area with all else held, in its softest
+        direction: that follows materials, setting, mesh and order by itself.
 
         Args:
-            force: Multiplier (n, 3) [MPa].
-            jump: Jump (n, 3) [mm].
-            gap: Initial gap vector (n, 3) [mm].
-            jump_old: Jump of the last converged state (n, 3) [mm].
-            r: Stiffness of the trial force (n,) [MPa/mm].
-            history: What the laws remember, by name: (n, ...).
+            local_stiffness: That which the jump of each point meets (n, 3, 3) [N/mm].
         """
-        n, known = self._n, dict(history or {})
+        self._point_stiffness = np.linalg.eigvalsh(local_stiffness)[:, 0] / self._own.weight
+        self.default_stiffness = self._by_law(
+            lambda law, here, met: law.trial_stiffness(met, self._factor)
+        )
+        self.scale_augmentation(self._scale)
+
+    def scale_augmentation(self, factor: float) -> None:
+        """Multiply the default augmentation by a factor, until the next call."""
+        self._scale, full = factor, self.default_stiffness
+        self.stiffness = self._by_law(
+            lambda law, here, met: law.softened_stiffness(full[here], met, factor)
+        )
+        self.multiplier_share = self._by_law(
+            lambda law, here, met: law.multiplier_share(self.stiffness[here], full[here])
+        )
+
+    def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats]) -> Floats:
+        """Values of own points (n,), from a law, its points and their `_point_stiffness`."""
+        values = np.zeros(len(self._own))
+        for i, law in enumerate(self._laws):
+            here = self._own.interface == i
+            values[here] = value(law, here, self._point_stiffness[here])
+        return values
+
+    def usual_augmentation(self) -> float:
+        """Multiple of the augmentation asked for that would be chosen, in the mean; collective."""
+        here = np.array([law.augmented for law in self._laws])[self._own.interface]
+        usual = USUAL_AUGMENTATION * self._point_stiffness[here]
+        own = np.array_equal(usual, self.default_stiffness[here])
+        if self._comm.allreduce(own, MPI.LAND):
+            return 1.0
+        logs = float(np.log(usual / self.default_stiffness[here]).sum())
+        total, count = self._comm.allreduce(np.array([logs, here.sum()]), MPI.SUM)
+        return float(np.exp(total / count)) if count else 1.0
+
+    def augmentation(self, trial: bool) -> dict[int, float]:
+        """Augmentation or penalty of each interface that can open [MPa/mm]; collective.
+
+        Args:
+            trial: Of penalties what they are solved with, not what they are.
+        """
+        values = {}
+        for i, law in enumerate(self._laws):
+            if law.can_open:
+                stiffness = self.stiffness if law.augmented or trial else self.default_stiffness
+                local = float(stiffness[self._own.interface == i].max(initial=0.0))
+                values[i] = float(self._comm.allreduce(local, MPI.MAX))
+        return values
+
+    # Forces
+
+    def multiplier(self, force: Floats, friction: Floats) -> Floats:
+        """Multiplier part of the trial force; a penalty keeps the last friction alone.
+
+        Args:
+            force: Of equilibrium (n, 3) [MPa].
+            friction: Of the last converged state (n, 3) [MPa].
+        """
+        share = self.multiplier_share[:, None]
+        return share * force + (1 - share) * friction
+
+    def evaluate(
+        self, force: Floats, jump: Floats, gap: Floats, state: ContactState
+    ) -> PointForces:
+        """Evaluate the laws at a trial state: multiplier (n, 3) [MPa], jump and gap (n, 3) [mm]."""
+        own, n, r = self._own, len(self._own), self.stiffness
+        inputs = {
+            "force": own.project_free(force),
+            "jump": own.project_free(jump),
+            "gap": gap,
+            "old": own.project_free(state.jump),
+            "r": r,
+        }
         out = PointForces(
             np.zeros((n, 3)),
             np.zeros((n, 3, 3)),
             np.zeros((n, 3, 3)),
             np.zeros((n, 3)),
             np.zeros(n, dtype=np.int64),
-            {name: values.copy() for name, values in known.items()},
+            {name: values.copy() for name, values in state.own.items()},
         )
         for rows, law, compiled in self._groups:
-            old = {name: known[name][rows] for name in law.history}
-            given = {"force": force, "jump": jump, "gap": gap, "old": jump_old, "r": r}
-            f, slope, p, s, *left = compiled(None, **{k: v[rows] for k, v in given.items()}, **old)
+            known = inputs | {name: state.own[name] for name in law.history}
+            f, slope, p, s, *left = compiled(None, **{k: v[rows] for k, v in known.items()})
             stiffness = r[rows, None, None]
             out.force[rows] = f
             if law.by_trial_force:
@@ -142,7 +217,19 @@ class PointLaw:
             out.status[rows] = np.rint(s).astype(np.int64)
             for name, values in zip(law.history, left, strict=True):
                 out.history[name][rows] = values
+        if self.tied.any():
+            self._tie(out, force, jump + gap, state.jump)
         return out
+
+    def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
+        """Have tied points touch and stick."""
+        own, tied = self._own, self.tied
+        slid = own.tangential(old, np.ones((len(own), 3), dtype=bool))
+        trial = force + self.stiffness[:, None] * (opening - slid)
+        out.force[tied] = own.project_free(trial)[tied]
+        out.jacobian[tied] = np.eye(3)
+        out.by_jump[tied] = (self.stiffness[:, None, None] * np.eye(3))[tied]
+        out.status[tied] = STICK
 
 
 def _compile(comm: MPI.Comm, normals: Floats, law: InterfaceLaw) -> Pointwise:

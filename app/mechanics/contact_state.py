@@ -1,9 +1,11 @@
-"""What contact points remember: the converged state of their jumps and forces."""
+"""Committed state of the contact points."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
 
 from app.arrays import Floats
 
@@ -23,7 +25,7 @@ class ContactState:
         least: Smallest dissipation of any step so far, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening so far (n,) [N mm].
         work: Work of the whole interface force in the jump so far (n,) [N mm].
-        own: What the laws of the interfaces remember, by name: (n, ...).
+        own: History of the laws of the interfaces, by name: (n, ...).
     """
 
     jump: Floats
@@ -37,3 +39,10 @@ class ContactState:
     contact_work: Floats
     work: Floats
     own: Mapping[str, Floats]
+
+    @classmethod
+    def at_rest(cls, gap: Floats, history: Mapping[str, tuple[int, ...]]) -> ContactState:
+        """Unloaded state, for a gap (n, 3) and the shapes of the laws' history."""
+        zero, none = np.zeros_like(gap), np.zeros(len(gap))
+        own = {name: np.zeros((len(gap), *shape)) for name, shape in history.items()}
+        return cls(zero, zero, zero, gap, zero, none, none, none, none, none, own)

@@ -86,7 +86,7 @@ class CuringStress:
         # Growth and free strain of the last converged state, and those to come.
         nodes = len(fem.Function(scalars).x.array)
         with timing.phase("compile", "cure"):
-            self._growth = {c.region: _growth(mechanics.comm, c, nodes) for c in scene.cures}
+            self._growth = {c.region: _growth(mechanics.mesh.comm, c, nodes) for c in scene.cures}
         self._old = {
             c.region: (self._growth[c.region](a=np.full(nodes, c.initial))[0], np.zeros(nodes))
             for c in scene.cures
@@ -102,7 +102,7 @@ class CuringStress:
                 r: fem.Expression(
                     self._stress_of(e, elasticity.strain(self._step[self._body[r]]), -1),
                     points,
-                    comm=mechanics.comm,
+                    comm=mechanics.mesh.comm,
                 )
                 for r, e in self._elastic.items()
             }
@@ -117,7 +117,7 @@ class CuringStress:
         """Regions of a body that set, with their measures."""
         degree = self._mechanics.varying_degree
         return [
-            (e, self._measure(self._mechanics.tag(r), degree=degree))
+            (e, self._measure(self._mechanics.tagged.regions[r], degree=degree))
             for r, e in self._elastic.items()
             if self._body[r] == body
         ]
@@ -157,7 +157,7 @@ class CuringStress:
             change = max(change, float(np.abs(mean - function.x.array).max(initial=0.0)))
             function.x.array[:] = mean
             self._rise[r].x.array[:] = e1 - e0
-        return bool(self._mechanics.comm.allreduce(change, MPI.MAX) > SAME)
+        return bool(self._mechanics.mesh.comm.allreduce(change, MPI.MAX) > SAME)
 
     def forces(self) -> dict[int, PETSc.Vec]:
         """Nodal forces on each body that the step starts with [N]; collective."""

@@ -17,7 +17,7 @@ import numpy as np
 import ufl
 
 from app.arrays import Floats
-from app.mechanics.body_forms import BodyForms
+from app.mechanics.body_forms import BodyForms, OnBody
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
 from app.scene.loads import LoadTerm
@@ -53,7 +53,7 @@ class Forces:
             known: Forces of the same problem: what it has too is not assembled again.
         """
         self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
-        self.comm = mechanics.comm
+        self.comm = mechanics.mesh.comm
         self._owned = 3 * mechanics.space.dofmap.index_map.size_local
         self._full: dict[LoadTerm, Action] = {} if known is None else known._full
         self._full = {load: self._load(load) for load in map(_at_full, scene.loads)}
@@ -75,7 +75,7 @@ class Forces:
         v = ufl.TestFunction(self._mechanics.space)
         parts = {}
         for b in range(len(self._bodies.names)):
-            work = self._mechanics.load_work(load, b, v)
+            work = load.work(v, OnBody(self._mechanics, b))
             if work != 0:
                 parts[b] = self._mechanics.assemble(work)
         return self.action(parts)
@@ -97,8 +97,8 @@ class Forces:
             own = total.duplicate()
             own.array[:] = part.array[: self._owned]
             total.axpy(1.0, own)
-            if self._contact and body in self._contact.moves:
-                B = self._contact.moves[body]
+            if self._contact and body in self._contact.coupling.jump_to_displacement:
+                B = self._contact.coupling.jump_to_displacement[body]
                 moved = B.createVecRight()
                 B.multTranspose(own, moved)
                 jump += moved.array
@@ -106,9 +106,9 @@ class Forces:
 
     def _nothing(self) -> tuple[PETSc.Vec, Floats]:
         nodal = PETSc.Vec().createMPI((self._owned, None), comm=self.comm)
-        return nodal, np.zeros(3 * len(self._contact.mine) if self._contact else 0)
+        return nodal, np.zeros(3 * len(self._contact.own) if self._contact else 0)
 
-    def set_free(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
+    def set_eigenforces(self, cause: str, parts: Mapping[int, PETSc.Vec]) -> None:
         """Set the forces of the free strains of one cause: nodal forces on each body [N]."""
         self._free[cause] = self.action(parts)
 

@@ -1,4 +1,4 @@
-"""What supports do to the stiffness: they hold unknowns, move them, and bear forces."""
+"""Rows of constrained unknowns: prescribed values, reactions."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats
-from app.mechanics.constraints import Reduction
+from app.mechanics.constraints import Constraints
 from app.mechanics.contact import ContactInterfaces
 
 
 class ConstrainedRows:
-    """The rows of the stiffness that the supports of a stage hold.
+    """The rows of the stiffness that the supports of a stage constrain.
 
     Attributes:
         rows: Their global numbers, of this rank.
-        typical: Mean diagonal of the stiffness: what held rows get, so that scales stay alike.
+        typical: Mean diagonal of the stiffness: constrained rows get it, so that scales stay alike.
     """
 
-    def __init__(self, K: PETSc.Mat, reduction: Reduction) -> None:
-        """Take from K what supports meet, then leave held rows their diagonal alone; collective."""
+    def __init__(self, K: PETSc.Mat, constraints: Constraints) -> None:
+        """Take reactions and lifts from K, then leave its rows a diagonal alone; collective."""
         first, _ = K.getOwnershipRange()
-        self.rows = (first + np.flatnonzero(reduction.held)).astype(np.int32)
-        self._unit = reduction.unit
+        self.rows = (first + np.flatnonzero(constraints.constrained)).astype(np.int32)
+        self._unit = constraints.unit
         self._lifts = [_lift(K, unit) for unit in self._unit]
         self._index = PETSc.IS().createGeneral(self.rows, comm=K.comm)
         self._by_displacement = K.createSubMatrix(self._index)
@@ -35,12 +35,12 @@ class ConstrainedRows:
         K.zeroRowsColumns(self.rows, diag=self.typical)
 
     def couple(self, contact: ContactInterfaces | None) -> None:
-        """Take what the supports meet of the coupling to the jumps."""
+        """Take the reactions to jumps from the coupling."""
         if contact:
-            self._by_jumps = contact.C.createSubMatrix(self._index)
+            self._by_jumps = contact.coupling.C.createSubMatrix(self._index)
 
     def move(self, f: PETSc.Vec, amplitudes: Sequence[float]) -> Floats:
-        """Displacements that supports give at amplitudes (n,); add what these bring to f [N]."""
+        """Displacements prescribed at amplitudes (n,); add the forces that they bring to f [N]."""
         given = np.zeros(len(f.array_r))
         for a, unit, lift in zip(amplitudes, self._unit, self._lifts, strict=True):
             given += a * unit
@@ -48,7 +48,7 @@ class ConstrainedRows:
         return given
 
     def forces(self, u: PETSc.Vec, q: PETSc.Vec | None) -> PETSc.Vec:
-        """Forces of a state through the supports, loads aside [N]."""
+        """Reactions of the supports in a state, loads aside [N]."""
         found = self._by_displacement.createVecLeft()
         self._by_displacement.mult(u, found)
         if self._by_jumps is not None:

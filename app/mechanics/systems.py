@@ -7,11 +7,11 @@ from dataclasses import replace
 from petsc4py import PETSc
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.arrays import Floats
 from app.mechanics.coarse_space import SlidingMotions
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.numerics.active_set import ActiveSet
 from app.numerics.preconditioners import SWEEP, Options, stiffness_options
 from app.numerics.sparse import block_diagonal, fill
@@ -23,11 +23,6 @@ def mechanical(problem: Problem) -> BondedSystem | ContactSystem:
     return ContactSystem(problem) if problem.contact else BondedSystem(problem)
 
 
-def _stiffness(linear: str, problem: Problem) -> Options:
-    """Direct or multigrid."""
-    return stiffness_options(linear, problem.K, problem.scene.order, problem.inverse.lower)
-
-
 class BondedSystem(System):
     """Displacement alone: no interface can move."""
 
@@ -36,30 +31,31 @@ class BondedSystem(System):
     newton: Options = {"ksp_rtol": 1e-14}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
-        """Take the stiffness as it is."""
         self._problem, self.comm = problem, problem.comm
-        self.inverses = {"displacement": problem.inverse}
+        self.inverses = {"displacement": problem.stiffness.inverse}
         self.active = ActiveSet(self.comm)
 
     @property
     def version(self) -> int:
         """Changes of the stiffness."""
-        return self._problem.version
+        return self._problem.stiffness.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """The displacement."""
-        return {"displacement": self._problem.K.createVecLeft()}
+        return {"displacement": self._problem.stiffness.K.createVecLeft()}
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The stiffness."""
-        return [[self._problem.K]]
+        return [[self._problem.stiffness.K]]
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid."""
-        return {"displacement": _stiffness(linear, self._problem)}
+        K, order = self._problem.stiffness.K, self._problem.scene.order
+        lower = self._problem.stiffness.inverse.lower
+        return {"displacement": stiffness_options(linear, K, order, lower)}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
-        """Put given displacements into a state."""
+        """Put prescribed displacements into a state."""
         self._problem.impose(x[0])
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
@@ -68,64 +64,54 @@ class BondedSystem(System):
 
     def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
         """Forces out of balance, beside those there are [N]."""
-        problem, u = self._problem, x[0]
-        return [Measure(size(f), problem.force_scale(u, None), problem.rounding(u))]
+        problem, (u, *q) = self._problem, x
+        scale = problem.force_scale(u, q[0] if q else None)
+        return [Measure(size(f), scale, problem.stiffness.rounding(u))]
 
 
-class ContactSystem(System):
+class ContactSystem(BondedSystem):
     """Displacement and jumps.
 
     Attributes:
-        trial: The jump block at the state whose residual or Jacobian was asked for last.
+        trial: Contact at the state whose residual or Jacobian was asked for last.
+        rows: Factor of equilibrium in the rows of the jumps, 1 - P' as last set.
     """
 
     trial: TrialState
-
-    prefix = "mantle_"
+    newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
-        """Set up the blocks of the Jacobian."""
-        self._problem, self.comm = problem, problem.comm
-        self.inverses = {"displacement": problem.inverse}
+        """Set up the blocks of the Jacobian; collective."""
+        super().__init__(problem)
         assert problem.contact is not None
         contact = self._contact = problem.contact
-        self._C = contact.C.copy()
-        self._C.zeroRows(problem.supports.rows, diag=0.0)
-        self._coupled = self._problem.version
-        self._rows = block_diagonal(contact.comm, len(contact.mine))
-        self._A_qu = self._rows.matMult(contact.Ct)
-        self._A_qq = self._rows.matMult(contact.D)
-        self._added = block_diagonal(contact.comm, len(contact.mine))
+        self._C = contact.coupling.C.copy()
+        self._C.zeroRows(problem.stiffness.rows.rows, diag=0.0)
+        self._coupled = problem.stiffness.version
+        self.rows = block_diagonal(contact.comm, len(contact.own))
+        self._A_qu = self.rows.matMult(contact.coupling.Ct)
+        self._A_qq = self.rows.matMult(contact.coupling.D)
+        self._added = block_diagonal(contact.comm, len(contact.own))
         self._coarse_version = -1
         self._forces: Floats | None = None
-        self.active = ActiveSet(self.comm)
-
-    @property
-    def version(self) -> int:
-        """Changes of the stiffness."""
-        return self._problem.version
 
     def blocks(self) -> dict[str, PETSc.Vec]:
         """Displacement and jumps."""
-        return {
-            "displacement": self._problem.K.createVecLeft(),
-            "jump": self._contact.D.createVecLeft(),
-        }
+        return super().blocks() | {"jump": self._contact.coupling.D.createVecLeft()}
 
     def matrices(self) -> list[list[PETSc.Mat | None]]:
         """The stiffness, the coupling, and the rows of the jumps."""
-        return [[self._problem.K, self._C], [self._A_qu, self._A_qq]]
+        return [[self._problem.stiffness.K, self._C], [self._A_qu, self._A_qq]]
 
     def options(self, linear: str) -> dict[str, Options]:
         """Direct or multigrid for the displacement, a sweep for the jumps."""
-        return {"displacement": _stiffness(linear, self._problem), "jump": SWEEP}
+        return super().options(linear) | {"jump": SWEEP}
 
     def impose(self, x: list[PETSc.Vec]) -> None:
-        """Put given displacements and jumps into a state."""
-        u, q = x
-        self._problem.impose(u)
-        contact = self._contact
-        q.array[:] = (contact.let(q.array_r.reshape(-1, 3)) + contact.given).ravel()
+        """Put prescribed displacements and jumps into a state."""
+        super().impose(x)
+        free = self._contact.own.project_free(x[1].array_r.reshape(-1, 3))
+        x[1].array[:] = (free + self._contact.prescribed).ravel()
 
     def residual(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> None:
         """Equilibrium of the bodies, and of the contact points with their law."""
@@ -135,16 +121,25 @@ class ContactSystem(System):
 
     def jacobian(self, x: list[PETSc.Vec]) -> None:
         """The generalized Jacobian of the contact points."""
-        self._couple()
+        contact = self._contact
+        if self._coupled != self._problem.stiffness.version:
+            self._coupled = self._problem.stiffness.version
+            contact.coupling.C.copy(self._C)
+            self._C.zeroRows(self._problem.stiffness.rows.rows, diag=0.0)
         self.trial = self._trial(x)
-        self._set_rows(*self._contact.row_factors(self.trial.law))
+        times, added = contact.row_factors(self.trial.law)
+        fill(self.rows, times)
+        fill(self._added, added)
+        self.rows.matMult(contact.coupling.Ct, result=self._A_qu)
+        self.rows.matMult(contact.coupling.D, result=self._A_qq)
+        self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
 
     def linearize_at(self, forces: Floats | None) -> None:
         """Take the laws as linear about these interface forces, or as they are."""
         self._forces = forces
 
     def _trial(self, x: list[PETSc.Vec]) -> TrialState:
-        """The jump block at a state: the laws at the forces of equilibrium, or linear about others.
+        """Contact at a state: the laws at the forces of equilibrium, or linear about others.
 
         With F_0 given, the law F = P(F + r d) in displacement, jumps and forces is linearized at
         (d, F_0): P(F_0 + r d) + P' (F - F_0) stands for the force, F that of equilibrium.
@@ -153,51 +148,28 @@ class ContactSystem(System):
         if self._forces is None:
             return trial
         contact, known = self._contact, self._forces
-        law = contact.law(-contact.weight[:, None] * known, trial.jump)
-        change = contact.share[:, None] * (contact.forces(trial.equilibrium) - contact.let(known))
+        law = contact.evaluate(-contact.own.weight[:, None] * known, trial.jump)
+        change = contact.law.multiplier_share[:, None] * (
+            contact.forces(trial.equilibrium) - contact.own.project_free(known)
+        )
         force = law.force + np.einsum("pij,pj->pi", law.jacobian, change)
         return replace(trial, law=replace(law, force=force))
 
-    def _couple(self) -> None:
-        """Take in the coupling, if it has changed."""
-        if self._coupled != self._problem.version:
-            self._coupled = self._problem.version
-            self._contact.C.copy(self._C)
-            self._C.zeroRows(self._problem.supports.rows, diag=0.0)
-
-    def _set_rows(self, times: NDArray[np.float64], added: NDArray[np.float64]) -> None:
-        """Set the rows of the jumps."""
-        fill(self._rows, times)
-        fill(self._added, added)
-        self._rows.matMult(self._contact.Ct, result=self._A_qu)
-        self._rows.matMult(self._contact.D, result=self._A_qq)
-        self._A_qq.axpy(1.0, self._added, structure=PETSc.Mat.Structure.SUBSET_NONZERO_PATTERN)
-
     def coarse_space(self) -> SlidingMotions:
         """Motions of bodies that slide, lift off or bend away."""
-        version = self._problem.version
+        version = self._problem.stiffness.version
         if self._coarse_version != version:
             self._coarse, self._coarse_version = SlidingMotions(self._problem), version
-        self._coarse.follow(self.trial.law.jacobian)
+        self._coarse.update(self.trial.law.jacobian)
         return self._coarse
-
-    @property
-    def rows(self) -> PETSc.Mat:
-        """Factor of equilibrium in the rows of the jumps, 1 - P' as last set."""
-        return self._rows
 
     def record_active_set(self) -> None:
         """Add the contact points' states to the active set, of the residual asked for last."""
         self.active.add(self.trial.law.status)
 
-    def measure(self, x: list[PETSc.Vec], f: list[PETSc.Vec]) -> list[Measure]:
-        """Forces out of balance, beside those there are [N]."""
-        problem = self._problem
-        return [Measure(size(f), problem.force_scale(*x), problem.rounding(x[0]))]
-
     def scale_augmentation(self, factor: float) -> bool:
         """Solve with this multiple of the default augmentation."""
-        self._contact.scale_augmentation(factor)
+        self._contact.law.scale_augmentation(factor)
         return True
 
     def augmentation(self) -> dict[str, float]:
@@ -206,7 +178,7 @@ class ContactSystem(System):
 
     def usual_augmentation(self) -> float:
         """Multiple of the augmentation asked for that would be chosen; collective."""
-        return self._contact.usual_augmentation()
+        return self._contact.law.usual_augmentation()
 
     def tie(self, on: bool) -> bool:
         """Solve with interfaces tied that were open everywhere so far, if there are any."""

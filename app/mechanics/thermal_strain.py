@@ -15,14 +15,15 @@ from operator import add
 from petsc4py import PETSc
 
 import numpy as np
+import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
-from app.mechanics.body_forms import BodyForms
-from app.mechanics.constraints import Reduction
+from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.constraints import Constraints
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
-from app.scene.terms import Expansion, Scene
+from app.scene.terms import Elastic, Expansion, Scene
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class ThermalStrain:
         self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
         self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
         elastic = {e.region: e for e in scene.elastic}
-        self._forces = {x.region: mechanics.swelling_forces(elastic[x.region]) for x in self._terms}
+        self._forces = {x.region: _forces(mechanics, elastic[x.region]) for x in self._terms}
 
     def set(self, temperatures: Mapping[str, fem.Function]) -> dict[int, PETSc.Vec]:
         """Swell to temperatures.
@@ -72,7 +73,7 @@ class ThermalStrain:
     def stiffness(
         self,
         moves: Mapping[str, PETSc.Mat],
-        reduction: Reduction,
+        constraints: Constraints,
         contact: ContactInterfaces | None,
         supported: NDArray[np.int32],
     ) -> ThermalStiffness:
@@ -80,7 +81,7 @@ class ThermalStrain:
 
         Args:
             moves: For each region whose temperatures jumps move, what they add to those.
-            reduction: From nodal displacements to unknowns.
+            constraints: From nodal displacements to unknowns.
             contact: Contact, if any.
             supported: Rows of the displacement that supports hold: zero.
         """
@@ -94,12 +95,12 @@ class ThermalStrain:
         def on_u(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
             if not parts:
                 return None
-            rows = reduction.rows(reduce(add, parts.values()))
+            rows = constraints.rows(reduce(add, parts.values()))
             rows.zeroRows(supported, diag=0.0)
             return rows
 
         def on_q(parts: dict[int, PETSc.Mat]) -> PETSc.Mat | None:
-            by_jump = contact.moves if contact else {}
+            by_jump = contact.coupling.jump_to_displacement if contact else {}
             moved = [B.transposeMatMult(parts[b]) for b, B in by_jump.items() if b in parts]
             return reduce(add, moved) if moved else None
 
@@ -111,6 +112,19 @@ class ThermalStrain:
         forces = self._forces[x.region].copy()
         forces.scale(x.coefficient)
         return forces
+
+
+def _forces(mechanics: BodyForms, e: Elastic) -> PETSc.Mat:
+    """Nodal forces of the bodies by the nodal swelling of a region, both of this rank."""
+    v, free = ufl.TestFunction(mechanics.space), ufl.TrialFunction(mechanics.scalars)
+    # One number for any region: all that are isotropic share a compiled form.
+    cells = [(1, mechanics.region_cells(e.region))]
+    dx = ufl.Measure("dx", domain=mechanics.mesh, subdomain_data=cells)
+    strain = mechanics.elastic_strain(e, mechanics.u)
+    energy = mechanics.energy_density(e, strain) * mechanics.over(e, dx, 1)
+    forces = -ufl.derivative(energy, mechanics.u, v)
+    form = ufl.derivative(forces, mechanics.swelling[e.region], free)
+    return assembled_matrix(mechanics.form(form))
 
 
 def _sums(parts: Iterable[tuple[int, PETSc.Mat]]) -> dict[int, PETSc.Mat]:

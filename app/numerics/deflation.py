@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -20,31 +19,52 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Floats
-from app.numerics.sparse import from_rows, matrix_sum
+from app.numerics.sparse import block_diagonal, fill, from_rows, matrix_sum
 
 # Motions with less than this part of the largest stiffness are left to the Krylov method; the
 # others are made stiffer by a part, for the motions of small boxes may be linearly dependent.
 NOTHING, STIFFER = 1e-10, 1e-8
 
 
-class CoarseSpace(Protocol):
+class CoarseSpace:
     """Motions of displacement and jumps that a Jacobian hardly resists: the columns of Z.
 
     Attributes:
         displacement: The rows of the displacement.
-        jump: The rows of the jumps, as of `version`.
+        jump: The rows of the jumps in the free directions, as of `version`.
         version: Counts changes; 0 as long as there are no motions.
     """
 
-    displacement: PETSc.Mat
-    jump: PETSc.Mat
-    version: int
+    def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
+        """Begin without free directions; collective.
+
+        Args:
+            displacement: The rows of the displacement.
+            jump: The rows of the jumps, three for each own point, in all directions.
+        """
+        self.displacement, self._all = displacement, jump
+        self._free = block_diagonal(jump.comm.tompi4py(), jump.getLocalSize()[0] // 3)
+        self.jump = self._free.matMult(jump)
+        self._forces, self._moved = jump.createVecLeft(), jump.createVecLeft()
+        self.version = 0
+
+    def set_free_directions(self, free: Floats) -> None:
+        """Let jumps move in some directions alone: projectors at own points (n, 3, 3)."""
+        self.version += 1
+        fill(self._free, free)
+        self._free.matMult(self._all, result=self.jump)
 
     def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
         """Work of forces on displacement and jumps in each motion: Z^T r."""
+        self._free.mult(q, self._forces)
+        self._all.multTranspose(self._forces, out)
+        self.displacement.multTransposeAdd(u, out, out)
 
     def moved(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
         """Displacement and jumps of motions together: Z w."""
+        self.displacement.mult(weights, u)
+        self._all.mult(weights, self._moved)
+        self._free.mult(self._moved, q)
 
 
 class Deflated:
@@ -57,7 +77,7 @@ class Deflated:
     def __init__(
         self, inner: PETSc.PC, blocks: Sequence[str], motions: Callable[[], CoarseSpace | None]
     ) -> None:
-        """Deflate a preconditioner.
+        """Wrap a preconditioner.
 
         Args:
             inner: The preconditioner.

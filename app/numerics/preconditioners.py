@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
 
 from petsc4py import PETSc
+
+from app.numerics.p_multigrid import CoarseOrder
 
 Options = dict[str, str | int | float | bool]
 
@@ -55,23 +56,7 @@ def is_direct(linear: str, size: int, limit: int = DIRECT_LIMIT) -> bool:
     return linear == "direct" or (linear == "auto" and size <= limit)
 
 
-class Lower(Protocol):
-    """Displacements of lower order.
-
-    Attributes:
-        size: Unknowns.
-    """
-
-    size: int
-
-    def prolongation(self) -> PETSc.Mat:
-        """Their interpolation; collective."""
-
-    def rigid(self, matrix: PETSc.Mat) -> PETSc.NullSpace:
-        """Their rigid modes, for a stiffness."""
-
-
-def stiffness_options(linear: str, K: PETSc.Mat, order: int, lower: Lower | None) -> Options:
+def stiffness_options(linear: str, K: PETSc.Mat, order: int, lower: CoarseOrder | None) -> Options:
     """Options for a stiffness of displacements.
 
     Args:
@@ -131,7 +116,7 @@ class Inverse:
         matrix: PETSc.Mat,
         version: Callable[[], int],
         options: Options,
-        lower: Lower | None = None,
+        lower: CoarseOrder | None = None,
     ) -> None:
         """Keep the matrix and the options; collective.
 

@@ -142,7 +142,7 @@ def _numbers(names: Sequence[str], cases: Sequence[SweptCase]) -> Blocks:
         rows.append(
             [
                 f"{words} ({unit})" if unit else words,
-                *("-" if n is None else str(n) for n in (a, *others)),
+                *(sweep_figures.cell(case, key) for case in cases),
                 *(_difference(a, b, key) for b in others),
             ]
         )

@@ -101,7 +101,7 @@ def cases_table(
             page.link(c.name, links.get(c.name, "")) if links else c.name,
             c.status if c.exit_code == 0 else f"{c.status}: exit code {c.exit_code}",
             [f"{key} = {layout.plain(level)}" for key, level in c.overrides.items()],
-            *(_cell(c, name) for name in names),
+            *(cell(c, name) for name in names),
             f"{c.unknowns or '-'}",
             f"{c.ranks}",
             layout.duration(c.seconds),
@@ -113,7 +113,7 @@ def cases_table(
     return page.table([head[k] for k in said], [[row[k] for k in said] for row in rows])
 
 
-def _cell(case: SweptCase, name: str) -> str:
+def cell(case: SweptCase, name: str) -> str:
     """A number with its error; 0 where it is rounding."""
     q, n = quantities.get(name), case.number(name)
     if n is None or q is None:

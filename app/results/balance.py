@@ -13,7 +13,8 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from app.arrays import Floats
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.scene.terms import Elastic, amplitude
 from forms import elasticity, loads
 
@@ -79,12 +80,14 @@ class Balance:
             for t, ds in beds
             for i in range(3)
         ]
-        nodes = problem.space.tabulate_dof_coordinates()[: len(problem.reduction.reacting) // 3]
+        nodes = problem.space.tabulate_dof_coordinates()[
+            : len(problem.stiffness.constraints.reacting) // 3
+        ]
         self._arm = nodes - about
         ends = problem.comm.allgather((nodes.min(0, initial=np.inf), nodes.max(0, initial=-np.inf)))
         low, high = np.min([e[0] for e in ends], axis=0), np.max([e[1] for e in ends], axis=0)
         self._diagonal = float(np.linalg.norm(high - low))
-        self._rest = self._measure(problem.K.createVecLeft(), None)
+        self._rest = self._measure(problem.stiffness.K.createVecLeft(), None)
         self.begin()
 
     def begin(self) -> None:
@@ -108,13 +111,13 @@ class Balance:
 
     def _measure(self, u: PETSc.Vec, trial: TrialState | None) -> dict:
         problem = self._problem
-        internal = np.zeros(len(problem.reduction.reacting))
+        internal = np.zeros(len(problem.stiffness.constraints.reacting))
         for _, form in self._elastic:
             internal += self._assemble(form)
         setting = [self._assemble(form) for _, form in self._setting]
         internal += sum(setting)
         loads_u, loads_q = problem.forces.applied(problem.time)
-        reaction = np.where(problem.reduction.reacting, internal - loads_u, 0.0)
+        reaction = np.where(problem.stiffness.constraints.reacting, internal - loads_u, 0.0)
 
         def scalar(form: fem.Form) -> float:
             return float(problem.comm.allreduce(fem.assemble_scalar(form), MPI.SUM))
@@ -122,9 +125,9 @@ class Balance:
         jump = held_q = np.zeros_like(loads_q)
         if trial is not None:
             jump, e = trial.jump.ravel().copy(), trial.equilibrium
-            held_q = (e - trial.contact.let(e)).ravel()
+            held_q = (e - trial.contact.own.project_free(e)).ravel()
         return {
-            "u": problem.reduction.expand(u).array.copy(),
+            "u": problem.stiffness.constraints.expand(u).array.copy(),
             "q": jump,
             "loads_u": loads_u,
             "loads_q": loads_q,
@@ -169,9 +172,9 @@ class Balance:
         external = float(comm.allreduce(external, MPI.SUM)) + works("strain_work", "amplitudes")
         self._spent += float(comm.allreduce(works("setting_forces", "setting"), MPI.SUM))
         self._work += external
-        contact = float(comm.allreduce(trial.contact.history.work.sum(), MPI.SUM)) if trial else 0.0
+        contact = float(comm.allreduce(trial.contact.state.work.sum(), MPI.SUM)) if trial else 0.0
         spent = (new["energy"], self._spent, contact)
-        free = problem.forces.free_work(problem.reduction.expand(u))
+        free = problem.forces.free_work(problem.stiffness.constraints.expand(u))
         self._scale = max(self._scale, *map(abs, (self._work, *spent, free)))
         self.energy = _relative(self._work - sum(spent), self._scale)
         self._forces(new)

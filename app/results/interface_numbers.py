@@ -13,7 +13,8 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.quantities import computed
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.results.penetration import overlap
 from app.results.percentiles import SurfaceField
 from forms.contact import OPEN, SLIP, STICK
@@ -58,23 +59,25 @@ class ContactSamples:
 
     def __init__(self, problem: Problem, trial: TrialState) -> None:
         self.found: dict[int, dict[str, Any]] = {}
-        contact, history = trial.contact, trial.contact.history
-        opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, contact.normals)
+        contact, history = trial.contact, trial.contact.state
+        opening = np.einsum("pi,pki->pk", trial.jump + contact.gap, contact.own.normals)
         # The second side as declared is the slave or the master.
         contacts = problem.scene.contacts
-        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[contact.interface][:, None]
-        used = np.arange(3)[None, :] < contact.faces[:, None]
+        sign = np.array([-1.0 if c.turned else 1.0 for c in contacts])[contact.own.interface][
+            :, None
+        ]
+        used = np.arange(3)[None, :] < contact.own.faces[:, None]
         local = {
-            "row": contact.mine,
+            "row": contact.own.rows,
             "gap": np.where(used, opening, 0.0),
             "opening": np.max(opening, axis=1, where=used, initial=-np.inf),
             "slip": sign * history.slip,
             "path": history.path,
             "motion": sign * trial.jump,
-            "pressure": _pressure(trial.law.pressures, contact.normals),
+            "pressure": _pressure(trial.law.pressures, contact.own.normals),
             "shear": np.linalg.norm(history.friction, axis=1),
             "force": -sign * history.force,
-            "status": np.where(contact.faces > 0, trial.law.status, STICK),
+            "status": np.where(contact.own.faces > 0, trial.law.status, STICK),
             "dissipation": history.dissipation,
             "least": history.least,
             "contact_work": history.contact_work,

@@ -64,7 +64,7 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
     moved = np.zeros(
         (1 + int(max(contact.facets.master.max(), contact.facets.slave.max())), len(nodes), 3)
     )
-    for body, B in contact.moves.items():
+    for body, B in contact.coupling.jump_to_displacement.items():
         q, u = B.createVecs()
         q.array[:] = jump.ravel()
         B.mult(q, u)
@@ -80,5 +80,5 @@ def _motion(contact: ContactInterfaces, jump: Floats) -> Floats:
 def _clearance(contact: ContactInterfaces) -> Floats:
     """Initial gap at all contact points (n,) [mm]; 0 where supports hold every component."""
     here = np.zeros(len(contact.points.weight))
-    here[contact.mine] = np.einsum("pi,pi->p", contact.gap, contact.normals[:, 0])
+    here[contact.own.rows] = np.einsum("pi,pi->p", contact.gap, contact.own.normals[:, 0])
     return contact.comm.allreduce(here)

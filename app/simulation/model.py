@@ -15,8 +15,9 @@ import meshes
 from app.case.case import Case
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
+from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Predictor
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.numerics.system import System

@@ -16,7 +16,7 @@ from app.case.case import Case
 from app.case.quantities import TABLE
 from app.errors import StoppedError
 from app.heat.nodes import ProbedPoint
-from app.mechanics.problem import TrialState
+from app.mechanics.contact import TrialState
 from app.results import closing_lines as text
 from app.results.balance import Balance
 from app.results.field_output import Fields

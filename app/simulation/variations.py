@@ -11,6 +11,7 @@ import numpy as np
 
 from app.case import quantities
 from app.case.case import Case, Varied
+from app.case.points import Point
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 
@@ -85,11 +86,11 @@ def _at(case: Mapping[str, Any], key: str) -> Any:
     return [1.0] * len(case["stages"]) if data is None and key.endswith("history") else data
 
 
-def row(v: Varied, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
+def row(v: Varied | Point, summary: Mapping[str, Any], status: str, seconds: float) -> Row:
     """Row of the table of variations for one run.
 
     Args:
-        v: Its variation.
+        v: Its variation, or its point of a sweep.
         summary: Its summary; empty if it has none.
         status: converged, not converged or stopped.
         seconds: Wall time.

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.errors import Reason
-from app.mechanics.contact import ContactInterfaces
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
+from app.mechanics.problem import Problem
 from app.numerics.active_set import ActiveSet
 from app.numerics.newton import NewtonResult, Solver
 from app.soundness import loose_bodies, uniqueness
@@ -107,8 +107,8 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
 
 
 def _place(problem: Problem, contact: ContactInterfaces, row: int) -> str:
-    name = problem.scene.contacts[contact.interface[row]].name
-    return f"on interface '{name}' at {point_text(contact.points.x[contact.mine[row]])}"
+    name = problem.scene.contacts[contact.own.interface[row]].name
+    return f"on interface '{name}' at {point_text(contact.own.x[row])}"
 
 
 def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet) -> list[str]:

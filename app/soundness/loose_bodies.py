@@ -27,7 +27,8 @@ from meshes.pieces import Parts, Piece
 
 if TYPE_CHECKING:
     from app.mechanics.contact import ContactInterfaces
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 
 # A motion is free if what resists it is below this part of what resists any; contact without
 # friction hardly resists one that it is sloped against by less than so many degrees in the mean, or
@@ -229,8 +230,10 @@ def free_bodies(problem: Problem, trial: TrialState) -> list[str]:
     x = contact.points.x
     centre, size = x.mean(axis=0), float(np.linalg.norm(np.ptp(x, axis=0))) or 1.0
     B = np.where((trial.law.status == OPEN)[:, None, None], 0.0, trial.law.jacobian)
-    R = rigid_modes((x[contact.mine] - centre) / size)
-    A = _assembled(problem, contact, contact.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R))
+    R = rigid_modes((contact.own.x - centre) / size)
+    A = _assembled(
+        problem, contact, contact.own.weight[:, None, None] * (R.transpose(0, 2, 1) @ B @ R)
+    )
     total = float(np.sum(contact.points.weight)) or 1.0
     for body in _held(problem):
         A[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] += total * np.eye(6)
@@ -246,7 +249,7 @@ def _assembled(problem: Problem, contact: ContactInterfaces, resistance: Floats)
     n = len(problem.bodies.names)
     A = np.zeros((6 * n, 6 * n))
     for master, slave in np.unique(contact.points.bodies, axis=0):
-        here = (contact.points.bodies[contact.mine] == (master, slave)).all(axis=1)
+        here = (contact.own.bodies == (master, slave)).all(axis=1)
         add_relative(A, master, slave, resistance[here].sum(axis=0))
     return np.asarray(problem.comm.allreduce(A))
 
@@ -256,18 +259,16 @@ def sliding(problem: Problem, contact: ContactInterfaces) -> list[str]:
 
     Pulled further they may come off. That is no proof: smaller steps are tried all the same.
     """
-    normal = np.linalg.norm(contact.history.force - contact.history.friction, axis=1)
-    shear = np.linalg.norm(contact.history.friction, axis=1)
+    normal = np.linalg.norm(contact.state.force - contact.state.friction, axis=1)
+    shear = np.linalg.norm(contact.state.friction, axis=1)
     fixed = {b for b, part in _held(problem).items() if np.linalg.eigvalsh(part)[0] > HELD}
     found = []
     for i, term in enumerate(problem.scene.contacts):
-        on = (contact.interface == i) & (normal > 0)
+        on = (contact.own.interface == i) & (normal > 0)
         slips = on & (shear >= ALL_OF_IT * term.law.friction * normal)
-        local = np.array([contact.weight[slips].sum(), contact.weight[on].sum()])
+        local = np.array([contact.own.weight[slips].sum(), contact.own.weight[on].sum()])
         slip, touch = problem.comm.allreduce(local)
-        bodies = problem.comm.allgather(
-            set(contact.points.bodies[contact.mine][on].ravel().tolist())
-        )
+        bodies = problem.comm.allgather(set(contact.own.bodies[on].ravel().tolist()))
         loose = set().union(*bodies) - fixed
         if term.law.frictional and touch and slip >= SLIDES * touch and loose:
             who = "' and '".join(problem.bodies.names[b] for b in sorted(loose))
@@ -287,14 +288,16 @@ def runaway(problem: Problem, trial: TrialState) -> str:
     """
     contact = trial.contact
     forces = sum(float(np.linalg.norm(r)) for r in problem.forces.resultants(problem.time))
-    pushed = any(unit.any() for unit in problem.reduction.unit)
+    pushed = any(unit.any() for unit in problem.stiffness.constraints.unit)
     if any(problem.comm.allgather(pushed)) or not forces:
         return ""  # where supports move the model, they may move it far
     size = float(np.linalg.norm(np.ptp(contact.points.x, axis=0)))
     # What closes a gap or makes room for an interference is no running away.
     moved = np.linalg.norm(trial.jump, axis=1) - np.linalg.norm(contact.gap, axis=1)
     for i, term in enumerate(problem.scene.contacts):
-        largest = max(problem.comm.allgather(float(moved[contact.interface == i].max(initial=0.0))))
+        largest = max(
+            problem.comm.allgather(float(moved[contact.own.interface == i].max(initial=0.0)))
+        )
         elastic = forces / (term.modulus * size)
         if largest > RUNAWAY * size and largest > LOOSE * elastic:
             free = free_bodies(problem, trial)
@@ -322,10 +325,10 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     contact = trial.contact
     n, points = len(problem.bodies.names), contact.points
     size = np.linalg.norm(np.ptp(points.x, axis=0)) or 1.0
-    R = rigid_modes((points.x[contact.mine] - points.x.mean(axis=0)) / size)
+    R = rigid_modes((contact.own.x - points.x.mean(axis=0)) / size)
     free = np.setdiff1d(np.arange(n), sorted(_held(problem)))
     rows = (6 * free[:, None] + np.arange(6)).ravel()
-    resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.interface])
+    resistances = _against_spread(problem, trial, R, np.array(smooth)[contact.own.interface])
     A, N = (x[np.ix_(rows, rows)] for x in resistances)
     if not A.any():
         return ""
@@ -340,9 +343,9 @@ def held_by_facets(problem: Problem, trial: TrialState) -> str:
     soft = np.zeros((6 * n, int(few.sum())))
     soft[rows] = scale.T @ vectors[:, few]
     parts = soft.reshape(n, 6, -1)
-    master, slave = points.bodies[contact.mine].T
+    master, slave = contact.own.bodies.T
     moved = np.einsum("pij,pjk->pik", R, parts[slave] - parts[master])
-    w, q, sum_ = contact.weight, trial.jump, problem.comm.allreduce
+    w, q, sum_ = contact.own.weight, trial.jump, problem.comm.allreduce
     turned = sum_(np.einsum("p,pi,pik->k", w, q, moved))
     gram = sum_(np.einsum("p,pik,pil->kl", w, moved, moved))
     amounts = np.linalg.lstsq(gram, turned, rcond=1e-12)[0]
@@ -362,7 +365,7 @@ def _against_spread(
 ) -> tuple[Floats, Floats]:
     """Resistance of contact to rigid motions R (p, 3, 6), and that by the spread of normals."""
     contact = trial.contact
-    r = np.where(trial.law.status == OPEN, 0.0, contact.stiffness * contact.weight)
+    r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.own.weight)
     B = trial.law.jacobian
     # Friction holds what it touches, though no stiffness tells so while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
@@ -371,16 +374,16 @@ def _against_spread(
         for own in (
             S,
             spread_of_normals(contact.points.x, contact.points.normals, contact.points.triangles)[
-                contact.mine
+                contact.own.rows
             ],
         )
     )
     # Normals that are off at random agree in the mean, the more of them the better.
-    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.normals)
+    touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.own.normals)
     mean = r[:, None] * np.einsum("pij,pi->pj", R, touching)
     sides = np.column_stack([contact.points.interface, contact.points.bodies])
     for i, m, s in np.unique(sides, axis=0):
-        here = (sides[contact.mine] == (i, m, s)).all(axis=1)
+        here = (sides[contact.own.rows] == (i, m, s)).all(axis=1)
         local = (mean[here].sum(axis=0), float(r[here].sum()), int(here.sum()))
         g, weight, count = (problem.comm.allreduce(x) for x in local)
         add_relative(A, m, s, count * np.outer(g, g) / (weight or 1.0))
@@ -391,7 +394,7 @@ def _held(problem: Problem) -> dict[int, Floats]:
     """How much supports and foundations hold of each direction, by body (3, 3)."""
     from app.scene.bodies import bodies_at  # brings dolfinx, which checks of a case do without
 
-    scene, frames = problem.scene, problem.frames
+    scene, frames = problem.scene, problem.stiffness.frames
     conditions = [
         (s.boundary, frames.held_by(k) if s.normal and frames else np.diag(s.components))
         for k, s in enumerate(scene.supports)

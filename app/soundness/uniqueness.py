@@ -100,16 +100,16 @@ def critical_friction_of_points(contact: ContactInterfaces) -> Floats:
     uniqueness (not sufficient), but each point takes a solve: on the shipped cases, coarsened, the
     least such value is 20 to 85 % above the least found here.
     """
-    stiffness = contact.local_stiffness()
+    stiffness = contact.coupling.local_stiffness()
     # A point does not move where supports hold it: nothing couples there, and it is stiff.
-    free = np.eye(3) - contact.held
+    free = np.eye(3) - contact.own.projector
     stiffness = free @ stiffness @ free
-    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.held
-    critical = np.full(len(contact.mine), np.inf)
-    for k in range(contact.normals.shape[1]):
-        on = contact.faces > k
+    stiffness += np.trace(stiffness, axis1=1, axis2=2)[:, None, None] * contact.own.projector
+    critical = np.full(len(contact.own), np.inf)
+    for k in range(contact.own.normals.shape[1]):
+        on = contact.own.faces > k
         critical[on] = np.minimum(
-            critical[on], critical_friction(stiffness[on], contact.normals[on, k])
+            critical[on], critical_friction(stiffness[on], contact.own.normals[on, k])
         )
     return critical
 
@@ -139,13 +139,9 @@ def _look(problem: Problem) -> tuple[dict[str, float], list[str]]:
         return found, sentences
     critical = critical_friction_of_points(contact)
     for i, term in enumerate(problem.scene.contacts):
-        on = np.flatnonzero(contact.interface == i)
+        on = np.flatnonzero(contact.own.interface == i)
         k = on[np.argmin(critical[on])] if len(on) else 0
-        here = (
-            (float(critical[k]), tuple(contact.points.x[contact.mine[k]]))
-            if len(on)
-            else (np.inf, ())
-        )
+        here = (float(critical[k]), tuple(contact.own.x[k])) if len(on) else (np.inf, ())
         least, x = min(problem.comm.allgather(here))
         over = int((critical[on] < term.law.friction).sum())
         over = problem.comm.allreduce(over, MPI.SUM)

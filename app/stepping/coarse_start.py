@@ -86,8 +86,8 @@ class CoarseModelStart:
             contact, self._coarse = self._contact, self._make()
             source = self._coarse.problem.contact
             assert source is not None
-            self._weights = interpolation(source.points, contact.points, contact.mine)
-            self._known = [(0.0, np.zeros((len(contact.mine), 6)))]
+            self._weights = interpolation(source.points, contact.points, contact.own.rows)
+            self._known = [(0.0, np.zeros((len(contact.own), 6)))]
         for then in [*self._past, time]:
             while then > (last := self._known[-1][0]):
                 # A run that was taken up again has not told of the stages before.
@@ -117,12 +117,12 @@ class CoarseModelStart:
         problem, solver = self._problem, self._solver
         named = solver.blocks_by_name()
         u, q = named["displacement"], named["jump"]
-        q.array[:] = (self._contact.let(jump) + self._contact.given).ravel()
+        q.array[:] = (self._contact.own.project_free(jump) + self._contact.prescribed).ravel()
         problem.impose(u)
         r, du = u.duplicate(), u.duplicate()
         problem.residual_u(u, q, r)
         du.zeroEntries()
-        problem.inverse.solve(r, du, ROUGH)
+        problem.stiffness.inverse.solve(r, du, ROUGH)
         u.axpy(-1.0, du)
         solver.start_linear(force)
 
@@ -140,8 +140,8 @@ def between(known: list[tuple[float, Floats]], time: float) -> Floats:
 def replicated(contact: ContactInterfaces) -> Floats:
     """Committed jumps and forces of all points, on every rank (n, 6) [mm, MPa]; collective."""
     every = np.zeros((len(contact.points.weight), 6))
-    own = np.hstack([contact.history.jump, contact.history.force])
-    for rows, values in contact.comm.allgather((contact.mine, own)):
+    own = np.hstack([contact.state.jump, contact.state.force])
+    for rows, values in contact.comm.allgather((contact.own.rows, own)):
         every[rows] = values
     return every
 

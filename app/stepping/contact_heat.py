@@ -1,6 +1,6 @@
 r"""Contact as the heat sees it: pressures, the power of friction, and how both change.
 
-Friction heats by what it dissipates (`ContactInterfaces.rubbing`): w = F_T · s per area since the
+Friction heats by what it dissipates (`TrialState.rubbing`): w = F_T · s per area since the
 time step began, with the slip s = Δq + (F - F_T)/r, which leaves out what springs of a penalty
 stretch. A stage of length h that starts from the work w* has the power (w - w*)/h: w is one more
 unknown of the integrator, so that its sum over the stages is the work of the whole step.
@@ -28,9 +28,10 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.heat.operators import HeatOperators
-from app.mechanics.contact import ContactInterfaces
+from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.contact_law import PointForces
-from app.mechanics.problem import ROUNDING, Problem, TrialState
+from app.mechanics.problem import Problem
+from app.mechanics.stiffness import ROUNDING
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets
 from app.scene.terms import Scene
@@ -62,14 +63,14 @@ class ContactHeat:
         contact = self._contact = problem.contact
         comm, points = problem.comm, contact.points
         number = owners(comm, problem.space.dofmap.index_map, points.dof)[1]
-        self._n = len(contact.mine)
+        self._n = len(contact.own)
         self.begin(np.inf, self.zero_work())
         self.friction_work: Floats = self.zero_work()
         self.heats = _heats(scene, problem, contact, operators, number)
         heated = {f.interface for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
         self.rubbing = np.isin(
-            contact.interface, [i for i, name in enumerate(names) if name in heated]
+            contact.own.interface, [i for i, name in enumerate(names) if name in heated]
         )
         known = {
             (names[i], v): n
@@ -109,8 +110,8 @@ class ContactHeat:
     def to_heat(self, trial: TrialState) -> None:
         """Set the pressures and the friction heat that the heat equation uses."""
         contact = self._contact
-        pressure = np.linalg.norm(_normal(trial.law, contact.normals), axis=1)
-        self.friction_work = np.where(self.rubbing, _dot(*self._rubbing(trial)), 0.0)
+        pressure = np.linalg.norm(_normal(trial.law, contact.own.normals), axis=1)
+        self.friction_work = np.where(self.rubbing, _dot(*trial.rubbing()), 0.0)
         power = np.asarray((self.friction_work - self._before) / self._h, dtype=np.float64)
         jumps, friction = self._operators.jumps, self._operators.friction
         if jumps is not None and self.pressed is not None:
@@ -119,7 +120,7 @@ class ContactHeat:
             friction.nodal = [_times(H, power) for _, H in sorted(self.heats.items())]
             for i, c in enumerate(self._problem.scene.contacts):
                 if f"friction {c.name}" in friction.flows:
-                    mine = float((contact.weight * power)[contact.interface == i].sum())
+                    mine = float((contact.own.weight * power)[contact.own.interface == i].sum())
                     friction.flows[f"friction {c.name}"] = self._problem.comm.allreduce(mine)
 
     def report(self, seconds: float) -> None:
@@ -128,24 +129,24 @@ class ContactHeat:
         if self.pressed is not None and self._operators.jumps is not None:
             self._operators.jumps.friction = _times(self.pressed, power)
 
-    def _rubbing(self, trial: TrialState) -> tuple[Floats, Floats]:
-        """Friction [MPa] and slip [mm] at own points, each (n, 3)."""
-        return self._contact.rubbing(trial.equilibrium, trial.jump, trial.law)
-
     def rounding(self, trial: TrialState) -> float:
         """Rounding error of the power of friction by long slips; collective [N mm/s]."""
         contact = self._contact
-        slip = np.linalg.norm(trial.jump - contact.history.jump, axis=1)
+        slip = np.linalg.norm(trial.jump - contact.state.jump, axis=1)
         # Forces are those of equilibrium, of bodies that may be far from where they were.
-        met = contact.share * contact.D.getDiagonal().array.reshape(-1, 3).max(axis=1)
-        force = (met + contact.stiffness * contact.weight) * np.linalg.norm(trial.jump, axis=1)
+        met = contact.law.multiplier_share * contact.coupling.D.getDiagonal().array.reshape(
+            -1, 3
+        ).max(axis=1)
+        force = (met + contact.law.stiffness * contact.own.weight) * np.linalg.norm(
+            trial.jump, axis=1
+        )
         power = np.where(self.rubbing, force * slip, 0.0) / self._h
         total = self._problem.comm.allreduce(float(np.sum(power**2)), MPI.SUM)
         return ROUNDING * float(np.finfo(float).eps) * math.sqrt(total)
 
     def pressure_rows(self, trial: TrialState) -> PointDerivatives:
         """How the pressure changes."""
-        force = _normal(trial.law, self._contact.normals)
+        force = _normal(trial.law, self._contact.own.normals)
         size = np.linalg.norm(force, axis=1)
         direction = force / np.where(size > 0, size, 1.0)[:, None]
         return self._rows(direction, trial)
@@ -153,11 +154,11 @@ class ContactHeat:
     def power_rows(self, trial: TrialState) -> PointDerivatives:
         """How the friction power changes."""
         contact = self._contact
-        force, slip = self._rubbing(trial)
-        given = force / contact.stiffness[:, None]
+        force, slip = trial.rubbing()
+        given = force / contact.law.stiffness[:, None]
         rows = self._rows(slip - given, trial)
         scale = np.where(self.rubbing, 1 / self._h, 0.0)[:, None]
-        lost = (contact.share / contact.weight)[:, None] * given
+        lost = (contact.law.multiplier_share / contact.own.weight)[:, None] * given
         return PointDerivatives(
             scale * (rows.by_equilibrium - lost), scale * (rows.by_jump + force)
         )
@@ -167,7 +168,9 @@ class ContactHeat:
         contact = self._contact
         by_force = np.einsum("pi,pij->pj", along, trial.law.jacobian)
         by_jump = np.einsum("pi,pij->pj", along, trial.law.by_jump)
-        return PointDerivatives(-(contact.share / contact.weight)[:, None] * by_force, by_jump)
+        return PointDerivatives(
+            -(contact.law.multiplier_share / contact.own.weight)[:, None] * by_force, by_jump
+        )
 
 
 def _heats(
@@ -196,7 +199,7 @@ def _heats(
         found[b] = from_triplets(
             problem.comm,
             operators.forms.owned,
-            len(contact.mine),
+            len(contact.own),
             dof[own] - start,
             number[own],
             (points.weight * value)[own],

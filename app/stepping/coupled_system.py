@@ -17,7 +17,8 @@ import numpy as np
 
 from app.arrays import Floats
 from app.heat.implicit_step import ImplicitStep
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import TrialState
+from app.mechanics.problem import Problem
 from app.mechanics.systems import ContactSystem
 from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
@@ -204,7 +205,10 @@ class CoupledSystem(ContactSystem):
             rows[1] = [
                 _plus(A, squeezed.matMult(R)) for A, R in zip(rows[1], pressure, strict=True)
             ]
-        up = [[E.matMult(contact.Ct), _plus(E.matMult(contact.D), Q)] for E, Q in rows]
+        up = [
+            [E.matMult(contact.coupling.Ct), _plus(E.matMult(contact.coupling.D), Q)]
+            for E, Q in rows
+        ]
         if self._thermal is None:
             return up, []
         return up, [[E.matMult(G) for G in self._thermal[1]] for E, _ in rows]
@@ -212,7 +216,7 @@ class CoupledSystem(ContactSystem):
     def _point_rows(self, rows: PointDerivatives) -> list[PETSc.Mat]:
         """Rows of scalars of the contact points as matrices (points x components)."""
         n = len(rows.by_jump)
-        start = self._contact.D.getOwnershipRange()[0]
+        start = self._contact.coupling.D.getOwnershipRange()[0]
         i, k = np.divmod(np.arange(3 * n, dtype=np.int64), 3)
         return [
             from_triplets(self.comm, n, 3 * n, i, start + 3 * i + k, values.ravel())

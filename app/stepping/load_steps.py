@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from app.errors import ConvergenceError, Reason
+from app.mechanics.contact import TrialState
 from app.mechanics.predictors import Extrapolation, Predictor, same
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
 from app.scene.terms import SceneStage
@@ -241,7 +242,7 @@ class LoadStepper:
                 f"stage '{stage.name}' at {part:.3g} % of it: {away} [{Reason.LOOSE_BODY}]\n"
                 "  what to change: hold the body (a support, friction, an elastic foundation)"
             )
-        problem.spread(u, q)
+        problem.update_displacements(u, q)
         problem.commit(trial)
         for p in self.predictors:
             p.commit(time)

@@ -54,7 +54,7 @@ def report() -> str:
 
 
 def problems() -> list[str]:
-    """What would stop or slow down a run, each with its cure."""
+    """Problems that would stop or slow down a run, each with its cure."""
     missing = [module for module in _MODULES if _version(module) == _MISSING]
     dolfinx = _version("dolfinx")
     slow = next(filter(is_reference_blas, loaded_blas()), "")

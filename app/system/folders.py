@@ -50,11 +50,11 @@ def settle_cache() -> str:
         EnvironmentProblem: There is no such folder.
     """
     try:
-        for folder in (form_cache(), cache_home() / "mantle"):
-            seed = SEED / folder.name
+        for name in ("fenics", "mantle/laws"):
+            seed, folder = SEED / name, cache_home() / name
             if seed.is_dir() and not folder.exists():
                 _copy(seed, folder)
-            files.make_private(folder)
+        files.make_private(form_cache())
         return ""
     except RuntimeError:  # no home
         why = ""
@@ -73,12 +73,11 @@ def settle_cache() -> str:
 
 
 def _copy(seed: Path, folder: Path) -> None:
-    """Copy a folder under another name and rename it; another process may be faster."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
-        copy = shutil.copytree(seed, Path(scratch) / "copy")
-        with suppress(OSError):
-            copy.rename(folder)
+    """Copy a folder under another name and rename it, if nothing is in the way."""
+    with suppress(OSError):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
+            shutil.copytree(seed, Path(scratch) / "copy").rename(folder)
 
 
 def cache(name: str) -> Path | None:

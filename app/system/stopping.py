@@ -18,14 +18,7 @@ FORMS = "H:MM:SS, MM:SS or D-H:MM:SS"
 
 
 def seconds(text: str) -> float:
-    """A span of time as batch systems have it, in seconds.
-
-    Args:
-        text: ``[D-]H:MM:SS`` or ``MM:SS``.
-
-    Raises:
-        InputError: It is none.
-    """
+    """A span of time as batch systems have it, ``[D-]H:MM:SS`` or ``MM:SS``, in seconds."""
     found = re.fullmatch(r"(?:(?:(\d+)-)?(\d+):)?(\d+):(\d\d)", text.strip())
     if found is None or not (
         total := sum(
@@ -71,19 +64,14 @@ def signals() -> Callable[[], str]:
 
 
 class WallTime:
-    """Asks a run to stop while there is time to save its state.
+    """Reason to stop a run while there is time to save its state.
 
     It is asked between Newton iterations: one of them, or what is written between two steps, may
-    come before it is asked again, and takes as long as the longest so far.
+    come before it is asked again, and takes as long as the longest so far. The run began at a time
+    of `time.perf_counter` and may take ``limit`` seconds.
     """
 
     def __init__(self, begin: float, limit: float) -> None:
-        """Begin.
-
-        Args:
-            begin: When the run began, by `time.perf_counter`.
-            limit: How long it may take [s].
-        """
         self._limit = limit
         self._end = begin + limit - min(LEFT * limit, MOST)
         self._last: float | None = None

@@ -16,7 +16,7 @@ log = logging.getLogger("mantle")
 DOING = {
     "mesh": "meshing",
     "assemble": "setting the equations up",
-    "compile": "compiling forms, which later runs find",
+    "compile": "loading forms, or compiling them",
     "factorize": "setting the preconditioner up",
     "solve": "solving",
     "output": "computing and writing results",

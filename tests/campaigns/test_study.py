@@ -2,7 +2,8 @@
 
 The stand-in gives numbers that follow a law in the mesh size h, so that orders, references and
 advice are known: slip_p99 = 0.04 (1 - 0.01 h^2), pressure_p99 = 5 (1 + 0.04 h / order), a run time
-of 8 / h seconds and estimated errors that are twice the true ones.
+of 8 / h seconds and estimated errors that are twice the true ones. With a penalty r the penetration
+is 2 / r mm, and the relative error of slip 10 / r.
 """
 
 from __future__ import annotations
@@ -18,34 +19,16 @@ from typing import Any
 import pytest
 
 from app.campaigns import batch, study, study_picture
-from app.campaigns.many import Options
+from app.campaigns.plan import Options
 from app.campaigns.runs import Result
 from app.case import quantities
 from app.case import study as study_file
 from app.cli import main
 from app.errors import MantleError
-
-CASE = """\
-geometry:
-  kind: blocks
-  blocks: [{name: lower, size: [4 mm, 4 mm, 4 mm]}, {name: upper, size: [4 mm, 4 mm, 4 mm]}]
-mesh: {order: 1, size: 4 mm, far_size: 5 mm}
-regions:
-  lower: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-  upper: {youngs_modulus: 1 GPa, poisson_ratio: 0.3}
-interfaces:
-  lower_upper: {kind: contact, friction_coefficient: 1.0}
-supports:
-  base: {kind: roller, boundary: bottom, axis: z}
-  left: {kind: roller, boundary: x_min, axis: x}
-  front: {kind: roller, boundary: y_min, axis: y}
-loads:
-  press: {kind: pressure, boundary: top, pressure: 2 MPa}
-"""
+from tests.campaigns.test_points import CASE
 
 STUDY = """\
 base: case.yaml
-set: {mesh.curved: false}
 study:
   quantities: [lower_upper.slip_p99, lower_upper.pressure_p99]
   lines:
@@ -54,7 +37,23 @@ study:
   reference:
     run: {mesh.order: 2, mesh.size: [1 mm, 0.5 mm, 0.25 mm]}
 """
-
+PENALTY = """\
+base: ../case.yaml
+set: {mesh.size: 2 mm, output.condition: true}
+study:
+  quantities:
+    - lower_upper.penetration_max
+    - lower_upper.slip_p99
+    - solver.newton_iterations
+    - solver.condition
+    - timing.total
+  lines:
+    penalty:
+      interfaces.lower_upper.kind: penalty
+      interfaces.lower_upper.penalty: &r [1e2 MPa/mm, 1 GPa/mm, 1e4 MPa/mm, 1e6 MPa/mm]
+    exact: {interfaces.lower_upper.augmentation: *r}
+  reference: {run: {}}
+"""
 STAND_IN = """\
 import json, pathlib, re, sys
 case, output = pathlib.Path(sys.argv[1]).read_text(), pathlib.Path(sys.argv[3])
@@ -66,10 +65,16 @@ slip, pressure = 0.04 * (1 - 0.01 * h**2), 5 * (1 + 0.04 * h / order)
 numbers = {"slip_p99": slip, "pressure_p99": pressure}
 if "error: true" in case:
     numbers |= {"slip_p99_error": 2 * 0.0004 * h**2, "pressure_p99_error": 8 * 0.2 * h / order}
+if "condition: true" in case:
+    found = re.search(r"penalty: (\\S+) MPa/mm", case)
+    r = float(found.group(1)) if found else float("inf")
+    if r == 1e6:
+        sys.exit(4)
+    numbers = {"penetration_max": 2 / r, "slip_p99": 0.04 * (1 + 10 / r)}
 output.mkdir(parents=True, exist_ok=True)
 timing = {"mesh": 3.0, "compile": 2.0, "error": 1.0, "total": 6.0 + 8 / h}
-summary = {"interfaces": {"lower_upper": numbers}, "regions": {}, "stem": {}, "timing": timing,
-           "solver": {"dofs": 3, "steps": 1, "newton_iterations": 4, "linear_iterations": 5}}
+solver = {"dofs": 3, "steps": 1, "newton_iterations": 4, "linear_iterations": 5, "condition": 1e5}
+summary = {"interfaces": {"lower_upper": numbers}, "timing": timing, "solver": solver}
 (output / "summary.json").write_text(json.dumps(summary))
 (output / "DONE").write_text("")
 """
@@ -152,6 +157,10 @@ def test_some_lines_and_a_quick_look(file: Path, capsys: pytest.CaptureFixture[s
     assert "study.yaml: 4 runs" in capsys.readouterr().out
     assert main([*options[:-1], "P3"]) == 2
     assert "-k P3: no line has this in its name; allowed: P1, P2" in capsys.readouterr().err
+    for command in ("run", "check", "mesh"):
+        assert main([command, str(file)]) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(f"{file}:1:1: base: this is a study of another case, not a case; us")
 
 
 def test_failed_points_are_shown_as_failed(file: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -174,73 +183,25 @@ def test_failed_points_are_shown_as_failed(file: Path, caplog: pytest.LogCapture
     assert "no advice on lower_upper.slip_p99: it has no reference" in caplog.text
 
 
-# The penetration is 2 / r mm, the relative error of slip 10 / r.
-APART = """\
-base: ../case.yaml
-set: {mesh.size: 2 mm, output.condition: true}
-study:
-  quantities:
-    - lower_upper.penetration_max
-    - lower_upper.slip_p99
-    - solver.newton_iterations
-    - solver.condition
-    - timing.total
-  lines:
-    penalty:
-      interfaces.lower_upper.kind: penalty
-      interfaces.lower_upper.penalty: &r [1e2 MPa/mm, 1 GPa/mm, 1e4 MPa/mm, 1e6 MPa/mm]
-    exact: {interfaces.lower_upper.augmentation: *r}
-  reference: {run: {}}
-"""
-
-BY_PENALTY = """\
-import json, pathlib, re, sys
-case, output = pathlib.Path(sys.argv[1]).read_text(), pathlib.Path(sys.argv[3])
-assert " size: 2.0 mm" in case and "far_size: 6.0 mm" in case
-found = re.search(r"penalty: (\\S+) MPa/mm", case)
-r = float(found.group(1)) if found else float("inf")
-if r == 1e6:
-    sys.exit(4)
-numbers = {"penetration_max": 2 / r, "slip_p99": 0.04 * (1 + 10 / r)}
-output.mkdir(parents=True, exist_ok=True)
-summary = {"interfaces": {"lower_upper": numbers}, "regions": {}, "stem": {},
-           "timing": {"total": 3.0}, "solver": {"newton_iterations": 7, "condition": 1e5}}
-(output / "summary.json").write_text(json.dumps(summary))
-(output / "DONE").write_text("")
-"""
-
-
-@pytest.fixture
-def apart(file: Path) -> Path:
-    """A study in another folder than its case."""
-    (file.parent / "mantle.py").write_text(BY_PENALTY)
-    path = file.parent / "studies" / "apart.yaml"
-    path.parent.mkdir()
-    path.write_text(APART)
-    return path
-
-
-def test_a_study_over_a_penalty(apart: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_study_over_a_penalty(file: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Values of what has no error; one run as the reference; a picture over the penalty."""
     caplog.set_level(logging.INFO, "mantle")
-    out = apart.parent / "out"
-    study.run(apart, ["mesh.far_size=6 mm", "study.target=0.1"], Options(out, 2))
+    path, out = file.parent / "studies" / "penalty.yaml", file.parent / "out"
+    path.parent.mkdir()
+    path.write_text(PENALTY)
+    study.run(path, ["mesh.far_size=6 mm", "study.target=0.1"], Options(out, 2))
     record, rows = read(out)
-    assert Path(record["case"]).samefile(apart.parent.parent / "case.yaml")
+    assert Path(record["case"]).samefile(file.parent / "case.yaml")
     assert record["overrides"][-1] == "mesh.far_size=6 mm" and record["target"] == 0.1
     depth, slip, newton, condition, time = record["quantities"].values()
-    assert slip["reference"] == {
-        "value": 0.04,
-        "uncertainty": 0,
-        "order": None,
-        "method": "of one run",
-    }
+    reference = {"value": 0.04, "uncertainty": 0, "order": None, "method": "of one run"}
+    assert slip["reference"] == reference
     errors = [p["error"] for p in slip["points"]]
     assert errors == pytest.approx([0.1, 0.01, 0.001, None, 0, 0, 0, 0], abs=1e-12)
     assert slip["exponents"] == {"penalty": pytest.approx(-1), "exact": None}
     values = [p["value"] for p in depth["points"]]
     assert values == pytest.approx([2e-2, 2e-3, 2e-4, None, 0, 0, 0, 0])
-    for each, value in ((newton, 7), (condition, 1e5), (time, 3)):
+    for each, value in ((newton, 4), (condition, 1e5), (time, 10)):
         assert [p["value"] for p in each["points"]] == [value] * 3 + [None] + [value] * 4
     for each in (depth, newton, condition, time):
         assert each["reference"] is None and each["advice"] == "" and not each["compared"]
@@ -251,26 +212,10 @@ def test_a_study_over_a_penalty(apart: Path, caplog: pytest.LogCaptureFixture) -
     assert [r["number [internal]"] for r in rows[:3]] == ["100.0", "1000.0", "10000.0"]
     for name in ("study.png", "study_parameters.png"):
         assert (out / name).read_bytes()[:4] == b"\x89PNG" and name in caplog.text
-
-
-@pytest.mark.slow
-def test_a_study_apart_of_nothing_that_is_compared(apart: Path) -> None:
-    """Only the picture that shows something is drawn, and none is left of another study."""
-    (apart.parent / "out").mkdir()
-    (apart.parent / "out" / "study.png").write_bytes(b"another")
-    overrides = ["mesh.far_size=6 mm", "study.quantities=[timing.total]"]
-    study.run(apart, overrides, Options(apart.parent / "out", 2))
-    names = {p.name for p in (apart.parent / "out").iterdir()}
+    # Only what shows something is drawn, and nothing is left of another study.
+    study.run(path, ["mesh.far_size=6 mm", "study.quantities=[timing.total]"], Options(out, 2))
+    names = {p.name for p in out.iterdir()}
     assert "study_parameters.png" in names and "study.png" not in names
-
-
-@pytest.mark.parametrize("command", ["run", "check", "mesh"])
-def test_a_study_apart_is_no_case(
-    command: str, apart: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([command, str(apart)]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"{apart}:1:1: base: this is a study of another case, not a case; use ")
 
 
 @pytest.mark.parametrize(
@@ -278,11 +223,8 @@ def test_a_study_apart_is_no_case(
     [
         ([1.0, 2.0, 29.0], "linear"),
         ([1.0, 2.0, 31.0], "log"),
-        ([1.0, 1e-3], "log"),
-        ([1.0, 1e-3, 0.0], "symlog"),
         ([1.0, 1e-3, 1e-15], "symlog"),
         ([1.0, 1e-3, -1.0], "linear"),
-        ([1.0, 0.0], "linear"),
         ([0.0, 0.0], "linear"),
         ([], "linear"),
     ],
@@ -314,19 +256,18 @@ study:
 """)
     planned = study_file.read(file).runs
     jobs = [study._job(p) for p in planned]
-    failed = [Result(job, file, 4, 0.0, {}, "") for job in jobs]
-    runs = [study._study_run(p, r) for p, r in zip(planned, failed, strict=True)]
+    runs = [
+        study._study_run(p, Result(job, file, 4, 0.0, {}, ""))
+        for p, job in zip(planned, jobs, strict=True)
+    ]
     assert [r.label for r in runs] == ["#1", "#2", "1e3 MPa/mm", "1e4 MPa/mm", *"1212"]
-    cases = [p.case for p in planned]
-    assert [j.ranks for j in jobs] == [1, 1, 1, 1, 1, 2, 1, 1]
-    assert all(j.alone for j in jobs)
-    laws = [c.interfaces["lower_upper"] for c in cases]
-    assert [getattr(law, "penalty", None) for law in laws[:5]] == [1e3, 1e4, 1e3, 1e4, None]
-    assert laws[0] == laws[2] and laws[1] == laws[3]
-    assert [c.stages[0].increments for c in cases[6:]] == [1, 2]
-    assert cases[6].solver.tolerance == 1e-8
     assert [r.x for r in runs] == [None, None, 1e3, 1e4, 1, 2, 1, 2]
     assert [r.unit for r in runs] == ["", "", "MPa/mm", "MPa/mm", "", "", "", ""]
+    assert [j.ranks for j in jobs] == [1, 1, 1, 1, 1, 2, 1, 1] and all(j.alone for j in jobs)
+    laws = [p.case.interfaces["lower_upper"] for p in planned]
+    assert [getattr(law, "penalty", None) for law in laws[:5]] == [1e3, 1e4, 1e3, 1e4, None]
+    assert laws[0] == laws[2] and laws[1] == laws[3]
+    assert [p.case.stages[0].increments for p in planned[6:]] == [1, 2]
 
 
 def test_quantities_are_found_in_a_summary() -> None:
@@ -334,12 +275,16 @@ def test_quantities_are_found_in_a_summary() -> None:
         "interfaces": {"a_b": {"slip_p99": 0.1, "force": [1, 2, 3], "force_error": [4, 5, 6]}},
         "regions": {"stem": {"von_mises_p99": 7.0}},
         "stem": {"subsidence": 0.2, "subsidence_error": 0.3},
+        "thermal": {"regions": {"bone": {"temperature_max": 3.0}}, "interfaces": {}},
+        "cure": {"cement": {"time_50": 5.0}},
     }
     assert quantities.read(summary, "a_b.slip_p99") == 0.1
     assert quantities.read(summary, "a_b.force.y") == 2
     assert quantities.read(summary, "a_b.force.z", "_error") == 6
     assert quantities.read(summary, "stem.von_mises_p99") == 7
     assert quantities.read(summary, "stem.subsidence", "_error") == 0.3
+    assert quantities.read(summary, "bone.temperature_max") == 3
+    assert quantities.read(summary, "cement.time_50") == 5
     assert quantities.read(summary, "a_b.gap_p99") is None
     assert quantities.read({}, "stem.subsidence") is None
 
@@ -348,7 +293,6 @@ def test_quantities_are_found_in_a_summary() -> None:
     ("quantity", "unit", "given", "value"),
     [
         ("cement_bone.temperature_max_second", "degC", "323.15 K", 50.0),
-        ("cement.temperature_max", "degC", "100 degC", 100.0),
         ("cement_bone.temperature_jump_max", "K", "5 K", 5.0),
         ("cement_bone.heat_flux_max", "W/m^2", "1.704821 mW/mm^2", 1704.821),
         ("cortical_bone.necrosis_cem43_60_depth", "mm", "200 um", 0.2),
@@ -359,40 +303,39 @@ def test_quantities_are_found_in_a_summary() -> None:
         ("cement_bone.normal_max", "MPa", "1350 kPa", 1.35),
     ],
 )
-def test_quantities_of_heat(quantity: str, unit: str, given: str | float, value: float) -> None:
+def test_known_values_have_the_unit_of_their_quantity(
+    quantity: str, unit: str, given: str | float, value: float
+) -> None:
     assert quantities.find(quantity).unit == unit
     assert study_file.known_value(quantity, given) == pytest.approx(value, rel=1e-15)
-    owner, key = quantity.split(".")
-    for summary in (
-        {"thermal": {"regions": {owner: {key: 3.0}}}},
-        {"thermal": {"interfaces": {owner: {key: 3.0}}}},
-        {"cure": {owner: {key: 3.0}}},
-    ):
-        assert quantities.read(summary, quantity) == 3.0
-    assert quantities.read({}, quantity) is None
 
 
 def test_a_real_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The patch test: 2 MPa on any mesh; and every quantity on offer is in a summary."""
-    (tmp_path / "case.yaml").write_text(CASE)
-    path = tmp_path / "study.yaml"
-    path.write_text(
-        "base: case.yaml\nstudy:\n  quantities: [lower_upper.pressure_mean, lower_upper.force.z]\n"
-        + "  lines: {size: {mesh.size: [4 mm, 2 mm]}}\n"
-        + "  reference: {values: {lower_upper.pressure_mean: 2 MPa, lower_upper.force.z: 32 N}}\n"
-    )
-    out = tmp_path / "out"
+    rollers = """\
+  base: {kind: roller, boundary: bottom, axis: z}
+  left: {kind: roller, boundary: x_min, axis: x}
+  front: {kind: roller, boundary: y_min, axis: y}
+"""
+    case = CASE.replace("  base: {kind: fixed, boundary: bottom}\n", rollers)
+    (tmp_path / "case.yaml").write_text(case)
+    path, out = tmp_path / "study.yaml", tmp_path / "out"
+    path.write_text("""\
+base: case.yaml
+study:
+  quantities: [lower_upper.pressure_mean, lower_upper.force.z]
+  lines: {size: {mesh.size: [4 mm, 2 mm]}}
+  reference: {values: {lower_upper.pressure_mean: 2 MPa, lower_upper.force.z: 32 N}}
+""")
     assert main(["study", str(path), "-o", str(out), "--cores", "2"]) == 0
     record, rows = read(out)
     assert [abs(float(r["value"])) for r in rows] == pytest.approx([2, 2, 32, 32])
-    assert all(
-        p["error"] < 1e-9 for p in record["quantities"]["lower_upper.pressure_mean"]["points"]
-    )
+    points = record["quantities"]["lower_upper.pressure_mean"]["points"]
+    assert all(p["error"] < 1e-9 for p in points)
     assert re.search("use size at [24] mm", capsys.readouterr().out)
     summary = json.loads((Path(record["runs"][0]["folder"]) / "summary.json").read_text())
     for section in ("interfaces", "regions"):
         name = next(iter(summary[section]))
         for key in (n for q in quantities.TABLE[section].values() for n in q.names):
-            if key == "hoop_p99":
-                continue  # blocks have no axis
-            assert quantities.read(summary, f"{name}.{key}") is not None, key
+            if key != "hoop_p99":  # blocks have no axis
+                assert quantities.read(summary, f"{name}.{key}") is not None, key

@@ -6,7 +6,7 @@ Coulomb), not from the form.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -25,7 +25,10 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from app.arrays import Floats
 from app.mechanics import contact_law as point_law
 from app.mechanics.contact_law import PointLaw, gap_vectors
+from app.mechanics.contact_points import OwnPoints
+from app.mechanics.contact_state import ContactState
 from app.scene.laws import Coulomb
+from app.system.timing import Timing
 from forms.contact import OPEN, SLIP, STICK, contact_law
 
 ALL = [(faces, friction) for faces in (1, 2, 3) for friction in (False, True)]
@@ -152,12 +155,18 @@ def law_of(p: Points, friction: bool) -> PointLaw:
     normals = np.zeros((n, 3, 3))
     normals[:, : p.faces] = p.normals
     faces = np.full(n, p.faces)
-    laws = [Coulomb(μ if friction else 0.0) for μ in p.μ]
-    return PointLaw(MPI.COMM_SELF, normals, faces, laws, np.arange(n))
+    none, tensors = np.zeros((n, 3)), np.zeros((n, 3, 3))
+    number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
+    own = OwnPoints(number, number, none, sides, faces, normals, np.ones(n), tensors)
+    law = PointLaw(MPI.COMM_SELF, own, Timing())
+    law.begin([Coulomb(μ if friction else 0.0) for μ in p.μ], 1.0, tensors + np.eye(3))
+    return law
 
 
 def force_of(law: PointLaw, p: Points, F: Floats | None = None) -> point_law.PointForces:
-    return law.evaluate(p.F if F is None else F, p.jump, p.gap, p.old, p.r)
+    law.stiffness = p.r
+    state = replace(ContactState.at_rest(p.gap, {}), jump=p.old)
+    return law.evaluate(p.F if F is None else F, p.jump, p.gap, state)
 
 
 def dot(a: Floats, b: Floats) -> Floats:

@@ -33,7 +33,7 @@ mesh: {order: 1, size: 2.5 mm}
 def chosen(text: str, *overrides: str) -> np.ndarray:
     """Augmentation of each contact point [MPa/mm]."""
     problem, _ = support.assemble(support.case(text, *overrides))
-    return np.asarray(problem.contact.stiffness)
+    return np.asarray(problem.contact.law.stiffness)
 
 
 def test_it_is_a_stiffness_per_length() -> None:
@@ -54,9 +54,9 @@ def test_it_follows_the_stiffness_in_force() -> None:
     """Cement that softens in place takes its augmentation with it, as far as it was lowered."""
     problem, _ = support.assemble(support.case(STEM))
     j = problem.contact
-    j.scale_augmentation(0.1)
-    before = j.stiffness.copy()
-    coupling = j._coupling
+    j.law.scale_augmentation(0.1)
+    before = j.law.stiffness.copy()
+    coupling = j.coupling._assembled
 
     def softer(*arguments: object) -> object:
         matrices = coupling(*arguments)  # type: ignore[arg-type]
@@ -64,9 +64,9 @@ def test_it_follows_the_stiffness_in_force() -> None:
             m.scale(0.01)
         return matrices
 
-    j._coupling = softer  # type: ignore[method-assign,assignment]
+    j.coupling._assembled = softer  # type: ignore[method-assign,assignment]
     problem._renew()
-    np.testing.assert_allclose(j.stiffness, 0.01 * before, rtol=1e-12)
+    np.testing.assert_allclose(j.law.stiffness, 0.01 * before, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -136,11 +136,11 @@ def test_a_penalty_is_found_with_any_augmentation() -> None:
             assert outcome.converged and outcome.augmentation == factor
             u, q = solver.u_and_q()
             problem.commit(problem.trial(u, q))
-            h = j.history
+            h = j.state
             states.append(np.column_stack([h.jump, h.force, h.slip, h.path, h.dissipation]))
         found.append(np.array(states))
         assert problem.augmentation() == pytest.approx({"stem_cement": 2e3, "cement_bone": 5e3})
-        assert (j.stiffness < 2e3).all() if factor < 1 else set(j.stiffness) == {2e3, 5e3}
+        assert (j.law.stiffness < 2e3).all() if factor < 1 else set(j.law.stiffness) == {2e3, 5e3}
     size = np.abs(found[0]).max(axis=(0, 1))
     assert (np.abs(found[1] - found[0]).max(axis=(0, 1)) <= 1e-8 * size).all()
     assert found[0][-1, :, -1].sum() > 0

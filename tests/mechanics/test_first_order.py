@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from app.mechanics.p_multigrid import CoarseOrder
-from app.mechanics.problem import Problem
+from app.numerics.p_multigrid import CoarseOrder
 from app.numerics.preconditioners import Inverse, stiffness_options
 from tests import support
 
@@ -20,9 +21,11 @@ stages: [{name: push}]
 """
 
 
-def problem(size: float = 3.0) -> Problem:
-    """The block, and what solves it."""
-    return support.assemble(support.case(BLOCK, f"mesh.size={size} mm"))[0]
+def problem(size: float = 3.0) -> SimpleNamespace:
+    """The block: displacement space, stiffness, and which unknowns supports hold."""
+    found = support.assemble(support.case(BLOCK, f"mesh.size={size} mm"))[0]
+    K, constraints = found.stiffness.K, found.stiffness.constraints
+    return SimpleNamespace(space=found.space, K=K, held=constraints.constrained)
 
 
 def test_first_order_gives_all_linear_displacements() -> None:

@@ -25,7 +25,7 @@ def test_taylor_remainder_is_of_second_order(order: int, law: str) -> None:
     # Off the solution, where the points have some force: on it many sit exactly on their cone.
     rng = np.random.default_rng(1)
     u, q = solved.solver.u_and_q()
-    free = ~solved.problem.held
+    free = ~solved.problem.stiffness.constraints.constrained
     u.array[free] += 1e-5 * rng.standard_normal(int(free.sum()))
     q.array[:] += 1e-5 * rng.standard_normal(q.array.size)
     base, moved, linear = (x.duplicate() for _ in range(3))

@@ -13,7 +13,7 @@ import pytest
 
 from app.errors import ConvergenceError
 from app.mechanics.coarse_space import Boxes, SlidingMotions, free_directions
-from app.numerics.deflation import Deflated
+from app.numerics.deflation import CoarseSpace, Deflated
 from app.numerics.preconditioners import FACTORED, FACTORED_SERIALLY, MULTIGRID, Inverse
 from app.numerics.remedies import solve
 from app.numerics.sparse import from_rows
@@ -114,26 +114,21 @@ def sparse(values: np.ndarray) -> PETSc.Mat:
     return from_rows(MPI.COMM_SELF, (rows, columns), start, numbers, values.ravel())
 
 
-class Given(SlidingMotions):
-    """Motions of given rows."""
+# All directions of two points.
+ALL = np.tile(np.eye(3), (2, 1, 1))
 
-    def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
-        self.displacement, self.jump = displacement, jump
-        self.version = 1
 
-    def work(self, u: PETSc.Vec, q: PETSc.Vec, out: PETSc.Vec) -> None:
-        self.displacement.multTranspose(u, out)
-        self.jump.multTransposeAdd(q, out, out)
-
-    def moved(self, weights: PETSc.Vec, u: PETSc.Vec, q: PETSc.Vec) -> None:
-        self.displacement.mult(weights, u)
-        self.jump.mult(weights, q)
+def moving(displacement: PETSc.Mat, jump: PETSc.Mat) -> CoarseSpace:
+    """Motions of given rows, in all directions."""
+    motions = CoarseSpace(displacement, jump)
+    motions.set_free_directions(ALL)
+    return motions
 
 
 def test_deflation_solves_exactly_for_its_motions() -> None:
     """Whatever the other preconditioner does, A Z comes back as Z, of each Jacobian."""
     random = np.random.default_rng(1)
-    sizes = {"heat": 2, "displacement": 6, "jump": 4}
+    sizes = {"heat": 2, "displacement": 6, "jump": 6}
     shapes = [[(n, m) for m in sizes.values()] for n in sizes.values()]
     blocks = [[sparse(random.normal(size=shape)) for shape in row] for row in shapes]
     blocks[0][2] = None
@@ -142,7 +137,7 @@ def test_deflation_solves_exactly_for_its_motions() -> None:
     inner = PETSc.PC().create()
     inner.setType("none")
     rows = {k: sparse(random.normal(size=(sizes[k], 3))) for k in ("displacement", "jump")}
-    motions = Given(**rows)
+    motions = moving(**rows)
     context = Deflated(inner, list(sizes), lambda: motions)
     pc = PETSc.PC().createPython(context)
     pc.setOperators(nest)
@@ -150,10 +145,10 @@ def test_deflation_solves_exactly_for_its_motions() -> None:
         # The rows of the jumps and their motions change, then everything does.
         blocks[2][1].scale(2.0)
         rows["jump"].scale(-1.5)
-        motions.version += 1
+        motions.set_free_directions(ALL)
         if k == 2:
             blocks[1][1].scale(3.0)
-            motions = Given(**rows)
+            motions = moving(**rows)
         nest.assemble()
         pc.setUp()
         weights = rows["jump"].createVecRight()
@@ -217,27 +212,27 @@ def test_motions_follow_the_law_where_many_points_change(monkeypatch: pytest.Mon
     problem, _ = support.assemble(support.case(PUSHED))
     j = problem.contact
     motions = SlidingMotions(problem)
-    n = len(j.mine)
+    n = len(j.own.rows)
     assert motions.version == 0
     # Six at least for each of the two bodies; sticking points stick.
     assert motions.jump.getSize()[1] >= 12
     slope = np.tile(np.eye(3), (n, 1, 1))
-    motions.follow(slope)
+    motions.update(slope)
     assert motions.version == 0
     slope[0] = 0
-    motions.follow(slope)
+    motions.update(slope)
     assert motions.version == 1
     assert np.count_nonzero(motions.jump.getValuesCSR()[2]) > 0
     slope[n // 2] = 0
-    motions.follow(slope)
+    motions.update(slope)
     assert motions.version == 1
     slope[:] = 0
-    motions.follow(slope)
+    motions.update(slope)
     assert motions.version == 2
     # Two bodies shifted against each other: the jump of every point is the same.
     shift = motions.jump.createVecRight()
     shift.set(1.0)
-    u, q = problem.K.createVecRight(), j.D.createVecRight()
+    u, q = problem.stiffness.K.createVecRight(), j.coupling.D.createVecRight()
     motions.moved(shift, u, q)
     work = shift.duplicate()
     motions.work(u, q, work)

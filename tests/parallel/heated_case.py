@@ -62,7 +62,7 @@ def main(output: Path) -> None:
             "cement",
         )
         samples = model.step()
-    assert samples is not None and problem.version == 5
+    assert samples is not None and problem.stiffness.version == 5
     scalars = problem.mechanics.scalars
     n = scalars.dofmap.index_map.size_local
     identity = PETSc.Mat().createAIJ(((n, None), (n, None)), nnz=1, comm=problem.comm)

@@ -241,7 +241,7 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
     ):
         seen = {m for m in imported(path) if package_of(m) in ("schema", "laws", "case")}
         # A default value, and the table of numbers.
-        known = {"app.case.run_options"} if path.stem == "contact" else set()
+        known = {"app.case.run_options"} if path.stem == "contact_law" else set()
         known |= {"app.case.quantities"} if path.stem == "interface_numbers" else set()
         assert seen <= known
 

@@ -93,6 +93,12 @@ def constant(value: float) -> State:
     return lambda x, t: np.full(len(x), value)
 
 
+def bone_through(tagged: TaggedMesh, celsius: Callable[[float], float], *times: float) -> Any:
+    """Numbers of bone that has one temperature at a time."""
+    play = Play(tagged, lambda x, t: np.full(len(x), celsius(t)), constant(20.0))
+    return play.through(*times)["regions"]["bone"]
+
+
 def falling(x: np.ndarray, t: float) -> np.ndarray:
     """47 degC between the nodes at 1.0 and 1.5 mm, 52.5 at the interface, in the bone."""
     return 43.0 + 4.75 * x[:, 2]
@@ -153,10 +159,7 @@ def test_a_peak_between_steps_is_found(stack: TaggedMesh) -> None:
 
 
 def test_very_unequal_steps_do_not_make_up_a_peak(stack: TaggedMesh) -> None:
-    def jump(x: np.ndarray, t: float) -> np.ndarray:
-        return np.full(len(x), 37.0 if t == 0 else 60.0 - 1e-3 * t)
-
-    bone = Play(stack, jump, constant(20.0)).through(1e-3, 100.0)["regions"]["bone"]
+    bone = bone_through(stack, lambda t: 37.0 if t == 0 else 60.0 - 1e-3 * t, 1e-3, 100.0)
     assert 60.0 - 1e-6 <= bone["temperature_max"] < 60.02
 
 
@@ -183,19 +186,14 @@ def test_doses_follow_the_curve_and_not_its_chords(
         return float(np.exp(np.log(3.1e98) - 6.28e5 / (8.314462618 * (ZERO + celsius(t)))))
 
     times = np.arange(0.17 * step, 400.0, step)
-    play = Play(stack, lambda x, t: np.full(len(x), celsius(t)), constant(20.0))
-    bone = play.through(*times)["regions"]["bone"]
+    bone = bone_through(stack, celsius, *times)
     exact = quad(rate, 0, times[-1], epsrel=1e-9, limit=400, points=[150.0, 180.0, 210.0])[0]
     assert bone["henriques_moritz_max"] == pytest.approx(exact, rel=error)
 
 
 def test_a_kink_is_not_rounded_off(stack: TaggedMesh) -> None:
     """Heating that is switched off: what was rising does not go on."""
-
-    def kink(x: np.ndarray, t: float) -> np.ndarray:
-        return np.full(len(x), min(37.0 + t, 57.0))
-
-    bone = Play(stack, kink, constant(20.0)).through(*np.arange(5.0, 61.0, 5.0))["regions"]["bone"]
+    bone = bone_through(stack, lambda t: min(37.0 + t, 57.0), *np.arange(5.0, 61.0, 5.0))
     assert bone["temperature_max"] == pytest.approx(57.0)
     minutes = (quad(lambda t: 2 ** (t - 6), 6, 20)[0] + 40 * 2**14) / 60
     assert bone["cem43_max"] == pytest.approx(minutes, rel=1e-3)
@@ -243,10 +241,10 @@ def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
 
 
 def test_a_sharp_turn_is_not_rounded_up(stack: TaggedMesh) -> None:
-    def tent(x: np.ndarray, t: float) -> np.ndarray:
-        return np.full(len(x), 57.0 - abs(t - 20.0) * (1.0 if t < 20 else 0.4))
+    def tent(t: float) -> float:
+        return 57.0 - abs(t - 20.0) * (1.0 if t < 20 else 0.4)
 
-    bone = Play(stack, tent, constant(20.0)).through(*np.arange(5.0, 61.0, 5.0))["regions"]["bone"]
+    bone = bone_through(stack, tent, *np.arange(5.0, 61.0, 5.0))
     assert bone["temperature_max"] == pytest.approx(57.0)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.errors import GeometryError, MantleError, StoppedError
-from app.mechanics.problem import TrialState
+from app.mechanics.contact import TrialState
 from app.numerics import remedies
 from app.numerics.newton import NewtonResult, Solver
 from app.simulation import coarser_case
@@ -85,13 +85,13 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 def jumps(model: Model) -> Any:
     """Jumps of the last step (n, 3) [mm]."""
     j = model.mechanics[0].problem.contact
-    return j.history.jump
+    return j.state.jump
 
 
 def states(model: Model) -> Any:
     """Jumps and forces of the last step, each over its largest (2, n, 3)."""
     j = model.mechanics[0].problem.contact
-    return np.array([v / np.abs(v).max() for v in (j.history.jump, j.history.force)])
+    return np.array([v / np.abs(v).max() for v in (j.state.jump, j.state.force)])
 
 
 # Between load steps
@@ -181,7 +181,7 @@ def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
     model, _ = go("stages.0.increments=1")
     (m,) = model.mechanics
     j = m.problem.contact
-    answer, force = m.solver.x.copy(), j.history.force.copy()
+    answer, force = m.solver.x.copy(), j.state.force.copy()
     j.begin(m.problem.scene.contacts, model._case.solver.augmentation_factor)
     m.problem.set_time(1.0)
     u, _ = m.solver.u_and_q()
@@ -259,11 +259,11 @@ def test_interpolation_is_exact_for_linear_jumps() -> None:
         support.assemble(support.case(BLOCKS.replace("SIZE", size)))[0].contact
         for size in ("3.1", "1.3")
     )
-    weights = coarse_start.interpolation(coarse.points, fine.points, fine.mine)
+    weights = coarse_start.interpolation(coarse.points, fine.points, fine.own.rows)
     slope = np.random.default_rng(5).normal(size=(3, 3))
     found = weights @ (coarse.points.x @ slope + 1.0)
-    assert len(fine.mine) > 2 * len(coarse.mine)
-    assert support.difference(found, fine.points.x[fine.mine] @ slope + 1.0) < 1e-12
+    assert len(fine.own.rows) > 2 * len(coarse.own.rows)
+    assert support.difference(found, fine.own.x @ slope + 1.0) < 1e-12
 
 
 def test_between_the_last_two() -> None:

@@ -16,7 +16,7 @@ import pytest
 from app.arrays import Floats
 from app.case.case import Case, Varied, dump, load
 from app.errors import InputError
-from app.mechanics.problem import TrialState
+from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
 from app.simulation import variations
 from app.simulation.model import Model

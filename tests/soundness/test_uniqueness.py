@@ -175,9 +175,9 @@ def test_stiffness_of_points_is_that_of_the_jump_block() -> None:
     j = problem.contact
     u, q = solver.u_and_q(solver.x.duplicate())
     u.set(0)
-    blocks = j.local_stiffness()
+    blocks = j.coupling.local_stiffness()
     for k, c in ((0, 0), (3, 2), (len(blocks) - 1, 1)):
         q.set(0)
         q.array[3 * k + c] = 1
-        forces = j.equilibrium(u, q, np.zeros(3 * len(blocks)))
+        forces = j.coupling.equilibrium(u, q, np.zeros(3 * len(blocks)))
         np.testing.assert_allclose(forces[k], blocks[k, :, c], rtol=1e-12)

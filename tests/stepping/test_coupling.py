@@ -49,8 +49,8 @@ def test_taylor_remainder_is_of_second_order(
     held = [
         operators.fixed.held,
         *([operators.jumps.held] if operators.jumps else []),
-        problem.held,
-        j.points.held[j.mine].ravel(),
+        problem.stiffness.constraints.constrained,
+        j.points.held[j.own.rows].ravel(),
     ]
     free = dict(zip(solver.blocks_by_name(), map(np.logical_not, held), strict=True))
     rng = np.random.default_rng(1)
@@ -175,8 +175,8 @@ def test_heat_of_force_and_slip_that_grow_together(
     for n in counts:
         c = together(monkeypatch, n, f"time.method={method}")
         j = c.model.mechanics[0].problem.contact
-        h = j.history
-        whole = float(j.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
+        h = j.state
+        whole = float(j.own.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
         heats.append(sum(step.heats["friction lower_upper"] for step in c.steps))
         assert heats[-1] == pytest.approx(whole * (n + 1) / (2 * n), rel=1e-8)
     errors = [heat - whole / 2 for heat in heats]
@@ -190,8 +190,8 @@ def test_what_springs_stretch_is_no_heat(monkeypatch: pytest.MonkeyPatch, method
     little = "supports.slide={kind: displacement, boundary: top, x: 0.003 mm, y: 0 mm}"
     c = together(monkeypatch, 2, f"time.method={method}", law, little)
     j = c.model.mechanics[0].problem.contact
-    h = j.history
-    assert float(j.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
+    h = j.state
+    assert float(j.own.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
     assert c.dissipated == (0.0, 0.0)
     assert [step.heats["friction lower_upper"] for step in c.steps] == [0.0, 0.0]
 

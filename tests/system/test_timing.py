@@ -32,7 +32,7 @@ def test_a_phase_is_told_with_what_is_expected_of_it_once(
         with t.phase(*phase):
             pass
     preconditioner = "setting the preconditioner up"
-    compiling = "compiling forms, which later runs find: stiffness, about 7 s"
+    compiling = "loading forms, or compiling them: stiffness, about 7 s"
     assert [(r.levelname, r.message.strip()) for r in caplog.records] == [
         ("INFO", f"{preconditioner}, about 6 s"),
         ("INFO", "meshing"),

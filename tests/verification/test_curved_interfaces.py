@@ -59,7 +59,7 @@ def test_a_corner_of_a_fine_surface_is_no_corner() -> None:
     """A circle of three facets is one face, where flat facets would meet at 30 degrees."""
     result = support.solve(SHRINK_FIT.format(size=6.0, length=4, taper=1), balances=True)
     j = result.problem.contact
-    assert (j.faces == 1).all()
+    assert (j.own.faces == 1).all()
     assert result.balances.max() < 1e-8
 
 
@@ -98,22 +98,22 @@ def test_rigid_motions_and_widening_are_exact_between_nodes() -> None:
     case = support.case(TAPER, "geometry.taper=0 deg")
     problem, _ = support.assemble(case)
     j = problem.contact
-    (B,) = j.moves.values()
+    (B,) = j.coupling.jump_to_displacement.values()
     x = problem.space.tabulate_dof_coordinates()
     q, u = B.createVecRight(), B.createVecLeft()
-    moved = np.abs(_product(B, q, np.ones((len(j.mine), 3)), u)).any(axis=1)
+    moved = np.abs(_product(B, q, np.ones((len(j.own.rows), 3)), u)).any(axis=1)
     on = moved & (np.abs(np.hypot(x[:, 0], x[:, 1]) - 4) < 0.2)
     for field in (
         lambda p: np.broadcast_to([1.0, 2.0, -3.0], p.shape),
         lambda p: np.column_stack([-p[:, 1], p[:, 0], 0 * p[:, 2]]),
         lambda p: np.column_stack([p[:, 0], p[:, 1], 0 * p[:, 2]]),
     ):
-        found = _product(B, q, field(j.points.x[j.mine]), u)
+        found = _product(B, q, field(j.own.x), u)
         level = on & np.isin(np.round(x[:, 2], 6), [0.0, 8.0])
         assert level.sum() > 10
         np.testing.assert_allclose(found[level], field(x)[level], atol=1e-10)
     np.testing.assert_allclose(
-        _product(B, q, np.tile([1.0, 2.0, -3.0], (len(j.mine), 1)), u)[moved],
+        _product(B, q, np.tile([1.0, 2.0, -3.0], (len(j.own.rows), 1)), u)[moved],
         np.tile([1.0, 2.0, -3.0], (moved.sum(), 1)),
         atol=1e-12,
     )

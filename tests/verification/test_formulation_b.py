@@ -17,8 +17,8 @@ import meshes
 from app.arrays import Floats, Ints
 from app.case.case import Case, load
 from app.laws.interface_laws import Contact
-from app.mechanics.contact import ContactInterfaces
-from app.mechanics.problem import Problem, TrialState
+from app.mechanics.contact import ContactInterfaces, TrialState
+from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
 from app.numerics.newton import Solver
 from app.scene.build import build_scene
@@ -174,10 +174,10 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
         timing,
     )
     jumps = problem.contact
-    assert (jumps.faces <= 1).all(), "the reference has one normal per node"
+    assert (jumps.own.faces <= 1).all(), "the reference has one normal per node"
     assert jumps.points.unenforced == 0
-    vertex = jumps.points.vertex[jumps.mine]
-    normal = jumps.normals[:, 0]
+    vertex = jumps.points.vertex[jumps.own.rows]
+    normal = jumps.own.normals[:, 0]
     dofs, nodes = problem.space.dofmap.list, tagged.mesh.geometry.dofmap
     number = np.zeros(len(tagged.mesh.geometry.x), dtype=np.int64)
     number[dofs] = np.asarray(tagged.mesh.geometry.input_global_indices)[nodes]
@@ -193,10 +193,10 @@ def solve_a(case: Case, tagged: TaggedMesh) -> tuple[list[float], list[State], C
         force = jumps.forces(trial.equilibrium)
         interfaces = {
             c.name: InterfaceState(
-                *(v[own] for v in (vertex, normal, jumps.weight, trial.jump, slip, force))
+                *(v[own] for v in (vertex, normal, jumps.own.weight, trial.jump, slip, force))
             )
             for k, c in enumerate(terms.contacts)
-            for own in [jumps.interface == k]
+            for own in [jumps.own.interface == k]
         }
         displacement: dict[str, tuple[Ints, Floats]] = {
             name: (number, u.x.array.reshape(-1, 3).copy())
@@ -307,11 +307,11 @@ def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
         assert max(differences.values()) < TOLERANCE, (time, differences)
         seen += sum(np.array(s) for s in shares(two, friction).values())
     for k, name in enumerate(friction):
-        own = jumps.interface == k
+        own = jumps.own.interface == k
         slip, work = sums([s.interfaces[name] for s in b])
-        order = np.argsort(jumps.points.vertex[jumps.mine][own])
-        assert difference(jumps.history.path[own][order], slip) < TOLERANCE
+        order = np.argsort(jumps.points.vertex[jumps.own.rows][own])
+        assert difference(jumps.state.path[own][order], slip) < TOLERANCE
         if friction[name]:
-            assert difference(jumps.history.dissipation[own][order], work) < TOLERANCE
+            assert difference(jumps.state.dissipation[own][order], work) < TOLERANCE
     # The case says something about history only if points of all kinds occur.
     assert (seen > 0.02).all(), seen

@@ -297,9 +297,9 @@ def test_work_of_a_growing_interference_is_not_contact_work() -> None:
     solved = support.solve(text, balances=True)
     j = solved.problem.contact
     assert solved.balances.max() < 1e-8
-    work = abs(float(j.history.work.sum()))
+    work = abs(float(j.state.work.sum()))
     assert work > 1e-3
-    assert np.abs(j.history.contact_work).sum() < 1e-10 * work
+    assert np.abs(j.state.contact_work).sum() < 1e-10 * work
 
 
 def test_contact_work_of_a_penalty_is_the_energy_of_its_springs() -> None:

@@ -1,4 +1,4 @@
-"""Many runs as a command asks for them, and what they would cost."""
+"""Options of commands that make many runs, and the plan that ``--dry-run`` prints."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Options:
     slurm: Sequence[str] | None = None
 
 
-def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
+def describe(title: str, jobs: Sequence[Job], options: Options) -> str:
     """Runs with their size and cost, and what is done already; runs nothing.
 
     Args:
@@ -46,7 +46,7 @@ def plan(title: str, jobs: Sequence[Job], options: Options) -> str:
     Raises:
         InputError: Any job is wrong.
     """
-    results = batch.look(jobs, options.folder, options.cores)
+    results = batch.results_so_far(jobs, options.folder, options.cores)
     rows, wall, seen = [], 0.0, set[object]()
     for job, result in zip(jobs, results, strict=True):
         case = load(job.case, job.overrides).config

@@ -1,0 +1,111 @@
+"""Stiffness of the bodies with the supports of a stage, and its inverse."""
+
+from __future__ import annotations
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from app.mechanics.body_forms import BodyForms, assembled_matrix
+from app.mechanics.constraints import Constraints
+from app.mechanics.held_rows import ConstrainedRows
+from app.numerics.p_multigrid import CoarseOrder, near_null_space
+from app.numerics.preconditioners import Inverse, stiffness_options
+from app.scene.bodies import Bodies
+from app.scene.frames import frames_of
+from app.scene.terms import Scene
+from meshes.distribute import TaggedMesh
+
+# Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
+ROUNDING = 2.0
+
+
+class Stiffness:
+    """The stiffness matrix of a scene, its constraints and its inverse.
+
+    Attributes:
+        K: The matrix, constrained rows and columns set to a diagonal.
+        version: Counts its changes: preconditioners are of one version.
+        stage: The stage whose supports hold.
+        frames: Nodes with axes of their own, if a support needs them.
+        constraints: From nodal displacements to unknowns.
+        rows: Rows of constrained unknowns.
+        inverse: Solves with the matrix alone.
+    """
+
+    saved = ("stage",)
+
+    inverse: Inverse
+
+    def __init__(
+        self,
+        scene: Scene,
+        tagged: TaggedMesh,
+        bodies: Bodies,
+        mechanics: BodyForms,
+        reuse: Stiffness | None,
+    ) -> None:
+        """Assemble; collective.
+
+        Args:
+            scene: What is solved.
+            tagged: Its mesh.
+            bodies: Its bodies.
+            mechanics: Their forms.
+            reuse: One with the same matrix, which never changes: its inverse serves both.
+        """
+        space = mechanics.space
+        self._parts = scene, tagged, bodies, space
+        self.stage = self.version = 0
+        self.frames = frames_of(*self._parts)
+        self._form = mechanics.stiffness()
+        self.constraints = Constraints(*self._parts, self.stage, self.frames)
+        self.K = self._constrained()
+        self.K.setBlockSize(3)
+        self.K.setOption(PETSc.Mat.Option.SPD, True)
+        self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
+        if reuse:
+            self.inverse = reuse.inverse
+            return
+        nodal = scene.order > 1 and not self.constraints.transforms
+        lower = CoarseOrder(space, lambda: self.constraints.constrained) if nodal else None
+        options = stiffness_options("auto", self.K, scene.order, lower)
+        self.inverse = Inverse(self.K, lambda: self.version, options, lower)
+
+    def _constrained(self) -> PETSc.Mat:
+        """The stiffness with the supports of the current stage."""
+        K = self.constraints.matrix(assembled_matrix(self._form))
+        K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
+        self.rows = ConstrainedRows(K, self.constraints)
+        self._diagonal = K.getDiagonal()
+        return K
+
+    def update(self) -> None:
+        """Assemble again, in the same matrix; collective."""
+        K = self._constrained()
+        K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.version += 1
+
+    def set_stage(self, stage: int, u: PETSc.Vec) -> bool:
+        """Activate the supports of a stage; reassemble if they changed; collective.
+
+        Args:
+            stage: Number of the stage.
+            u: Unknowns of the displacement, which stays.
+
+        Returns:
+            Whether they changed.
+        """
+        before, self.stage = self.stage, stage
+        if all(s.holds(before) == s.holds(stage) for s in self._parts[0].supports):
+            return False
+        old = self.constraints
+        self.constraints = Constraints(*self._parts, stage, self.frames)
+        self.constraints.carry(u, old)
+        self.update()
+        self.K.setNearNullSpace(near_null_space(self.K, self.constraints.modes))
+        return True
+
+    def rounding(self, u: PETSc.Vec) -> float:
+        """Residual that rounding alone leaves at a displacement: a stiff body that moves [N]."""
+        return ROUNDING * float(np.finfo(float).eps) * (self._diagonal * u).norm()
