@@ -7,7 +7,7 @@
     >>> results.summary["interfaces"]["stem_cement"]["slip_p99"]  # mm
 
 All numbers are in mm, N, MPa, s and degC. The errors are here, and what an extension needs:
-`Traction`, `InterfaceSection`, `LoadSection`, `Quantity`, `add_quantity`. ``import mantle`` loads
+`Traction`, `InterfaceLaw`, `Load`, `Quantity`, `add_quantity`. ``import mantle`` loads
 neither numpy nor pydantic nor the solver stack: the functions that need them do.
 """
 
@@ -58,10 +58,10 @@ __all__ = [
 
 # What an extension is written with, and where it is defined.
 _EXTENSIONS = {
-    "InterfaceSection": "app.laws.interface_laws",
-    "LoadSection": "app.laws.loads",
+    "InterfaceLaw": "app.laws.interface_laws",
+    "Load": "app.laws.loads",
     "Quantity": "app.case.quantities",
-    "Traction": "app.scene.laws",
+    "Traction": "app.laws.interface_laws",
     "add_quantity": "app.case.quantities",
 }
 

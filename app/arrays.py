@@ -1,8 +1,12 @@
 """Types of arrays: one name for each, wherever they are."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+# Values at points (n, 3).
+Field = Callable[[Floats], Floats]

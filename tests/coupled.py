@@ -11,7 +11,7 @@ from app.arrays import Floats
 from app.mechanics.contact import TrialState
 from app.numerics.newton import Solver
 from app.scene.build import build_scene
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from app.simulation import model
 from app.simulation.model import Model
 from app.stepping.heat_state import HeatStep

@@ -17,9 +17,9 @@ from app.results.balance import Balance
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses
 from app.scene.build import build_scene
-from app.scene.terms import Expansion, Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
-from tests import support
+from tests import laws, support
 
 Field = Callable[[Floats], Floats]
 
@@ -82,7 +82,7 @@ def expanding(**coefficients: float) -> Callable[[Scene], Scene]:
     """Add expansion from 300 K to regions."""
 
     def change(old: Scene) -> Scene:
-        terms = tuple(Expansion(r, a, 300.0) for r, a in coefficients.items())
+        terms = tuple(laws.expansion(r, a, 300.0) for r, a in coefficients.items())
         return replace(old, expansions=terms)
 
     return change

@@ -207,9 +207,12 @@ def _write(pending: Iterable[BatchRun], folder: Path, cores: int | None) -> None
         for id, runs in shared.items():
             case, output = folder / "cases" / f"{id}.yaml", folder / "runs" / id
             write_text(case, _text(runs))
-            old = [path for r in runs for path in (r.path / FAILED, r.path / "DONE")]
-            for path in old + [runs[0].file(kind) for kind in ("ok", "slurm", "status")]:
-                path.unlink(missing_ok=True)
+            for r in runs:
+                (r.path / FAILED).unlink(missing_ok=True)
+                if r.summary() is None:  # what a killed batch has left running may end now
+                    (r.path / "DONE").unlink(missing_ok=True)
+            for kind in ("ok", "slurm", "status"):
+                runs[0].file(kind).unlink(missing_ok=True)
             ranks = runs[0].job.ranks
             command = [*MANTLE_RUN, case.resolve(), "-o", output.resolve(), "--restart", "auto"]
             command += ["-n", ranks] if ranks > 1 else []

@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from app.campaigns import batch, plan, study_picture, study_report
 from app.campaigns import work_precision as wp
@@ -19,7 +18,7 @@ from app.case.case import Case
 from app.case.planned_run import PlannedRun
 from app.case.study import PlannedStudy, Study
 from app.errors import InputError, StoppedError, gravest
-from app.schema.yaml_file import key_parts
+from app.simulation.variations import value_at
 from app.system import folders
 from app.system.layout import duration
 
@@ -126,12 +125,7 @@ def _study_run(planned: PlannedRun, result: Result) -> StudyRun:
 
 def _number(case: Case, key: str, ranks: int) -> tuple[float | None, str]:
     """The value of a key as a positive number, if it is one, and its internal unit."""
-    value: Any = ranks if key == "ranks" else case.model_dump(mode="json")
-    for item in key_parts(key) if key != "ranks" else ():
-        if isinstance(value, list):
-            value = value[int(item)]
-        else:
-            value = value.get(item) if isinstance(value, dict) else None
+    value = ranks if key == "ranks" else value_at(case.model_dump(mode="json"), key)
     number, _, unit = str(value).partition(" ")
     try:
         x = float(number)

@@ -28,21 +28,14 @@ from app.case.geometries import (
     Geometry,
     MeshOptions,
 )
-from app.case.run_options import OutputOptions, SolverOptions, Stage
+from app.case.run_options import OutputOptions, SolverOptions, Stage, TimeOptions
 from app.case.variations import Variations, expand, title_with_changes
 from app.errors import InputError
+from app.laws.heat_conditions import HeatCondition
 from app.laws.interface_laws import Bonded, Interface
-from app.laws.loads import (
-    Load,
-    Support,
-)
-from app.laws.materials import (
-    Region,
-)
-from app.laws.thermal import (
-    HeatCondition,
-    TimeOptions,
-)
+from app.laws.loads import AnyLoad
+from app.laws.materials import Region
+from app.laws.supports import AnySupport
 from app.schema import section, yaml_file, yaml_text
 from app.schema.section import (
     ITEMS,
@@ -75,9 +68,9 @@ class Case(Section):
     """Material of every region of the geometry."""
     interfaces: Annotated[dict[Name, Interface], MAPPING] = Field(default_factory=dict)
     """Law of each interface; those not listed are bonded."""
-    supports: Annotated[dict[Name, Support], MAPPING] = Field(default_factory=dict)
+    supports: Annotated[dict[Name, AnySupport], MAPPING] = Field(default_factory=dict)
     """Supports of the bodies."""
-    loads: Annotated[dict[Name, Load], MAPPING] = Field(
+    loads: Annotated[dict[Name, AnyLoad], MAPPING] = Field(
         default_factory=dict,
         json_schema_extra={"properties": {"library": {"type": "string"}}},
     )

@@ -12,8 +12,8 @@ from typing import Any
 from app.case.femurs import Femur, IntactFemur
 from app.case.quantities import of_run
 from app.errors import Reason
+from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
 from app.laws.materials import Conductor, Rigid
-from app.laws.thermal import Convection, FixedTemperature, Perfusion
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
@@ -93,9 +93,10 @@ def _stages(case: Any) -> Iterable[Fault]:
             text = f"'{name}' is the name of an earlier stage too; expected another"
             yield Fault(("stages", i, "name"), text)
     histories: list[tuple[Path, Any]] = [
-        ((section, name, key), getattr(entry, key, None))
+        ((section, name, key), getattr(entry, key))
         for section, name, entry in _entries(case, "interfaces", "supports", "loads")
         for key in ("history", "gap_history")
+        if key in type(entry).model_fields
     ]
     for _, name, region in _entries(case, "regions"):
         for i, strain in enumerate(getattr(region, "eigenstrains", ())):

@@ -6,11 +6,16 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
+from app.laws.interface_laws import USUAL_AUGMENTATION
 from app.laws.loads import Point
 from app.schema.section import MAPPING, Name, Section, Truth, Word, fail, show
-from app.schema.units import NonNegativeInteger, PositiveInteger, PositiveNumber, PositiveTime
-
-USUAL_AUGMENTATION = 0.2
+from app.schema.units import (
+    NonNegativeInteger,
+    PositiveDifference,
+    PositiveInteger,
+    PositiveNumber,
+    PositiveTime,
+)
 
 
 class Stage(Section):
@@ -70,6 +75,20 @@ class SolverOptions(Section):
     """Raw PETSc options, without the leading dash."""
     augmentation_factor: PositiveNumber = USUAL_AUGMENTATION
     """Augmentation r over the stiffness per area that a point meets, where r is not given."""
+
+
+class TimeOptions(Section):
+    """How stages that take time are divided into steps."""
+
+    method: Annotated[Literal["sdirk4", "backward_euler"], Word()] = "sdirk4"
+    """Time integrator; both are L-stable, of order 4 and 1."""
+    tolerance: PositiveDifference = 1e-3
+    """Largest error of the temperature in a time step."""
+    first_step: PositiveTime | None = None
+    """First time step of a stage; chosen by mantle by default."""
+    mechanical_step: PositiveDifference = 5.0
+    """Change of temperature after which the mechanics are solved again; cure counts as the
+    temperature that it releases."""
 
 
 class Probe(Section):

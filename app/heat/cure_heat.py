@@ -16,7 +16,7 @@ from app.arrays import Floats, Ints
 from app.heat.curing import Curing, Degrees
 from app.heat.heat_forms import HeatForms
 from app.scene.bodies import Bodies
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 
 
 @dataclass(frozen=True)

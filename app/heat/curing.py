@@ -18,8 +18,9 @@ from ufl.algorithms import expand_derivatives, strip_variables
 from ufl.core.expr import Expr
 
 from app.arrays import Floats, Ints
+from app.laws.cure import Autocatalytic, Cure, Prescribed
+from app.laws.values import multiplier
 from app.numerics.pointwise import Pointwise
-from app.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure, multiplier
 from forms import cure as forms
 
 # A reaction ends this far below its limit. What would be left takes ever longer and warms by less
@@ -53,7 +54,7 @@ class Degrees:
 class Curing:
     """The degrees of cure of all regions that set, on the nodes of this rank."""
 
-    def __init__(self, comm: MPI.Comm, cures: Sequence[CureTerm], nodes: Sequence[int]) -> None:
+    def __init__(self, comm: MPI.Comm, cures: Sequence[Cure], nodes: Sequence[int]) -> None:
         """Compile the rates; collective.
 
         Args:
@@ -105,10 +106,8 @@ class Curing:
         ]
 
 
-def _kinetics(
-    comm: MPI.Comm, cure: CureTerm, nodes: int
-) -> AutocatalyticKinetics | PrescribedKinetics:
-    if isinstance(cure.kinetics, PrescribedCure):
+def _kinetics(comm: MPI.Comm, cure: Cure, nodes: int) -> AutocatalyticKinetics | PrescribedKinetics:
+    if isinstance(cure.kinetics, Prescribed):
         return PrescribedKinetics(cure.kinetics, cure.initial)
     return AutocatalyticKinetics(comm, cure.kinetics, nodes)
 
@@ -116,7 +115,7 @@ def _kinetics(
 class PrescribedKinetics:
     """Cure that follows a clock, whatever the temperature."""
 
-    def __init__(self, terms: PrescribedCure, initial: float) -> None:
+    def __init__(self, terms: Prescribed, initial: float) -> None:
         self._course = terms.rate
         self._initial = initial
         times, rates = np.array(terms.rate).T
@@ -139,12 +138,12 @@ class AutocatalyticKinetics:
 
     events: tuple[float, ...] = ()
 
-    def __init__(self, comm: MPI.Comm, terms: AutocatalyticCure, nodes: int) -> None:
-        pairs = range(len(terms.limit))
+    def __init__(self, comm: MPI.Comm, terms: Autocatalytic, nodes: int) -> None:
+        pairs = range(len(terms.limit or ()))
         names = ["k0", "Ea", "m", "n"]
         values = [terms.rate_constant, terms.activation_energy, terms.m, terms.n]
         knots = [f"T_{k}" for k in pairs] + [f"limit_{k}" for k in pairs]
-        levels = [T for T, _ in terms.limit] + [a for _, a in terms.limit]
+        levels = [*(T for T, _ in terms.limit or ()), *(a for _, a in terms.limit or ())]
 
         def limit(x: dict[str, Expr], T: Expr) -> Expr:
             if not terms.limit:
@@ -291,13 +290,13 @@ def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
 class FreeStrain:
     """Stress-free strain by cure and temperature at the nodes of one region [-]."""
 
-    def __init__(self, comm: MPI.Comm, cure: CureTerm, expansion: Expansion, nodes: int) -> None:
+    def __init__(self, comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> None:
         """Compile the increment; collective.
 
         Args:
             comm: Communicator of the mesh.
             cure: The region that sets.
-            expansion: Its thermal expansion.
+            expansion: Its coefficient of thermal expansion [1/K].
             nodes: Number of its nodes on this rank.
         """
         names = ("a_old", "T_old", "a", "T", "gel", "expansion", "shrinkage")
@@ -308,7 +307,7 @@ class FreeStrain:
         self._law = Pointwise(comm, nodes, dict.fromkeys(names, 1), increment)
         self._law.set(
             gel=np.full(nodes, cure.gel),
-            expansion=np.full(nodes, expansion.coefficient),
+            expansion=np.full(nodes, expansion),
             shrinkage=np.full(nodes, cure.shrinkage),
         )
 

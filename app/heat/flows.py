@@ -10,7 +10,7 @@ import numpy as np
 
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
-from app.scene.terms import multiplier
+from app.laws.values import multiplier
 
 
 def flows(step: ImplicitStep, x: Sequence[PETSc.Vec]) -> dict[str, float]:

@@ -21,17 +21,12 @@ from dolfinx.fem import IntegralType, compute_integration_domains
 from dolfinx.fem.petsc import assemble_matrix, assemble_vector
 from numpy.typing import NDArray
 
-from app.arrays import Floats, Ints
+from app.arrays import Field, Floats, Ints
 from app.errors import everywhere
+from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
+from app.laws.thermal import Thermal
 from app.numerics.sparse import from_rows, matrix_sum
 from app.scene.bodies import Bodies, boundary_facets, cell_tags
-from app.scene.loads import Field
-from app.scene.terms import (
-    ConductorTerm,
-    ConvectionTerm,
-    FixedTemperatureTerm,
-    PerfusionTerm,
-)
 from app.system.timing import Timing
 from forms import heat
 from meshes.distribute import TaggedMesh
@@ -80,13 +75,13 @@ class HeatForms:
         present = set().union(*self.comm.allgather({int(b) for b in np.unique(body)}))
         return {b: f.facets[body == b].astype(np.int32) for b in sorted(present)}
 
-    def held_nodes(self, condition: FixedTemperatureTerm) -> dict[int, Ints]:
+    def held_nodes(self, condition: FixedTemperature) -> dict[int, Ints]:
         """Own nodes that a given temperature holds, by body; collective."""
         found: dict[int, list[NDArray[np.int32]]] = {}
         if condition.boundary:
             for b, facets in self.facets(condition.boundary).items():
                 found.setdefault(b, []).append(fem.locate_dofs_topological(self.space, 2, facets))
-        for region in condition.regions:
+        for region in condition.regions or ():
             nodes = np.flatnonzero(self.volumes(region) > 0).astype(np.int32)
             found.setdefault(self._bodies.of_region[region], []).append(nodes)
         joined = {b: np.unique(np.concatenate(nodes)) for b, nodes in found.items()}
@@ -123,7 +118,7 @@ class HeatForms:
             }
         return self._areas[boundary]
 
-    def capacities(self, conductors: Sequence[ConductorTerm]) -> list[Floats]:
+    def capacities(self, conductors: Sequence[Thermal]) -> list[Floats]:
         """Heat capacity of own nodes in each body [N mm/K]."""
         total = self.zeros()
         for c in conductors:
@@ -132,23 +127,19 @@ class HeatForms:
 
     # Forms
 
-    def conduction_by_body(self, conductors: Sequence[ConductorTerm]) -> list[PETSc.Mat]:
+    def conduction_by_body(self, conductors: Sequence[Thermal]) -> list[PETSc.Mat]:
         """Conduction matrix of each body, its whole diagonal in the pattern [N mm/(s K)]."""
         parts: dict[int, list[PETSc.Mat]] = {}
         for c in conductors:
             parts.setdefault(self._bodies.of_region[c.region], []).append(self.conduction(c))
         return [_with_diagonal(matrix_sum(parts[b])) for b in range(len(self._bodies.names))]
 
-    def conduction(self, conductor: ConductorTerm) -> PETSc.Mat:
+    def conduction(self, conductor: Thermal) -> PETSc.Mat:
         """Conduction matrix of a region [N mm/(s K)]."""
         θ = fem.Function(self.space)
-        k = [self._constant(value) for value in conductor.conductivity]
-        g = ufl.grad(θ)
-        if conductor.fibre:
-            m = conductor.fibre.direction(self._mesh, self._constant)
-            potential = heat.fibre_conduction(g, m, *k)
-        else:
-            potential = heat.isotropic_conduction(g, *k)
+        k = [self._constant(value) for value in conductor.conductivities]
+        m = conductor.fibre.direction(self._mesh, self._constant) if conductor.fibre else None
+        potential = conductor.potential(ufl.grad(θ), k, m)
         dx = self._dx(conductor.region)
         if conductor.fibre and conductor.fibre.turns:
             dx = dx(degree=TURNING_DEGREE)
@@ -156,7 +147,7 @@ class HeatForms:
         matrix.assemble()
         return matrix
 
-    def exchange(self, condition: ConvectionTerm | PerfusionTerm) -> dict[int, Floats]:
+    def exchange(self, condition: Convection | Perfusion) -> dict[int, Floats]:
         """Heat per kelvin that own nodes exchange with surroundings, by body [N mm/(s K)]."""
         θ, one = fem.Function(self.space), fem.Function(self.space)
         one.x.array[:] = 1
@@ -168,9 +159,9 @@ class HeatForms:
             parts[b] = parts.get(b, 0.0) + rows
         return parts
 
-    def _places(self, condition: ConvectionTerm | PerfusionTerm) -> list[tuple[int, ufl.Measure]]:
+    def _places(self, condition: Convection | Perfusion) -> list[tuple[int, ufl.Measure]]:
         """Where surroundings are in touch with which body."""
-        if isinstance(condition, ConvectionTerm):
+        if isinstance(condition, Convection):
             return list(self._ds(condition.boundary).items())
         return [(self._bodies.of_region[r], self._dx(r)) for r in condition.regions]
 

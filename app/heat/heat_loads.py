@@ -7,21 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.arrays import Bools, Floats, Ints
+from app.arrays import Bools, Field, Floats, Ints
 from app.heat.heat_forms import HeatForms
 from app.heat.temperature_jumps import TemperatureJumps
+from app.laws.heat_conditions import Convection, FixedTemperature, HeatFlux, HeatSource, Perfusion
+from app.laws.values import Course, multiplier
 from app.scene.bodies import Bodies
-from app.scene.loads import Field
-from app.scene.terms import (
-    ConvectionTerm,
-    Course,
-    FixedTemperatureTerm,
-    HeatFluxTerm,
-    HeatSourceTerm,
-    PerfusionTerm,
-    Scene,
-    multiplier,
-)
+from app.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -29,7 +21,7 @@ class HeatInput:
     """Heat that comes in whatever the temperature: into own nodes of bodies [N mm/s]."""
 
     name: str
-    course: Course
+    course: Course | None
     nodal: dict[int, Floats]
 
 
@@ -72,18 +64,18 @@ class HeatLoads:
         self.exchange: list[SurfaceExchange] = []
         for c in scene.heat:
             match c:
-                case HeatFluxTerm():
-                    self._heat(c.name, c.course, c.flux, list(forms.areas(c.boundary).items()))
-                case HeatSourceTerm():
+                case HeatFlux():
+                    self._heat(c.name, c.course, c.values, list(forms.areas(c.boundary).items()))
+                case HeatSource():
                     parts = [(bodies.of_region[r], forms.volumes(r)) for r in c.regions]
-                    self._heat(c.name, c.course, c.density, parts)
-                case ConvectionTerm():
+                    self._heat(c.name, c.course, c.values, parts)
+                case Convection():
                     self.exchange.append(SurfaceExchange(c.name, c.ambient, forms.exchange(c)))
-                case PerfusionTerm():
+                case Perfusion():
                     self.exchange.append(SurfaceExchange(c.name, c.temperature, forms.exchange(c)))
 
     def _heat(
-        self, name: str, course: Course, density: Field, shares: list[tuple[int, Floats]]
+        self, name: str, course: Course | None, density: Field, shares: list[tuple[int, Floats]]
     ) -> None:
         """Note a density times what nodes stand for."""
         nodal: dict[int, Floats] = {}
@@ -135,7 +127,7 @@ class FixedTemperatures:
     """
 
     def __init__(self, scene: Scene, forms: HeatForms) -> None:
-        self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperatureTerm)]
+        self.conditions = [c for c in scene.heat if isinstance(c, FixedTemperature)]
         self.of_body: dict[int, Ints] = {}
         self._values: list[Floats] = []
         for s, c in enumerate(self.conditions):
@@ -144,7 +136,7 @@ class FixedTemperatures:
                 condition = self.of_body.setdefault(b, np.full(forms.owned, -1, dtype=np.int64))
                 condition[nodes] = s
                 held[nodes] = True
-            self._values.append(forms.values(c.temperature, np.flatnonzero(held)))
+            self._values.append(forms.values(c.values, np.flatnonzero(held)))
         self.base: Ints = np.full(forms.owned, -1, dtype=np.int64)
         for b in sorted(self.of_body, reverse=True):
             self.base = np.where(self.of_body[b] >= 0, self.of_body[b], self.base)

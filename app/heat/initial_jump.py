@@ -17,7 +17,6 @@ import numpy as np
 from dolfinx import fem
 
 from app.heat.operators import HeatOperators
-from app.scene.build_heat import effusivity
 
 # Times of a node after which it is near. Measured, in parts of the difference of the temperatures:
 # 1.1 % after 3, 0.4 % after 6, 0.1 % after 10, whatever the size of the cells.
@@ -34,10 +33,10 @@ class InitialJump:
         high = [part - np.inf for part in forms.zeros()]
         for c in scene.conductors:
             b, here = of[c.region], forms.volumes(c.region) > 0
-            sums[0][b] += np.where(here, effusivity(c), 0.0)
-            sums[1][b] += np.where(here, effusivity(c) * c.initial, 0.0)
-            low[b] = np.where(here, np.minimum(low[b], c.initial), low[b])
-            high[b] = np.where(here, np.maximum(high[b], c.initial), high[b])
+            sums[0][b] += np.where(here, c.effusivity, 0.0)
+            sums[1][b] += np.where(here, c.effusivity * c.initial_temperature, 0.0)
+            low[b] = np.where(here, np.minimum(low[b], c.initial_temperature), low[b])
+            high[b] = np.where(here, np.maximum(high[b], c.initial_temperature), high[b])
         meet = [a < b for a, b in zip(low, high, strict=True)]
         for b, condition in operators.fixed.of_body.items():
             meet[b] &= condition < 0

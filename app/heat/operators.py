@@ -28,7 +28,7 @@ from app.heat.maximum_principle import Extremes, MaximumPrinciple
 from app.heat.temperature_jumps import TemperatureJumps
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import Bodies, bodies_of
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
@@ -67,13 +67,14 @@ class HeatOperators:
             self.fixed.join(self.jumps)
         self.capacity = forms.capacities(scene.conductors)
         # Heat is counted from a temperature that is near all of them: less is lost to rounding.
-        self.reference = float(np.mean([c.initial for c in scene.conductors]))
+        self.reference = float(np.mean([c.initial_temperature for c in scene.conductors]))
         self.cure = CureHeat(scene, self.bodies, forms) if scene.cures else None
-        rubbing = {f"friction {f.interface}": 0.0 for f in scene.friction_heat}
+        rubbing = {f"friction {f.name}": 0.0 for f in scene.friction_heat}
         self.friction = FrictionHeating(forms.zeros(), rubbing) if rubbing else None
         K = forms.conduction_by_body(scene.conductors)
         self.principle = MaximumPrinciple(self.comm, K, self.capacity)
-        data = [c.initial for c in scene.conductors] + [e.outside for e in self.loads.exchange]
+        data = [c.initial_temperature for c in scene.conductors]
+        data += [e.outside for e in self.loads.exchange]
         heated = bool(scene.cures or scene.friction_heat)
         self.extremes = Extremes(self.comm, min(data), max(data), heated)
         self._work: PETSc.Vec = K[0].createVecLeft()
@@ -103,7 +104,8 @@ class HeatOperators:
         heat = self.forms.zeros()
         for c in self.scene.conductors:
             nodal = c.capacity * self.forms.volumes(c.region)
-            heat[self.bodies.of_region[c.region]] += nodal * (c.initial - self.reference)
+            above = c.initial_temperature - self.reference
+            heat[self.bodies.of_region[c.region]] += nodal * above
         T = [h / np.where(c > 0, c, 1.0) for h, c in zip(heat, self.capacity, strict=True)]
         T = [self.reference + above for above in T]
         for b, condition in self.fixed.of_body.items():

@@ -24,7 +24,7 @@ from app.heat.heat_forms import HeatForms
 from app.numerics.pointwise import Pointwise
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import Bodies, contact_facets
-from app.scene.terms import Scene, ThermalContact
+from app.scene.scene import Interface, Scene
 from forms import interface_heat
 from meshes.contact_facets import InterfaceFacets, gather
 from meshes.contact_points import Holds, contact_points
@@ -93,7 +93,7 @@ class TemperatureJumps:
             self.moves[b] = from_triplets(comm, forms.owned, n, row[i], columns, value[i])
         self.pressure: Floats = np.zeros(n)
         self.friction: Floats = np.zeros(n)
-        shares = {f.interface: f.slave_share for f in scene.friction_heat}
+        shares = {f.name: f.slave_share for f in scene.friction_heat}
         self.share = np.array([shares.get(c.name, 0.0) for c in contacts])[self.interface]
         with forms.compiling():
             names = ("p", "τ", "open", "per_pressure", "cap")
@@ -103,7 +103,7 @@ class TemperatureJumps:
                 dict.fromkeys(names, 1),
                 lambda x: interface_heat.flux_and_derivatives(*(x[name] for name in names)),
             )
-        laws = np.array([[c.open, c.per_pressure, c.cap] for c in contacts])[self.interface]
+        laws = np.array([c.law.conductances for c in contacts])[self.interface]
         self._law.set(open=laws[:, 0], per_pressure=laws[:, 1], cap=laws[:, 2])
 
     def flux(self, τ: Floats) -> tuple[Floats, Floats, Floats]:
@@ -117,7 +117,7 @@ class TemperatureJumps:
 
 
 def cut_off(
-    contacts: Sequence[ThermalContact],
+    contacts: Sequence[Interface],
     jumps: TemperatureJumps | None,
     reached: Sequence[bool],
 ) -> list[int]:
@@ -130,7 +130,7 @@ def cut_off(
     """
     group = list(range(len(reached)))
     for i, c in enumerate(contacts):
-        if jumps is not None and (c.open > 0 or c.per_pressure > 0):
+        if jumps is not None and max(c.law.conductances[:2]) > 0:
             for a, b in np.unique(jumps.points.bodies[jumps.points.interface == i], axis=0):
                 group = [group[a] if g == group[b] else g for g in group]
     warm = {g for g, here in zip(group, reached, strict=True) if here}

@@ -1,9 +1,9 @@
-"""Fibre directions: one for a whole region, or those that an axis gives."""
+"""Fibre directions: the same throughout a region, or around or away from an axis."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, GetCoreSchemaHandler
 from pydantic_core import core_schema
@@ -12,9 +12,34 @@ from app.schema.section import TAG, Kinds, Section
 from app.schema.units import Axis, Length
 from app.schema.vectors import Triple
 
+if TYPE_CHECKING:
+    from ufl.core.expr import Expr
+
+    from app.arrays import Floats
+
+Vector = tuple[float, float, float]
+
+
+class Straight(Section):
+    """Fibres along one direction; a file gives it alone."""
+
+    kind: ClassVar[str] = "straight"
+    # Whether their direction differs from point to point.
+    turns: ClassVar[bool] = False
+    through: ClassVar[Vector] = (0.0, 0.0, 0.0)
+
+    axis: Axis = (0.0, 0.0, 1.0)
+    """Direction; any length but zero, normalised."""
+
+    def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Any:
+        """Unit direction (3,) on a mesh, in UFL, with axis and point as UFL constants."""
+        return constant(self.axis)
+
 
 class Circumferential(Section):
     """Fibres around an axis, like rings and hoops. The axis has to run outside the region."""
+
+    turns: ClassVar[bool] = True
 
     kind: Literal["circumferential"] = "circumferential"
     axis: Axis = (0.0, 0.0, 1.0)
@@ -26,6 +51,26 @@ class Circumferential(Section):
     )
     """A point of the axis."""
 
+    def direction(self, mesh: Any, constant: Callable[[Vector], Any]) -> Expr:
+        """Unit direction (3,) on a mesh, in UFL, with axis and point as UFL constants."""
+        from ufl import SpatialCoordinate
+
+        from forms import fibres
+
+        form = fibres.radial if isinstance(self, Radial) else fibres.circumferential
+        return form(SpatialCoordinate(mesh), constant(self.axis), constant(self.through))
+
+    def frames(self, x: Floats) -> Floats:
+        """Rotations (n, 3, 3) whose third column is the direction at points (n, 3)."""
+        import numpy as np
+
+        a = np.broadcast_to(self.axis, x.shape)
+        r = x - self.through
+        r = r - (r @ np.array(self.axis))[:, None] * a
+        r /= np.linalg.norm(r, axis=1)[:, None]
+        t = np.cross(a, r)
+        return np.stack([t, a, r] if isinstance(self, Radial) else [a, r, t], axis=2)
+
 
 class Radial(Circumferential):
     """Fibres away from an axis, at right angles to it. The axis has to run outside the region."""
@@ -33,7 +78,6 @@ class Radial(Circumferential):
     kind: Literal["radial"] = "radial"  # type: ignore[assignment]
 
 
-@dataclass(frozen=True)
 class _Direction:
     """Marks a direction that is a list, or a mapping with a kind."""
 
@@ -43,14 +87,23 @@ class _Direction:
         """Tell them apart before pydantic tries both."""
 
         def tag(value: Any) -> str:
-            return TAG + ("about" if isinstance(value, dict | BaseModel) else "along")
+            along = isinstance(value, Straight) or not isinstance(value, dict | BaseModel)
+            return TAG + ("along" if along else "about")
 
+        along = core_schema.no_info_after_validator_function(
+            lambda axis: Straight.model_construct(axis=axis),
+            handler.generate_schema(Axis),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda s: list(s.axis)),
+        )
         about = handler.generate_schema(Annotated[Circumferential | Radial, Kinds()])
-        choices = {TAG + "about": about, TAG + "along": handler.generate_schema(Axis)}
-        return core_schema.tagged_union_schema(choices, tag)
+        return core_schema.tagged_union_schema({TAG + "about": about, TAG + "along": along}, tag)
 
 
-FibreDirection = Annotated[
-    Axis | Annotated[Circumferential | Radial, Kinds()],
-    _Direction(),
-]
+Fibre = Straight | Circumferential
+if TYPE_CHECKING:
+    FibreDirection = Fibre
+else:
+    FibreDirection = Annotated[
+        Axis | Annotated[Circumferential | Radial, Kinds()],
+        _Direction(),
+    ]

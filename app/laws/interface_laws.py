@@ -1,50 +1,168 @@
-"""Laws of interfaces: section ``interfaces`` of a case."""
+"""Laws of interfaces: what the two sides do to each other at a point, and their keys in a case.
+
+A law is a section of the case that answers for itself: whether its sides can open or rub, how stiff
+its trial force is, and its formula, in UFL. To add one, derive from `Traction` (a function of the
+gap) or from `InterfaceLaw`; `app/README.md` tells the rest.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import model_validator
 
-from app.laws.materials import History
 from app.laws.thermal import Conductance, FrictionHeating, PressureConductance
-from app.schema.expressions import Varying
+from app.laws.values import History, LengthField
 from app.schema.section import Extensible, Kinds, fail
-from app.schema.units import Dimension, NonNegativeNumber, PositiveStiffness
+from app.schema.units import NonNegativeNumber, PositiveStiffness
 
-LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
+if TYPE_CHECKING:
+    from ufl.core.expr import Expr
+
+    from app.arrays import Floats
+
+# Augmentation over the stiffness that a jump meets, by default.
+USUAL_AUGMENTATION = 0.2
 
 
-class InterfaceSection(Extensible):
-    """Base of the laws: a subclass with a `kind` is one more (`app/README.md`)."""
+@dataclass(frozen=True)
+class AtPoint:
+    """Input of a law at a point, as UFL expressions.
+
+    Attributes:
+        F: Multiplier: the interface force per area (3,) [MPa].
+        jump: Displacement of the slave minus that of the master (3,) [mm].
+        gap: Vector whose normal components are the initial gap of each face (3,) [mm].
+        jump_old: Jump of the last converged state (3,) [mm].
+        S_star: Stand-in for a frozen trial force (3,) [MPa].
+        normals: Unit normals of one to three faces, from master to slave, each (3,).
+        r: Stiffness of the trial force [MPa/mm].
+        values: The constants of the law, by name.
+        history: What it remembers of the last converged state, by name.
+    """
+
+    F: Expr
+    jump: Expr
+    gap: Expr
+    jump_old: Expr
+    S_star: Any
+    normals: Sequence[Expr]
+    r: Expr
+    values: Mapping[str, Expr]
+    history: Mapping[str, Expr]
+
+
+@dataclass(frozen=True)
+class Response:
+    """Output of a law at a point, as UFL expressions.
+
+    Attributes:
+        force: Interface force per area (3,) [MPa].
+        slope: Its generalized derivative (3, 3): by the trial force [-], or by the gap [MPa/mm].
+        pressures: Pressure of each face, positive in compression [MPa].
+        status: OPEN, STICK or SLIP (`forms.contact`).
+        history: What it will remember, by name.
+    """
+
+    force: Expr
+    slope: Expr
+    pressures: Expr
+    status: Expr
+    history: Mapping[str, Expr] = field(default_factory=dict)
+
+
+class InterfaceLaw(Extensible):
+    """Base of the laws: a subclass with a `kind` is one more.
+
+    Attributes:
+        can_part: Whether the sides can move apart at all: then the interface has unknown jumps.
+        can_open: Whether they can part without resistance.
+        augmented: Whether its multiplier is found exactly, whatever the augmentation.
+        by_trial_force: Whether its slope is by the trial force F + r (jump + gap), else by the gap.
+        history: Shapes of what it remembers at a point, by name: () a scalar, (3,) a vector.
+    """
 
     # What a file calls it: a `Literal` of each subclass.
     kind: Any
-    # Whether the sides can move apart at all: then the interface has unknown jumps.
     can_part: ClassVar[bool] = True
-    # Whether they can part without resistance.
     can_open: ClassVar[bool] = False
+    augmented: ClassVar[bool] = False
+    by_trial_force: ClassVar[bool] = True
+    history: ClassVar[Mapping[str, tuple[int, ...]]] = {}
 
     conductance: Conductance = None
     """Power per area and temperature jump; perfect (no jump) by default."""
 
     @property
+    def conductances(self) -> tuple[float, float, float]:
+        """Conductance without pressure, increase with pressure, largest one [N, mm, s, K]."""
+        match self.conductance:
+            case PressureConductance(open=least, per_pressure=slope, cap=cap):
+                return least, slope, math.inf if cap is None else cap
+            case constant:
+                return math.inf if constant is None else constant, 0.0, math.inf
+
+    @property
     def friction(self) -> float:
-        """Coulomb's coefficient; 0 for none."""
-        return 0.0
+        """Coulomb's coefficient: the key `friction_coefficient`, 0 without it."""
+        return getattr(self, "friction_coefficient", 0.0)
+
+    @property
+    def frictional(self) -> bool:
+        """Whether the sides rub; without, no tangential term is compiled."""
+        return self.friction > 0
 
     @property
     def heated_by_friction(self) -> FrictionHeating | None:
-        """How the heat of friction is shared; None if there is none."""
-        return None
+        """The key `friction_heating`: how the heat of friction is shared; None if there is none."""
+        return getattr(self, "friction_heating", None)
 
     @property
     def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """The initial gap [mm], and its history."""
-        return 0.0, None
+        """The keys `gap` [mm] and `gap_history`."""
+        return getattr(self, "gap", 0.0), getattr(self, "gap_history", None)
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Constants that laws of the same form may have different values of: its own numbers."""
+        return {name: v for name, v in self._own().items() if isinstance(v, float)}
+
+    @property
+    def form(self) -> Hashable:
+        """Laws of the same form share compiled code: the class, and what is no number."""
+        return type(self), *((n, v) for n, v in self._own().items() if not isinstance(v, float))
+
+    def _own(self) -> dict[str, Any]:
+        """Fields that the base does not have."""
+        names = type(self).model_fields.keys() - InterfaceLaw.model_fields
+        return {name: getattr(self, name) for name in sorted(names)}
+
+    def response(self, at: AtPoint) -> Response:
+        """The formula."""
+        raise NotImplementedError
+
+    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
+        """Stiffness of the trial force (n,) [MPa/mm].
+
+        Args:
+            met: Stiffness per area that the jump of each point meets (n,) [MPa/mm].
+            factor: Augmentation over that, by default.
+        """
+        return factor * met
+
+    def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
+        """Stiffness of the trial force while the solver asks for a share of it (n,) [MPa/mm]."""
+        return share * stiffness
+
+    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
+        """Part of the multiplier in the trial force (n,) [-]."""
+        return 1.0
 
 
-class Bonded(InterfaceSection):
+class Bonded(InterfaceLaw):
     """The two sides are one continuum."""
 
     can_part: ClassVar[bool] = False
@@ -61,8 +179,8 @@ class Bonded(InterfaceSection):
         return self
 
 
-class Unilateral(InterfaceSection):
-    """Unilateral contact with Coulomb friction, however it is enforced."""
+class Unilateral(InterfaceLaw):
+    """Unilateral contact with Coulomb friction, however it is enforced (`forms.contact`)."""
 
     can_open: ClassVar[bool] = True
 
@@ -76,42 +194,129 @@ class Unilateral(InterfaceSection):
     friction_heating: FrictionHeating | None = None
     """Part of the heat of friction that goes into the first side; none is heated by default."""
 
-    @property
-    def friction(self) -> float:
-        """Coulomb's coefficient; 0 for none."""
-        return self.friction_coefficient
-
-    @property
-    def heated_by_friction(self) -> FrictionHeating | None:
-        """How the heat of friction is shared; None if there is none."""
-        return self.friction_heating
-
-    @property
-    def initial_gap(self) -> tuple[float | str, tuple[float, ...] | None]:
-        """The initial gap [mm], and its history."""
-        return self.gap, self.gap_history
-
     @model_validator(mode="after")
     def _rubs(self) -> Unilateral:
         if self.friction_heating is not None and self.friction_coefficient == 0.0:
             fail("there is no friction", at=("friction_heating",))
         return self
 
+    @property
+    def form(self) -> Hashable:
+        """With friction or without."""
+        return "contact", self.frictional
 
-class Contact(Unilateral):
+    @property
+    def values(self) -> Mapping[str, float]:
+        """The friction coefficient."""
+        return {"μ": self.friction_coefficient} if self.frictional else {}
+
+    def response(self, at: AtPoint) -> Response:
+        """The law that the augmented Lagrangian of a point gives (eq. 65)."""
+        from forms.contact import contact_law
+
+        state = (at.F, at.jump, at.gap, at.jump_old, at.S_star)
+        found = contact_law(*state, at.normals, at.values.get("μ"), at.r)
+        return Response(found.force, found.jacobian, found.pressures, found.status)
+
+
+class Coulomb(Unilateral):
     """Unilateral contact with Coulomb friction, exactly: augmented Lagrangian."""
+
+    augmented: ClassVar[bool] = True
 
     kind: Literal["contact"] = "contact"
     augmentation: PositiveStiffness | None = None
     """Augmentation parameter r, chosen by default; results do not depend on it."""
 
+    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
+        """The augmentation asked for, or the default (n,) [MPa/mm]."""
+        return factor * met if self.augmentation is None else self.augmentation
+
 
 class Penalty(Unilateral):
     """Unilateral contact with Coulomb friction by penalty: it penetrates by pressure / penalty."""
+
+    # A penalty ε is exact contact of D - (F - F_old) / ε: with S = F + r (D - (F - F_old) / ε) it
+    # is found with any r, and r = ε is the usual way, where S has nothing of F. Softer, it is as
+    # easily solved as without penalty, and the answer is the same.
 
     kind: Literal["penalty"] = "penalty"
     penalty: PositiveStiffness
     """Pressure per penetration."""
 
+    def trial_stiffness(self, met: Floats, factor: float) -> Floats | float:
+        """The penalty [MPa/mm]."""
+        return self.penalty
 
-Interface = Annotated[InterfaceSection, Kinds()]
+    def softened_stiffness(self, stiffness: Floats, met: Floats, share: float) -> Floats:
+        """At most the penalty: with more, S would count F with a negative sign (n,) [MPa/mm]."""
+        import numpy as np
+
+        if share == 1.0:
+            return stiffness
+        return np.minimum(share * USUAL_AUGMENTATION * met, stiffness)
+
+    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
+        """None the usual way (n,) [-]."""
+        return 1.0 - softened / stiffness
+
+
+class Traction(InterfaceLaw):
+    """A law whose force is an explicit function of the gap: layers, cohesion.
+
+    A subclass declares its keys, which stand for UFL scalars in `traction`, its formula.
+    """
+
+    by_trial_force: ClassVar[bool] = False
+
+    def traction(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
+        """Force per area that resists a gap (3,) [MPa].
+
+        Args:
+            gap: Displacement of the slave minus that of the master, with the initial gap (3,) [mm].
+            normals: Unit normals of the point's faces, from master to slave, each (3,).
+            history: Variables of the last converged state, by name.
+        """
+        raise NotImplementedError
+
+    def remembered(
+        self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]
+    ) -> Mapping[str, Expr]:
+        """History variables after a converged step, by name (see `history`)."""
+        return {}
+
+    def status(self, gap: Expr, normals: Sequence[Expr], history: Mapping[str, Expr]) -> Expr:
+        """State of a point: OPEN, STICK or SLIP of `forms.contact`, or numbers of its own from 3.
+
+        A law that holds everywhere sticks.
+        """
+        from ufl import as_ufl
+
+        from forms.contact import STICK
+
+        return STICK * as_ufl(1.0)
+
+    def response(self, at: AtPoint) -> Response:
+        """Force and its derivative by the gap."""
+        from ufl import as_ufl, as_vector, diff, variable
+        from ufl.algorithms import expand_derivatives, strip_variables
+
+        from forms.contact import components
+
+        law = self.model_copy(update=dict(at.values))
+        gap = variable(at.jump + at.gap)
+        force = law.traction(gap, at.normals, at.history)
+        slope = expand_derivatives(diff(force, gap))
+        pressures = as_vector([-p for p in components(force, at.normals)])
+        status = as_ufl(law.status(gap, at.normals, at.history))
+        history = law.remembered(gap, at.normals, at.history)
+        stripped = {name: strip_variables(e) for name, e in history.items()}
+        force, slope, pressures, status = map(strip_variables, (force, slope, pressures, status))
+        return Response(force, slope, pressures, status, stripped)
+
+    def multiplier_share(self, softened: Floats, stiffness: Floats) -> Floats | float:
+        """None (n,) [-]."""
+        return 0.0
+
+
+Interface = Annotated[InterfaceLaw, Kinds()]

@@ -1,167 +1,29 @@
-"""Conditions at boundaries: supports and loads."""
+"""Loads: forces, pressures, weight."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    GetCoreSchemaHandler,
-    ValidationInfo,
-    model_validator,
-)
-from pydantic_core import core_schema
+from pydantic import BeforeValidator, ValidationInfo
 
-from app.laws.materials import History
+from app.laws.values import History, Named, field
 from app.schema.expressions import Varying
-from app.schema.section import ITEMS, TAG, Extensible, Kinds, Name, Section, Word, fail, show
-from app.schema.units import Axis, Dimension, ForceVector, Length, Stiffness, Stress
+from app.schema.section import ITEMS, Extensible, Kinds, Name, fail, show
+from app.schema.units import Dimension, ForceVector, Length, Stress
 from app.schema.vectors import Triple, spread_unit
 
-LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
+if TYPE_CHECKING:
+    from ufl import Measure
+    from ufl.core.expr import Expr
+
+    from app.arrays import Field, Floats
+
 ForceDensityField = Annotated[
     float | str, Varying(Dimension("N/mm^3", "a force per volume", "1e-5 N/mm^3"))
 ]
-
-
-def _some_stages(names: tuple[str, ...]) -> tuple[str, ...]:
-    if not names:
-        fail("is empty; expected names of stages")
-    return names
-
-
-StageNames = Annotated[tuple[Name, ...], ITEMS, AfterValidator(_some_stages)] | None
-
-
-class Fixed(Section):
-    """No displacement at all."""
-
-    kind: Literal["fixed"] = "fixed"
-    boundary: Name
-    """Boundary of the geometry."""
-    stages: StageNames = None
-    """Stages in which it holds; all by default."""
-
-    @property
-    def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
-        return "xyz"
-
-
-class _Normal:
-    """Marks a field that is a direction or the word `face`."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Either, told apart before it is read."""
-
-        def check(value: object) -> object:
-            if isinstance(value, list | tuple) or value == "face":
-                return value
-            fail(f"{show(value)} is no direction; expected e.g. [1, 1, 0], or face")
-
-        kinds: dict[Any, core_schema.CoreSchema] = {
-            TAG + "face": core_schema.literal_schema(["face"]),
-            TAG + "axis": handler.generate_schema(Axis),
-        }
-        union = core_schema.tagged_union_schema(
-            kinds, lambda value: TAG + ("face" if value == "face" else "axis")
-        )
-        return core_schema.no_info_before_validator_function(check, union)
-
-
-class Roller(Section):
-    """No displacement along one direction: of `axis` and `normal` exactly one."""
-
-    kind: Literal["roller"] = "roller"
-    boundary: Name
-    """Boundary of the geometry."""
-    axis: Annotated[Literal["x", "y", "z"], Word()] | None = None
-    """The direction, if it is an axis."""
-    normal: Annotated[Axis | Literal["face"], _Normal()] | None = None
-    """The direction; any length but zero, normalised. `face`: at each node along the outward
-    normal of the boundary there, the mean of its facets."""
-    stages: StageNames = None
-    """Stages in which it holds; all by default."""
-
-    @model_validator(mode="after")
-    def _one(self) -> Roller:
-        either = "expected axis: x, y or z, or normal: [1, 1, 0] or face"
-        if self.axis is not None and self.normal is not None:
-            fail(f"stands beside axis; {either}", at=("normal",))
-        if self.axis is None and self.normal is None:
-            fail(f"has no direction; {either}")
-        return self
-
-    @property
-    def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
-        return self.axis or ""
-
-    @property
-    def felt_axes(self) -> str:
-        """Axes along which it may resist a motion."""
-        normal = (1.0, 1.0, 1.0) if isinstance(self.normal, str) else self.normal or ()
-        return self.held_axes + "".join(a for a, c in zip("xyz", normal, strict=False) if c)
-
-
-class Displacement(Section):
-    """Given displacement along one or more axes; the others are free."""
-
-    kind: Literal["displacement"] = "displacement"
-    boundary: Name
-    """Boundary of the geometry."""
-    x: LengthField | None = None
-    """Displacement along x; free if absent."""
-    y: LengthField | None = None
-    """Displacement along y; free if absent."""
-    z: LengthField | None = None
-    """Displacement along z; free if absent."""
-    history: History = None
-    """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
-    stages: StageNames = None
-    """Stages in which it holds; all by default."""
-
-    @model_validator(mode="after")
-    def _some(self) -> Displacement:
-        if not self.held_axes:
-            fail("prescribes nothing; expected at least one of x, y, z")
-        return self
-
-    @property
-    def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
-        return "".join(axis for axis in "xyz" if getattr(self, axis) is not None)
-
-
-class Foundation(Section):
-    """Springs to the ground spread over a boundary."""
-
-    kind: Literal["foundation"] = "foundation"
-    boundary: Name
-    """Boundary of the geometry."""
-    stiffness: Annotated[
-        tuple[Stiffness, Stiffness, Stiffness],
-        Triple("[100 MPa/mm, 100 MPa/mm, 0 MPa/mm]", scalar=True),
-    ]
-    """Traction per displacement along x, y, z; a single value is the same along all."""
-
-    @model_validator(mode="after")
-    def _some(self) -> Foundation:
-        if not any(self.stiffness):
-            fail("is zero along every axis", at=("stiffness",))
-        return self
-
-    @property
-    def held_axes(self) -> str:
-        """Axes along which the model cannot move freely."""
-        return "".join(axis for axis, k in zip("xyz", self.stiffness, strict=True) if k > 0.0)
-
-
-Support = Annotated[Fixed | Roller | Displacement | Foundation, Kinds()]
 
 
 def _point(value: object, info: ValidationInfo) -> object:
@@ -185,8 +47,41 @@ Point = Annotated[
 ]
 
 
-class LoadSection(Extensible):
-    """Base of the loads: a subclass with a `kind` is one more (`app/README.md`)."""
+@dataclass(frozen=True)
+class Patch:
+    """A boundary patch: area [mm2], centroid [mm] and second moments about it [mm4]."""
+
+    area: float
+    centroid: Floats
+    moments: Floats
+
+
+class Acting(Protocol):
+    """One body of a discrete problem, as loads see it.
+
+    Attributes:
+        x: Position, in UFL.
+        n: Outward normal of facets, in UFL.
+    """
+
+    x: Expr
+    n: Expr
+
+    def ds(self, boundary: str) -> Measure | None:
+        """Measure of the part of a boundary that belongs to the body, if any."""
+
+    def patch(self, boundary: str) -> Patch:
+        """Area, centroid and moments of a boundary, of all bodies; collective."""
+
+    def constant(self, value: Any) -> Expr:
+        """A constant, in UFL: another value of it compiles nothing anew."""
+
+    def spread(self, density: Field, regions: Sequence[str] | None) -> list[tuple[Expr, Measure]]:
+        """A field (3,) and the measure of each of the body's regions among some, or of all."""
+
+
+class Load(Extensible, Named):
+    """A load: work in a displacement, times its history. A subclass with a `kind` is one more."""
 
     # What a file calls it: a `Literal` of each subclass.
     kind: Any
@@ -199,6 +94,16 @@ class LoadSection(Extensible):
         return self.kind, getattr(self, "boundary", None), getattr(self, "regions", None)
 
     @property
+    def boundaries(self) -> tuple[str, ...]:
+        """Boundaries that it acts on: those that it names, none if it acts inside."""
+        boundary = getattr(self, "boundary", None)
+        return () if boundary is None else (boundary,)
+
+    def work(self, v: Expr, on: Acting) -> Any:
+        """Work at full amplitude on a body in a displacement v, as a UFL form; 0 if none."""
+        raise NotImplementedError
+
+    @property
     def resultant(self) -> tuple[float, float, float] | None:
         """The resultant at full amplitude [N], if that is what it gives."""
         return None
@@ -208,7 +113,7 @@ class LoadSection(Extensible):
         return 0.0
 
 
-class Force(LoadSection):
+class Force(Load):
     """A resultant force, as a traction over the boundary; with `at`, with its moment too."""
 
     kind: Literal["force"] = "force"
@@ -228,8 +133,25 @@ class Force(LoadSection):
         """Size of its mean traction on a boundary of an area [MPa]."""
         return math.hypot(*self.force) / area
 
+    def work(self, v: Expr, on: Acting) -> Any:
+        """Work of a traction that is linear over the boundary."""
+        import numpy as np
 
-class Pressure(LoadSection):
+        from forms import loads
+
+        # Of all bodies, and with its errors: on every rank, whoever has facets.
+        patch, ds = on.patch(self.boundary), on.ds(self.boundary)
+        if ds is None:
+            return 0
+        t = on.constant(np.array(self.force) / patch.area)
+        if self.at is None:
+            return loads.traction_work(t, v) * ds
+        moment = np.cross(np.array(self.at) - patch.centroid, self.force)
+        ω = on.constant(np.linalg.solve(patch.moments, moment))
+        return loads.linear_traction_work(t, ω, on.x, on.constant(patch.centroid), v) * ds
+
+
+class Pressure(Load):
     """A pressure normal to the boundary; positive compresses."""
 
     kind: Literal["pressure"] = "pressure"
@@ -242,8 +164,15 @@ class Pressure(LoadSection):
         """Its size [MPa]."""
         return abs(self.pressure)
 
+    def work(self, v: Expr, on: Acting) -> Any:
+        """Work of a traction along the normal."""
+        from forms import loads
 
-class BodyForce(LoadSection):
+        ds = on.ds(self.boundary)
+        return 0 if ds is None else loads.pressure_work(on.constant(self.pressure), on.n, v) * ds
+
+
+class BodyForce(Load):
     """A force per volume, such as weight."""
 
     kind: Literal["body_force"] = "body_force"
@@ -255,5 +184,20 @@ class BodyForce(LoadSection):
     ]
     """Force per volume along x, y, z; each may vary in space."""
 
+    def values(self, x: Floats) -> Floats:
+        """Force per volume at points (n, 3) [N/mm3]."""
+        import numpy as np
 
-Load = Annotated[LoadSection, Kinds()]
+        key = f"loads.{self.name}.density"
+        columns = [field(f"{key}[{i}]", value)(x) for i, value in enumerate(self.density)]
+        return np.stack(columns, axis=1)
+
+    def work(self, v: Expr, on: Acting) -> Any:
+        """Work of the density in the body's regions."""
+        from forms import loads
+
+        spread = on.spread(self.values, self.regions)
+        return sum(loads.body_force_work(b, v) * dx for b, dx in spread)
+
+
+AnyLoad = Annotated[Load, Kinds()]

@@ -7,17 +7,21 @@ E_l, E_t, mu_l > 0, |nu_t| < 1 and 1 - nu_t - 2 nu_l^2 E_t / E_l > 0. That margi
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from app.laws.fibres import FibreDirection
+from app.laws.fibres import Fibre, FibreDirection
 from app.laws.thermal import Thermal
+from app.laws.values import History, Named
 from app.schema.section import ITEMS, Kinds, Section, Text, Word, fail, show
 from app.schema.units import Modulus, Number
 
+if TYPE_CHECKING:
+    from ufl.core.expr import Expr
+
 Tissue = Annotated[Literal["bone", "cement", "implant", "other"], Word()]
-History = Annotated[tuple[Number, ...], ITEMS] | None
 # Poisson's ratio beyond which a material counts as nearly incompressible, and the margin there.
 LOCKING_RATIO = 0.45
 LOCKING_MARGIN = (1 + LOCKING_RATIO) * (1 - 2 * LOCKING_RATIO)
@@ -44,8 +48,37 @@ class Eigenstrain(Section):
     """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
 
 
-class Isotropic(Section):
+class Elastic(Named):
+    """Base of the elastic materials."""
+
+    if TYPE_CHECKING:
+        eigenstrains: tuple[Eigenstrain, ...]
+        # None if isotropic.
+        fibre: Fibre | None
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Elastic coefficients of eq. 48 [MPa]: two if isotropic, else five."""
+        raise NotImplementedError
+
+    @property
+    def modulus(self) -> float:
+        """Largest Young's modulus [MPa]: of two sides the larger one is the stiffer."""
+        raise NotImplementedError
+
+    def energy(self, ε: Expr, coefficients: Sequence[Any], fibre: Any) -> Expr:
+        """Strain energy density ψ(ε) [MPa], its constants handed in as UFL constants."""
+        from forms import elasticity
+
+        if self.fibre is None:
+            return elasticity.isotropic_energy(ε, *coefficients)
+        return elasticity.transversely_isotropic_energy(ε, fibre, *coefficients)
+
+
+class Isotropic(Elastic):
     """Linear elastic, the same in all directions."""
+
+    fibre: ClassVar[None] = None  # type: ignore[misc]
 
     kind: Literal["isotropic"] = "isotropic"
     youngs_modulus: Modulus
@@ -74,8 +107,20 @@ class Isotropic(Section):
         """Whether linear tetrahedra of it lock."""
         return self.poisson_ratio > LOCKING_RATIO
 
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Two elastic coefficients [MPa]."""
+        from forms import elasticity
 
-class TransverselyIsotropic(Section):
+        return elasticity.isotropic_coefficients(self.youngs_modulus, self.poisson_ratio)
+
+    @property
+    def modulus(self) -> float:
+        """Young's modulus [MPa]."""
+        return self.youngs_modulus
+
+
+class TransverselyIsotropic(Elastic):
     """Linear elastic, with one direction (the fibre, or axis) unlike the two transverse to it."""
 
     kind: Literal["transversely_isotropic"] = "transversely_isotropic"
@@ -89,7 +134,7 @@ class TransverselyIsotropic(Section):
     """Poisson's ratio nu_t in the transverse plane."""
     axial_shear_modulus: Modulus
     """Shear modulus mu_l between the fibre and the transverse plane."""
-    fibre: FibreDirection = (0.0, 0.0, 1.0)
+    fibre: FibreDirection = Field((0.0, 0.0, 1.0), validate_default=True)  # type: ignore[assignment]
     """Fibre direction, of any length but zero, normalised; or those that an axis gives."""
     eigenstrains: Annotated[tuple[Eigenstrain, ...], ITEMS] = ()
     """Strains without stress; they add up."""
@@ -137,6 +182,24 @@ class TransverselyIsotropic(Section):
         """Whether linear tetrahedra of it lock."""
         return self.margin < LOCKING_MARGIN
 
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """Five elastic coefficients [MPa]."""
+        from forms import elasticity
+
+        return elasticity.transversely_isotropic_coefficients(
+            self.axial_youngs_modulus,
+            self.transverse_youngs_modulus,
+            self.axial_poisson_ratio,
+            self.transverse_poisson_ratio,
+            self.axial_shear_modulus,
+        )
+
+    @property
+    def modulus(self) -> float:
+        """Larger of its Young's moduli [MPa]."""
+        return max(self.axial_youngs_modulus, self.transverse_youngs_modulus)
+
 
 def _true(value: object) -> object:
     if value is not True:
@@ -144,7 +207,7 @@ def _true(value: object) -> object:
     return value
 
 
-class Rigid(Section):
+class Rigid(Named):
     """Not deformable: the region moves as one body."""
 
     rigid: Annotated[Literal[True], BeforeValidator(_true)]
@@ -163,7 +226,7 @@ class Rigid(Section):
         return self
 
 
-class Conductor(Section):
+class Conductor(Named):
     """Conducts heat, and is not looked at as a solid: all regions or none."""
 
     kind: Literal["conductor"] = "conductor"

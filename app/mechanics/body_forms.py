@@ -26,11 +26,12 @@ from numpy.typing import NDArray
 from ufl.algorithms import expand_derivatives
 from ufl.core.expr import Expr
 
-from app.arrays import Floats
+from app.arrays import Field, Floats
 from app.errors import InputError, everywhere
+from app.laws.loads import Patch
+from app.laws.materials import Elastic
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_coordinates
-from app.scene.loads import Field, Patch
-from app.scene.terms import Elastic, Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import elasticity
 from meshes.contact_facets import shape_functions, surface
@@ -44,10 +45,9 @@ MOMENT_DEGREE = 8
 
 
 class OnBody:
-    """One body of the mechanics as loads see it (`scene.loads.Acting`)."""
+    """One body of the mechanics as loads see it (`laws.loads.Acting`)."""
 
     def __init__(self, mechanics: BodyForms, body: int) -> None:
-        """Look at a body."""
         self._mechanics, self._body = mechanics, body
         self.x = ufl.SpatialCoordinate(mechanics.mesh)
         self.n = ufl.FacetNormal(mechanics.mesh)
@@ -64,14 +64,18 @@ class OnBody:
         """A constant, in UFL."""
         return self._mechanics.constant(value)
 
-    def spread(self, density: Field, regions: Sequence[str]) -> list[tuple[Expr, ufl.Measure]]:
-        """A field (3,) and the measure of each of the body's regions among some.
+    def spread(
+        self, density: Field, regions: Sequence[str] | None
+    ) -> list[tuple[Expr, ufl.Measure]]:
+        """A field (3,) and the measure of each of the body's regions among some, or of all.
 
         The field is a function of points and not an expression in UFL: all densities share one
         compiled form. The degree of quadrature is exact for constants on curved cells, and leaves
         second order its third order in the displacement where the density varies.
         """
         mechanics = self._mechanics
+        if regions is None:
+            regions = [e.region for e in mechanics.scene.elastic]
         own = [r for r in regions if mechanics.bodies.of_region[r] == self._body]
         if not own:
             return []
@@ -213,7 +217,7 @@ class BodyForms:
         """Strain of a displacement minus the region's eigenstrains and its swelling."""
         ε = elasticity.strain(v)
         for k, s in enumerate(e.eigenstrains):
-            ε = ε - self._amplitude[e.region, k] * elasticity.symmetric(s.components)
+            ε = ε - self._amplitude[e.region, k] * elasticity.symmetric(s.strain)
         if e.region in self.swelling:
             ε = ε - elasticity.swelling(self.swelling[e.region])
         return ε

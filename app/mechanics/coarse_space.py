@@ -126,7 +126,6 @@ class SlidingMotions(CoarseSpace):
     """
 
     def __init__(self, problem: Problem) -> None:
-        """Find who moves where; collective."""
         contact = problem.contact
         assert contact is not None
         self._comm, self._allowing = problem.comm, np.eye(3) - contact.own.projector

@@ -20,7 +20,7 @@ from app.numerics.rigid_motions import rigid_modes
 from app.numerics.sparse import from_rows
 from app.scene.bodies import Bodies, boundary_facets, cell_tags
 from app.scene.frames import Frames
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from meshes.contact_facets import gather
 from meshes.distribute import TaggedMesh
 
@@ -46,7 +46,7 @@ def _support_of_dofs(
     support = np.full((index_map.size_local + index_map.num_ghosts, 3), -1, dtype=np.int64)
     rows, places = frames.own(index_map) if frames else (np.zeros(0, dtype=np.int64),) * 2
     own = support[rows]
-    holding = [s for s, term in enumerate(scene.supports) if term.holds(stage)]
+    holding = [s for s, term in enumerate(scene.supports) if scene.holds(term, stage)]
     tags = cell_tags(tagged)
     patches = [boundary_facets(tagged, s.boundary) for s in scene.supports]
     for body in reversed(range(len(bodies.names))):

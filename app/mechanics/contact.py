@@ -26,6 +26,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from app.arrays import Bools, Floats, Ints
+from app.laws.values import amplitude, gap_at
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact_coupling import JumpCoupling
@@ -40,7 +41,7 @@ from app.mechanics.contact_state import ContactState
 from app.numerics.sparse import owners
 from app.scene.bodies import Bodies, contact_facets
 from app.scene.frames import Frames, held_at
-from app.scene.terms import ContactTerm, Scene, amplitude, gap_at
+from app.scene.scene import Interface, Scene
 from app.system.timing import Timing
 from forms.contact import OPEN, SLIP
 from meshes.contact_points import contact_points
@@ -91,7 +92,7 @@ class TrialState:
         return np.asarray((self.law.pressures > 0) | nearly)
 
     def committed(self) -> ContactState:
-        """The contact's state after a converged step: jump, tractions, slip, dissipation.
+        """State of the points after a converged step: jump, tractions, slip, dissipation.
 
         A point slides by the tangential part of a step at whose end it is in contact: the motion
         for which the law gives its friction. What it moves while it is open is no slip.
@@ -181,7 +182,7 @@ class ContactInterfaces:
         self.law = PointLaw(self.comm, self.own, timing)
         self.begin(scene.contacts, augmentation_factor)
 
-    def begin(self, contacts: Sequence[ContactTerm], augmentation_factor: float) -> None:
+    def begin(self, contacts: Sequence[Interface], augmentation_factor: float) -> None:
         """Reset to the unloaded state, with other laws of the same interfaces; collective.
 
         Args:

@@ -18,19 +18,18 @@ from ufl import as_ufl
 from ufl.core.expr import Expr
 
 from app.arrays import Bools, Floats, Ints
-from app.case.run_options import USUAL_AUGMENTATION
+from app.laws import interface_laws
+from app.laws.interface_laws import USUAL_AUGMENTATION, AtPoint, InterfaceLaw
 from app.mechanics.contact_points import OwnPoints
 from app.mechanics.contact_state import ContactState
 from app.numerics import kernel_cache, pointwise
 from app.numerics.pointwise import Pointwise
-from app.scene import laws
-from app.scene.laws import AtPoint, InterfaceLaw
 from app.system.timing import Timing
 from forms import contact
 from forms.contact import STICK
 
 # All that says what a law is, beside the module it is in: another text is another law.
-SOURCES = (contact, laws, pointwise, sys.modules[__name__])
+SOURCES = (contact, interface_laws, pointwise, sys.modules[__name__])
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class PointLaw:
             lambda law, here, met: law.multiplier_share(self.stiffness[here], full[here])
         )
 
-    def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats]) -> Floats:
+    def _by_law(self, value: Callable[[InterfaceLaw, Bools, Floats], Floats | float]) -> Floats:
         """Values of own points (n,), from a law, its points and their `_point_stiffness`."""
         values = np.zeros(len(self._own))
         for i, law in enumerate(self._laws):
@@ -222,7 +221,6 @@ class PointLaw:
         return out
 
     def _tie(self, out: PointForces, force: Floats, opening: Floats, old: Floats) -> None:
-        """Have tied points touch and stick."""
         own, tied = self._own, self.tied
         slid = own.tangential(old, np.ones((len(own), 3), dtype=bool))
         trial = force + self.stiffness[:, None] * (opening - slid)

@@ -9,8 +9,9 @@ import numpy as np
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
+from app.laws.supports import Support
 from app.scene.bodies import Bodies
-from app.scene.terms import Scene, Support
+from app.scene.scene import Scene
 from meshes.contact_points import ContactPoints, Entries, Holds
 
 
@@ -84,7 +85,7 @@ def refuse_released(supports: Sequence[Support], points: ContactPoints) -> None:
         InputError: One holds a body where another one holds what it touches.
     """
     for s, support in enumerate(supports):
-        if not all(support.active) and (points.given == s).any():
+        if support.stages is not None and (points.given == s).any():
             raise InputError(
                 f"supports.{support.name}: it is let go of, but holds its body on an interface "
                 "where the other side is held too; allowed: a boundary away from such edges, the "

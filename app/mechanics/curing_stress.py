@@ -31,11 +31,13 @@ from dolfinx import fem
 
 from app.arrays import Floats, Ints
 from app.errors import InputError
+from app.laws.cure import Cure
+from app.laws.materials import Elastic
 from app.mechanics.body_forms import BodyForms
 from app.numerics.pointwise import Pointwise
 from app.numerics.saved_state import LEFT_OUT
 from app.scene.bodies import Bodies
-from app.scene.terms import CureTerm, Elastic, Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from forms import cure, elasticity, loads
 
@@ -114,7 +116,6 @@ class CuringStress:
         return g * elasticity.stress(lambda x: self._mechanics.energy_density(e, x), ε)
 
     def _regions(self, body: int) -> list[tuple[Elastic, Any]]:
-        """Regions of a body that set, with their measures."""
         degree = self._mechanics.varying_degree
         return [
             (e, self._measure(self._mechanics.tagged.regions[r], degree=degree))
@@ -138,7 +139,7 @@ class CuringStress:
         return held - self.internal_work(body, v)
 
     def set(self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]) -> None:
-        """Take in degrees of cure and free strains at the end of the step."""
+        """Set degrees of cure and free strains at the end of the step."""
         self._new = {
             r: (growth(a=degrees[r].x.array)[0], strains[r].x.array.copy())
             for r, growth in self._growth.items()
@@ -195,7 +196,7 @@ class CuringStress:
         self._old = dict(self._new)
 
     def commit(self, displacements: Sequence[fem.Function]) -> None:
-        """Make stress and strain of a converged state the history.
+        """Commit stress and strain of a converged state.
 
         Args:
             displacements: Of each body, ghosts included.
@@ -213,7 +214,7 @@ class CuringStress:
         self._old = dict(self._new)
 
 
-def _growth(comm: MPI.Comm, terms: CureTerm, nodes: int) -> Pointwise:
+def _growth(comm: MPI.Comm, terms: Cure, nodes: int) -> Pointwise:
     """Modulus over the final one by degree of cure, at every vertex of this rank."""
     constants = {"gel": terms.gel, "floor": terms.floor, "exponent": terms.exponent}
     law = Pointwise(

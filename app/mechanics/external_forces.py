@@ -7,8 +7,7 @@ are handed in as they change.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -17,11 +16,13 @@ import numpy as np
 import ufl
 
 from app.arrays import Floats
+from app.laws.loads import Load
+from app.laws.materials import Elastic
+from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms, OnBody
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
-from app.scene.loads import LoadTerm
-from app.scene.terms import Elastic, Scene, amplitude
+from app.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,12 @@ class Forces:
         self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
         self.comm = mechanics.mesh.comm
         self._owned = 3 * mechanics.space.dofmap.index_map.size_local
-        self._full: dict[LoadTerm, Action] = {} if known is None else known._full
-        self._full = {load: self._load(load) for load in map(_at_full, scene.loads)}
+        found: dict[Load, Action] = {} if known is None else known._full
+        self._full: dict[Load, Action] = {
+            _at_full(s): found.get(_at_full(s)) or self._load(s) for s in scene.loads
+        }
         self._loads = [(load.history, self._full[_at_full(load)]) for load in scene.loads]
-        self._eigenstrains: list[tuple[tuple[float, ...], Action]] = (
+        self._eigenstrains: list[tuple[tuple[float, ...] | None, Action]] = (
             known._eigenstrains
             if known is not None
             else [
@@ -69,9 +72,7 @@ class Forces:
         )
         self._free: dict[str, Action] = {}
 
-    def _load(self, load: LoadTerm) -> Action:
-        if load in self._full:
-            return self._full[load]
+    def _load(self, load: Load) -> Action:
         v = ufl.TestFunction(self._mechanics.space)
         parts = {}
         for b in range(len(self._bodies.names)):
@@ -142,7 +143,6 @@ class Forces:
         return sum(float(action.nodal.dot(nodal)) / 2 for action in self._free.values())
 
 
-def _at_full(load: LoadTerm) -> LoadTerm:
+def _at_full(load: Load) -> Load:
     """A load whatever its history and its name."""
-    record: Any = load
-    return replace(record, history=(), name="")
+    return load.named("", history=None)

@@ -33,7 +33,7 @@ class Predictor(Protocol):
         """
 
     def commit(self, time: float) -> None:
-        """Take in the state of the solver as committed at a time."""
+        """Remember the state of the solver as committed at a time."""
 
 
 class Extrapolation:
@@ -43,7 +43,6 @@ class Extrapolation:
     """
 
     def __init__(self, solver: Solver) -> None:
-        """Begin without states."""
         self._solver = solver
         self._trail: list[tuple[float, PETSc.Vec]] = []
 
@@ -65,7 +64,6 @@ class Extrapolation:
         take_better(self._solver, x)
 
     def _line(self, time: float) -> PETSc.Vec:
-        """The state at a time on the straight line."""
         (t0, x0), (t1, x1) = self._trail[-2:]
         s = (time - t1) / (t1 - t0)
         x = x1.copy()

@@ -15,6 +15,7 @@ import numpy as np
 from dolfinx import fem
 
 from app.arrays import Ints
+from app.laws.values import amplitude
 from app.mechanics.body_forms import BodyForms
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.curing_stress import CuringStress
@@ -23,7 +24,7 @@ from app.mechanics.stiffness import Stiffness
 from app.mechanics.thermal_strain import ThermalStiffness, ThermalStrain
 from app.numerics.saved_state import node_keys
 from app.scene.bodies import bodies_of
-from app.scene.terms import Scene, amplitude
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
 
@@ -114,7 +115,6 @@ class Problem:
         self.set_time(0.0)
 
     def _renew(self) -> None:
-        """Assemble the stiffness and the coupling again, in the same matrices."""
         self.stiffness.update()
         self._follow_stiffness()
 
@@ -190,7 +190,7 @@ class Problem:
     def set_cure(
         self, degrees: Mapping[str, fem.Function], strains: Mapping[str, fem.Function]
     ) -> None:
-        """Say how far regions have set; takes effect at the next `update_stiffness`.
+        """Set degree of cure and free strain; takes effect at the next `update_stiffness`.
 
         Args:
             degrees: For each region that sets, the degree of cure at the vertices [-].
@@ -200,10 +200,9 @@ class Problem:
             self.setting.set(degrees, strains)
 
     def update_stiffness(self) -> None:
-        """Take in the stiffness and the stress of what has set so far; before every solve.
+        """Update stiffness and prestress of curing regions before a solve; collective.
 
-        The matrices are assembled again, in place, only if a modulus has changed; then `version`
-        is another one.
+        Matrices are assembled again, in place, only if a modulus has changed.
         """
         if self.setting is None:
             return
@@ -224,7 +223,7 @@ class Problem:
         )
 
     def impose(self, u: PETSc.Vec) -> None:
-        """Set the supported components of a displacement to their current values."""
+        """Set the constrained unknowns of a displacement to their current values."""
         held = self.stiffness.constraints.constrained
         u.array[held] = self.prescribed[held]
 
@@ -236,7 +235,7 @@ class Problem:
         return self.contact.trial(u, q, self.f_q)
 
     def residual_u(self, u: PETSc.Vec, q: PETSc.Vec | None, out: PETSc.Vec) -> None:
-        """K u + C q - f [N]; in supported rows what is missing to the given displacements.
+        """K u + C q - f [N]; in constrained rows what is missing to the prescribed values.
 
         A preconditioner of another stage moves these too: to leave them out would hide it.
         """
@@ -263,7 +262,7 @@ class Problem:
     # State
 
     def update_displacements(self, u: PETSc.Vec, q: PETSc.Vec | None) -> None:
-        """Put a state into the displacement functions of all bodies."""
+        """Update the displacement of each body from the unknowns."""
         nodal = self.stiffness.constraints.expand(u)
         own = nodal.getLocalSize()
         self.u.x.petsc_vec.array[:own] = nodal.array
@@ -278,7 +277,7 @@ class Problem:
             function.x.scatter_forward()
 
     def displacements(self) -> list[fem.Function]:
-        """Displacement of each body, as last spread."""
+        """Displacement of each body, as last updated."""
         return [self.moved.get(b, self.u) for b in range(len(self.bodies.names))]
 
     def augmentation(self, trial: bool = False) -> dict[str, float]:
@@ -290,7 +289,7 @@ class Problem:
         return self.contact.augmentation(trial) if self.contact else {}
 
     def commit(self, trial: TrialState | None) -> None:
-        """Make a converged state, whose displacements have been spread, the history."""
+        """Commit a converged state, once displacements are updated."""
         if trial is not None:
             trial.contact.state = trial.committed()
         if self.setting:

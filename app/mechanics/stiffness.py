@@ -13,7 +13,7 @@ from app.numerics.p_multigrid import CoarseOrder, near_null_space
 from app.numerics.preconditioners import Inverse, stiffness_options
 from app.scene.bodies import Bodies
 from app.scene.frames import frames_of
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from meshes.distribute import TaggedMesh
 
 # Rounding of K u in units of eps |diag(K) u|: about the root of the entries of a row.
@@ -73,7 +73,6 @@ class Stiffness:
         self.inverse = Inverse(self.K, lambda: self.version, options, lower)
 
     def _constrained(self) -> PETSc.Mat:
-        """The stiffness with the supports of the current stage."""
         K = self.constraints.matrix(assembled_matrix(self._form))
         K.setOption(PETSc.Mat.Option.SYMMETRIC, True)
         self.rows = ConstrainedRows(K, self.constraints)
@@ -97,7 +96,8 @@ class Stiffness:
             Whether they changed.
         """
         before, self.stage = self.stage, stage
-        if all(s.holds(before) == s.holds(stage) for s in self._parts[0].supports):
+        scene = self._parts[0]
+        if all(scene.holds(s, before) == scene.holds(s, stage) for s in scene.supports):
             return False
         old = self.constraints
         self.constraints = Constraints(*self._parts, stage, self.frames)

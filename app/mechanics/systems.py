@@ -81,7 +81,6 @@ class ContactSystem(BondedSystem):
     newton: Options = {}  # noqa: RUF012
 
     def __init__(self, problem: Problem) -> None:
-        """Set up the blocks of the Jacobian; collective."""
         super().__init__(problem)
         assert problem.contact is not None
         contact = self._contact = problem.contact

@@ -19,11 +19,13 @@ import ufl
 from dolfinx import fem
 from numpy.typing import NDArray
 
+from app.laws.materials import Elastic
+from app.laws.thermal import Thermal
 from app.mechanics.body_forms import BodyForms, assembled_matrix
 from app.mechanics.constraints import Constraints
 from app.mechanics.contact import ContactInterfaces
 from app.scene.bodies import Bodies
-from app.scene.terms import Elastic, Expansion, Scene
+from app.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,6 @@ class ThermalStrain:
     """Thermal expansion of the elastic regions of a scene."""
 
     def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies) -> None:
-        """Assemble the forces of each region; collective."""
         self._mechanics = mechanics
         self._terms = [x for x in scene.expansions if x.region in mechanics.swelling]
         self.body = {x.region: bodies.of_region[x.region] for x in self._terms}
@@ -62,7 +63,7 @@ class ThermalStrain:
         parts: dict[int, PETSc.Vec] = {}
         for x in self._terms:
             e = self._mechanics.swelling[x.region]
-            e.x.array[:] = x.coefficient * (temperatures[x.region].x.array - x.reference)
+            e.x.array[:] = x.expansion * (temperatures[x.region].x.array - x.reference)
             G, body = self._forces[x.region], self.body[x.region]
             nodal = G.createVecRight()
             nodal.array[:] = e.x.array[: nodal.getLocalSize()]
@@ -108,9 +109,9 @@ class ThermalStrain:
         q_θ, q_τ = on_q(by_θ), on_q(by_τ)
         return ThermalStiffness(u_θ=on_u(by_θ), u_τ=on_u(by_τ), q_θ=q_θ, q_τ=q_τ)
 
-    def _scaled(self, x: Expansion) -> PETSc.Mat:
+    def _scaled(self, x: Thermal) -> PETSc.Mat:
         forces = self._forces[x.region].copy()
-        forces.scale(x.coefficient)
+        forces.scale(x.expansion)
         return forces
 
 
@@ -128,7 +129,6 @@ def _forces(mechanics: BodyForms, e: Elastic) -> PETSc.Mat:
 
 
 def _sums(parts: Iterable[tuple[int, PETSc.Mat]]) -> dict[int, PETSc.Mat]:
-    """Sum of the matrices of each body."""
     sums: dict[int, PETSc.Mat] = {}
     for body, part in parts:
         sums[body] = sums[body] + part if body in sums else part

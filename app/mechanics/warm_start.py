@@ -1,4 +1,4 @@
-"""Where a solve starts from when others like it have been done: variations of a case.
+"""Warm start from converged states of earlier variations.
 
 Every variation goes its own way from rest, for friction remembers; what it takes from others is
 where each of its solves starts. Contact with friction is homogeneous of degree one: where loads and
@@ -51,7 +51,6 @@ class WarmStart:
     """States of other runs on the same unknowns as starts of this one."""
 
     def __init__(self, problem: Problem, solver: Solver) -> None:
-        """Begin with nothing known."""
         self._problem, self._solver = problem, solver
         self._past: list[dict[float, Neighbour]] = []
         self._now: dict[float, Neighbour] = {}
@@ -122,7 +121,6 @@ class WarmStart:
 
 
 def _scaled(state: Neighbour, factor: float) -> Neighbour:
-    """The state of loads and gaps times a factor."""
     x = state.x.copy()
     x.scale(factor)
     return Neighbour(x, factor * state.forces, factor * state.gaps, state.friction)

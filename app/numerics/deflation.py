@@ -119,7 +119,6 @@ class Deflated:
             self._made = motions.version
 
     def _galerkin(self, motions: CoarseSpace) -> None:
-        """Factorize Z^T A Z."""
         A, u, q, made = self._A, self._u, self._q, self._products
         Zu, Zq = motions.displacement, motions.jump
         if self._sum is None:
@@ -176,7 +175,6 @@ class Deflated:
 
 
 def _diagonal(comm: PETSc.Comm, values: Floats) -> PETSc.Mat:
-    """Diagonal matrix of own values."""
     n = len(values)
     start = comm.tompi4py().exscan(n) or 0
     columns = start + np.arange(n)

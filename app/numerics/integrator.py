@@ -220,12 +220,10 @@ def _along(
 
 
 def _slope(start: State, end: State, h: float) -> State:
-    """Rate of change from one state to another."""
     return [np.divide(b - a, h) for a, b in zip(start, end, strict=True)]
 
 
 def _add(y: State, weights: Floats, slopes: Sequence[State]) -> State:
-    """State plus weighted slopes."""
     new = [part.copy() for part in y]
     for w, k in zip(weights, slopes, strict=True):
         for total, part in zip(new, k, strict=True):

@@ -132,7 +132,6 @@ class Linear:
         return parts
 
     def _shared(self, name: str, options: Options) -> PETSc.PC:
-        """The preconditioner that a block shares with whoever solves with its matrix."""
         inverse = self._system.inverses[name]
         inverse.use({k: v for k, v in options.items() if not k.startswith(("ksp_", "snes_"))})
         inverse.make()

@@ -29,7 +29,6 @@ class CoarseOrder:
 
     @cached_property
     def _interpolation(self) -> PETSc.Mat:
-        """Values of second order from those of first."""
         matrix = interpolation_matrix(self.space, self._fine)
         matrix.assemble()
         return matrix

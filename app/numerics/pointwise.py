@@ -127,5 +127,4 @@ class Pointwise:
 
 
 def _components(e: Expr) -> list[Expr]:
-    """Its scalar components, the last index fastest."""
     return [e[i] for i in np.ndindex(*e.ufl_shape)] if e.ufl_shape else [e]

@@ -125,6 +125,5 @@ def failure_text(solver: Solver) -> str:
 
 
 def _values(solver: Solver) -> str:
-    """The augmentation in force; collective."""
     found = solver.system.augmentation().values()
     return f" (up to {max(found):.3g} MPa/mm)" if found else ""

@@ -94,7 +94,6 @@ def _named(
 
 
 def _oblique(v: Floats) -> str:
-    """A motion (6,) in words."""
     turns = np.linalg.norm(v[3:]) > np.linalg.norm(v[:3])
     axis = v[3:] if turns else v[:3]
     axis = axis / np.linalg.norm(axis)
@@ -105,7 +104,6 @@ def _oblique(v: Floats) -> str:
 
 
 def _sentence(names: Sequence[str], words: Sequence[str]) -> str:
-    """Who is free to do what."""
     doing = []
     for verb in ("move along", "turn about"):
         axes = [w.removeprefix(verb).strip() for w in words if w.startswith(verb)]

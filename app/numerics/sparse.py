@@ -91,7 +91,6 @@ def fill(A: PETSc.Mat, blocks: Floats) -> None:
 
 
 def _csr(comm: MPI.Comm, blocks: Floats) -> tuple[NDArray, NDArray, NDArray]:
-    """Rows of a block diagonal matrix in compressed form."""
     n = len(blocks)
     start = comm.exscan(3 * n) or 0  # type: ignore[attr-defined]  # mpi4py's stubs lack it
     columns = start + np.repeat(3 * np.arange(n), 9) + np.tile(np.arange(3), 3 * n)

@@ -13,9 +13,10 @@ from dolfinx import fem
 from ufl.core.expr import Expr
 
 from app.arrays import Floats
+from app.laws.materials import Elastic
+from app.laws.values import amplitude
 from app.mechanics.contact import TrialState
 from app.mechanics.problem import Problem
-from app.scene.terms import Elastic, amplitude
 from forms import elasticity, loads
 
 
@@ -49,7 +50,7 @@ class Balance:
         forces = sum(ufl.derivative(e, U, v) for e, U in energy)
         self._elastic = [(mechanics.form(whole), mechanics.form(forces))] if energy else []
         self._strain_work = [
-            (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.components))))
+            (s.history, mechanics.form(self._work_of(e, elasticity.symmetric(s.strain))))
             for e in scene.elastic
             for s in e.eigenstrains
         ]

@@ -53,6 +53,7 @@ class ContactSamples:
         dissipation: Dissipated by friction (n,) [N mm].
         least: Smallest dissipation of any step, 0 at most (n,) [N mm].
         contact_work: Work of the pressures in the opening (n,) [N mm].
+        own: History variables of the laws, by name: (n, ...).
         edge_lengths: Mean edge of the facets of each interface [mm].
         found: What `interface` has found of them, by interface.
     """
@@ -81,6 +82,7 @@ class ContactSamples:
             "dissipation": history.dissipation,
             "least": history.least,
             "contact_work": history.contact_work,
+            **{f"own {name}": values for name, values in history.own.items()},
         }
         pieces = problem.comm.allgather(local)
         whole = {key: np.concatenate([p[key] for p in pieces]) for key in local}
@@ -97,6 +99,7 @@ class ContactSamples:
         self.dissipation, self.least, self.contact_work = (
             whole[k][order] for k in ("dissipation", "least", "contact_work")
         )
+        self.own = {name: whole[f"own {name}"][order] for name in history.own}
         self.overlap = overlap(contact, trial.jump)
 
 

@@ -10,7 +10,8 @@ from app.mechanics.problem import Problem
 from app.results.field_output import OutputNodes
 from app.results.interface_numbers import ContactSamples
 from app.results.stresses import Stresses, extrapolated
-from forms.contact import OPEN, SLIP, STICK
+from app.scene.scene import Interface
+from forms.contact import OPEN
 
 
 class MechanicalFields:
@@ -33,7 +34,7 @@ class MechanicalFields:
         if samples is not None:
             rows = self._contact_rows(nodes)
             for i, contact in enumerate(self._problem.scene.contacts):
-                point |= _interface(contact.name, samples, rows[i])
+                point |= _interface(contact, samples, rows[i])
         return point
 
     def cell(self, cells: int) -> dict[str, Floats]:
@@ -130,10 +131,11 @@ def _on_edges(rows: Ints, triangles: Ints, points: int) -> Ints:
     return np.where((on & (rows >= 0).all(axis=1))[:, None], rows, -1)
 
 
-def _interface(name: str, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
+def _interface(contact: Interface, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
     """Fields of an interface at the grid's nodes: zero away from it, status -1.
 
-    They are linear along edges. In the middle of one the status is the more mobile of its ends.
+    They are linear along edges. In the middle of one the status is the more mobile of its ends, an
+    open one the most, else the higher number.
     """
     on = rows[:, 0] >= 0
 
@@ -143,10 +145,11 @@ def _interface(name: str, s: ContactSamples, rows: Ints) -> dict[str, Floats]:
         return out
 
     status = np.full(len(rows), -1.0)
-    moves = np.argsort([STICK, SLIP, OPEN])  # rank of each status
     ends = s.status[rows[on]]
-    status[on] = np.where(moves[ends[:, 0]] >= moves[ends[:, 1]], ends[:, 0], ends[:, 1])
-    return {
+    status[on] = np.where((ends == OPEN).any(axis=1), OPEN, ends.max(axis=1))
+    name = contact.name
+    own = {f"{name}_{variable}": spread(s.own[variable]) for variable in contact.law.history}
+    return own | {
         f"{name}_gap": spread(s.opening),
         f"{name}_slip": spread(s.slip),
         f"{name}_slip_path": spread(s.path),

@@ -12,10 +12,10 @@ from ufl import as_vector
 
 from app.arrays import Floats
 from app.case.quantities import computed
+from app.laws.fibres import Circumferential, Vector
+from app.laws.materials import Elastic
 from app.mechanics.problem import Problem
 from app.results.percentiles import percentile
-from app.scene.fibres import Vector
-from app.scene.terms import Elastic
 from app.system.timing import Timing
 from forms import elasticity
 
@@ -148,7 +148,7 @@ class Stresses:
         """
         σ = self.evaluate(region)
         e = next(e for e in self._problem.scene.elastic if e.region == region)
-        if e.fibre and e.fibre.turns:
+        if isinstance(e.fibre, Circumferential):
             # In axes that turn with it.
             Q = e.fibre.frames(self.places(region)[0]).reshape(σ.shape)
             σ = np.einsum("cqki,cqkl,cqlj->cqij", Q, σ, Q)
@@ -198,8 +198,8 @@ class Stresses:
 
 
 def _lay(e: Elastic) -> str:
-    """Lay of the fibre: regions that share it share the form of their stress."""
-    return e.fibre.lay if e.fibre else ""
+    """Kind of the fibre: regions that share it share the form of their stress."""
+    return e.fibre.kind if e.fibre else ""
 
 
 def _stiffness(e: Elastic) -> Floats:

@@ -1,4 +1,1 @@
-"""Terms of a case and the bodies they act on. Only here a case is translated into terms.
-
-It imports `schema`, `numerics` and `forms`. Begin with `build`.
-"""
+"""The laws of a case with their places, and the bodies they act on. Begin with `build`."""

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from app.arrays import Ints
 from app.errors import InputError
-from app.scene.terms import ContactTerm, RigidBody, Support, ThermalContact
+from app.laws.materials import Rigid
+from app.laws.supports import Support
+from app.scene.scene import Interface
 from meshes.contact_facets import InterfaceFacets, gather, sorted_facets
 from meshes.contact_points import Holds
 from meshes.distribute import TaggedMesh
@@ -60,9 +62,7 @@ def cell_tags(tagged: TaggedMesh) -> Ints:
     return tags
 
 
-def bodies_of(
-    tagged: TaggedMesh, contacts: Sequence[ContactTerm | ThermalContact], rigid: Sequence[RigidBody]
-) -> Bodies:
+def bodies_of(tagged: TaggedMesh, contacts: Sequence[Interface], rigid: Sequence[Rigid]) -> Bodies:
     """Join regions that touch without a contact interface between them; collective.
 
     Raises:
@@ -158,7 +158,7 @@ def contact_facets(
     tagged: TaggedMesh,
     bodies: Bodies,
     space: fem.FunctionSpace,
-    contacts: Sequence[ContactTerm | ThermalContact],
+    contacts: Sequence[Interface],
     moduli: Mapping[str, float],
 ) -> InterfaceFacets:
     """Facets of all contact interfaces, replicated in canonical order; collective.
@@ -290,7 +290,7 @@ def held_vertices(
     keys, row = np.unique(np.stack([number, body], axis=1), axis=0, return_inverse=True)
     held = np.full((len(keys), 3), -1, dtype=np.int64)
     # A support that holds in every stage goes before one that is let go of.
-    for s in sorted(range(len(supports)), key=lambda s: all(supports[s].active)):
+    for s in sorted(range(len(supports)), key=lambda s: supports[s].stages is None):
         support = supports[s]
         here = np.unique(row.reshape(-1)[support_of == s])
         for c in np.flatnonzero(support.components):

@@ -1,253 +1,112 @@
-"""From the configuration to the scene: the only place that chooses what is solved.
-
-One choice per function, which returns a tuple of terms; what a case does not contain is an empty
-tuple.
-"""
+"""From a case to its scene: the one place that chooses what is solved."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import singledispatch
+from typing import Any
 
 import numpy as np
 
 from app.case.case import Case
-from app.case.run_options import Stage
 from app.case.shapes import Sides
-from app.laws import loads as sections
-from app.laws.interface_laws import Bonded, Contact, InterfaceSection, Penalty
-from app.laws.loads import (
-    BodyForce,
-    Displacement,
-    Fixed,
-    Force,
-    Foundation,
-    LoadSection,
-    Pressure,
-    Roller,
-)
-from app.laws.materials import Eigenstrain, Isotropic, Region, Rigid, TransverselyIsotropic
-from app.scene.build_heat import fibre_of, field, heat
-from app.scene.laws import BondTerm, Coulomb, CoulombByPenalty, InterfaceLaw
-from app.scene.loads import BodyForceTerm, Field, ForceTerm, LoadTerm, PressureTerm
-from app.scene.terms import (
-    ContactTerm,
-    EigenstrainTerm,
-    Elastic,
-    FoundationTerm,
-    RigidBody,
-    Scene,
-    SceneStage,
-    Support,
-)
-from forms.elasticity import isotropic_coefficients, transversely_isotropic_coefficients
+from app.laws.fibres import Straight
+from app.laws.interface_laws import InterfaceLaw
+from app.laws.materials import Elastic, Rigid
+from app.laws.supports import Foundation, Support
+from app.laws.thermal import Thermal
+from app.laws.values import field
+from app.scene.scene import Interface, Scene, SceneStage
 
 
 def build_scene(case: Case) -> Scene:
-    """Choose the terms of a case."""
-    stages = len(case.stages)
-    elastic = tuple(term for name, r in case.regions.items() for term in _elastic(name, r, stages))
+    """Choose what is solved of a case."""
+    regions: Mapping[str, Any] = case.regions
+    elastic = tuple(r.named(n) for n, r in regions.items() if isinstance(r, Elastic))
     moduli = {e.region: e.modulus for e in elastic}
-    sides = {
-        name: _stiffer_first(pair, moduli) for name, pair in case.geometry.interface_sides.items()
-    }
+    thermal = {n: _thermal(r, n) for n, r in regions.items() if r.thermal is not None}
+    interfaces = [
+        _interface(name, law, case.geometry.interface_sides[name], moduli, thermal)
+        for name, law in case.interfaces.items()
+    ]
+    conducting = tuple(i for i in interfaces if i.law.conductance is not None)
+    rubbing = tuple(i for i in interfaces if i.law.heated_by_friction is not None)
     return Scene(
         order=case.mesh.order,
         elastic=elastic,
-        rigid=tuple(RigidBody(name) for name, r in case.regions.items() if isinstance(r, Rigid)),
-        foundations=tuple(f for s in case.supports.values() for f in _foundation(s)),
+        rigid=tuple(r.named(n) for n, r in regions.items() if isinstance(r, Rigid)),
+        foundations=tuple(s for s in case.supports.values() if isinstance(s, Foundation)),
         supports=tuple(
-            term for name, s in case.supports.items() for term in _support(name, s, case.stages)
+            _support(name, s, case) for name, s in case.supports.items() if isinstance(s, Support)
         ),
-        loads=tuple(
-            load_of(load, name, tuple(moduli), _history(load.history, stages))
-            for name, load in case.loads.items()
-        ),
-        contacts=tuple(
-            term
-            for name, law in case.interfaces.items()
-            for term in _contact(name, law, case.geometry.interface_sides[name], moduli)
-        ),
-        bonds=tuple(
-            term
-            for name, law in case.interfaces.items()
-            for term in _bond(name, law, sides[name], moduli)
-        ),
+        loads=tuple(load.named(name) for name, load in case.loads.items()),
+        contacts=tuple(i for i in interfaces if i.law.can_part),
+        bonds=tuple(i for i in interfaces if not i.law.can_part and np.isfinite(i.modulus)),
         stages=tuple(
             SceneStage(
                 s.name, s.increments, s.adaptive, s.max_cut_backs, s.duration or 0.0, s.steady
             )
             for s in case.stages
         ),
-        **heat(case, sides),
+        conductors=tuple(thermal.values()),
+        heat=tuple(condition.named(name) for name, condition in case.heat.items()),
+        thermal_contacts=conducting,
+        friction_heat=rubbing,
+        coupled=bool(rubbing) or any(i.law.conductances[1] > 0 for i in conducting),
+        expansions=tuple(t for t in thermal.values() if t.thermal_expansion),
+        cures=tuple(t.cure.named(t.region) for t in thermal.values() if t.cure is not None),
+        time=case.time,
     )
 
 
-def _history(values: tuple[float, ...] | None, stages: int) -> tuple[float, ...]:
-    return values if values is not None else (1.0,) * stages
+def _thermal(region: Any, name: str) -> Thermal:
+    """Conduction of a region, with the fibre of the region where it has one."""
+    thermal: Thermal = region.thermal
+    fibre = None
+    if thermal.conductivity is None:
+        fibre = getattr(region, "fibre", None) or thermal.fibre or Straight()
+    return thermal.named(name, fibre=fibre)
 
 
-def _elastic(name: str, region: Region, stages: int) -> tuple[Elastic, ...]:
-    match region:
-        case Isotropic():
-            return (
-                Elastic(
-                    name,
-                    isotropic_coefficients(region.youngs_modulus, region.poisson_ratio),
-                    None,
-                    region.youngs_modulus,
-                    _eigenstrains(region.eigenstrains, stages),
-                ),
-            )
-        case TransverselyIsotropic():
-            return (
-                Elastic(
-                    name,
-                    transversely_isotropic_coefficients(
-                        region.axial_youngs_modulus,
-                        region.transverse_youngs_modulus,
-                        region.axial_poisson_ratio,
-                        region.transverse_poisson_ratio,
-                        region.axial_shear_modulus,
-                    ),
-                    fibre_of(region.fibre),
-                    max(region.axial_youngs_modulus, region.transverse_youngs_modulus),
-                    _eigenstrains(region.eigenstrains, stages),
-                ),
-            )
-        case _:
-            return ()
+def _support(name: str, support: Support, case: Case) -> Support:
+    stages = [stage.name for stage in case.stages]
+    always = support.stages is None or set(stages) <= set(support.stages)
+    changes: dict[str, Any] = {"stages": None} if always else {}
+    if "history" in type(support).model_fields:
+        changes["history"] = support.history or (1.0,) * len(stages)
+    return support.named(name, **changes)
 
 
-def _eigenstrains(strains: tuple[Eigenstrain, ...], stages: int) -> tuple[EigenstrainTerm, ...]:
-    return tuple(EigenstrainTerm(s.strain, _history(s.history, stages)) for s in strains)
-
-
-def _foundation(support: sections.Support) -> tuple[FoundationTerm, ...]:
-    match support:
-        case Foundation():
-            return (FoundationTerm(support.boundary, support.stiffness),)
-        case _:
-            return ()
-
-
-def _support(
-    name: str, support: sections.Support, stages: tuple[Stage, ...]
-) -> tuple[Support, ...]:
-    normal: tuple[float, ...] | str = ()
-    match support:
-        case Fixed():
-            given: tuple[float | str | None, ...] = (0.0, 0.0, 0.0)
-            history = None
-        case Roller():
-            given = tuple(0.0 if axis == support.axis else None for axis in "xyz")
-            history, normal = None, support.normal or ()
-        case Displacement():
-            given, history = (support.x, support.y, support.z), support.history
-        case _:
-            return ()
-    x, y, z = (value is not None for value in given)
-    values = _vector(f"supports.{name}", dict(zip("xyz", given, strict=True)))
-    held = support.stages
-    active = () if held is None else tuple(stage.name in held for stage in stages)
-    factors = _history(history, len(stages))
-    return (Support(name, support.boundary, (x, y, z), values, factors, active, normal),)
-
-
-@singledispatch
-def load_of(
-    section: LoadSection, name: str, regions: Sequence[str], history: tuple[float, ...]
-) -> LoadTerm:
-    """The load that a section of ``loads`` asks for. One from outside registers here.
-
-    Args:
-        section: The section.
-        name: Its name.
-        regions: All elastic regions.
-        history: Amplitudes at the ends of the stages.
-    """
-    raise NotImplementedError(f"no load is registered for {type(section).__name__}")
-
-
-@load_of.register
-def _(section: Force, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
-    return ForceTerm(name, section.boundary, section.force, tuple(section.at or ()), history)
-
-
-@load_of.register
-def _(section: Pressure, name: str, regions: object, history: tuple[float, ...]) -> LoadTerm:
-    return PressureTerm(name, section.boundary, section.pressure, history)
-
-
-@load_of.register
-def _(
-    section: BodyForce, name: str, regions: Sequence[str], history: tuple[float, ...]
-) -> LoadTerm:
-    chosen = tuple(regions) if section.regions is None else tuple(section.regions)
-    density = {f"density[{i}]": value for i, value in enumerate(section.density)}
-    return BodyForceTerm(name, chosen, _vector(f"loads.{name}", density), history)
-
-
-@singledispatch
-def law_of(section: InterfaceSection) -> InterfaceLaw | None:
-    """The law that a section of ``interfaces`` asks for; None where the sides are one continuum.
-
-    A law from outside registers here what its own section asks for.
-    """
-    raise NotImplementedError(f"no interface law is registered for {type(section).__name__}")
-
-
-@law_of.register
-def _(section: Bonded) -> None:
-    return None
-
-
-@law_of.register
-def _(section: Contact) -> InterfaceLaw:
-    return Coulomb(section.friction_coefficient, section.augmentation or 0.0)
-
-
-@law_of.register
-def _(section: Penalty) -> InterfaceLaw:
-    return CoulombByPenalty(section.friction_coefficient, section.penalty)
-
-
-def _contact(
-    name: str, section: InterfaceSection, declared: Sides, moduli: Mapping[str, float]
-) -> tuple[ContactTerm, ...]:
-    """A term between a master and a slave; a bonded interface is none at all."""
-    law = law_of(section)
-    if law is None:
-        return ()
-    master, slave = _stiffer_first(declared, moduli)
-    gap, history = section.initial_gap
-    gap_field = field(f"interfaces.{name}.gap", gap)
-    modulus = _stiffness(slave, moduli)
-    course, turned = tuple(history or ()), master != tuple(declared[0])
-    return (ContactTerm(name, master, slave, law, modulus, gap_field, course, turned),)
-
-
-def _bond(
-    name: str, section: InterfaceSection, sides: Sides, moduli: Mapping[str, float]
-) -> tuple[BondTerm, ...]:
-    """A bonded interface, unless no side of it deforms."""
-    if law_of(section) is not None or not np.isfinite(_stiffness(sides[1], moduli)):
-        return ()
-    return (BondTerm(name, *sides),)
+def _interface(
+    name: str,
+    law: InterfaceLaw,
+    declared: Sides,
+    moduli: Mapping[str, float],
+    thermal: Mapping[str, Thermal],
+) -> Interface:
+    """An interface with its stiffer side first: the softer one carries the jumps."""
+    first, second = (tuple(side) for side in declared)
+    turned = _stiffness(first, moduli) < _stiffness(second, moduli)
+    master, slave = (second, first) if turned else (first, second)
+    gap, history = law.initial_gap
+    share = law.heated_by_friction
+    if isinstance(share, str):
+        e_m, e_s = (sum(thermal[r].effusivity for r in s) / len(s) for s in (master, slave))
+        slave_share = e_s / (e_s + e_m)
+    else:
+        slave_share = 0.0 if share is None else share if turned else 1.0 - share
+    return Interface(
+        name,
+        master,
+        slave,
+        law,
+        modulus=_stiffness(slave, moduli),
+        gap=field(f"interfaces.{name}.gap", gap),
+        history=tuple(history or ()),
+        turned=turned,
+        slave_share=slave_share,
+    )
 
 
 def _stiffness(side: Sequence[str], moduli: Mapping[str, float]) -> float:
     """Largest modulus on a side of an interface; of a rigid one larger than any."""
     return max(moduli.get(region, np.inf) for region in side)
-
-
-def _stiffer_first(sides: Sides, moduli: Mapping[str, float]) -> Sides:
-    """Master and slave: the softer side carries the jump."""
-    a, b = (tuple(side) for side in sides)
-    return (a, b) if _stiffness(a, moduli) >= _stiffness(b, moduli) else (b, a)
-
-
-def _vector(key: str, components: Mapping[str, float | str | None]) -> Field:
-    """Three of them as one: shape (n, 3), zero where there is none."""
-    fields = [field(f"{key}.{name}", value or 0.0) for name, value in components.items()]
-    return lambda x: np.stack([component(x) for component in fields], axis=1)

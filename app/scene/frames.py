@@ -15,8 +15,9 @@ from dolfinx.common import IndexMap
 
 from app.arrays import Bools, Floats, Ints
 from app.errors import InputError
+from app.laws.supports import Support
 from app.scene.bodies import Bodies, boundary_facets, cell_tags, facet_nodes, held_vertices
-from app.scene.terms import Scene, Support
+from app.scene.scene import Scene
 from app.system.layout import point_text
 from meshes.contact_faces import projectors
 from meshes.contact_facets import (
@@ -84,7 +85,7 @@ def held_at(
     supports: Sequence[Support],
     facets: InterfaceFacets,
 ) -> tuple[Holds, dict[int, Floats]]:
-    """What supports hold at vertices of interfaces, and the axes of those with their own."""
+    """Supports at vertices of interfaces, and the axes of vertices that have their own."""
     numbers, first = np.unique(facets.vertices, return_index=True)
     holds = held_vertices(tagged, bodies, space, supports, numbers)
     if frames is None:
@@ -92,7 +93,7 @@ def held_at(
     dof = facets.vertex_dofs.ravel()[first][np.searchsorted(numbers, holds.vertex)]
     rows = np.flatnonzero(np.isin(dof, frames.node))
     places, held = np.searchsorted(frames.node, dof[rows]), holds.support.copy()
-    order = sorted(range(len(supports)), key=lambda s: all(supports[s].active))
+    order = sorted(range(len(supports)), key=lambda s: supports[s].stages is None)
     held[rows] = frames.support(places, holds.body[rows], order)
     axes = {int(v): frames.axes[p] for v, p in zip(holds.vertex[rows], places, strict=True)}
     return replace(holds, support=held), axes
@@ -181,7 +182,7 @@ def _groups(scene: Scene, acts: Bools) -> list[tuple[int, ...]]:
     """
     stages = range(len(scene.stages))
     found = {
-        tuple(int(s) for s in np.flatnonzero(of_body) if scene.supports[s].holds(k))
+        tuple(int(s) for s in np.flatnonzero(of_body) if scene.holds(scene.supports[s], k))
         for of_body in acts
         for k in stages
     }

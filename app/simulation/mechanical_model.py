@@ -11,7 +11,7 @@ from app.numerics.newton import Solver
 from app.results.balance import Balance
 from app.results.bond_strength import Bond, bonds
 from app.results.stresses import Stresses
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from app.system.timing import Timing
 
 

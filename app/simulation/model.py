@@ -28,7 +28,7 @@ from app.results.mechanical_fields import MechanicalFields
 from app.results.run_folder import on_root
 from app.results.stem_motion import stem_motion
 from app.scene.build import build_scene
-from app.scene.terms import Scene, SceneStage
+from app.scene.scene import Scene, SceneStage
 from app.simulation import coarser_case
 from app.simulation.mechanical_model import Mechanical
 from app.simulation.thermal_model import ThermalModel
@@ -152,7 +152,7 @@ class Model:
                 return (m,)
             if coarser_case.stiffness(model._case) == coarser_case.stiffness(self._case):
                 like += [m.problem for m in model.mechanics]
-        if any(support.active for support in self.scene.supports):
+        if any(support.stages is not None for support in self.scene.supports):
             like.clear()
         timing = self._timing
         problem = Problem(self.scene, self.tagged, factor, timing, *like[:1])

@@ -23,7 +23,7 @@ from app.results.field_output import Fields
 from app.results.interface_numbers import ContactSamples
 from app.results.probes import DisplacementProbes
 from app.results.run_folder import UNITS, Writer
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.simulation.mechanical_model import Mechanical
 from app.simulation.model import Model
 from app.soundness import uniqueness

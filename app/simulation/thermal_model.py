@@ -41,7 +41,7 @@ class ThermalModel:
         self.operators, self.heating = operators, heating
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
         self._names = [c.name for c in operators.scene.thermal_contacts]
-        shares = {f.interface: f.slave_share for f in operators.scene.friction_heat}
+        shares = {f.name: f.slave_share for f in operators.scene.friction_heat}
         self._shares = np.array([shares.get(name, 0.0) for name in self._names])
         self.record = ThermalRecord(
             operators.tagged,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from app.case import quantities
 from app.case.case import Case, Varied
 from app.case.points import Point
+from app.schema.yaml_file import key_parts
 from app.system import layout
 from app.system.folders import csv_text, write_json, write_text
 
@@ -30,7 +30,7 @@ def order(case: Case, varied: Sequence[Varied]) -> list[int]:
     """
     keys = [k for k in dict.fromkeys(k for v in varied for k in v.changes) if k != "title"]
     cases = [c.model_dump(mode="json") for c in (*(v.case for v in varied), case)]
-    places = np.array([_ranks([_at(c, key) for c in cases]) for key in keys])
+    places = np.array([_ranks([value_at(c, key) for c in cases]) for key in keys])
     weights = [LOAD if key.startswith("loads.") else 1.0 for key in keys]
     chain: list[int] = []
     last = len(varied)
@@ -69,13 +69,13 @@ def _numbers(value: Any) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _at(case: Mapping[str, Any], key: str) -> Any:
+def value_at(case: Mapping[str, Any], key: str) -> Any:
     """Value of a key of a case, or None; the default of a history is all ones.
 
     Of ``*`` the first is taken, of an interface its kind: what else differs has keys of its own.
     """
     data: Any = case
-    for item in re.sub(r"\[(\d+)\]", r".\1", key).split("."):
+    for item in key_parts(key):
         if isinstance(data, list | tuple):
             data = data[int(item)] if item.isdigit() and int(item) < len(data) else None
         else:

@@ -106,6 +106,10 @@ def attempts(tried: Sequence[tuple[str, float]], steps: Sequence[float] = ()) ->
     return text + halved
 
 
+def _state(status: int) -> str:
+    return STATES[status] if status < len(STATES) else f"state {status}"
+
+
 def _place(problem: Problem, contact: ContactInterfaces, row: int) -> str:
     name = problem.scene.contacts[contact.own.interface[row]].name
     return f"on interface '{name}' at {point_text(contact.own.x[row])}"
@@ -116,7 +120,7 @@ def _oscillating(problem: Problem, contact: ContactInterfaces, active: ActiveSet
     local = [
         (
             r.changes,
-            f"changing: {' <-> '.join(STATES[s] for s in r.states)} "
+            f"changing: {' <-> '.join(map(_state, r.states))} "
             f"{_place(problem, contact, r.row)}, "
             f"in {r.changes} of the last {r.iterations} iterations",
         )
@@ -133,7 +137,7 @@ def _largest(problem: Problem, trial: TrialState) -> str:
     found = (-1.0, "")
     if len(r):
         k = int(np.argmax(r))
-        state = STATES[trial.law.status[k]]
+        state = _state(trial.law.status[k])
         found = (
             float(r[k]),
             f"largest residual: {r[k]:.2e} N {_place(problem, contact, k)}, {state}",

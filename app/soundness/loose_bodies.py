@@ -17,8 +17,8 @@ import numpy as np
 from app.arrays import Bools, Floats
 from app.case.case import Case
 from app.errors import Reason
+from app.laws.values import gap_at
 from app.numerics.rigid_motions import DIRECTIONS, add_relative, describe, rigid_modes
-from app.scene.terms import gap_at
 from app.soundness.mesh_parts import directions, gaps_of, groups_of, holds, law_between
 from app.system.layout import point_text
 from forms.contact import OPEN
@@ -59,6 +59,11 @@ class BodiesOnMesh:
         self._origin = found.x.mean(axis=0)
         self._size = float(np.linalg.norm(np.ptp(found.x, axis=0)))
         self._laws: Mapping[str, Any] = case.interfaces
+        # Where pieces touch: name of the interface, and its two bodies.
+        self._touches = [
+            (t, law_between(case, found, (a, b))[0], self._of[a], self._of[b])
+            for t, (a, b) in ((t, t.pieces) for t in found.touches)
+        ]
 
     def unheld(self) -> list[str]:
         """Errors for motions that nothing would resist if all that touches were bonded."""
@@ -143,10 +148,8 @@ class BodiesOnMesh:
         """
         n = 6 * len(self._groups)
         K, M = np.zeros((n, n)), np.zeros((n, n))
-        for touch in self._found.touches:
-            name, law = law_between(self._case, self._found, touch.pieces)
-            a, b = (self._of[p] for p in touch.pieces)
-            if a == b or law is None:
+        for touch, name, a, b in self._touches:
+            if a == b or not name:
                 continue
             R = self._modes(touch.x)
             every = np.einsum("f,fik,fil->kl", touch.areas, R, R)
@@ -160,10 +163,7 @@ class BodiesOnMesh:
 
     @staticmethod
     def _free(left: Floats, K: Floats, M: Floats, below: float) -> tuple[Floats, Floats]:
-        """Motions that contact resists by less than this part of bonded contact, and by which part.
-
-        Motions (6 n, k) of those that supports leave; parts (k,).
-        """
+        """Motions (6 n, k) that contact resists less than a part of bonded contact; parts (k,)."""
         if not left.shape[1]:
             return left, np.zeros(0)
         scale = max(float(np.trace(M)), 1.0) / len(M)
@@ -175,18 +175,13 @@ class BodiesOnMesh:
 
     def _sloped(self, left: Floats, frictions: Mapping[str, float]) -> tuple[Floats, float]:
         """Motions (6 n, k) that only smooth contact resists, and its steepest slope [degrees]."""
-        smooth = [
-            t
-            for t in self._found.touches
-            if frictions.get(law_between(self._case, self._found, t.pieces)[0]) == 0
-        ]
-        bend = FACETS * max((t.bend for t in smooth), default=0.0)
+        smooth = [(t, a, b) for t, name, a, b in self._touches if frictions.get(name) == 0]
+        bend = FACETS * max((t.bend for t, _, _ in smooth), default=0.0)
         K, M = self._resistance(frictions)
         least = math.radians(SLOPE)
         free, slopes = self._free(left, K, M, math.sin(max(least, bend)) ** 2)
         mean = np.zeros(free.shape[1])
-        for t in smooth:
-            a, b = (self._of[p] for p in t.pieces)
+        for t, a, b in smooth:
             v = free.reshape(len(self._groups), 6, free.shape[1])
             along = np.einsum("fik,fi->fk", self._modes(t.x), t.normals) @ (v[a] - v[b])
             mean += (t.areas @ along) ** 2 / t.areas.sum()
@@ -364,24 +359,20 @@ def _against_spread(
     problem: Problem, trial: TrialState, R: Floats, smooth: Bools
 ) -> tuple[Floats, Floats]:
     """Resistance of contact to rigid motions R (p, 3, 6), and that by the spread of normals."""
-    contact = trial.contact
+    contact, points = trial.contact, trial.contact.points
     r = np.where(trial.law.status == OPEN, 0.0, contact.law.stiffness * contact.own.weight)
     B = trial.law.jacobian
     # Friction holds what it touches, though no stiffness tells so while it slips.
     S = np.where(smooth[:, None, None], (B + B.transpose(0, 2, 1)) / 2, np.eye(3))
+    spread = spread_of_normals(points.x, points.normals, points.triangles)[contact.own.rows]
     A, N = (
         _assembled(problem, contact, r[:, None, None] * (R.transpose(0, 2, 1) @ own @ R))
-        for own in (
-            S,
-            spread_of_normals(contact.points.x, contact.points.normals, contact.points.triangles)[
-                contact.own.rows
-            ],
-        )
+        for own in (S, spread)
     )
     # Normals that are off at random agree in the mean, the more of them the better.
     touching = np.einsum("pk,pki->pi", (trial.law.pressures > 0).astype(float), contact.own.normals)
     mean = r[:, None] * np.einsum("pij,pi->pj", R, touching)
-    sides = np.column_stack([contact.points.interface, contact.points.bodies])
+    sides = np.column_stack([points.interface, points.bodies])
     for i, m, s in np.unique(sides, axis=0):
         here = (sides[contact.own.rows] == (i, m, s)).all(axis=1)
         local = (mean[here].sum(axis=0), float(r[here].sum()), int(here.sum()))

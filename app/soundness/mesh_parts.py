@@ -9,7 +9,7 @@ import numpy as np
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
-from app.scene.build_heat import field
+from app.laws.values import field
 from meshes.pieces import Parts
 
 

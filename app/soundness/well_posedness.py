@@ -17,7 +17,7 @@ from app.case.case import Case
 from app.errors import InputError
 from app.laws.fibres import Circumferential
 from app.laws.materials import Conductor, Rigid
-from app.scene.build_heat import field
+from app.laws.values import field
 from app.soundness.loose_bodies import BodiesOnMesh
 from app.soundness.mesh_parts import directions, gaps_of, history_of, holds, law_between
 from app.system.layout import point_text

@@ -34,7 +34,7 @@ from app.mechanics.problem import Problem
 from app.mechanics.stiffness import ROUNDING
 from app.numerics.sparse import from_triplets, owners
 from app.scene.bodies import contact_facets
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from forms import interface_heat
 
 
@@ -67,7 +67,7 @@ class ContactHeat:
         self.begin(np.inf, self.zero_work())
         self.friction_work: Floats = self.zero_work()
         self.heats = _heats(scene, problem, contact, operators, number)
-        heated = {f.interface for f in scene.friction_heat}
+        heated = {f.name for f in scene.friction_heat}
         names = [c.name for c in scene.contacts]
         self.rubbing = np.isin(
             contact.own.interface, [i for i, name in enumerate(names) if name in heated]
@@ -187,7 +187,7 @@ def _heats(
     dof = facets.vertex_dofs.ravel()[first][np.searchsorted(vertices, points.vertex)]
     start, end = space.dofmap.index_map.local_range
     own = (dof >= start) & (dof < end)
-    shares = {f.interface: f.slave_share for f in scene.friction_heat}
+    shares = {f.name: f.slave_share for f in scene.friction_heat}
     β = np.array([shares.get(c.name, 0.0) for c in scene.contacts])[points.interface]
     body_of = operators.bodies.of_region
     master = np.array([body_of[c.master[0]] for c in scene.contacts])

@@ -23,7 +23,7 @@ from app.mechanics.systems import ContactSystem
 from app.numerics.preconditioners import INTERFACE, Options
 from app.numerics.sparse import from_triplets, matrix_sum
 from app.numerics.system import Measure
-from app.scene.terms import Scene, SceneStage
+from app.scene.scene import Scene, SceneStage
 from app.stepping.contact_heat import ContactHeat, PointDerivatives
 
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN

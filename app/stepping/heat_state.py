@@ -22,7 +22,7 @@ from app.numerics import integrator
 from app.numerics.integrator import METHODS, Method, State
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from app.stepping import stability
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.load_steps import Summary
@@ -74,7 +74,8 @@ class HeatState:
     def __init__(
         self, scene: Scene, step: ImplicitStep, solver: Solver, coupled: CoupledSystem | None
     ) -> None:
-        self.options = scene.time[0]
+        assert scene.time is not None
+        self.options = scene.time
         self.step, self.operators, self.solver = step, step.operators, solver
         self.coupled = coupled
         self.outcome = NewtonResult(False, 0, 0, (), (), False)
@@ -257,7 +258,7 @@ class HeatState:
     def events(self) -> tuple[float, ...]:
         """Times that no step may cross [s]."""
         scene, cure = self.operators.scene, self.operators.cure
-        courses = [t for c in scene.heat for t, _ in getattr(c, "course", ())]
+        courses = [t for c in scene.heat for t, _ in getattr(c, "course", None) or ()]
         curing = cure.curing.events if cure else ()
         return tuple(sorted({*courses, *curing}))
 

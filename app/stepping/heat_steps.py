@@ -14,7 +14,7 @@ from typing import ClassVar
 
 from app.errors import ConvergenceError
 from app.numerics.integrator import Controller
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.soundness.failure import attempts
 from app.stepping.heat_state import HeatState, HeatStep
 from app.stepping.heated_mechanics import SolvedAfterHeat, SolvedWithHeat

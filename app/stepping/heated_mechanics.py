@@ -7,7 +7,7 @@ import time as clock
 import numpy as np
 
 from app.arrays import Ints
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.stepping.coupled_system import CoupledSystem
 from app.stepping.heat_state import HeatState
 from app.stepping.load_steps import LoadStepper

@@ -18,7 +18,7 @@ from app.mechanics.predictors import Extrapolation, Predictor, same
 from app.mechanics.problem import Problem
 from app.numerics.newton import NewtonResult, Solver
 from app.numerics.remedies import solve
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.soundness.failure import explain
 from app.soundness.loose_bodies import held_by_facets, runaway
 
@@ -98,6 +98,11 @@ class Progress:
         """End of the increment under way, which a shortened step does not go beyond."""
         goal = (math.floor(self.done / whole + 1e-9) + 1) * whole
         return 1.0 if goal > 1.0 - 1e-9 else goal
+
+    def may_halve(self, stage: SceneStage, free: bool) -> bool:
+        """Whether to try half of a step that failed; once where a body is free: it hardly helps."""
+        most = min(1, stage.max_cut_backs) if free else stage.max_cut_backs
+        return stage.adaptive and self.cuts < most
 
     def halve(self, reach: float) -> None:
         """Try half of a step that failed."""
@@ -204,9 +209,7 @@ class LoadStepper:
                 if predicted:
                     self.on_trouble(f"{why.short}; repeating without extrapolation")
                     continue
-                # Smaller steps do not help a free body: one is tried, no more.
-                most = min(1, stage.max_cut_backs) if why.free else stage.max_cut_backs
-                if not stage.adaptive or progress.cuts >= most:
+                if not progress.may_halve(stage, bool(why.free)):
                     raise ConvergenceError(why.text(stage.name, time - int(begin), halved))
                 progress.halve(reach)
                 halved.append(progress.step)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from app.scene.terms import SceneStage
+from app.scene.scene import SceneStage
 from app.stepping.heat_steps import HeatStepper
 from app.stepping.load_steps import LoadStepper
 

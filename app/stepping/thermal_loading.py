@@ -17,7 +17,7 @@ from app.heat.curing import FreeStrain, since_gelation
 from app.heat.operators import HeatOperators
 from app.mechanics.problem import Problem
 from app.numerics.saved_state import node_keys
-from app.scene.terms import Expansion, Scene
+from app.scene.scene import Scene
 
 # Parts of a way are whole up to this.
 SAME = 1e-9
@@ -44,15 +44,16 @@ class ThermalLoading:
     saved = ("_strains",)
 
     def __init__(self, scene: Scene, operators: HeatOperators) -> None:
-        self._operators, self._step = operators, scene.time[0].mechanical_step
+        assert scene.time is not None
+        self._operators, self._step = operators, scene.time.mechanical_step
         n = len(operators.bodies.names)
         self._temperatures = [fem.Function(operators.forms.space) for _ in range(n)]
         self._curing = operators.cure.nodes if operators.cure else []
         self._degrees = [fem.Function(operators.forms.space) for _ in self._curing]
         self._strains = [fem.Function(operators.forms.space) for _ in self._curing]
-        expansion = {x.region: x for x in scene.expansions}
+        expansion = {x.region: x.expansion for x in scene.expansions}
         self._free = [
-            FreeStrain(operators.comm, c, expansion.get(c.region, Expansion(c.region, 0, 0)), n)
+            FreeStrain(operators.comm, c, expansion.get(c.region, 0.0), n)
             for c, n in zip(scene.cures, (len(node.dof) for node in self._curing), strict=True)
         ]
 

@@ -7,7 +7,7 @@ with dt = da / f(a, T(a)), by quadrature; closed forms where there are any.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 from mpi4py import MPI
@@ -20,6 +20,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from app.arrays import Floats
 from app.heat.curing import UNREACTED, Curing, Degrees, FreeStrain, as_temperature
+from app.laws.cure import Autocatalytic, Prescribed
 from app.numerics.integrator import (
     METHODS,
     Controller,
@@ -30,44 +31,43 @@ from app.numerics.integrator import (
     step,
 )
 from app.numerics.pointwise import Pointwise
-from app.scene.terms import AutocatalyticCure, CureTerm, Expansion, PrescribedCure
 from forms import cure as forms
+from tests.laws import BALIGA, altered, cure
 
 R = 8.314462618
-BALIGA = AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ())
 # Adiabatic rise of full cure [K].
 RISE = 89.0805
-CEMENT = CureTerm("cement", BALIGA, 155.0, 1e-3, 0.85, 0.01, 1.0, 0.02)
+CEMENT = cure("cement", BALIGA, 1e-3, shrinkage=0.02)
 TOLERANCE = 1e-3
 # What is all but cured may waver by less than the tolerance, in degrees of cure.
 WAVERS = 1e-5
 
 
-def setting(kinetics: AutocatalyticCure | PrescribedCure = BALIGA, nodes: int = 1) -> Curing:
-    return Curing(MPI.COMM_SELF, [replace(CEMENT, kinetics=kinetics)], [nodes])
+def setting(kinetics: Autocatalytic | Prescribed = BALIGA, nodes: int = 1) -> Curing:
+    return Curing(MPI.COMM_SELF, [altered(CEMENT, kinetics=kinetics)], [nodes])
 
 
-def rate(k: AutocatalyticCure, a: Floats, T: Floats) -> Floats:
+def rate(k: Autocatalytic, a: Floats, T: Floats) -> Floats:
     limit = np.interp(T, *np.array(k.limit).T) if k.limit else 1.0
     left = np.maximum(limit - a, 0)
     return k.rate_constant * np.exp(-k.activation_energy / (R * T)) * a**k.m * left**k.n
 
 
-def doubled(T: float = 330.0) -> AutocatalyticCure:
+def doubled(T: float = 330.0) -> Autocatalytic:
     """Twice the activation energy, as fast as before at one temperature."""
     faster = BALIGA.rate_constant * np.exp(BALIGA.activation_energy / (R * T))
-    return replace(BALIGA, activation_energy=2 * BALIGA.activation_energy, rate_constant=faster)
+    return altered(BALIGA, activation_energy=2 * BALIGA.activation_energy, rate_constant=faster)
 
 
-LIMITED = replace(BALIGA, limit=((293.15, 0.7), (353.15, 0.9), (373.15, 1.0)))
+LIMITED = altered(BALIGA, limit=((293.15, 0.7), (353.15, 0.9), (373.15, 1.0)))
 KINETICS = {
     "bone cement": BALIGA,
     "activation energy doubled": doubled(),
     "limited": LIMITED,
-    "first order": replace(BALIGA, m=0.0, n=1.0),
-    "no order": replace(BALIGA, m=0.0, n=0.0),
-    "half order": replace(BALIGA, m=0.5, n=0.5),
-    "third order": replace(BALIGA, m=1.0, n=2.0),
+    "first order": altered(BALIGA, m=0.0, n=1.0),
+    "no order": altered(BALIGA, m=0.0, n=0.0),
+    "half order": altered(BALIGA, m=0.5, n=0.5),
+    "third order": altered(BALIGA, m=1.0, n=2.0),
 }
 ALL = pytest.mark.parametrize("kinetics", KINETICS.values(), ids=KINETICS)
 
@@ -108,7 +108,7 @@ def test_modulus_grows_from_its_floor_past_gelation() -> None:
 
 @ALL
 @pytest.mark.parametrize("h", [1e-3, 1.0, 60.0, 3600.0])
-def test_step_solves_its_equation(kinetics: AutocatalyticCure, h: float) -> None:
+def test_step_solves_its_equation(kinetics: Autocatalytic, h: float) -> None:
     """a = a* + h f(a, T), but for what may stay unreacted, and its derivative by T."""
     rng = np.random.default_rng(2)
     n = 300
@@ -131,7 +131,7 @@ def test_step_solves_its_equation(kinetics: AutocatalyticCure, h: float) -> None
     up, down = (curing.update([start], [T + d], h, 0.0)[0].degree for d in (ΔT, -ΔT))
     slope = (up - down) / (2 * ΔT)
     smooth = free & (up < limit - 2 * UNREACTED)
-    for knot, _ in kinetics.limit:
+    for knot, _ in kinetics.limit or ():
         smooth &= np.abs(T - knot) > 1
     assert np.abs(found.by_temperature - slope)[smooth].max() < 1e-5 * max(slope.max(), 1e-3)
 
@@ -174,7 +174,7 @@ def test_senseless_temperatures_do_no_harm() -> None:
 
 
 @ALL
-def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: AutocatalyticCure) -> None:
+def test_nothing_undefined_leaves_a_step_or_is_remembered(kinetics: Autocatalytic) -> None:
     """Where rates underflow, nothing sets and no warming changes that; the next step is as ever."""
     hot, cold, warm = (np.full(3, T) for T in (1e4, 1.0, 350.0))
     start = [np.array([5e-324, 1e-200, 0.3])]
@@ -217,7 +217,7 @@ def test_steps_that_make_no_sense_are_refused() -> None:
     assert curing.admissible(curing.initial())
     assert curing.admissible([np.array([0.0, 1.0])])
     assert curing.admissible([np.array([-1e-15, 1 + 1e-15])])
-    for kinetics in (BALIGA, PrescribedCure(COURSE)):
+    for kinetics in (BALIGA, Prescribed.model_construct(rate=COURSE)):
         found = setting(kinetics, 2).update(
             [np.array([-1e-15, 1 + 1e-15])], [np.full(2, 310.0)], 1.0, 350.0
         )[0]
@@ -292,12 +292,12 @@ class Point:
 
 
 def point(
-    kinetics: AutocatalyticCure | PrescribedCure = BALIGA,
+    kinetics: Autocatalytic | Prescribed = BALIGA,
     T: float = 310.15,
     initial: float = 1e-3,
     gain: float = RISE,
 ) -> Point:
-    cure = replace(CEMENT, kinetics=kinetics, initial=initial)
+    cure = altered(CEMENT, kinetics=kinetics, initial=initial)
     curing = Curing(MPI.COMM_SELF, [cure], [1])
     return Point(curing, gain, [np.array([T]), *curing.initial()])
 
@@ -360,12 +360,12 @@ def test_reference_history() -> None:
 
 def test_closed_forms() -> None:
     k = 6.82396e-3
-    logistic = integrate(point(replace(BALIGA, m=1.0, n=1.0), gain=0.0), 1500.0)
+    logistic = integrate(point(altered(BALIGA, m=1.0, n=1.0), gain=0.0), 1500.0)
     assert logistic.reaches(0.5) == pytest.approx(1012.133, rel=1e-4)
-    first = integrate(point(replace(BALIGA, m=0.0, n=1.0), gain=0.0, initial=0.0), 300.0)
+    first = integrate(point(altered(BALIGA, m=0.0, n=1.0), gain=0.0, initial=0.0), 300.0)
     assert first.degree[-1] == pytest.approx(1 - np.exp(-300 * k), rel=1e-4)
     for rise, t in ((10, 11.46931286), (40, 21.07563528)):
-        warm = integrate(point(replace(BALIGA, m=0.0, n=0.0), initial=0.0), t)
+        warm = integrate(point(altered(BALIGA, m=0.0, n=0.0), initial=0.0), t)
         assert warm.temperature[-1] - 310.15 == pytest.approx(rise, rel=5e-4)
 
 
@@ -373,7 +373,7 @@ def test_closed_forms() -> None:
 def test_order_of_the_cure(method: Method) -> None:
     """Logistic cure, isothermal: error after a fixed time against the number of equal steps."""
     k = BALIGA.rate_constant * np.exp(-BALIGA.activation_energy / (R * 310.15))
-    p = point(replace(BALIGA, m=1.0, n=1.0), gain=0.0, initial=0.05)
+    p = point(altered(BALIGA, m=1.0, n=1.0), gain=0.0, initial=0.05)
     end = 500.0
     true = 1 / (1 + (1 / 0.05 - 1) * np.exp(-k * end))
     sizes, errors = [], []
@@ -400,7 +400,7 @@ def test_order_of_the_cure(method: Method) -> None:
     ids=["initial cure 1e-6", "activation energy doubled", "heat doubled"],
 )
 def test_stiff_cure(
-    method: str, kinetics: AutocatalyticCure, initial: float, gain: float, t50: float
+    method: str, kinetics: Autocatalytic, initial: float, gain: float, t50: float
 ) -> None:
     """An exotherm of seconds within an hour: bounds, energy and few steps."""
     tolerance = TOLERANCE if method == "sdirk4" else 0.1
@@ -416,7 +416,7 @@ def test_stiff_cure(
 
 @ALL
 @pytest.mark.parametrize("dt", [1e-3, 1.0, 60.0, 3600.0])
-def test_forced_steps(kinetics: AutocatalyticCure, dt: float) -> None:
+def test_forced_steps(kinetics: Autocatalytic, dt: float) -> None:
     """Backward Euler at any step, temperature given: within bounds, and cured after a day."""
     curing = setting(kinetics)
     y = [np.array([1e-6])]
@@ -435,7 +435,7 @@ COURSE = ((300.0, 0.0), (400.0, 2.0), (600.0, 0.0))
 
 def test_clock_is_met_whatever_its_scale() -> None:
     """Degree = initial + (1 - initial) times the part of the course's integral that has passed."""
-    p = point(PrescribedCure(COURSE))
+    p = point(Prescribed.model_construct(rate=COURSE))
     assert p.curing.events == (300.0, 400.0, 600.0)
     run = integrate(p, 1800.0)
     times = np.array(run.times)
@@ -453,7 +453,7 @@ def test_clock_is_met_whatever_its_scale() -> None:
 
 def test_clock_stops_at_full_cure() -> None:
     """Long backward Euler steps see the rate at their ends only; the degree ends at one at most."""
-    curing = setting(PrescribedCure(((0.0, 1.0), (100.0, 1.0))))
+    curing = setting(Prescribed.model_construct(rate=((0.0, 1.0), (100.0, 1.0))))
     y = curing.initial()
     for k in range(1, 8):
         found = curing.update(y, [np.full(1, 310.0)], 30.0, 30.0 * k)[0]
@@ -468,7 +468,7 @@ def test_clock_stops_at_full_cure() -> None:
 @pytest.mark.parametrize("dt", [60.0, 0.1])
 def test_clock_that_jumps_is_met_in_equal_steps(method: Method, begin: float, dt: float) -> None:
     """A rate that begins and ends at once, at the ends of steps whose times are rounded."""
-    p = point(PrescribedCure(((begin, 1.0), (begin + 5 * dt, 1.0))))
+    p = point(Prescribed.model_construct(rate=((begin, 1.0), (begin + 5 * dt, 1.0))))
     y, slope, seconds = p.start, [np.zeros(1), np.zeros(1)], begin - 2 * dt
     for k in range(-2, 7):
         done = step(method, y, slope, dt, seconds, p.solve)
@@ -484,7 +484,7 @@ def test_clock_that_jumps_is_met_in_equal_steps(method: Method, begin: float, dt
 
 def free_strain(states: Sequence[tuple[float, float]]) -> float:
     """Strain of a path of (degree, temperature)."""
-    law = FreeStrain(MPI.COMM_SELF, CEMENT, Expansion("cement", 80e-6, 310.0), 1)
+    law = FreeStrain(MPI.COMM_SELF, CEMENT, 80e-6, 1)
     total = 0.0
     for (a0, T0), (a1, T1) in pairwise(states):
         total += law.increment(*(np.array([v]) for v in (a0, T0, a1, T1)))[0]

@@ -19,28 +19,17 @@ from app.errors import InputError
 from app.heat.flows import flows, stored
 from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
+from app.laws.fibres import Straight
+from app.laws.heat_conditions import FixedTemperature, HeatCondition
+from app.laws.thermal import Thermal
 from app.numerics import remedies
 from app.numerics.integrator import METHODS, Method, State, step
 from app.numerics.newton import Solver
-from app.scene.fibres import Fibre
-from app.scene.terms import (
-    AutocatalyticCure,
-    ConductorTerm,
-    ConvectionTerm,
-    CureTerm,
-    FixedTemperatureTerm,
-    FrictionHeat,
-    HeatCondition,
-    HeatFluxTerm,
-    HeatSourceTerm,
-    PerfusionTerm,
-    Scene,
-    ThermalContact,
-)
+from app.scene.scene import Interface, Scene
 from app.system.timing import Timing
 from meshes import blocks
 from meshes.distribute import TaggedMesh, distribute
-from tests import support
+from tests import laws, support
 
 ZERO = 273.15
 PERFECT = np.inf
@@ -66,9 +55,9 @@ CEMENT_ON_BONE = (("cement", 5.0), ("bone", 5.0))
 
 
 def scene(
-    conductors: Sequence[ConductorTerm],
+    conductors: Sequence[Thermal],
     heat: Sequence[HeatCondition] = (),
-    contacts: Sequence[ThermalContact] = (),
+    contacts: Sequence[Interface] = (),
 ) -> Scene:
     """A scene without mechanics."""
     none = ((),) * 7
@@ -77,27 +66,23 @@ def scene(
     )
 
 
-def conductor(region: str, k: float, initial: float = 37.0, capacity: float = 2.0) -> ConductorTerm:
-    return ConductorTerm(region, (k,), None, capacity, ZERO + initial)
+def conductor(region: str, k: float, initial: float = 37.0, capacity: float = 2.0) -> Thermal:
+    return laws.conductor(region, (k,), None, capacity, ZERO + initial)
 
 
 CEMENT = conductor("cement", 0.2, 100.0, 1.752)
 BONE = conductor("bone", 0.58, 37.0, 2.52)
 
 
-def uniform(value: float) -> Callable[[Floats], Floats]:
-    return lambda x: np.full(len(x), value)
+def fixed(name: str, boundary: str, celsius: float) -> FixedTemperature:
+    return laws.temperature(name, ZERO + celsius, boundary=boundary)
 
 
-def fixed(name: str, boundary: str, celsius: float) -> FixedTemperatureTerm:
-    return FixedTemperatureTerm(name, boundary, (), uniform(ZERO + celsius), ())
-
-
-def contact(h: float, name: str = "cement_bone") -> tuple[ThermalContact, ...]:
+def contact(h: float, name: str = "cement_bone") -> tuple[Interface, ...]:
     """A constant conductance [W/(m2 K)] between the cement, the slave, and the bone."""
     if h == PERFECT:
         return ()
-    return (ThermalContact(name, ("bone",), ("cement",), h * 1e-3, 0.0, np.inf),)
+    return (laws.interface(name, ("bone",), ("cement",), (h * 1e-3, 0.0, np.inf)),)
 
 
 class Solved:
@@ -209,16 +194,16 @@ def test_order_two_with_a_jump() -> None:
         return lambda x: k * np.cos(x[:, 0]) * np.cos(x[:, 1]) * (2 * f(x[:, 2]) - bend(x[:, 2]))
 
     heat: list[HeatCondition] = [
-        HeatSourceTerm("one", ("cement",), source(k1, f1, lambda z: -(0.7**2) * f1(z)), ()),
-        HeatSourceTerm("two", ("bone",), source(k2, f2, lambda z: 0.2 + 0 * z), ()),
-        FixedTemperatureTerm("ends", "bottom", (), exact, ()),
-        FixedTemperatureTerm("top", "top", (), exact, ()),
+        laws.source("one", ("cement",), source(k1, f1, lambda z: -(0.7**2) * f1(z))),
+        laws.source("two", ("bone",), source(k2, f2, lambda z: 0.2 + 0 * z)),
+        laws.temperature("ends", exact, boundary="bottom"),
+        laws.temperature("top", exact, boundary="top"),
     ]
 
     def side(f: Callable, name: str) -> list[HeatCondition]:
         given = lambda x: ZERO + np.cos(x[:, 0]) * np.cos(x[:, 1]) * f(x[:, 2])  # noqa: E731
         return [
-            FixedTemperatureTerm(f"{name} {s}", f"{name}_{s}", (), given, ())
+            laws.temperature(f"{name} {s}", given, boundary=f"{name}_{s}")
             for s in ("x_min", "x_max", "y_min", "y_max")
         ]
 
@@ -245,9 +230,9 @@ def test_conduction_along_and_across_a_fibre(fibre: tuple[float, float, float]) 
     g = np.array([3.0, -2.0, 5.0])
     given = lambda x: 310.0 + x @ g  # noqa: E731
     sides = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
-    heat: list[HeatCondition] = [FixedTemperatureTerm(s, s, (), given, ()) for s in sides]
+    heat: list[HeatCondition] = [laws.temperature(s, given, boundary=s) for s in sides]
     k_l, k_t = 0.6, 0.35
-    bone = ConductorTerm("bone", (k_l, k_t), Fibre(fibre), 2.5, 310.0)
+    bone = laws.conductor("bone", (k_l, k_t), Straight.model_construct(axis=fibre), 2.5, 310.0)
     s = Solved(scene([bone], heat), stack(0.8, ("bone", 3.0))).steady()
     x, T = s.celsius("bone")
     assert T + ZERO == pytest.approx(310.0 + x @ g, abs=1e-9)
@@ -263,7 +248,7 @@ def test_convection_in_series_with_a_bar() -> None:
     """q = (T0 - Ta)/(L/k + 1/a), exact; more so on cells that are quadratic but straight."""
     heat: list[HeatCondition] = [
         fixed("hot", "bottom", 80.0),
-        ConvectionTerm("air", "top", 0.025, ZERO + 20.0),
+        laws.convection("air", "top", 0.025, ZERO + 20.0),
     ]
     for curved in (False, True):
         s = Solved(scene([conductor("bar", 0.4)], heat), stack(1.2, ("bar", 6.0), curved=curved))
@@ -281,7 +266,7 @@ def test_convection_in_series_with_a_bar() -> None:
 def test_a_region_held(h: float) -> None:
     """Cement held at 100 throughout: the bone sees it through the conductance alone."""
     heat: list[HeatCondition] = [
-        FixedTemperatureTerm("cement", "", ("cement",), uniform(ZERO + 100.0), ()),
+        laws.temperature("cement", ZERO + 100.0, regions=("cement",)),
         fixed("cold", "top", 37.0),
     ]
     s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.5, *CEMENT_ON_BONE)).steady()
@@ -362,13 +347,16 @@ def test_the_balance_closes_with_everything_at_once(h: float, method: Method) ->
     course = ((0.0, 0.0), (3.0, 1.0), (8.0, 0.2))
     heat: list[HeatCondition] = [
         # Its course multiplies kelvins.
-        FixedTemperatureTerm(
-            "held", "bottom", (), lambda x: ZERO + 40 + 3 * x[:, 0], ((0.0, 1.0), (8.0, 1.02))
+        laws.temperature(
+            "held",
+            lambda x: ZERO + 40 + 3 * x[:, 0],
+            ((0.0, 1.0), (8.0, 1.02)),
+            boundary="bottom",
         ),
-        HeatFluxTerm("lamp", "x_min", lambda x: 0.4 * x[:, 2], course),
-        HeatSourceTerm("ohmic", ("bone",), lambda x: 0.05 * x[:, 1], ()),
-        ConvectionTerm("air", "top", 0.02, ZERO + 20.0),
-        PerfusionTerm("blood", ("bone",), 0.01, ZERO + 37.0),
+        laws.flux("lamp", "x_min", lambda x: 0.4 * x[:, 2], course),
+        laws.source("ohmic", ("bone",), lambda x: 0.05 * x[:, 1]),
+        laws.convection("air", "top", 0.02, ZERO + 20.0),
+        laws.perfusion("blood", ("bone",), 0.01, ZERO + 37.0),
     ]
     s = Solved(scene([CEMENT, BONE], heat, contact(h)), stack(1.0, *CEMENT_ON_BONE), 1e-10)
     before, moved = s.stored, 0.0
@@ -400,13 +388,10 @@ def test_initial_temperatures_that_meet_are_averaged_by_capacity() -> None:
 # Cure and friction
 
 
-BALIGA = AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ())
-
-
 def curing(h: float) -> Scene:
     """Cement that sets beside bone, nothing else."""
     cement = conductor("cement", 0.2, 75.0, 1.752)
-    cure = CureTerm("cement", BALIGA, 155.0, 0.05, 0.85, 0.01, 1.0, 0.0)
+    cure = laws.cure("cement", laws.BALIGA, 0.05)
     return replace(scene([cement, BONE], (), contact(h)), cures=(cure,))
 
 
@@ -433,7 +418,7 @@ def test_heat_of_cure_is_that_of_what_cured(h: float) -> None:
 def test_the_jacobian_is_the_derivative() -> None:
     """Taylor test with conductance that depends on pressure, and cure."""
     rng = np.random.default_rng(1)
-    law = ThermalContact("cement_bone", ("bone",), ("cement",), 0.05, 0.1, 0.4)
+    law = laws.interface("cement_bone", ("bone",), ("cement",), (0.05, 0.1, 0.4))
     terms = replace(curing(PERFECT), thermal_contacts=(law,))
     terms = replace(terms, heat=(fixed("cold", "top", 37.0), fixed("side", "x_min", 45.0)))
     operators = HeatOperators(terms, stack(1.5, *CEMENT_ON_BONE), Timing())
@@ -478,7 +463,7 @@ def test_the_jacobian_is_the_derivative() -> None:
 def test_friction_heat_goes_where_it_is_put_and_is_counted() -> None:
     terms = replace(
         scene([CEMENT, BONE], (), contact(300.0)),
-        friction_heat=(FrictionHeat("cement_bone", 0.25),),
+        friction_heat=(laws.interface("cement_bone", slave_share=0.25),),
     )
     s = Solved(terms, stack(1.5, *CEMENT_ON_BONE), 1e-10)
     j, friction = s.operators.jumps, s.operators.friction
@@ -522,7 +507,7 @@ def test_temperatures_stay_between_those_of_the_data(h: float, dt: float) -> Non
     """Cement at 100 degC between stem and bone at 37: to 1e-9 of the range, nothing lost."""
     stem = conductor("stem", 14.8, 37.0, 3.735)
     contacts = () if h == PERFECT else (
-        ThermalContact("stem_cement", ("stem",), ("cement",), h * 1e-3, 0.0, np.inf),
+        laws.interface("stem_cement", ("stem",), ("cement",), (h * 1e-3, 0.0, np.inf)),
         *contact(h),
     )  # fmt: skip
     terms = scene([stem, CEMENT, BONE], [fixed("outer", "bone_surface", 37.0)], contacts)
@@ -555,14 +540,14 @@ def test_temperatures_stay_between_those_of_the_data(h: float, dt: float) -> Non
 def test_bounds_follow_the_data() -> None:
     tagged = stack(1.5, *CEMENT_ON_BONE)
     given = fixed("cold", "top", 20.0)
-    warm = HeatFluxTerm("lamp", "bottom", uniform(0.1), ((0.0, 0.0), (1.0, 1.0)))
+    warm = laws.flux("lamp", "bottom", 0.1, ((0.0, 0.0), (1.0, 1.0)))
     s = Solved(scene([CEMENT, BONE], [given, warm], contact(300.0)), tagged)
     bounds = s.step.bounds(s.x)
     assert (bounds.low, bounds.high) == pytest.approx((ZERO + 20.0, ZERO + 100.0))
     s.advance(1.0, 1.0)
     bounds = s.step.bounds(s.x)
     assert bounds.low == pytest.approx(ZERO + 20.0) and bounds.high == np.inf
-    drain = replace(warm, flux=uniform(-0.1))
+    drain = warm.named("lamp", flux=-0.1)
     s = Solved(scene([CEMENT, BONE], [given, drain], contact(300.0)), tagged)
     s.advance(1.0, 1.0)
     bounds = s.step.bounds(s.x)

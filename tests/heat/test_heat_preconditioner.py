@@ -29,21 +29,14 @@ def heated(h: float) -> tuple[Solved, KeptFactors]:
 
 
 @BOTH
-def test_equal_steps_are_factored_once(h: float) -> None:
+def test_equal_steps_are_factored_once_and_another_step_anew(h: float) -> None:
     s, factors = heated(h)
     s.advance(1.0, 1.0)
     made = factors.made
     for k in range(2, 6):
         s.advance(1.0, float(k))
     assert factors.made == made
-
-
-@BOTH
-def test_another_step_asks_for_new_factors(h: float) -> None:
-    s, factors = heated(h)
-    s.advance(1.0, 1.0)
-    made = factors.made
-    s.advance(2.0, 3.0)
+    s.advance(2.0, 7.0)
     assert factors.made == made + 1
 
 

@@ -12,7 +12,7 @@ import meshes
 from app.arrays import Floats
 from app.case.case import Case, dump
 from app.errors import InputError
-from app.laws.loads import Roller
+from app.laws.supports import Roller
 from app.results.balance import Balance
 from app.soundness.well_posedness import judge, look
 from app.verification.changed_meshes import ROTATION, turned

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.errors import InputError
-from app.scene.terms import Scene
+from app.scene.scene import Scene
 from tests.heated import Heated
 
 # A column pushed down at its top while a second support holds the top sideways, or entirely.
@@ -36,11 +36,11 @@ RIGID = "regions.upper={rigid: true}"
 CONTACT = "interfaces.lower_upper={kind: contact, friction_coefficient: 5}"
 
 
-def active(**stages: tuple[bool, ...]) -> Callable[[Scene], Scene]:
+def active(**stages: tuple[str, ...]) -> Callable[[Scene], Scene]:
     """Make supports hold in some stages only."""
 
     def change(old: Scene) -> Scene:
-        supports = tuple(replace(s, active=stages.get(s.name, ())) for s in old.supports)
+        supports = tuple(s.named(s.name, stages=stages.get(s.name)) for s in old.supports)
         return replace(old, supports=supports)
 
     return change
@@ -49,7 +49,7 @@ def active(**stages: tuple[bool, ...]) -> Callable[[Scene], Scene]:
 @pytest.mark.parametrize("overrides", [(), (RIGID,), (CONTACT,), (CONTACT, RIGID)])
 def test_a_released_model_is_one_that_was_never_held(overrides: tuple[str, ...]) -> None:
     """Linear, or sticking: the state after the release depends on the loads alone."""
-    released = Heated.make(COLUMN, active(hand=(True, False)), *overrides)
+    released = Heated.make(COLUMN, active(hand=("held",)), *overrides)
     problem = released.problem
     problem.set_time(1.0)
     released.step()
@@ -66,7 +66,7 @@ def test_a_released_model_is_one_that_was_never_held(overrides: tuple[str, ...])
     assert np.abs(top.x.array - held).max() < 1e-14
     problem.set_time(2.0)
     released.step()
-    never = Heated.make(COLUMN, active(hand=(False, False)), *overrides)
+    never = Heated.make(COLUMN, active(hand=()), *overrides)
     never.problem.set_time(1.0)
     never.step()
     expected = never.problem.displacements()[never.problem.bodies.of_region["upper"]].x.array
@@ -78,7 +78,7 @@ def test_a_released_model_is_one_that_was_never_held(overrides: tuple[str, ...])
 
 
 def test_a_support_that_takes_hold_again() -> None:
-    model = Heated.make(COLUMN, active(hand=(False, True)))
+    model = Heated.make(COLUMN, active(hand=("free",)))
     model.problem.set_time(1.0)
     model.step()
     model.problem.set_stage(1, model.solver.u_and_q()[0])
@@ -97,7 +97,7 @@ def test_given_jumps_may_not_become_free() -> None:
         "supports.right={kind: roller, boundary: upper_x_min, axis: x}",
     )
     with pytest.raises(InputError, match=r"supports\.right: it is let go of.*foundation"):
-        Heated.make(COLUMN, active(right=(True, False)), CONTACT, *sides)
+        Heated.make(COLUMN, active(right=("held",)), CONTACT, *sides)
     # A side that is held in all stages is held there by that support.
     again = "supports.again={kind: roller, boundary: upper_x_min, axis: x}"
-    Heated.make(COLUMN, active(again=(True, False)), CONTACT, *sides, again)
+    Heated.make(COLUMN, active(again=("held",)), CONTACT, *sides, again)

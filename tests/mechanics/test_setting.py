@@ -10,19 +10,20 @@ import pytest
 
 from app.arrays import Floats
 from app.errors import InputError
-from app.scene.terms import CureTerm, PrescribedCure, Scene
+from app.laws.cure import Cure, Prescribed
+from app.scene.scene import Scene
+from tests import laws
 from tests.heated import Heated, expanding
 from tests.mechanics.test_thermoelastic import BAR, CLAMPS, CYLINDERS, ORDERS, UNILATERAL
 
 E, α_T = 2200.0, 8e-5
 
 
-def cure(region: str, initial: float = 1e-3, **more: float) -> CureTerm:
-    values = {"gel": 0.85, "floor": 0.01, "exponent": 1.0, "shrinkage": 0.0} | more
-    return CureTerm(region, PrescribedCure(()), 155.0, initial, **values)
+def cure(region: str, initial: float = 1e-3, **more: float) -> Cure:
+    return laws.cure(region, Prescribed.model_construct(rate=()), initial, **more)
 
 
-def setting(*cures: CureTerm, **coefficients: float) -> Callable[[Scene], Scene]:
+def setting(*cures: Cure, **coefficients: float) -> Callable[[Scene], Scene]:
     """Let regions expand from 300 K, and set."""
 
     def change(old: Scene) -> Scene:

@@ -162,11 +162,6 @@ def bar(n: int = 40) -> tuple[Floats, Floats]:
     return laplace * n**2, start
 
 
-def crank_nicolson(A: Floats, T: Floats, dt: float) -> Floats:
-    one = np.eye(len(T))
-    return np.linalg.solve(one - dt / 2 * A, T + dt / 2 * A @ T)
-
-
 def euler(A: Floats, T: Floats, dt: float) -> Floats:
     def solve(start: State, h: float, seconds: float, guess: State) -> State:
         return [np.linalg.solve(np.eye(len(T)) - h * A, start[0])]
@@ -177,28 +172,17 @@ def euler(A: Floats, T: Floats, dt: float) -> Floats:
 
 
 @pytest.mark.parametrize("ratio", [10.0, 100.0, 3000.0])
-def test_crank_nicolson_leaves_the_data_where_backward_euler_does_not(ratio: float) -> None:
-    """Why it is not offered: one step of `ratio` times size^2 over diffusivity after a jump.
+def test_backward_euler_stays_within_the_data_and_comes_to_rest(ratio: float) -> None:
+    """Steps of `ratio` times size^2 over diffusivity after a jump of temperature.
 
-    It multiplies the fastest part by nearly -1: temperatures lie outside of those they start from.
-    Backward Euler's matrix is an M-matrix with rows that sum to one, so that every new temperature
-    is a mean of old ones.
+    Its matrix is an M-matrix with rows that sum to one, so that every new temperature is a mean of
+    old ones; Crank-Nicolson multiplies the fastest part by nearly -1.
     """
     A, T = bar()
-    dt = ratio / 40**2
-    new = euler(A, T, dt)
-    assert new.min() >= 37 - 1e-9 and new.max() <= 100 + 1e-9
-    assert crank_nicolson(A, T, dt).min() < 37 - 10
-
-
-def test_crank_nicolson_still_swings_when_backward_euler_is_at_rest() -> None:
-    A, T = bar()
-    dt = 3000 / 40**2
-    damped, swinging = T, T
     for _ in range(20):
-        damped, swinging = euler(A, damped, dt), crank_nicolson(A, swinging, dt)
-    assert np.abs(damped - 37).max() < 1e-6
-    assert np.abs(swinging - 37).max() > 5
+        T = euler(A, T, ratio / 40**2)
+        assert T.min() >= 37 - 1e-9 and T.max() <= 100 + 1e-9
+    assert ratio < 3000 or np.abs(T - 37).max() < 1e-6
 
 
 # Steps

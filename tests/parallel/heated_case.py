@@ -12,9 +12,11 @@ from pathlib import Path
 
 from petsc4py import PETSc
 
+from app.laws.cure import Prescribed
 from app.results import interface_numbers
 from app.results.bond_strength import bonds
-from app.scene.terms import CureTerm, Expansion, PrescribedCure, Scene
+from app.scene.scene import Scene
+from tests import laws
 from tests.heated import Heated
 
 CASE = """
@@ -39,12 +41,12 @@ stages:
 
 
 def change(scene: Scene) -> Scene:
-    hand = [replace(s, active=(True, False)) if s.name == "hand" else s for s in scene.supports]
+    hand = [s.named("hand", stages=("set",)) if s.name == "hand" else s for s in scene.supports]
     return replace(
         scene,
         supports=tuple(hand),
-        expansions=(Expansion("cement", 8e-5, 300.0), Expansion("bone", 1e-5, 310.0)),
-        cures=(CureTerm("cement", PrescribedCure(()), 155.0, 0.8, 0.85, 0.01, 1.0, 0.0),),
+        expansions=(laws.expansion("cement", 8e-5, 300.0), laws.expansion("bone", 1e-5, 310.0)),
+        cures=(laws.cure("cement", Prescribed.model_construct(rate=()), 0.8),),
     )
 
 

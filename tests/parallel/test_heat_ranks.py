@@ -21,33 +21,31 @@ from app.heat.implicit_step import ImplicitStep
 from app.heat.operators import HeatOperators
 from app.numerics.newton import Solver
 from app.numerics.remedies import solve
-from app.scene import terms as t
-from app.scene.fibres import Fibre
+from app.laws.fibres import Circumferential
+from app.scene.scene import Scene
 from app.system.timing import Timing
-from tests import support
+from tests import laws, support
 
 case = support.case((support.CONFIGS / "cylinders.yaml").read_text(),
                     "mesh.size=4 mm", "mesh.far_size=6 mm")
 tagged = support.mesh(case)
 Z = 273.15
-around = Fibre((0., 0., 1.), lay="circumferential")
-terms = t.Scene(
+around = Circumferential()
+terms = Scene(
     1, (), (), (), (), (), (), (),
-    conductors=(t.ConductorTerm("stem", (14.8,), None, 3.735, Z + 37),
-                t.ConductorTerm("cement", (.2,), None, 1.752, Z + 100),
-                t.ConductorTerm("bone", (.6, .4), around, 2.52, Z + 37)),
-    heat=(t.FixedTemperatureTerm("outer", "bone_surface", (), lambda x: Z + 37 + 0 * x[:, 0], ()),
-          t.FixedTemperatureTerm("low", "cement_bottom", (), lambda x: Z + 60 + x[:, 0], ()),
-          t.FixedTemperatureTerm("under", "bone_bottom", (), lambda x: Z + 40 + 0 * x[:, 0], ()),
-          t.HeatFluxTerm("lamp", "stem_top", lambda x: 0.1 + 0.01 * x[:, 0], ()),
-          t.ConvectionTerm("air", "bone_top", 0.02, Z + 20),
-          t.PerfusionTerm("blood", ("bone",), .01, Z + 37),
-          t.HeatSourceTerm("ohmic", ("stem",), lambda x: 0.01 * x[:, 2], ())),
-    thermal_contacts=(t.ThermalContact("stem_cement", ("stem",), ("cement",), .3, .1, np.inf),
-                      t.ThermalContact("cement_bone", ("bone",), ("cement",), .3, 0., np.inf)),
-    cures=(t.CureTerm("cement", t.AutocatalyticCure(2.6397e8, 62866.0, 0.98, 1.064, ()),
-                      155., .05, .85, .01,
-                1., 0.),),
+    conductors=(laws.conductor("stem", (14.8,), None, 3.735, Z + 37),
+                laws.conductor("cement", (.2,), None, 1.752, Z + 100),
+                laws.conductor("bone", (.6, .4), around, 2.52, Z + 37)),
+    heat=(laws.temperature("outer", Z + 37, boundary="bone_surface"),
+          laws.temperature("low", lambda x: Z + 60 + x[:, 0], boundary="cement_bottom"),
+          laws.temperature("under", Z + 40, boundary="bone_bottom"),
+          laws.flux("lamp", "stem_top", "0.1 + 0.01 * x"),
+          laws.convection("air", "bone_top", 0.02, Z + 20),
+          laws.perfusion("blood", ("bone",), .01, Z + 37),
+          laws.source("ohmic", ("stem",), "0.01 * z")),
+    thermal_contacts=(laws.interface("stem_cement", ("stem",), ("cement",), (.3, .1, np.inf)),
+                      laws.interface("cement_bone", ("bone",), ("cement",), (.3, 0., np.inf))),
+    cures=(laws.cure("cement", laws.BALIGA, .05),),
 )
 o = HeatOperators(terms, tagged, Timing())
 c = ImplicitStep(o)

@@ -38,8 +38,8 @@ solver: {tolerance: 1.0e-12, max_iterations: 12}
 variations:
   tied: {interfaces.stem_cement: {kind: bonded}}
   lifted: {loads.aside.force: [0 N, 0 N, 2000 N]}
-  slippery: {interfaces.stem_cement.friction_coefficient: 0.3}
-  as_is: {}
+  slippery: {interfaces.stem_cement.friction_coefficient: 0.3, loads.*.history: [1, 1]}
+  once: {loads.*.history: [1, 1]}
   slippery_twice: {interfaces.stem_cement.friction_coefficient: 0.3, loads.*.history: [2, 2]}
   twice: {loads.*.history: [2, 2]}
 """

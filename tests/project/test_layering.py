@@ -207,29 +207,21 @@ def test_only_the_command_line_prints(path: Path) -> None:
     assert not calls or named(path) in PRINTING
 
 
-def law_patterns(path: Path) -> list[str]:
-    """Names in patterns of `match` statements that belong to the configuration."""
+@all_of("app")
+def test_nobody_asks_an_interface_a_load_or_a_support_for_its_kind(path: Path) -> None:
+    """They answer for themselves; what a law needs of the solver stack it imports when asked."""
     laws = {
         alias.asname or alias.name
         for node in ast.walk(tree(path))
-        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("app.laws")
+        if isinstance(node, ast.ImportFrom)
+        and node.module in ("app.laws.interface_laws", "app.laws.loads", "app.laws.supports")
         for alias in node.names
     }
     names = (ast.unparse(n.cls) for n in ast.walk(tree(path)) if isinstance(n, ast.MatchClass))
-    return [name for name in names if top(name) in laws]
-
-
-@all_of("app")
-def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
-    """Interfaces, supports, loads and materials become terms in one place."""
-    if named(path) in ("app/scene/build.py", "app/scene/build_heat.py"):
-        assert len(law_patterns(path)) > 5
-        return
-    assert law_patterns(path) == []
-    # The solver's side of the program does not even see the configuration's classes.
+    assert not laws.intersection(map(top, names))
+    # The solver's side of the program sees laws and scene alone.
     solving = {"numerics", "mechanics", "heat", "stepping"}
     if package_of(module(path)) in solving or module(path) in (
-        "app.scene.terms",
         "app.scene.bodies",
         "app.results.balance",
         "app.results.heat_balance",
@@ -239,11 +231,8 @@ def test_only_the_scene_chooses_by_configuration(path: Path) -> None:
         "app.results.thermal_record",
         "app.soundness.failure",
     ):
-        seen = {m for m in imported(path) if package_of(m) in ("schema", "laws", "case")}
-        # A default value, and the table of numbers.
-        known = {"app.case.run_options"} if path.stem == "contact_law" else set()
-        known |= {"app.case.quantities"} if path.stem == "interface_numbers" else set()
-        assert seen <= known
+        seen = {m for m in imported(path) if package_of(m) in ("schema", "case")}
+        assert seen <= ({"app.case.quantities"} if path.stem == "interface_numbers" else set())
 
 
 @all_of("app")

@@ -38,9 +38,10 @@ from ufl.algorithms import expand_derivatives
 
 from app.arrays import Floats, Ints
 from app.case.case import Case
-from app.laws.interface_laws import Contact
-from app.laws.loads import BodyForce, Displacement, Fixed, Force, Pressure, Roller
+from app.laws.interface_laws import Coulomb
+from app.laws.loads import BodyForce, Force, Pressure
 from app.laws.materials import Isotropic
+from app.laws.supports import Displacement, Fixed, Roller
 from app.schema.expressions import evaluate
 from meshes.distribute import TaggedMesh
 
@@ -236,7 +237,7 @@ def _interface(
     """Facets between two regions, the stiffer one's cells first."""
     mesh = tagged.mesh
     law, sides = case.interfaces[name], tagged.interfaces[name]
-    assert isinstance(law, Contact)
+    assert isinstance(law, Coulomb)
     ((first,), (second,)) = sides
     modulus = {region: _isotropic(case, region)[0] for region in (first, second)}
     master, slave = (first, second) if modulus[first] >= modulus[second] else (second, first)

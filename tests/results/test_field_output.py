@@ -21,10 +21,10 @@ from app.results.interface_numbers import ContactSamples
 from app.results.reading import shape_functions
 from app.results.thermal_record import ThermalRecord
 from app.scene.bodies import Bodies, bodies_of
-from app.scene.terms import ConductorTerm, Scene, ThermalContact
+from app.scene.scene import Scene
 from app.system.timing import Timing
 from meshes.distribute import TaggedMesh
-from tests import support
+from tests import laws, support
 from tests.results.test_thermal_quantities import SIDES, ZERO, two_blocks
 
 H = 0.3  # N/(mm s K): 300 W/(m2 K)
@@ -46,8 +46,8 @@ class Motion:
 
 def heat(tagged: TaggedMesh, resists: bool) -> HeatFields:
     """Bone at 40 + 4 z + y degC; cement colder by 10 + x where the interface resists heat."""
-    contact = ThermalContact("bone_cement", ("cement",), ("bone",), H, 0.0, np.inf)
-    conductors = tuple(ConductorTerm(r, (1.0,), None, 2.0, ZERO + 37) for r in ("bone", "cement"))
+    contact = laws.interface("bone_cement", ("cement",), ("bone",), (H, 0.0, np.inf))
+    conductors = tuple(laws.conductor(r, (1.0,), None, 2.0, ZERO + 37) for r in ("bone", "cement"))
     scene = Scene(
         1, (), (), (), (), (), (), (),
         conductors=conductors,

@@ -67,13 +67,6 @@ def test_what_does_not_bend_is_not_noted() -> None:
     assert noted(held) == []
 
 
-def test_check_and_run_tell_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "case.yaml"
-    path.write_text(BEAM.format(L=100, b=10, h=10, size=10, order=1))
-    assert main(["check", "--mesh", str(path)]) == 0
-    assert "note: region 'beam' is 10 mm thick" in capsys.readouterr().err
-
-
 def test_notes_of_runs_reach_summary_table_and_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from app.case.case import dump, load
-from app.laws.interface_laws import Bonded, Contact
+from app.laws.interface_laws import Bonded, Coulomb
 from app.verification import benchmarks
 from app.verification.benchmarks import INTERFACES, RUNGS, growth
 from app.verification.check import CONFIGS, Check, within
@@ -121,7 +121,7 @@ def test_every_goal_runs_cases_that_are_right() -> None:
             if "bonded" in check.name:
                 bonded = any("kind: bonded" in o for o in run.overrides)
                 kinds = {type(i) for i in case.interfaces.values()}
-                assert kinds == {Bonded if bonded else Contact}, check.name
+                assert kinds == {Bonded if bonded else Coulomb}, check.name
             if run.case == "stance.yaml":
                 assert not case.output.error
     twelve = goal("variations_12").runs[1:]

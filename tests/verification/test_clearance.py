@@ -10,7 +10,7 @@ import pytest
 
 from app.case.case import Case, load
 from app.errors import ConvergenceError
-from app.scene.terms import gap_at
+from app.laws.values import gap_at
 from app.verification import closed_forms as exact
 from app.verification.measures import CEMENT
 from forms.contact import STICK

@@ -16,7 +16,7 @@ import pytest
 import meshes
 from app.arrays import Floats, Ints
 from app.case.case import Case, load
-from app.laws.interface_laws import Contact
+from app.laws.interface_laws import Coulomb
 from app.mechanics.contact import ContactInterfaces, TrialState
 from app.mechanics.problem import Problem
 from app.mechanics.systems import mechanical
@@ -295,7 +295,7 @@ def test_a_and_b_agree(text: str, steps: int, tmp_path: Path) -> None:
     friction = {
         name: i.friction_coefficient
         for name, i in case.interfaces.items()
-        if isinstance(i, Contact)
+        if isinstance(i, Coulomb)
     }
     times, a, jumps = solve_a(case, tagged)
     assert len(times) == steps

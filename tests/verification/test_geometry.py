@@ -92,24 +92,15 @@ def test_the_plug_fills_the_canal_below_the_tip() -> None:
     assert plug == pytest.approx(exact, rel=0.05)
 
 
-def test_more_cement_than_fits_is_no_thicker() -> None:
-    thin, thick = (femur(t).notes["mantle"]["thickness"] for t in (2.0, 4.0))
-    assert thin["clipped_fraction"] < thick["clipped_fraction"]
-    assert thick["min"] == pytest.approx(thin["min"], abs=0.3)
-
-
 @cache
 def intact(curved: bool = True) -> MeshData:
     return meshes.build(IntactFemur(), MeshOptions(size="6 mm", curved=curved))
 
 
-def test_the_intact_femur_has_the_shaft_of_the_operated_one() -> None:
-    """Cortex and canal far from head and stem, the distal cut, the muscles."""
-    data, operated = intact(), meshes.build(Femur(), MeshOptions(size="6 mm", curved=True))
+def test_the_shaft_of_the_intact_femur_has_the_volume_of_its_surfaces() -> None:
+    """Cortex and canal, far from the head."""
+    data = intact()
     assert set(data.boundaries) == set(IntactFemur().boundary_names)
-    areas, others = boundary_areas(data), boundary_areas(operated)
-    for name in set(areas) & set(others) - {"bone_surface"}:
-        assert areas[name] == pytest.approx(others[name], rel=0.05), name
     angles, levels = np.meshgrid(np.linspace(0, 2 * np.pi, 361)[:-1], np.linspace(-200, -140, 100))
     tubes = (femur_bone.outer(-200.0), femur_bone.canal(-200.0, 0.0))
     bone, canal = (60 * np.pi * (t.radius(angles, levels) ** 2).mean() for t in tubes)
@@ -143,43 +134,25 @@ def test_the_head_is_a_sphere_on_a_neck() -> None:
     assert set(data.cell_tags[shell]) == {data.regions["cortical_bone"]}
 
 
-def test_patches_are_discs_on_the_bone_and_the_trunnion_is_at_the_head() -> None:
+def test_patches_are_on_the_bone_where_muscles_are_and_the_trunnion_is_at_the_head() -> None:
     data = femur(4.0)
-    areas = boundary_areas(data)
     for name, place in femur_bone.insertions(femur_bone.outer(-200.0)).items():
-        assert areas[name] == pytest.approx(np.pi * femur_bone.PATCH_RADIUS**2, rel=0.1), name
         own = data.facets[np.isin(data.facet_tags, data.boundaries[name])]
-        centre = data.points[own].mean(axis=(0, 1))
-        assert np.linalg.norm(centre - place) < SIZE, name
+        assert np.linalg.norm(data.points[own].mean(axis=(0, 1)) - place) < SIZE, name
         assert set(data.boundaries[name]) <= set(data.boundaries["bone_surface"])
     disc = data.facets[np.isin(data.facet_tags, data.boundaries["stem_trunnion"])]
     weights = facet_areas(data.points, disc)
     centre = np.average(data.points[disc].mean(axis=1), axis=0, weights=weights)
     assert centre == pytest.approx([43.0, 0.0, 54.0], abs=0.3)
-    assert areas["stem_trunnion"] == pytest.approx(36 * np.pi, rel=0.13)
-
-
-def test_the_same_femur_is_the_same_mesh() -> None:
-    first = femur(4.0)
-    again = meshes.build(Femur(), MeshOptions(size=f"{SIZE} mm"))
-    assert np.array_equal(first.points, again.points)
-    assert np.array_equal(first.cells, again.cells)
-    assert np.array_equal(first.cell_tags, again.cell_tags)
+    assert weights.sum() == pytest.approx(36 * np.pi, rel=0.13)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("thickness", [2.0, 3.0, 4.0, 5.0, 7.0])
-def test_fine_meshes_of_every_thickness_of_the_paper(thickness: float) -> None:
+@pytest.mark.parametrize("thickness", [2.0, 7.0])
+def test_fine_meshes_of_thin_and_thick_mantles(thickness: float) -> None:
     data = femur(thickness, 1.5)
     assert len(data.cells) == 64 * len(femur(thickness, 6.0).cells)
     assert data.notes["quality"]["sicn_min"] > 0.12
-
-
-@pytest.mark.slow
-def test_a_curved_femur_has_no_bad_cell() -> None:
-    data = meshes.build(Femur(), MeshOptions(size="2.5 mm", curved=True))
-    assert data.notes["quality"]["sicn_min"] > 0.08
-    assert boundary_areas(data)["stem_trunnion"] == pytest.approx(36 * np.pi, rel=2e-3)
 
 
 PROGRAM = """

@@ -7,37 +7,25 @@ from pathlib import Path
 
 import pytest
 
+import mantle
 from tests import support
 
-# All that it takes: what YAML says, the formula, and which formula the section asks for.
+# All that it takes: its keys in YAML and its formula.
 LAYER = '''
-from dataclasses import dataclass
 from typing import Literal
-from app.scene.build import law_of
-from app.scene.laws import Traction
-from app.laws.interface_laws import InterfaceSection
+from mantle import Traction
 from app.schema.units import PositiveStiffness
 
 
-class ElasticLayer(InterfaceSection):
+class ElasticLayer(Traction):
     """A thin elastic layer: traction = stiffness times the displacement between its sides."""
 
     kind: Literal["elastic_layer"] = "elastic_layer"
     stiffness: PositiveStiffness
     """Traction per displacement."""
 
-
-@dataclass(frozen=True)
-class Layer(Traction):
-    stiffness: float
-
     def traction(self, gap, normals, history):
         return self.stiffness * gap
-
-
-@law_of.register
-def _(section: ElasticLayer) -> Layer:
-    return Layer(section.stiffness)
 '''
 
 # Two blocks of 2 mm on each other, and a shear and a pull on top.
@@ -97,17 +85,16 @@ def test_a_law_from_outside_is_checked_as_the_others(tmp_path: Path) -> None:
 
 # A layer that the largest opening so far softens: history at each point.
 WORN = '''
-from dataclasses import dataclass
 from typing import Literal
-from ufl import dot, max_value
-from app.scene.build import law_of
-from app.scene.laws import Traction
-from app.laws.interface_laws import InterfaceSection
+from ufl import conditional, dot, gt, max_value
+from mantle import Traction
 from app.schema.units import Length, PositiveStiffness
 
 
-class WornLayer(InterfaceSection):
+class WornLayer(Traction):
     """A layer whose stiffness falls with the largest opening so far."""
+
+    history = {"most": ()}
 
     kind: Literal["worn_layer"] = "worn_layer"
     stiffness: PositiveStiffness
@@ -115,24 +102,17 @@ class WornLayer(InterfaceSection):
     length: Length
     """Opening at which half of it is left."""
 
-
-@dataclass(frozen=True)
-class Worn(Traction):
-    stiffness: float
-    length: float
-    history = {"most": ()}
-
     def traction(self, gap, normals, history):
-        most = max_value(history["most"], dot(gap, normals[0]))
-        return self.stiffness / (1 + most / self.length) * gap
+        return self.stiffness / (1 + self._most(gap, normals, history) / self.length) * gap
 
     def remembered(self, gap, normals, history):
-        return {"most": max_value(history["most"], dot(gap, normals[0]))}
+        return {"most": self._most(gap, normals, history)}
 
+    def status(self, gap, normals, history):
+        return conditional(gt(self._most(gap, normals, history), self.length / 4), 3, 1)
 
-@law_of.register
-def _(section: WornLayer) -> Worn:
-    return Worn(section.stiffness, section.length)
+    def _most(self, gap, normals, history):
+        return max_value(history["most"], dot(gap, normals[0]))
 '''
 
 
@@ -148,20 +128,19 @@ def test_a_law_remembers(tmp_path: Path) -> None:
     most = high / (k - high / length)
     found = summary["interfaces"]["lower_upper"]["gap_mean"]
     assert found == pytest.approx(low * (1 + most / length) / k, rel=1e-8)
+    fields = mantle.read(tmp_path / "out").fields
+    assert fields.at_interface("lower_upper", "most").max() == pytest.approx(most, rel=1e-8)
+    assert set(fields.at_interface("lower_upper", "status")) == {-1, 3}
 
 
 # A traction over a boundary, which no load of the program is.
 WIND = '''
-from dataclasses import dataclass
 from typing import Literal
-from ufl import dot
-from app.scene.build import load_of
-from app.scene.loads import LoadTerm
-from app.laws.loads import LoadSection
+from mantle import Load
 from app.schema.units import Stress
 
 
-class Wind(LoadSection):
+class Wind(Load):
     """A uniform shear along x."""
 
     kind: Literal["wind"] = "wind"
@@ -170,26 +149,9 @@ class Wind(LoadSection):
     shear: Stress
     """Traction along x."""
 
-
-@dataclass(frozen=True)
-class WindTerm(LoadTerm):
-    name: str
-    boundary: str
-    shear: float
-    history: tuple[float, ...]
-
-    @property
-    def boundaries(self):
-        return (self.boundary,)
-
     def work(self, v, on):
         ds = on.ds(self.boundary)
         return 0 if ds is None else on.constant(self.shear) * v[0] * ds
-
-
-@load_of.register
-def _(section: Wind, name, regions, history) -> WindTerm:
-    return WindTerm(name, section.boundary, section.shear, history)
 '''
 
 

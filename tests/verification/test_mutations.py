@@ -18,11 +18,11 @@ import pytest
 
 from tests import support
 
-ELASTICITY, CONTACT = "mantle/forms/elasticity.py", "mantle/forms/contact.py"
+ELASTICITY, CONTACT = "forms/elasticity.py", "forms/contact.py"
 HEAT, INTERFACE_HEAT, CURE = (
-    "mantle/forms/heat.py",
-    "mantle/forms/interface_heat.py",
-    "mantle/forms/cure.py",
+    "forms/heat.py",
+    "forms/interface_heat.py",
+    "forms/cure.py",
 )
 TRIAL = "S = f + r * (d + gap)"
 RADIUS = "radius = μ * sum(p[1:], p[0])"
@@ -122,7 +122,7 @@ MUTATIONS = {
         "wall_penalty",
     ),
     "sign_of_the_body_force": (
-        "mantle/forms/loads.py",
+        "forms/loads.py",
         "return dot(b, v)",
         "return -dot(b, v)",
         "sine_p2",
@@ -153,15 +153,15 @@ MUTATIONS = {
         "rubbing_energy",
     ),
     "share_of_the_other_side": (
-        "mantle/scene/build_heat.py",
+        "app/scene/build.py",
         "e_s / (e_s + e_m)",
         "e_m / (e_s + e_m)",
         "rubbing_split",
     ),
     "given_share_of_the_other_side": (
-        "mantle/scene/build_heat.py",
-        "first if slave == tuple(given[0]) else 1.0 - first",
-        "1.0 - first if slave == tuple(given[0]) else first",
+        "app/scene/build.py",
+        "share if turned else 1.0 - share",
+        "1.0 - share if turned else share",
         "rubbing_given",
     ),
     "fourier_factor": (HEAT, "return k / 2 * inner(g, g)", "return k * inner(g, g)", "heat_slab"),
@@ -179,19 +179,19 @@ MUTATIONS = {
     ),
     "sign_of_the_heating": (HEAT, "return q * v\n", "return -q * v\n", "heat_slab"),
     "capacity": (
-        "mantle/heat/assembly.py",
+        "app/heat/heat_forms.py",
         "+= c.capacity * ",
         "+= 1.1 * c.capacity * ",
         "heat_cylinder",
     ),
     "heat_of_cure": (
-        "mantle/heat/cure_heat.py",
+        "app/heat/cure_heat.py",
         "c.heat * volume[dof]",
         "0.9 * c.heat * volume[dof]",
         "cure_heat",
     ),
     "sign_of_the_cure": (
-        "mantle/heat/cure_heat.py",
+        "app/heat/cure_heat.py",
         "(d.degree - a)",
         "(a - d.degree)",
         "cure_heat",
@@ -204,7 +204,7 @@ MUTATIONS = {
         "cure_isothermal",
     ),
     "sign_of_the_thermal_strain": (
-        "mantle/mechanics/expansion.py",
+        "app/mechanics/thermal_strain.py",
         "(temperatures[x.region].x.array - x.reference)",
         "(x.reference - temperatures[x.region].x.array)",
         "layers_bonded",
@@ -229,9 +229,9 @@ def verify(program: Path, pattern: str) -> subprocess.CompletedProcess[str]:
 def program(tmp_path: Path) -> Path:
     """A copy of the program."""
     for folder in ("app", "forms", "meshes", "configs"):
-        target = tmp_path / "mantle" / ("" if folder == "app" else folder)
         caches = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(support.ROOT / folder, target, ignore=caches, dirs_exist_ok=True)
+        shutil.copytree(support.ROOT / folder, tmp_path / folder, ignore=caches)
+    shutil.copy(support.ROOT / "mantle.py", tmp_path)
     return tmp_path
 
 

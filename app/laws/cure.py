@@ -1,0 +1,97 @@
+"""Cure of a region: how fast it sets, how stiff it is meanwhile, how it strains."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, model_validator
+
+from app.laws.values import Named, rising
+from app.schema.section import ITEMS, Kinds, Section, fail
+from app.schema.units import (
+    ActivationEnergy,
+    HeatDensity,
+    NonNegativeNumber,
+    NonNegativeTime,
+    Plain,
+    PositiveNumber,
+    PositiveRate,
+    Temperature,
+)
+from app.schema.vectors import Pair
+
+RateCourse = Annotated[
+    tuple[Annotated[tuple[NonNegativeTime, NonNegativeNumber], Pair("[300 s, 1]")], ...],
+    ITEMS,
+    AfterValidator(rising("time")),
+]
+Conversion = Annotated[float, Plain(above=0.0, at_most=1.0)]
+Limit = Annotated[
+    tuple[Annotated[tuple[Temperature, Conversion], Pair("[20 degC, 0.8]")], ...],
+    ITEMS,
+    AfterValidator(rising("temperature")),
+]
+# A degree of cure from which something is left to happen.
+Degree = Annotated[float, Plain(at_least=0.0, below=1.0)]
+
+
+class Autocatalytic(Section):
+    """Rate of cure k0 exp(-Ea/RT) a^m (a_max - a)^n, with temperature T in K."""
+
+    kind: Literal["autocatalytic"] = "autocatalytic"
+    rate_constant: PositiveRate
+    """k0, the rate constant of the reaction."""
+    activation_energy: ActivationEnergy
+    """Ea, the activation energy of the reaction."""
+    m: NonNegativeNumber
+    """Exponent of the degree of cure a."""
+    n: NonNegativeNumber
+    """Exponent of what is left to cure, a_max - a."""
+    limit: Limit | None = None
+    """Pairs of temperature and largest degree a_max there, linear in between; 1 by default."""
+
+
+class Prescribed(Section):
+    """Cure that follows a clock, whatever the temperature."""
+
+    kind: Literal["prescribed"] = "prescribed"
+    rate: RateCourse
+    """Pairs of time and rate in any measure, linear in between, zero before and after them; scaled
+    so that it ends with complete cure."""
+
+    @model_validator(mode="after")
+    def _happens(self) -> Prescribed:
+        if len(self.rate) < 2 or not any(rate for _, rate in self.rate):
+            fail("nothing happens; expected at least two pairs, one not 0", at=("rate",))
+        return self
+
+
+class Cure(Named):
+    """How a region sets, and what comes of it."""
+
+    kinetics: Annotated[Autocatalytic | Prescribed, Kinds()]
+    """Rate of cure."""
+    heat: HeatDensity
+    """Heat released per volume from degree of cure 0 to 1."""
+    initial: Degree = 1e-3
+    """Degree of cure at the start; autocatalysis needs some."""
+    gel: Degree = 0.85
+    """Degree of cure of the gel: from there strain counts and stiffness grows."""
+    floor: Annotated[float, Plain(above=0.0, at_most=1.0)] = 0.01
+    """Stiffness before the gel, as a part of the final one."""
+    exponent: PositiveNumber = 1.0
+    """Exponent p of the stiffness, floor + (1 - floor) ((a - gel) / (1 - gel))^p of the final."""
+    shrinkage: Degree = 0.0
+    """Loss of volume from the gel to full cure, as a part of the volume."""
+
+    @model_validator(mode="after")
+    def _starts_and_sets(self) -> Cure:
+        kinetics = self.kinetics
+        if isinstance(kinetics, Autocatalytic):
+            if self.initial == 0.0 and kinetics.m > 0.0:
+                fail("never starts from 0 where m > 0; expected e.g. 1e-3", at=("initial",))
+            largest = max((a for _, a in kinetics.limit or ()), default=1.0)
+            for key in ("initial", "gel"):
+                if getattr(self, key) > largest:
+                    fail(f"is above the largest limit of the kinetics, {largest:g}", at=(key,))
+        return self

@@ -1,0 +1,148 @@
+"""Heat conditions: given temperatures, fluxes, convection, sources, perfusion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import AfterValidator, model_validator
+
+from app.errors import InputError
+from app.laws.values import Named, field, rising
+from app.schema.expressions import Varying
+from app.schema.section import ITEMS, Kinds, Name, fail
+from app.schema.units import (
+    AbsoluteTemperature,
+    Density,
+    Dimension,
+    FilmCoefficient,
+    NonNegativeTime,
+    Number,
+    PositiveRate,
+    SpecificHeat,
+    Temperature,
+)
+from app.schema.vectors import Pair
+
+if TYPE_CHECKING:
+    from app.arrays import Floats
+
+TemperatureField = Annotated[float | str, Varying(AbsoluteTemperature())]
+FluxField = Annotated[float | str, Varying(Dimension("mW/mm^2", "a power per area", "200 W/m^2"))]
+SourceField = Annotated[
+    float | str, Varying(Dimension("mW/mm^3", "a power per volume", "1e6 W/m^3"))
+]
+Course = Annotated[
+    tuple[Annotated[tuple[NonNegativeTime, Number], Pair("[10 s, 0]")], ...],
+    ITEMS,
+    AfterValidator(rising("time")),
+]
+TemperatureCourse = Annotated[
+    tuple[Annotated[tuple[NonNegativeTime, Temperature], Pair("[10 s, 37 degC]")], ...],
+    ITEMS,
+    AfterValidator(rising("time")),
+]
+
+
+class FixedTemperature(Named):
+    """A given temperature on a boundary or throughout regions."""
+
+    kind: Literal["temperature"] = "temperature"
+    boundary: Name | None = None
+    """Boundary that has the temperature; or give regions."""
+    regions: Annotated[tuple[Name, ...], ITEMS] | None = None
+    """Regions held at the temperature; or give a boundary."""
+    temperature: TemperatureField | None = None
+    """The temperature; an expression gives it in K. Or give a course."""
+    course: TemperatureCourse | None = None
+    """Pairs of time since the start and temperature, linear in between; or give a temperature."""
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> FixedTemperature:
+        for a, b in (("boundary", "regions"), ("temperature", "course")):
+            if (getattr(self, a) is None) == (getattr(self, b) is None):
+                fail(f"expected either {a} or {b}")
+        return self
+
+    def values(self, x: Floats) -> Floats:
+        """Temperature at points (n,) [K]; 1 where a course gives it."""
+        import numpy as np
+
+        if self.temperature is None:
+            return np.ones(len(x))
+        key = f"heat.{self.name}.temperature"
+        values = field(key, self.temperature)(x)
+        if np.any(values <= 0.0):
+            raise InputError(
+                f"{key}: {self.temperature!r} is not above 0 K everywhere; it has to give K"
+            )
+        return values
+
+
+class HeatFlux(Named):
+    """Heat that enters through a boundary."""
+
+    kind: Literal["flux"] = "flux"
+    boundary: Name
+    """Boundary of the geometry."""
+    flux: FluxField
+    """Power per area; an expression gives it in mW/mm^2."""
+    course: Course | None = None
+    """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
+
+    def values(self, x: Floats) -> Floats:
+        """Heat per area and time at points (n,) [N/(mm s)]."""
+        return field(f"heat.{self.name}.flux", self.flux)(x)
+
+
+class Convection(Named):
+    """Exchange of heat with the surroundings of a boundary."""
+
+    kind: Literal["convection"] = "convection"
+    boundary: Name
+    """Boundary of the geometry."""
+    coefficient: FilmCoefficient
+    """Power per area and difference of temperatures."""
+    ambient: Temperature
+    """Temperature of the surroundings."""
+
+
+class HeatSource(Named):
+    """Heat released in regions."""
+
+    kind: Literal["source"] = "source"
+    regions: Annotated[tuple[Name, ...], ITEMS]
+    """Regions that release the heat."""
+    density: SourceField
+    """Power per volume; an expression gives it in mW/mm^3."""
+    course: Course | None = None
+    """Pairs of time since the start and multiplier, linear in between; always 1 by default."""
+
+    def values(self, x: Floats) -> Floats:
+        """Heat per volume and time at points (n,) [N/(mm2 s)]."""
+        return field(f"heat.{self.name}.density", self.density)(x)
+
+
+class Perfusion(Named):
+    """Blood that brings regions to its own temperature (Pennes)."""
+
+    kind: Literal["perfusion"] = "perfusion"
+    regions: Annotated[tuple[Name, ...], ITEMS]
+    """Regions that blood flows through."""
+    rate: PositiveRate
+    """Volume of blood per volume of tissue and time."""
+    blood_density: Density
+    """Mass per volume of blood."""
+    blood_specific_heat: SpecificHeat
+    """Heat per mass and temperature of blood."""
+    temperature: Temperature
+    """Temperature of the blood."""
+
+    @property
+    def coefficient(self) -> float:
+        """Heat per volume, time and difference of temperatures [N/(mm2 s K)]."""
+        return self.rate * (self.blood_density * self.blood_specific_heat)
+
+
+HeatCondition = Annotated[
+    FixedTemperature | HeatFlux | Convection | HeatSource | Perfusion, Kinds()
+]

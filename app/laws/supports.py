@@ -1,0 +1,195 @@
+"""Supports: displacements that are given, and springs to the ground."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, GetCoreSchemaHandler, model_validator
+from pydantic_core import core_schema
+
+from app.laws.values import History, LengthField, Named, field
+from app.schema.section import ITEMS, TAG, Kinds, Name, Word, fail, show
+from app.schema.units import Axis, Stiffness
+from app.schema.vectors import Triple
+
+if TYPE_CHECKING:
+    from ufl.core.expr import Expr
+
+    from app.arrays import Floats
+
+
+def _some_stages(names: tuple[str, ...]) -> tuple[str, ...]:
+    if not names:
+        fail("is empty; expected names of stages")
+    return names
+
+
+StageNames = Annotated[tuple[Name, ...], ITEMS, AfterValidator(_some_stages)] | None
+
+
+class _Normal:
+    """Marks a field that is a direction or the word `face`."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Either, told apart before it is read."""
+
+        def check(value: object) -> object:
+            if isinstance(value, list | tuple) or value == "face":
+                return value
+            fail(f"{show(value)} is no direction; expected e.g. [1, 1, 0], or face")
+
+        kinds: dict[Any, core_schema.CoreSchema] = {
+            TAG + "face": core_schema.literal_schema(["face"]),
+            TAG + "axis": handler.generate_schema(Axis),
+        }
+        union = core_schema.tagged_union_schema(
+            kinds, lambda value: TAG + ("face" if value == "face" else "axis")
+        )
+        return core_schema.no_info_before_validator_function(check, union)
+
+
+class Support(Named):
+    """Base of the supports that hold displacements."""
+
+    if TYPE_CHECKING:
+        history: History
+        # Of a support that holds one direction alone: a unit vector, or `face`.
+        normal: tuple[float, float, float] | Literal["face"] | None
+
+    kind: Any
+    boundary: Name
+    """Boundary of the geometry."""
+    stages: StageNames = None
+    """Stages in which it holds; all by default."""
+
+    @property
+    def components(self) -> tuple[bool, bool, bool]:
+        """Which of x, y, z it gives."""
+        x, y, z = (axis in self.held_axes for axis in "xyz")
+        return x, y, z
+
+    @property
+    def held_axes(self) -> str:
+        """Axes along which the model cannot move freely."""
+        return "xyz"
+
+    @property
+    def felt_axes(self) -> str:
+        """Axes along which it may resist a motion."""
+        return self.held_axes
+
+    def values(self, x: Floats) -> Floats:
+        """Displacement at points at full amplitude (n, 3) [mm], zero where it gives none."""
+        return 0.0 * x
+
+
+class Fixed(Support):
+    """No displacement at all."""
+
+    history: ClassVar[None] = None  # type: ignore[misc]
+    normal: ClassVar[None] = None  # type: ignore[misc]
+
+    kind: Literal["fixed"] = "fixed"
+
+
+class Roller(Support):
+    """No displacement along one direction: of `axis` and `normal` exactly one."""
+
+    history: ClassVar[None] = None  # type: ignore[misc]
+
+    kind: Literal["roller"] = "roller"
+    axis: Annotated[Literal["x", "y", "z"], Word()] | None = None
+    """The direction, if it is an axis."""
+    normal: Annotated[Axis | Literal["face"], _Normal()] | None = None
+    """The direction; any length but zero, normalised. `face`: at each node along the outward
+    normal of the boundary there, the mean of its facets."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Roller:
+        either = "expected axis: x, y or z, or normal: [1, 1, 0] or face"
+        if self.axis is not None and self.normal is not None:
+            fail(f"stands beside axis; {either}", at=("normal",))
+        if self.axis is None and self.normal is None:
+            fail(f"has no direction; {either}")
+        return self
+
+    @property
+    def held_axes(self) -> str:
+        """Axes along which the model cannot move freely."""
+        return self.axis or ""
+
+    @property
+    def felt_axes(self) -> str:
+        """Axes along which it may resist a motion."""
+        normal = (1.0, 1.0, 1.0) if isinstance(self.normal, str) else self.normal or ()
+        return self.held_axes + "".join(a for a, c in zip("xyz", normal, strict=False) if c)
+
+
+class Displacement(Support):
+    """Given displacement along one or more axes; the others are free."""
+
+    normal: ClassVar[None] = None  # type: ignore[misc]
+
+    kind: Literal["displacement"] = "displacement"
+    x: LengthField | None = None
+    """Displacement along x; free if absent."""
+    y: LengthField | None = None
+    """Displacement along y; free if absent."""
+    z: LengthField | None = None
+    """Displacement along z; free if absent."""
+    history: History = None
+    """Multiplier at the end of each stage, linear in between, from 0; all ones by default."""
+
+    @model_validator(mode="after")
+    def _some(self) -> Displacement:
+        if not self.held_axes:
+            fail("prescribes nothing; expected at least one of x, y, z")
+        return self
+
+    @property
+    def held_axes(self) -> str:
+        """Axes along which the model cannot move freely."""
+        return "".join(axis for axis in "xyz" if getattr(self, axis) is not None)
+
+    def values(self, x: Floats) -> Floats:
+        """Displacement at points at full amplitude (n, 3) [mm], zero where it gives none."""
+        import numpy as np
+
+        given = {axis: getattr(self, axis) or 0.0 for axis in "xyz"}
+        columns = [field(f"supports.{self.name}.{axis}", v)(x) for axis, v in given.items()]
+        return np.stack(columns, axis=1)
+
+
+class Foundation(Named):
+    """Springs to the ground spread over a boundary."""
+
+    kind: Literal["foundation"] = "foundation"
+    boundary: Name
+    """Boundary of the geometry."""
+    stiffness: Annotated[
+        tuple[Stiffness, Stiffness, Stiffness],
+        Triple("[100 MPa/mm, 100 MPa/mm, 0 MPa/mm]", scalar=True),
+    ]
+    """Traction per displacement along x, y, z; a single value is the same along all."""
+
+    @model_validator(mode="after")
+    def _some(self) -> Foundation:
+        if not any(self.stiffness):
+            fail("is zero along every axis", at=("stiffness",))
+        return self
+
+    @property
+    def held_axes(self) -> str:
+        """Axes along which the model cannot move freely."""
+        return "".join(axis for axis, k in zip("xyz", self.stiffness, strict=True) if k > 0.0)
+
+    def energy(self, v: Expr, k: Any) -> Expr:
+        """Energy per area in a displacement, the stiffness handed in as a constant [N/mm]."""
+        from forms import loads
+
+        return loads.foundation_energy(k, v)
+
+
+AnySupport = Annotated[Fixed | Roller | Displacement | Foundation, Kinds()]

@@ -1,0 +1,116 @@
+"""Parts of all laws: a name in the scene, values that vary in space, factors that vary in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import PrivateAttr
+
+from app.errors import InputError
+from app.schema.expressions import Varying, evaluate
+from app.schema.section import ITEMS, Section, fail
+from app.schema.units import Dimension, Number
+
+if TYPE_CHECKING:
+    from app.arrays import Field, Floats
+
+LengthField = Annotated[float | str, Varying(Dimension("mm", "a length", "0.05 mm"))]
+# Multipliers at the ends of the stages.
+History = Annotated[tuple[Number, ...], ITEMS] | None
+# Pairs of seconds since the start of the run and multiplier.
+Course = Sequence[tuple[float, float]]
+Table = tuple[tuple[float, float], ...]
+
+
+class Named(Section):
+    """Base of what a case lists by name: the scene's copy knows its own."""
+
+    _name: str = PrivateAttr("")
+
+    @property
+    def name(self) -> str:
+        """Name in the case file; empty outside a scene."""
+        return self._name
+
+    @property
+    def region(self) -> str:
+        """The same, of what a region is or has."""
+        return self._name
+
+    def named(self, name: str, **changes: Any) -> Self:
+        """Copy with a name, and with other values of some fields."""
+        copy = self.model_copy(update=changes)
+        copy._name = name
+        return copy
+
+
+def rising(what: str) -> Callable[[Table], Table]:
+    """Refuse a table without entries, or whose first column does not increase."""
+
+    def check(table: Table) -> Table:
+        if not table:
+            fail("is empty; expected at least one pair")
+        for i, ((before, _), (value, _)) in enumerate(pairwise(table)):
+            if value <= before:
+                fail(f"its {what} is not above that of the pair before", at=(i + 1,))
+        return table
+
+    return check
+
+
+def field(key: str, value: float | str | Field) -> Field:
+    """A value or an expression as a function of points (n, 3): shape (n,).
+
+    Args:
+        key: Key of the value, for errors.
+        value: The number, the expression, or a function as it is.
+    """
+    if callable(value):
+        return value
+
+    def at(x: Floats) -> Floats:
+        import numpy as np
+
+        if not isinstance(value, str):
+            return np.full(len(x), value)
+        try:
+            return evaluate(value, x)
+        except InputError as error:
+            raise InputError(f"{key}: {error}") from error
+
+    return at
+
+
+def amplitude(history: Sequence[float] | None, time: float) -> float:
+    """Multiplier at a time: stage k runs from k to k + 1, its end value is ``history[k]``, or 1."""
+    import numpy as np
+
+    values = [0.0, *((1.0,) if history is None else history)]
+    return float(np.interp(time, np.arange(len(values)), values))
+
+
+def gap_at(gap: Floats, history: Sequence[float], time: float) -> Floats:
+    """Gap of points at a time (n,) [mm].
+
+    Args:
+        gap: At full amplitude (n,) [mm].
+        history: Its amplitudes at the ends of the stages. Empty: a clearance is there at once, an
+            interference grows through the first stage.
+        time: Stage k runs from k to k + 1.
+    """
+    import numpy as np
+
+    if history:
+        return amplitude(history, time) * gap
+    return np.maximum(gap, 0.0) + amplitude((1.0,), time) * np.minimum(gap, 0.0)
+
+
+def multiplier(course: Course | None, seconds: float) -> float:
+    """Multiplier of a heat condition at a time [s], linear between its pairs; 1 without any."""
+    import numpy as np
+
+    if not course:
+        return 1.0
+    return float(np.interp(seconds, [t for t, _ in course], [m for _, m in course]))
