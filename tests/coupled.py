@@ -13,7 +13,7 @@ from app.numerics.newton import Solver
 from app.scene.build import build_scene
 from app.scene.scene import Scene
 from app.simulation import model
-from app.simulation.model import Model
+from app.simulation.model import Model, Observer
 from app.stepping.heat_state import HeatStep
 from app.stepping.load_steps import LoadStep, Summary
 from app.system.timing import Timing
@@ -81,14 +81,14 @@ class Coupled:
     @property
     def solver(self) -> Solver:
         """What solves heat and mechanics, or the heat alone."""
-        solver = self.model.thermal[0].heating.solver
+        solver = self.model.thermal.heating.solver
         assert isinstance(solver, Solver)
         return solver
 
     def state(self) -> dict[str, Floats]:
         """Blocks of the last state."""
-        blocks = dict(self.model.mechanics[0].solver.blocks_by_name())
-        blocks |= self.model.thermal[0].heating.solver.blocks_by_name()
+        blocks = dict(self.model.mechanics.solver.blocks_by_name())
+        blocks |= self.model.thermal.heating.solver.blocks_by_name()
         return {name: v.array.copy() for name, v in blocks.items()}
 
 
@@ -115,7 +115,7 @@ def solve(
     before = [0.0]
 
     def so_far() -> float:
-        jumps = [m.problem.contact for m in made.mechanics if m.problem.contact]
+        jumps = [made.mechanics.problem.contact] if made.mechanics else []
         return sum(float(j.state.dissipation.sum()) for j in jumps)
 
     def on_heat(step: LoadStep, accepted: HeatStep) -> None:
@@ -126,5 +126,5 @@ def solve(
         if not steps and step.stage == made.scene.stages[0].name:
             before[0] = so_far()
 
-    total = made.go(on_step, on_heat, print)
+    total = made.go(Observer(on_step, on_heat, print))
     return Coupled(made, total, tuple(steps), before[0], tuple(dissipated))

@@ -118,19 +118,20 @@ def read(path: Path) -> Checkpoint:
     """Read a checkpoint; not collective.
 
     Raises:
-        OSError: It cannot be read.
-        DamagedError: It is not whole, or nothing of this kind.
+        DamagedError: It cannot be read, is not whole, or nothing of this kind.
     """
-    path.stat()
-    if not (path.is_file() and zipfile.is_zipfile(path)):
-        raise DamagedError("it is no checkpoint, or not a whole one")
     try:
+        path.stat()
+        if not (path.is_file() and zipfile.is_zipfile(path)):
+            raise DamagedError("it is no checkpoint, or not a whole one")
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         header = json.loads(arrays[HEADER].tobytes())
         if header["format"] != FORMAT:
             raise DamagedError(f"written by mantle {header['mantle']} in another format")
         return Checkpoint(path, header, _with_rows(header.pop("state"), arrays))
+    except OSError as error:
+        raise DamagedError(error.strerror or str(error)) from error
     except (zipfile.BadZipFile, EOFError, LookupError, TypeError, ValueError) as error:
         raise DamagedError(f"the file is damaged ({error})") from error
 
@@ -170,49 +171,30 @@ def find(
     Raises:
         InputError: It is of another configuration, or the file cannot be read.
     """
-    path = on_root(comm, lambda: _choose(wanted, folder, case, force, passed))
-    return None if path is None else everywhere(comm, lambda: _readable(path))
 
+    def choose() -> Path | None:
+        every = folders.saved(folder) if wanted == "auto" else [Path(wanted)]
+        for path in (p for p in every if p not in passed):
+            try:
+                found = read(path)
+            except DamagedError as error:
+                if wanted != "auto":
+                    raise InputError(f"--restart {path}: cannot be used: {error}") from error
+                pass_over(path, error)
+                continue
+            _refuse_another(found, case, force)
+            return path
+        none = "no usable checkpoint" if every else "no checkpoint"
+        log.info("restart: %s in %s; starting from the beginning", none, folder)
+        return None
 
-def _choose(
-    wanted: str, folder: Path, case: Case, force: bool, passed: Collection[Path]
-) -> Path | None:
-    if wanted != "auto":
-        found = _readable(Path(wanted))
-        _refuse_another(found, case, force)
-        return found.path
-    paths = folders.saved(folder)
-    for path in (p for p in paths if p not in passed):
-        try:
-            found = read(path)
-        except (OSError, DamagedError) as error:
-            pass_over(path, error)
-            continue
-        _refuse_another(found, case, force)
-        return path
-    none = "no usable checkpoint" if paths else "no checkpoint"
-    log.info("restart: %s in %s; starting from the beginning", none, folder)
-    return None
+    path = on_root(comm, choose)
+    return None if path is None else everywhere(comm, lambda: read(path))
 
 
 def pass_over(path: Path, error: Exception) -> None:
     """Tell that ``auto`` does not take a checkpoint, and why."""
     log.warning("%s cannot be used: %s; trying the one before", path, error)
-
-
-def _readable(path: Path) -> Checkpoint:
-    """Read a file that was asked for.
-
-    Raises:
-        InputError: It cannot be.
-    """
-    try:
-        return read(path)
-    except OSError as error:
-        why = error.strerror or str(error)
-    except DamagedError as error:
-        why = str(error)
-    raise InputError(f"--restart {path}: cannot be used: {why}")
 
 
 def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
@@ -235,13 +217,12 @@ def _refuse_another(found: Checkpoint, case: Case, force: bool) -> None:
     ]
     if not differ:
         return
-    more = [f"  and {len(differ) - TOLD} more"] if len(differ) > TOLD else []
-    said = [*differ[:TOLD], *more]
-    if force:
-        log.warning("%s is of another configuration:\n%s", found.path, "\n".join(said))
-        return
-    message = f"--restart: {found.path} is of another configuration (--force: use it all the same)"
-    raise InputError([message, *said])
+    if len(differ) > TOLD:
+        differ = [*differ[:TOLD], f"  and {len(differ) - TOLD} more"]
+    other = f"{found.path} is of another configuration"
+    if not force:
+        raise InputError([f"--restart: {other} (--force: use it all the same)", *differ])
+    log.warning("%s:\n%s", other, "\n".join(differ))
 
 
 def described(case: Case) -> dict[str, Any]:
@@ -269,11 +250,7 @@ def _leaves(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 class CheckpointWriter:
-    """Saves the state of a run when that is due, and takes it up again.
-
-    Attributes:
-        found: The checkpoint to go on from.
-    """
+    """Saves the state of a run when that is due, and takes it up again."""
 
     def __init__(
         self,
@@ -284,7 +261,7 @@ class CheckpointWriter:
         found: Checkpoint | None,
     ) -> None:
         self._case, self._model, self._recorder = case, model, recorder
-        self._folder, self.found = folder, found
+        self._folder, self._found = folder, found
         self._comm = model.tagged.mesh.comm
         self._options = case.output.checkpoint
         self._last: tuple[dict[str, Any], Any] | None = None
@@ -297,7 +274,7 @@ class CheckpointWriter:
             InputError: It is of another mesh, or of other unknowns.
             DamagedError: It is of this case, but not what a run of it saves.
         """
-        if (found := self.found) is None:
+        if (found := self._found) is None:
             return 0
         self._refuse_another_model(found)
         header = found.header
@@ -325,18 +302,13 @@ class CheckpointWriter:
         try:
             fill(parts, found.state["parts"])
         except (AttributeError, LookupError, TypeError, ValueError) as error:
-            self._misfit(found, str(error))
+            raise self._misfit(found, str(error)) from error
 
-    def _misfit(self, found: Checkpoint, what: str) -> None:
-        """Refuse a state that does not fit.
-
-        Raises:
-            DamagedError: It is said to be of this case.
-            InputError: It is of another.
-        """
+    def _misfit(self, found: Checkpoint, what: str) -> InputError:
+        """Error for a state that does not fit: damaged if it is said to be of this case."""
         if found.header["case"] == described(self._case):
-            raise DamagedError(f"its state does not fit: {what}")
-        raise InputError(
+            return DamagedError(f"its state does not fit: {what}")
+        return InputError(
             f"--restart: {found.path}: checkpoint of another model, with other unknowns or records "
             f"({what}); allowed: cases of the same interfaces, heat and cure"
         )
@@ -366,7 +338,7 @@ class CheckpointWriter:
         def compare() -> None:
             bad = [n for n, a in here.items() if n not in there or a.shape != there[n].shape]
             if bad:
-                self._misfit(found, ", ".join(bad[:TOLD]))
+                raise self._misfit(found, ", ".join(bad[:TOLD]))
 
         on_root(self._comm, compare, share=False)
 

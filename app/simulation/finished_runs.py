@@ -44,10 +44,14 @@ def summaries(output: Path, varied: Sequence[Varied]) -> dict[int, dict[str, Any
         varied: The variations.
     """
     return {
-        i: json.loads((output / v.name / "summary.json").read_text(encoding="utf-8"))
+        i: _summary(output / v.name)
         for i, v in enumerate(varied)
         if finished(output / v.name, v.case)
     }
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    return dict(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
 
 
 def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str = "") -> bool:
@@ -69,24 +73,12 @@ def prepare(case: LoadedCase, output: Path, *, force: bool = False, restart: str
     if restart not in ("", "auto") and case.config.variations:
         raise InputError("--restart FILE: a case of variations has one for each; allowed: auto")
     memory.check(case.file, case.config)
-    done = not force and restart in ("", "auto") and _everything(case, output)
+    runs = {output: case.config}
+    if case.config.variations:
+        runs = {output / v.name: v.case for v in case.variations()}
+    done = not force and restart in ("", "auto") and (output / "DONE").exists()
+    done = done and all(finished(folder, one) for folder, one in runs.items())
     folders.prepare_run(output, force or done or bool(restart))
-    if not done:
-        return False
-    names = [v.name for v in case.variations()] if case.config.variations else [""]
-    check_usable(
-        {
-            output / n: json.loads((output / n / "summary.json").read_text(encoding="utf-8"))
-            for n in names
-        }
-    )
-    return True
-
-
-def _everything(case: LoadedCase, output: Path) -> bool:
-    """Whether a run directory has all that a case asks for."""
-    if not case.config.variations:
-        return finished(output, case.config)
-    return (output / "DONE").exists() and all(
-        finished(output / v.name, v.case) for v in case.variations()
-    )
+    if done:
+        check_usable({folder: _summary(folder) for folder in runs})
+    return done

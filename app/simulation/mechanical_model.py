@@ -16,25 +16,21 @@ from app.system.timing import Timing
 
 
 class Mechanical:
-    """The mechanics of a model, or of one after another that differ in loads and laws alone.
+    """Mechanics of a model, or of models one after another that differ in loads and laws alone.
 
     Attributes:
-        problem: What is solved.
-        solver: By what.
-        stresses: Its stresses.
-        bonds: Bonded interfaces.
-        neighbours: States of the models before.
+        bonds: Stresses of bonded interfaces.
+        neighbours: States of the models before, as starts.
     """
 
     saved = ("problem", "solver")
 
     def __init__(self, problem: Problem, solver: Solver, around_z: bool, timing: Timing) -> None:
-        """Compile what is evaluated; collective."""
         self.problem, self.solver = problem, solver
         self.stresses = Stresses(problem, timing, around_z)
         self.bonds: tuple[Bond, ...] = bonds(problem, self.stresses)
         self.neighbours = WarmStart(problem, solver)
-        self._balance: list[Balance] = []
+        self._balance: Balance | None = None
 
     def begin(self, build: Scene, augmentation_factor: float, tolerance: float) -> None:
         """Begin another model, at rest; collective."""
@@ -52,8 +48,8 @@ class Mechanical:
         Args:
             about: Point that moments are taken about (3,) [mm], always the same.
         """
-        if self._balance:
-            self._balance[0].begin()
+        if self._balance is None:
+            self._balance = Balance(self.problem, about)
         else:
-            self._balance.append(Balance(self.problem, about))
-        return self._balance[0]
+            self._balance.begin()
+        return self._balance

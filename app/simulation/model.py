@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -49,8 +50,39 @@ from meshes.pieces import Parts
 log = logging.getLogger("mantle")
 
 
+def _nothing(*_: Any) -> None:
+    """Ignore what is told."""
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Functions called on the way through the stages.
+
+    Attributes:
+        on_step: After each step of the mechanics.
+        on_heat: After each step of the heat, the mechanics having followed.
+        on_trouble: With what is tried when a step fails.
+        on_stage: Before each stage.
+        checkpoint_point: With the number of the stage, wherever `Model.saved_parts` may be saved.
+        resume: First: may take up a state, and returns the stage that it is in.
+    """
+
+    on_step: OnStep = _nothing
+    on_heat: OnHeat = _nothing
+    on_trouble: Callable[[str], None] = _nothing
+    on_stage: Callable[[SceneStage], None] = _nothing
+    checkpoint_point: Callable[[int], None] = _nothing
+    resume: Callable[[], int] = lambda: 0
+
+
 class Model:
-    """A case made ready to be solved.
+    """A case made ready to be solved; made on all ranks.
+
+    Args:
+        options: Raw PETSc options from the command line.
+        stop: Returns the name of a pending stop signal, or "".
+        reuse: The model before, with the same options. From it and those before it this one takes
+            meshes, and mechanics if loads and laws alone differ, which are of no use to it then.
 
     Attributes:
         scene: What is solved.
@@ -68,36 +100,25 @@ class Model:
         options: dict[str, str],
         timing: Timing,
         stop: Callable[[], str],
-        kin: list[Model] | None = None,
+        reuse: Model | None = None,
     ) -> None:
-        """Mesh, assemble and set the solvers up; collective.
-
-        Args:
-            case: The configuration.
-            comm: Communicator.
-            options: Raw PETSc options from the command line.
-            timing: Where the seconds go.
-            stop: Returns the name of a pending stop signal, or "".
-            kin: Models before it, with the same options, of which it takes over what it can: their
-                meshes, and their mechanics, after which they are of no use. It joins them.
-        """
         self._case, self._timing = case, timing
         self.options, self.stop = options, stop
-        self._kin = [] if kin is None else kin
+        # Shared by all models that follow one another.
+        self._others: list[Model] = reuse._others if reuse is not None else []
         timing.about |= cost.phases(case)
         with timing.phase("mesh"):
             self.tagged, self.mesh_hash, self.parts = self._mesh(comm)
         with timing.phase("assemble"):
             self.scene: Scene = build_scene(case)
             self.mechanics = self._mechanics()
-            heating = self._heat()
-            self.thermal = (ThermalModel(case, heating),) if heating else ()
-        self._kin[:] = [m for m in self._kin if not self.deforms_like(m._case)] + [self]
+            self.thermal = self._heat()
+        self._others[:] = [m for m in self._others if not self.deforms_like(m._case)] + [self]
 
     def _mesh(self, comm: MPI.Comm) -> tuple[TaggedMesh, str, Parts | None]:
         """The mesh, its digest, and what it consists of, on rank 0; collective."""
         case = self._case
-        for model in self._kin:
+        for model in self._others:
             if (model._case.geometry, model._case.mesh) == (case.geometry, case.mesh):
                 return model.tagged, model.mesh_hash, model.parts
         data = on_root(
@@ -139,92 +160,79 @@ class Model:
             self.stop,
         )
 
-    def _mechanics(self) -> tuple[Mechanical, ...]:
+    def _mechanics(self) -> Mechanical | None:
         """Problem and solver, where anything deforms."""
         if not self.scene.elastic:
-            return ()
-        factor = self._case.solver.augmentation_factor
-        like: list[Problem] = []
-        for model in self._kin if not self.scene.cures else ():
-            if model.deforms_like(self._case):
-                (m,) = model.mechanics
-                m.begin(self.scene, factor, self._case.solver.tolerance)
-                return (m,)
-            if coarser_case.stiffness(model._case) == coarser_case.stiffness(self._case):
-                like += [m.problem for m in model.mechanics]
+            return None
+        case, like = self._case, None
+        for model in self._others if not self.scene.cures else ():
+            if (m := model.mechanics) is None:
+                continue
+            if model.deforms_like(case):
+                m.begin(self.scene, case.solver.augmentation_factor, case.solver.tolerance)
+                return m
+            if coarser_case.stiffness(model._case) == coarser_case.stiffness(case):
+                like = like or m.problem
         if any(support.stages is not None for support in self.scene.supports):
-            like.clear()
-        timing = self._timing
-        problem = Problem(self.scene, self.tagged, factor, timing, *like[:1])
-        solver, around_z = self._solver(mechanical(problem)), self._case.geometry.is_around_z
-        return (Mechanical(problem, solver, around_z, self._timing),)
+            like = None
+        factor, timing = case.solver.augmentation_factor, self._timing
+        problem = Problem(self.scene, self.tagged, factor, timing, like)
+        solver = self._solver(mechanical(problem))
+        return Mechanical(problem, solver, case.geometry.is_around_z, timing)
 
-    def _heat(self) -> HeatState | None:
+    def _heat(self) -> ThermalModel | None:
         """Heat and what solves it, where anything conducts."""
         if not self.scene.conductors:
             return None
         heat = ImplicitStep(HeatOperators(self.scene, self.tagged, self._timing))
         coupled = None
-        if self.scene.coupled:
-            mechanics = self.mechanics[0]
-            committed = mechanics.solver.blocks()
-            coupled = CoupledSystem(self.scene, heat, mechanics.problem, committed)
-        return HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
+        if self.scene.coupled and (m := self.mechanics) is not None:
+            coupled = CoupledSystem(self.scene, heat, m.problem, m.solver.blocks())
+        state = HeatState(self.scene, heat, self._solver(coupled or heat), coupled)
+        return ThermalModel(self._case, state)
 
     def sizes(self) -> dict[str, int]:
         """Unknowns by block."""
-        parts = [t.heating.solver.block_sizes for t in self.thermal]
-        parts += [m.solver.block_sizes for m in self.mechanics]
-        return {name: size for part in parts for name, size in part.items()}
+        sizes = dict(self.thermal.heating.solver.block_sizes) if self.thermal else {}
+        return sizes | (self.mechanics.solver.block_sizes if self.mechanics else {})
 
     def layers(self) -> list[FieldGroup]:
         """Groups of fields to be written: mechanical, and of heat."""
-        sides = self._case.geometry.interface_sides
-        return [
-            *(MechanicalFields(m.problem, m.stresses) for m in self.mechanics),
-            *(HeatFields(t.heating, t.record, sides) for t in self.thermal),
-        ]
+        groups: list[FieldGroup] = []
+        if m := self.mechanics:
+            groups.append(MechanicalFields(m.problem, m.stresses))
+        if t := self.thermal:
+            groups.append(HeatFields(t.heating, t.record, self._case.geometry.interface_sides))
+        return groups
 
-    def go(
-        self,
-        on_step: OnStep,
-        on_heat: OnHeat,
-        on_trouble: Callable[[str], None],
-        begin: Callable[[SceneStage], None] = lambda stage: None,
-        mark: Callable[[int], None] = lambda k: None,
-        resume: Callable[[], int] = lambda: 0,
-    ) -> Summary:
-        """Solve all stages.
-
-        Args:
-            on_step: Called after each step of the mechanics.
-            on_heat: Called after each step of the heat, the mechanics having followed.
-            on_trouble: Told what is tried when a step fails.
-            begin: Called before each stage.
-            mark: Called with the number of the stage wherever `saved_parts` may be saved.
-            resume: Called first: may take up a state, and gives the stage that it is in.
-
-        Returns:
-            What it took.
+    def go(self, observer: Observer) -> Summary:
+        """Solve all stages; returns what it took; collective.
 
         Raises:
             ConvergenceError: As `run_stages`.
         """
-
-        def heated(step: LoadStep, accepted: HeatStep) -> None:
-            for t in self.thermal:
-                t.update(accepted)
-            on_heat(step, accepted)
-
         load_stepper, heat_stepper = None, None
-        for m in self.mechanics:
-            predictors: tuple[Predictor, ...] = (m.neighbours, *self._nested(m))
-            load_stepper = LoadStepper(m.problem, m.solver, on_step, on_trouble, predictors)
-        for t in self.thermal:
+        if m := self.mechanics:
+            load_stepper = LoadStepper(
+                m.problem, m.solver, observer.on_step, observer.on_trouble, self._predictors(m)
+            )
+        if t := self.thermal:
+
+            def on_heat(step: LoadStep, accepted: HeatStep) -> None:
+                t.update(accepted)
+                observer.on_heat(step, accepted)
+
             beside = self._beside_heat(t.heating, load_stepper)
-            heat_stepper = HeatStepper(t.heating, beside, heated, on_trouble)
+            heat_stepper = HeatStepper(t.heating, beside, on_heat, observer.on_trouble)
         self._steppers = load_stepper, heat_stepper
-        run_stages(self.scene.stages, load_stepper, heat_stepper, begin, mark, resume())
+        run_stages(
+            self.scene.stages,
+            load_stepper,
+            heat_stepper,
+            observer.on_stage,
+            observer.checkpoint_point,
+            observer.resume(),
+        )
         total = Summary()
         for part in (load_stepper, heat_stepper):
             if part is not None:
@@ -241,24 +249,25 @@ class Model:
             "load_stepper": load_stepper,
         }
 
-    def _nested(self, m: Mechanical) -> tuple[CoarseModelStart, ...]:
-        """A start from a cheaper model, if that pays."""
+    def _predictors(self, m: Mechanical) -> tuple[Predictor, ...]:
+        """States of models before and, if that pays, a start from a cheaper model."""
         if m.problem.contact is None or self.scene.conductors:
-            return ()
+            return (m.neighbours,)
         case = coarser_case.cheaper(self._case, sum(m.solver.block_sizes.values()))
-        return (
-            ()
-            if case is None
-            else (CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case)),)
-        )
+        if case is None:
+            return (m.neighbours,)
+        return m.neighbours, CoarseModelStart(m.problem, m.solver, lambda: self._cheaper(case))
 
     def _cheaper(self, case: Case) -> LoadStepper:
-        """The mechanics of a cheaper model on their way; collective."""
-        comm, timing = self.tagged.mesh.comm, self._timing.of("cheaper model")
-        other = Model(case, comm, self.options, timing, self.stop, self._kin)
-        (m,) = other.mechanics
-        predictors: tuple[Predictor, ...] = (m.neighbours, *other._nested(m))
-        return LoadStepper(m.problem, m.solver, lambda step, trial: None, log.debug, predictors)
+        """Load stepping of a cheaper model; collective."""
+        other = self._other(case, self._timing.of("cheaper model"))
+        m = other.mechanics
+        assert m is not None
+        return LoadStepper(m.problem, m.solver, _nothing, log.debug, other._predictors(m))
+
+    def _other(self, case: Case, timing: Timing) -> Model:
+        """A model of another case that takes over what it can; collective."""
+        return Model(case, self.tagged.mesh.comm, self.options, timing, self.stop, self)
 
     @staticmethod
     def _beside_heat(
@@ -280,56 +289,52 @@ class Model:
             samples: Of the contact points, if there are any.
         """
         numbers: dict[str, Any] = {"interfaces": {}, "regions": {}, "stem": {}}
-        for m in self.mechanics:
+        if m := self.mechanics:
             elastic = m.problem.scene.elastic
             numbers["interfaces"] = self.interfaces(samples)
             numbers["regions"] = {e.region: m.stresses.region(e.region) for e in elastic}
             if m.bonds:
                 numbers["bonds"] = {b.name: b.numbers() for b in m.bonds}
             numbers["stem"] = stem_motion(m.problem, self._case)
-        for t in self.thermal:
+        if t := self.thermal:
             numbers["thermal"] = t.record.summary() | {"flows": t.flows}
-            for cure in t.cure:
-                numbers["cure"] = cure.summary()
+            if t.cure:
+                numbers["cure"] = t.cure.summary()
         return numbers
 
     def places(self, samples: ContactSamples | None) -> dict[str, Any]:
         """Numbers that only some geometries have: mantle, layers, Gruen zones; collective."""
         notes = self.tagged.notes
         found = {key: notes[key] for key in ("mantle", "layers") if key in notes}
-        for m in self.mechanics:
-            if self._case.geometry.has_gruen_zones:
-                from meshes.gruen import Zones  # brings scipy, which few runs need
+        if (m := self.mechanics) and self._case.geometry.has_gruen_zones:
+            from meshes.gruen import Zones  # brings scipy, which few runs need
 
-                zones = Zones(self._case.geometry)
-                found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
+            zones = Zones(self._case.geometry)
+            found["gruen"] = gruen.summary(m.problem, m.stresses, samples, zones)
         return found
 
     def interfaces(self, samples: ContactSamples | None) -> dict[str, dict[str, Any]]:
         """Published numbers of the contact interfaces, by name; collective."""
-        if samples is None:
+        if samples is None or (m := self.mechanics) is None:
             return {}
-        (m,) = self.mechanics
         return {
             c.name: interface_numbers.interface(m.problem, samples, i)
             for i, c in enumerate(self.scene.contacts)
         }
 
     def relative(self, case: Case) -> dict[str, Any]:
-        """Solve another case in the same way; collective."""
-        comm, timing = self.tagged.mesh.comm, Timing("estimating errors")
-        other = Model(case, comm, self.options, timing, self.stop, self._kin)
-        last: list[ContactSamples | None] = [None]
+        """Solve a companion case; returns its numbers; collective."""
+        other = self._other(case, Timing("estimating errors"))
+        last: TrialState | None = None
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
-            if step.time == len(other.scene.stages) and trial is not None:
-                last[0] = ContactSamples(other.mechanics[0].problem, trial)
+            nonlocal last
+            last = trial
 
-        def trouble(text: str) -> None:
-            log.debug("     %s", text)
-
-        other.go(keep, lambda step, accepted: None, trouble)
-        return other.numbers(last[0]) | other.places(last[0])
+        other.go(Observer(keep, on_trouble=lambda text: log.debug("     %s", text)))
+        m = other.mechanics
+        samples = ContactSamples(m.problem, last) if m and last is not None else None
+        return other.numbers(samples) | other.places(samples)
 
 
 def _mesh_hash(data: MeshData) -> str:

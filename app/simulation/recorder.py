@@ -24,7 +24,6 @@ from app.results.interface_numbers import ContactSamples
 from app.results.probes import DisplacementProbes
 from app.results.run_folder import UNITS, Writer
 from app.scene.scene import SceneStage
-from app.simulation.mechanical_model import Mechanical
 from app.simulation.model import Model
 from app.soundness import uniqueness
 from app.stepping.heat_state import HeatStep
@@ -62,7 +61,12 @@ OnAccepted = Callable[[AcceptedStep], None]
 
 
 class Recorder:
-    """Turns converged steps into lines, rows, fields and the summary.
+    """Turns converged steps into lines, rows, fields and the summary; made on all ranks.
+
+    Args:
+        model: The model, at rest.
+        begin: When the run began, by `time.perf_counter`.
+        progress: Called after each step.
 
     Attributes:
         samples: Contact points after the last step, if there are any.
@@ -72,7 +76,7 @@ class Recorder:
 
     saved = (
         *("step_count", "time", "_frames", "_written", "_total", "_mechanical", "_contact"),
-        *("_balances", "_writer"),
+        *("_balance", "_writer"),
     )
 
     def __init__(
@@ -84,26 +88,20 @@ class Recorder:
         begin: float,
         progress: OnAccepted,
     ) -> None:
-        """Begin; collective.
-
-        Args:
-            case: The configuration.
-            model: The model, at rest.
-            writer: Where it goes.
-            timing: Where the seconds go.
-            begin: When the run began, by `time.perf_counter`.
-            progress: Called after each step.
-        """
         self._case, self._model, self._writer = case, model, writer
         self._progress = progress
         self._timing, self._begin = timing, begin
         about = np.array(case.geometry.points.get("head_centre", (0.0, 0.0, 0.0)))
-        with timing.phase("assemble"):
-            self._balances = [m.balance(about) for m in model.mechanics]
-            self._critical = [uniqueness.check(m.problem) for m in model.mechanics]
-        probes = case.output.probes
-        points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
-        self._probes = [DisplacementProbes(m.problem, points) for m in model.mechanics]
+        self._balance: Balance | None = None
+        self._critical: dict[str, Any] = {}
+        self._probes: DisplacementProbes | None = None
+        if m := model.mechanics:
+            with timing.phase("assemble"):
+                self._balance = m.balance(about)
+                self._critical = uniqueness.check(m.problem)
+            probes = case.output.probes
+            points = [ProbedPoint(name, p.at, p.region or "") for name, p in probes.items()]
+            self._probes = DisplacementProbes(m.problem, points)
         self.samples: ContactSamples | None = None
         self._contact: dict[str, Any] = {}
         self.time = 0.0
@@ -115,15 +113,16 @@ class Recorder:
     @property
     def row_keys(self) -> dict[str, Ints]:
         """Keys of own contact points."""
-        contacts = [m.problem.contact for m in self._model.mechanics if m.problem.contact]
-        return {"_contact": contacts[0].row_keys} if contacts else {}
+        m = self._model.mechanics
+        contact = m.problem.contact if m else None
+        return {"_contact": contact.row_keys} if contact else {}
 
     def restored(self) -> None:
         """Go on from a restored model; collective."""
-        for m, balance in zip(self._model.mechanics, self._balances, strict=True):
+        if (m := self._model.mechanics) and self._balance:
             u, q = m.solver.u_and_q()
             trial = m.problem.trial(u, q) if q is not None else None
-            balance.go_on(u, trial)
+            self._balance.go_on(u, trial)
             if trial is not None and self._contact:
                 trial = replace(trial, law=replace(trial.law, **self._contact))
                 self.samples = ContactSamples(m.problem, trial)
@@ -144,14 +143,15 @@ class Recorder:
                 self._timing.seconds[phase] = self._timing.seconds.get(phase, 0.0) + some
 
     def stage(self, stage: SceneStage) -> None:
-        """A stage begins."""
+        """Write the header of a stage's lines."""
         self._takes_time = stage.duration > 0 or stage.steady
         log.info("%s", text.heat_header() if self._takes_time else text.step_header())
 
     def step(self, step: LoadStep, trial: TrialState | None) -> None:
         """Record a step of the mechanics; collective."""
         with self._timing.phase("output"):
-            (m,), (balance,) = self._model.mechanics, self._balances
+            m, balance = self._model.mechanics, self._balance
+            assert m is not None and balance is not None
             balance.update(m.solver.u_and_q()[0], trial)
             if trial is not None:
                 self._contact = {"pressures": trial.law.pressures, "status": trial.law.status}
@@ -168,7 +168,7 @@ class Recorder:
         with self._timing.phase("output"):
             self._total.count(accepted.outcome)
             wall = clock.perf_counter() - self._begin
-            for t in self._model.thermal:
+            if t := self._model.thermal:
                 log.info("%s", text.heat_line(step.number, accepted, t.row(), wall))
             self._row(step)
 
@@ -199,9 +199,8 @@ class Recorder:
             "moment balance [-]": balance.moment,
             "energy balance [-]": balance.energy,
         }
-        for probes in self._probes:
-            for name, u in probes.values().items():
-                row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
+        for name, u in self._displacements().items():
+            row |= {f"{name} displacement.{a} [mm]": v for a, v in zip("xyz", u, strict=True)}
         columns = [c for c in TABLE["interfaces"].values() if c.history]
         for name, q in self._model.interfaces(self.samples).items():
             row |= {f"{name} {c.key} [{c.unit}]": q[c.key] for c in columns}
@@ -212,7 +211,7 @@ class Recorder:
         self.time = step.time
         self.step_count += 1
         row: dict[str, Any] = {"step": self.step_count, "time [-]": step.time} | self._mechanical
-        for t in self._model.thermal:
+        if t := self._model.thermal:
             row |= t.row()
         wall = clock.perf_counter() - self._begin
         row["wall [s]"] = round(wall, 3)
@@ -224,6 +223,10 @@ class Recorder:
         end = float(len(self._case.stages))
         folder = self._writer.folder
         self._progress(AcceptedStep(folder, self.step_count, step.stage, step.time, end, wall, row))
+
+    def _displacements(self) -> dict[str, list[float]]:
+        """Displacement of each probe [mm]; collective."""
+        return self._probes.values() if self._probes else {}
 
     def _fraction(self, status: int) -> float:
         s = self.samples
@@ -240,7 +243,7 @@ class Recorder:
         if self._written < self.step_count:
             self._fields()
         self._writer.last_fields()
-        for t in self._model.thermal:
+        if t := self._model.thermal:
             self._writer.section(t.operators, t.record)
 
     def summary(self, status: str, total: Summary | None) -> dict[str, Any]:
@@ -248,9 +251,9 @@ class Recorder:
         model, counted = self._model, total or self._total
         sizes = model.sizes()
         balance: dict[str, float] = {}
-        for b in self._balances:
+        if b := self._balance:
             balance |= {"force": b.force, "moment": b.moment, "energy": b.energy}
-        for t in model.thermal:
+        if t := model.thermal:
             balance |= {"heat": t.balance.heat, "heat_quadrature": t.balance.quadrature}
         result = {
             "status": status,
@@ -259,11 +262,7 @@ class Recorder:
             "time": self.time,
             **model.numbers(self.samples),
             **model.places(self.samples),
-            "probes": {
-                name: {"displacement": u}
-                for probes in self._probes
-                for name, u in probes.values().items()
-            },
+            "probes": {n: {"displacement": u} for n, u in self._displacements().items()},
             "balance": balance,
             "solver": {
                 "dofs": sum(sizes.values()),
@@ -272,14 +271,13 @@ class Recorder:
                 "newton_iterations": counted.newton_iterations,
                 "linear_iterations": counted.linear_iterations,
                 "rejected_steps": total.rejected if total else None,
-                "augmentation": _augmentation(model.mechanics),
+                "augmentation": model.mechanics.problem.augmentation() if model.mechanics else {},
                 "ranks": model.tagged.mesh.comm.size,
             },
         }
-        for critical in self._critical:
-            for name, value in critical.items():
-                if name in result["interfaces"]:
-                    result["interfaces"][name]["critical_friction"] = value
+        for name, value in self._critical.items():
+            if name in result["interfaces"]:
+                result["interfaces"][name]["critical_friction"] = value
         comm = model.tagged.mesh.comm
         cpu = comm.allgather(self._timing.cpu)
         memory = comm.allreduce(peak_memory())
@@ -302,7 +300,7 @@ class Recorder:
         """Leave the last converged state on disk, as far as the disk allows; collective."""
         if not self.step_count:
             return
-        for m in self._model.mechanics:
+        if m := self._model.mechanics:
             # The loads of the step that failed are not this state's.
             m.problem.set_time(self.time)
         for write in (
@@ -315,14 +313,10 @@ class Recorder:
                 log.warning("%s", error)
 
     def last_state(self) -> str:
-        """Where the last converged state is."""
+        """Say where the last converged state is."""
         if not self.step_count:
             return "no step has converged: nothing is on disk"
         return (
             f"last converged state: time {self.time:.4g} (step {self.step_count}) "
             f"in {self._writer.folder}"
         )
-
-
-def _augmentation(mechanics: tuple[Mechanical, ...]) -> dict[str, float]:
-    return {k: v for m in mechanics for k, v in m.problem.augmentation().items()}

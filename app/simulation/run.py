@@ -21,7 +21,7 @@ from app.results import closing_lines as text
 from app.results import error_estimate
 from app.results.run_folder import Writer, on_root, provenance
 from app.simulation.checkpoint import Checkpoint, CheckpointWriter
-from app.simulation.model import Model
+from app.simulation.model import Model, Observer
 from app.simulation.recorder import OnAccepted, Recorder
 from app.soundness import plausibility, well_posedness
 from app.stepping.load_steps import Summary
@@ -48,7 +48,7 @@ class Setup:
         begin: When the run began, by `time.perf_counter`.
         started: The same, by the clock.
         timing: Seconds by phase.
-        models: Models before, of which the next one takes over what it can.
+        model: The model before, from which the next one takes over what it can.
         noted: Notes that were told.
     """
 
@@ -60,7 +60,7 @@ class Setup:
     begin: float
     started: datetime
     timing: Timing = field(default_factory=Timing)
-    models: list[Model] = field(default_factory=list)
+    model: Model | None = None
     noted: set[str] = field(default_factory=set)
 
     def note(self, messages: Sequence[str]) -> None:
@@ -96,7 +96,8 @@ class CaseRun:
         found: Checkpoint | None,
     ) -> None:
         comm, self._setup, self._case, self._folder = setup.comm, setup, case, output
-        self._model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.models)
+        self._model = Model(case, comm, setup.options, setup.timing, setup.stop, setup.model)
+        setup.model = self._model
         self._notes = [*plausibility.warnings(case), *self._model.judge()]
         setup.note(self._notes)
         log.info(
@@ -137,12 +138,14 @@ class CaseRun:
         """
         with self._last_state_kept():
             return self._model.go(
-                self._recorder.step,
-                self._recorder.heat,
-                lambda s: log.info("     %s", s),
-                self._recorder.stage,
-                self._checkpoints.mark,
-                self._checkpoints.resume,
+                Observer(
+                    self._recorder.step,
+                    self._recorder.heat,
+                    lambda s: log.info("     %s", s),
+                    self._recorder.stage,
+                    self._checkpoints.mark,
+                    self._checkpoints.resume,
+                )
             )
 
     @contextmanager
@@ -171,14 +174,13 @@ class CaseRun:
             self._recorder.flush()
             summary = self._recorder.summary("converged", total)
         summary["notes"] = [*self._notes, *well_posedness.doubts(case, summary["regions"])]
-        summary["notes"] += [note for t in model.thermal for note in t.heating.notes]
+        summary["notes"] += model.thermal.heating.notes if model.thermal else []
         if text.reasons_not_to_use(summary):
             summary["status"] = text.UNUSABLE
         setup.note(summary["notes"])
-        if case.output.condition:
-            for m in model.mechanics:
-                A = m.solver.snes.getJacobian()[0]
-                summary["solver"]["condition"] = condition_number(A)
+        if case.output.condition and model.mechanics:
+            A = model.mechanics.solver.snes.getJacobian()[0]
+            summary["solver"]["condition"] = condition_number(A)
         if companions := error_estimate.companions(case):
             # The numbers are safe before their errors are looked for.
             self._writer.finish(summary, done=False)

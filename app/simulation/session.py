@@ -194,7 +194,7 @@ class Session:
                     raise InputError(f"--restart {found.path}: cannot be used: {damaged}") from None
                 checkpoint.pass_over(found.path, damaged)
                 passed.append(found.path)
-                self._setup.models.clear()  # with the one that has taken up some of it
+                self._setup.model = None  # it has taken up some of it
         return self._solve(case, changes, output, None)
 
     def _solve(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from dolfinx import fem
-from numpy.typing import NDArray
 
 from app.case.case import Case
 from app.heat.flows import stored, through
@@ -24,11 +23,9 @@ class ThermalModel:
     """The heat of a model, and what is kept of it.
 
     Attributes:
-        operators: The operators of heat.
-        heating: Its state.
-        record: Temperatures as far as they are reported.
-        cure: Degrees of cure, if anything sets.
-        balance: What came in, is stored and left.
+        heating: Temperatures and degrees of cure in time.
+        record: Reported temperatures.
+        cure: Reported degrees of cure, if anything sets.
         flows: Heat per time at the end of the last step: into the model by condition, and through
             interfaces of finite conductance from the first side to the second [mW].
     """
@@ -36,7 +33,6 @@ class ThermalModel:
     saved = ("heating", "record", "_settled", "cure", "balance", "flows")
 
     def __init__(self, case: Case, heating: HeatState) -> None:
-        """Begin with the initial state; collective."""
         operators = heating.operators
         self.operators, self.heating = operators, heating
         self._capacities = {c.region: c.capacity for c in operators.scene.conductors}
@@ -55,17 +51,13 @@ class ThermalModel:
         # Once a steady state has been reached the first instants are over.
         self._settled = False
         self.record.start(self._reported(0.0))
-        keys = self._keys()
-        self.cure: tuple[CureRecord, ...] = (
-            (CureRecord(operators.comm, heating.degrees(), keys),) if keys else ()
-        )
+        self.cure: CureRecord | None = None
+        if operators.cure:
+            nodes = operators.row_keys
+            keys = {n.region: nodes[n.dof] for n in operators.cure.nodes}
+            self.cure = CureRecord(operators.comm, heating.degrees(), keys)
         self.balance = HeatBalance(stored(operators, heating.vectors()), {})
         self.flows: dict[str, dict[str, float]] = {}
-
-    def _keys(self) -> dict[str, NDArray[np.int64]]:
-        """Keys of the nodes of each region that sets."""
-        nodes, cure = self.operators.row_keys, self.operators.cure
-        return {n.region: nodes[n.dof] for n in cure.nodes} if cure else {}
 
     def _reported(self, seconds: float) -> list[fem.Function]:
         """Temperatures of the bodies, as they are reported at a time; collective."""
@@ -88,8 +80,8 @@ class ThermalModel:
         highest = heating.step.bounds(x).high
         rates = heating.slopes() if heating.begins_at_event(accepted) else ()
         self.record.update(accepted.seconds, temperatures, exchanges, highest, rates)
-        for cure in self.cure:
-            cure.update(accepted.seconds, heating.degrees(), heating.rates())
+        if self.cure:
+            self.cure.update(accepted.seconds, heating.degrees(), heating.rates())
         self.flows = {"into": dict(accepted.flows), "through": through(heating.step, x)}
         heat = stored(operators, x)
         rounding = heating.step.measure(x, heating.step.vectors())[0].rounding
@@ -105,6 +97,6 @@ class ThermalModel:
     def row(self) -> dict[str, float]:
         """Columns of history.csv."""
         row = self.record.row()
-        for cure in self.cure:
-            row |= cure.row()
+        if self.cure:
+            row |= self.cure.row()
         return row | {"heat balance [-]": self.balance.heat}

@@ -29,7 +29,7 @@ def half_spaces(size: float, *overrides: str) -> coupled.Coupled:
 
 def interface(run: coupled.Coupled) -> tuple[np.ndarray, np.ndarray]:
     """Times [s] and hottest temperatures of the bone [degC], which are those of its interface."""
-    record = run.model.thermal[0].record
+    record = run.model.thermal.record
     T = np.array([row["bone temperature_max [degC]"] for row in record.rows])
     return np.array(record.seconds), T
 
@@ -45,7 +45,7 @@ def test_peaks_and_doses_of_the_interface_are_those_of_half_spaces() -> None:
     """It stays at 58.2 degC: time above 56 degC is all there is, CEM43 R^(43 - T) of it."""
     minutes = 2.0 ** (SPACES.contact - 43.0) * SECONDS / 60.0
     for h in SIZES:
-        summary = half_spaces(h).model.thermal[0].record.summary()["regions"]["bone"]
+        summary = half_spaces(h).model.thermal.record.summary()["regions"]["bone"]
         assert summary["temperature_max"] == pytest.approx(SPACES.contact, abs=0.1)
         assert summary["seconds_over_56"] == pytest.approx(SECONDS, rel=1e-9)
         assert summary["cem43_max"] == pytest.approx(minutes, rel=0.02)
@@ -72,7 +72,7 @@ def test_equal_steps_converge_in_first_order() -> None:
             f"stages.0.increments={n:g}",
             "stages.0.adaptive=false",
         )
-        summary = run.model.thermal[0].record.summary()["regions"]["bone"]
+        summary = run.model.thermal.record.summary()["regions"]["bone"]
         errors.append(abs(summary["temperature_mean"] - exact))
     assert fitted_order([1 / n for n in steps], errors) > 0.9, errors
 
@@ -82,5 +82,5 @@ def test_a_steady_state_is_past_the_start() -> None:
     ends = "heat={hot: {kind: temperature, boundary: bottom, temperature: 100 degC}, cold: "
     ends += "{kind: temperature, boundary: top, temperature: 37 degC}}"
     run = half_spaces(1.0, ends, "stages=[{name: rest, steady: true}]")
-    bone = run.model.thermal[0].record.rows[-1]["bone temperature_max [degC]"]
+    bone = run.model.thermal.record.rows[-1]["bone temperature_max [degC]"]
     assert bone == pytest.approx((100.0 * 0.2 + 37.0 * 0.58) / 0.78, abs=1e-6)

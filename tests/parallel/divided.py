@@ -1,4 +1,4 @@
-"""``mantle run`` on ranks that get the cells they are given: started by `test_every_case`."""
+"""``mantle run`` on ranks that get the cells they are given: started by `test_ranks`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stem solved cold and from a cheaper model on these ranks: started by `test_nested_ranks`."""
+"""A stem solved cold and from a cheaper model on these ranks: started by `test_ranks`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if __name__ == "__main__":
     for settings in ({}, test_nested.ALWAYS):
         with patch.multiple(coarser_case, **settings) if settings else nullcontext():
             model, steps = test_nested.go()
-        j = model.mechanics[0].problem.contact
+        j = model.mechanics.problem.contact
         found.append((coarse_start.replicated(j), steps[0].outcome.residuals[0]))
     (cold, first), (warm, then) = found
     if comm.rank == 0:

@@ -1,4 +1,4 @@
-"""BodyForms that follow the heat: as closely as asked, through cure too, and judged rightly."""
+"""Mechanics that follow the heat: as closely as asked, through cure too, and judged rightly."""
 
 from __future__ import annotations
 

@@ -225,7 +225,7 @@ def test_doses_of_a_course_with_kinks_are_those_of_its_lines(
     """Held at temperatures that are linear in time between kinks."""
     steps = "stages.0={name: bath, duration: 110 s, increments: 11, adaptive: false}"
     run = coupled.solve(monkeypatch, *([steps] if equal else []), text=HELD)
-    _, found = run.model.thermal[0].record.exposure("bone")
+    _, found = run.model.thermal.record.exposure("bone")
 
     def dose(rate: Callable[[float], float]) -> float:
         parts = pairwise(BATH[0])

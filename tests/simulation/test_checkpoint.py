@@ -176,7 +176,7 @@ def test_a_finished_run_stays_and_what_was_restored_is_told(
     said = capsys.readouterr().out
     assert "restart from" in said and "step 6, time 3 in stage 'back'" in said
     assert main([*command, *options]) == 0
-    assert capsys.readouterr().out == f"{out} is finished already\n"
+    assert capsys.readouterr().out.startswith(f"{out} is finished already")
 
 
 def test_checkpoints_do_not_change_the_steps(run_of_blocks: Path, tmp_path: Path) -> None:
@@ -199,10 +199,6 @@ def test_spans_of_time() -> None:
 LONG = ["--set", "stages.1.increments=400", "--set", FIELDS]
 
 
-AGAIN = [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
-
-
-@pytest.mark.parametrize("step", AGAIN)
 @pytest.mark.parametrize(
     "number",
     [
@@ -211,9 +207,9 @@ AGAIN = [1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
         *(pytest.param(n, marks=pytest.mark.slow) for n in (signal.SIGTERM, signal.SIGINT)),
     ],
 )
-def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: int) -> None:
+def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals) -> None:
     out = tmp_path / "out"
-    process = begun(tmp_path, out, step, signal.SIG_DFL)
+    process = begun(tmp_path, out, signal.SIG_DFL)
     process.send_signal(number)
     _, message = process.communicate(timeout=60)
     assert process.returncode == 5
@@ -223,7 +219,7 @@ def test_a_signal_saves_the_state(tmp_path: Path, number: signal.Signals, step: 
 
 
 def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
-    process = begun(tmp_path, tmp_path / "out", 1, signal.SIG_IGN)
+    process = begun(tmp_path, tmp_path / "out", signal.SIG_IGN)
     process.send_signal(signal.SIGHUP)
     wait_for(process, 3)
     process.send_signal(signal.SIGUSR1)
@@ -231,7 +227,7 @@ def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
     assert process.returncode == 5 and "stopped by SIGUSR1" in message
 
 
-def begun(folder: Path, out: Path, step: int, hung_up: signal.Handlers) -> subprocess.Popen[str]:
+def begun(folder: Path, out: Path, hung_up: signal.Handlers) -> subprocess.Popen[str]:
     """A run that has made a step, started with what becomes of SIGHUP."""
     case = folder / "case.yaml"
     case.write_text(restarted.RUBBING)
@@ -243,7 +239,7 @@ def begun(folder: Path, out: Path, step: int, hung_up: signal.Handlers) -> subpr
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGHUP, hung_up),
     )
-    wait_for(process, step)
+    wait_for(process, 1)
     return process
 
 
@@ -320,13 +316,13 @@ def started(*command: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
-def test_fifty_kills(tmp_path: Path) -> None:
+def test_twenty_kills(tmp_path: Path) -> None:
     """Whenever a run is killed, what it left goes on to the same numbers."""
     case, _ = restarted.whole(restarted.RUBBING, tmp_path, FIELDS)
     command = ["run", str(case), "--set", FIELDS, "--set", "output.checkpoint.steps=1"]
     random = np.random.default_rng(7)
     left = []
-    for k in range(50):
+    for k in range(20):
         out = tmp_path / f"out-{k}"
         process = started(*command, "-o", str(out))
         wanted = f"checkpoint-{random.integers(1, 6)}.state"
@@ -339,8 +335,8 @@ def test_fifty_kills(tmp_path: Path) -> None:
         assert main([*command, "-o", str(out), "--restart", "auto"]) == 0
         restarted.assert_same(tmp_path / "whole", out)
         shutil.rmtree(out)
-    print(f"killed 50 times, checkpoints left: {np.bincount(left).tolist()}")
-    assert left.count(2) > 10
+    print(f"killed 20 times, checkpoints left: {np.bincount(left).tolist()}")
+    assert left.count(2) > 4
 
 
 VARIATIONS = """

@@ -15,7 +15,7 @@ from app.mechanics.contact import TrialState
 from app.numerics import remedies
 from app.numerics.newton import NewtonResult, Solver
 from app.simulation import coarser_case
-from app.simulation.model import Model
+from app.simulation.model import Model, Observer
 from app.stepping import coarse_start, load_steps
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
@@ -72,7 +72,7 @@ def go(*overrides: str) -> tuple[Model, list[LoadStep]]:
     def on_step(step: LoadStep, trial: TrialState | None) -> None:
         steps.append(step)
 
-    model.go(on_step, lambda step, accepted: None, print)
+    model.go(Observer(on_step, on_trouble=print))
     return model, steps
 
 
@@ -84,13 +84,13 @@ def always(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def jumps(model: Model) -> Any:
     """Jumps of the last step (n, 3) [mm]."""
-    j = model.mechanics[0].problem.contact
+    j = model.mechanics.problem.contact
     return j.state.jump
 
 
 def states(model: Model) -> Any:
     """Jumps and forces of the last step, each over its largest (2, n, 3)."""
-    j = model.mechanics[0].problem.contact
+    j = model.mechanics.problem.contact
     return np.array([v / np.abs(v).max() for v in (j.state.jump, j.state.force)])
 
 
@@ -151,8 +151,8 @@ def test_the_error_is_of_the_model_that_the_start_is_from(monkeypatch: pytest.Mo
     monkeypatch.setattr(coarser_case, "TOLERANCE", 1e-2)
     model, _ = go()
     companion = support.case(STEM, "mesh.size=5 mm", "mesh.far_size=5 mm", "stages.0.increments=1")
-    coarse = next(m for m in model._kin if m._case.mesh.size == 5.0)
-    (m,) = coarse.mechanics
+    coarse = next(m for m in model._others if m._case.mesh.size == 5.0)
+    m = coarse.mechanics
     solves: list[NewtonResult] = []
 
     def noted(solver: Solver) -> NewtonResult:
@@ -179,7 +179,7 @@ def test_the_first_step_is_one_of_newton_in_jumps_and_forces() -> None:
     The states of the points are those of its jumps and forces, so that the system is linear.
     """
     model, _ = go("stages.0.increments=1")
-    (m,) = model.mechanics
+    m = model.mechanics
     j = m.problem.contact
     answer, force = m.solver.x.copy(), j.state.force.copy()
     j.begin(m.problem.scene.contacts, model._case.solver.augmentation_factor)
@@ -204,10 +204,10 @@ def test_only_large_models_with_contact_are_nested(monkeypatch: pytest.MonkeyPat
     bonded = "interfaces={stem_cement: {kind: bonded}, cement_bone: {kind: bonded}}"
     made = [Model(support.case(STEM, o), MPI.COMM_WORLD, {}, Timing(), str) for o in (bonded,)]
     small = Model(support.case(STEM), MPI.COMM_WORLD, {}, Timing(), str)
-    assert small._nested(small.mechanics[0]) == ()
+    assert len(small._predictors(small.mechanics)) == 1
     always(monkeypatch)
-    assert len(small._nested(small.mechanics[0])) == 1
-    assert made[0]._nested(made[0].mechanics[0]) == ()
+    assert len(small._predictors(small.mechanics)) == 2
+    assert len(made[0]._predictors(made[0].mechanics)) == 1
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from app.errors import InputError
 from app.mechanics.contact import TrialState
 from app.results.interface_numbers import ContactSamples
 from app.simulation import variations
-from app.simulation.model import Model
+from app.simulation.model import Model, Observer
 from app.stepping.load_steps import LoadStep
 from app.system.timing import Timing
 from tests import coupled, support
@@ -240,21 +240,21 @@ class Runs:
     """Models one after another that share what they can."""
 
     def __init__(self) -> None:
-        self.kin: list[Model] = []
+        self.last: Model | None = None
 
     def run(self, case: Case) -> tuple[list[Floats], list[int], dict[str, Any]]:
         """Solve a case: displacements of all bodies [mm], Newton iterations, numbers."""
-        model = Model(case, MPI.COMM_WORLD, {}, Timing(), str, self.kin)
+        model = self.last = Model(case, MPI.COMM_WORLD, {}, Timing(), str, self.last)
         last: list[ContactSamples] = []
         iterations = []
 
         def keep(step: LoadStep, trial: TrialState | None) -> None:
             iterations.append(step.outcome.iterations)
             if trial is not None:
-                last[:] = [ContactSamples(model.mechanics[0].problem, trial)]
+                last[:] = [ContactSamples(model.mechanics.problem, trial)]
 
-        model.go(keep, lambda step, accepted: None, print)
-        moved = model.mechanics[0].problem.displacements()
+        model.go(Observer(keep, on_trouble=print))
+        moved = model.mechanics.problem.displacements()
         return [u.x.array.copy() for u in moved], iterations, model.numbers(last[0])
 
 
@@ -287,8 +287,8 @@ def test_neither_order_nor_company_changes_anything() -> None:
             for u, v in zip(found, expected, strict=True):
                 assert np.abs(u - v).max() < 1e-8 * np.abs(v).max(), name
         # One mesh and, but for the tied one, one set of matrices.
-        assert len(runs.kin) == 2
-        assert runs.kin[0].tagged is runs.kin[1].tagged
+        one, other = runs.last._others
+        assert one.tagged is other.tagged
 
 
 def test_scaled_loads_take_no_iterations() -> None:
@@ -330,8 +330,8 @@ def test_companions_share_their_mesh_too() -> None:
     for override in (f"{MU}=0.4", f"{MU}=0.3"):
         runs.run(changed(override))
         coarse = changed(override, "mesh.size=6 mm", "mesh.far_size=6 mm")
-        numbers = runs.kin[-1].relative(coarse)
-        assert len(runs.kin) == 2
+        numbers = runs.last.relative(coarse)
+        assert len(runs.last._others) == 2
         alone = Runs()
         expected = alone.run(coarse)[2]["interfaces"]["stem_cement"]["slip_p99"]
         slip = numbers["interfaces"]["stem_cement"]["slip_p99"]
@@ -339,7 +339,7 @@ def test_companions_share_their_mesh_too() -> None:
 
 
 def test_conductance_varies_where_heat_and_contact_depend_on_each_other() -> None:
-    """BodyForms are taken over, at rest and as cold as before the run."""
+    """Mechanics are taken over, at rest and as cold as before the run."""
     key = "interfaces.lower_upper.conductance.per_pressure"
     cases = [
         support.case(coupled.CASE, f"{key}={value} W/(m^2 K MPa)", "stages[1].increments=2")
@@ -354,4 +354,4 @@ def test_conductance_varies_where_heat_and_contact_depend_on_each_other() -> Non
             ours = numbers["thermal"]["regions"][region]["temperature_mean"]
             theirs = expected["thermal"]["regions"][region]["temperature_mean"]
             assert ours == pytest.approx(theirs, rel=1e-8)
-    assert len(runs.kin) == 1
+    assert len(runs.last._others) == 1

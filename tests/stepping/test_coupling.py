@@ -44,8 +44,8 @@ def test_taylor_remainder_is_of_second_order(
 ) -> None:
     """Of every block, off a solution with points that are open, stick and slip."""
     c = coupled.solve(monkeypatch, *overrides)
-    solver, problem = c.solver, c.model.mechanics[0].problem
-    operators, j = c.model.thermal[0].operators, problem.contact
+    solver, problem = c.solver, c.model.mechanics.problem
+    operators, j = c.model.thermal.operators, problem.contact
     held = [
         operators.fixed.held,
         *([operators.jumps.held] if operators.jumps else []),
@@ -117,7 +117,7 @@ def compare(one: coupled.Coupled, other: coupled.Coupled, tolerance: float) -> N
 def test_what_depends_one_way_only_may_be_solved_in_one_system_too(
     monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    """BodyForms that follow the heat, step by step, and the same in one system with it."""
+    """Mechanics that follow the heat, step by step, and the same in one system with it."""
     steps = (f"time.method={method}", "time.mechanical_step=1000 K")
     one = coupled.solve(monkeypatch, *steps, ONE_WAY)
     assert not one.model.scene.coupled
@@ -145,7 +145,7 @@ def test_heat_of_friction_is_what_friction_dissipates(
         assert heat > 1e-3
         assert heat == pytest.approx(dissipated - before, rel=1e-8)
         before = dissipated
-    (thermal,) = c.model.thermal
+    thermal = c.model.thermal
     balance = thermal.balance
     assert balance.heats["friction lower_upper"] == pytest.approx(before - c.before, rel=1e-8)
     assert balance.heat < 1e-11
@@ -174,7 +174,7 @@ def test_heat_of_force_and_slip_that_grow_together(
     counts, heats = (1, 2, 4, 8), []
     for n in counts:
         c = together(monkeypatch, n, f"time.method={method}")
-        j = c.model.mechanics[0].problem.contact
+        j = c.model.mechanics.problem.contact
         h = j.state
         whole = float(j.own.weight @ np.einsum("pi,pi->p", h.friction, h.jump))
         heats.append(sum(step.heats["friction lower_upper"] for step in c.steps))
@@ -189,7 +189,7 @@ def test_what_springs_stretch_is_no_heat(monkeypatch: pytest.MonkeyPatch, method
     law = PENALTY.replace("friction_coefficient: 0.3", "friction_coefficient: 5")
     little = "supports.slide={kind: displacement, boundary: top, x: 0.003 mm, y: 0 mm}"
     c = together(monkeypatch, 2, f"time.method={method}", law, little)
-    j = c.model.mechanics[0].problem.contact
+    j = c.model.mechanics.problem.contact
     h = j.state
     assert float(j.own.weight @ np.einsum("pi,pi->p", h.friction, h.jump)) > 1e-3
     assert c.dissipated == (0.0, 0.0)
@@ -208,7 +208,7 @@ def test_insulated_bodies_keep_all_of_it(monkeypatch: pytest.MonkeyPatch, perfec
         "regions.upper.thermal.initial_temperature=37 degC",
         "solver.tolerance=1e-12",
     )
-    heating = c.model.thermal[0].heating
+    heating = c.model.thermal.heating
     operators = heating.operators
     released = c.dissipated[-1] - c.before
     warmed = [
@@ -234,7 +234,7 @@ def test_only_what_sets_may_expand(monkeypatch: pytest.MonkeyPatch) -> None:
         "gel: 0.5, shrinkage: 0}"
     )
     runs = [coupled.solve(monkeypatch, *one_sided, *own) for own in ((), (cement,))]
-    solid, hardened = (run.model.mechanics[0].solver.blocks_by_name() for run in runs)
+    solid, hardened = (run.model.mechanics.solver.blocks_by_name() for run in runs)
     for name in MOTION:
         size = np.abs(solid[name].array).max()
         assert np.abs(solid[name].array - hardened[name].array).max() <= 1e-4 * size, name
@@ -254,7 +254,7 @@ def test_what_heat_sees_of_setting_cement_is_a_step_behind(monkeypatch: pytest.M
     for n in counts:
         changes = (cement, f"stages.1.increments={n}", "time.mechanical_step=1000 K")
         c = coupled.solve(monkeypatch, *changes)
-        kept = c.model.mechanics[0].solver.blocks_by_name()["displacement"].array
+        kept = c.model.mechanics.solver.blocks_by_name()["displacement"].array
         seen = c.solver.blocks_by_name()["displacement"].array
         motion.append(float(np.abs(seen - kept).max() / np.abs(kept).max()))
         dissipated = c.dissipated[-1] - c.before

@@ -63,5 +63,5 @@ def test_equal_steps_do_not_cross_kinks(monkeypatch: pytest.MonkeyPatch, method:
     # The rate is linear between the kinks: a rule of order 4 is exact, that of order 1 is not.
     if method == "sdirk4":
         assert released == pytest.approx(whole, rel=1e-12)
-    (degree,) = (a for t in run.model.thermal for a in t.heating.degrees().values())
+    (degree,) = run.model.thermal.heating.degrees().values()
     assert degree == pytest.approx(released / whole, rel=1e-12)

@@ -21,22 +21,9 @@ from tests.simulation import test_nested
 FIELDS = "output.fields=false"
 
 
-def test_friction(tmp_path: Path) -> None:
-    case, files = restarted.whole(restarted.RUBBING, tmp_path, FIELDS)
-    assert len(files) == 6
-    for file in files:
-        part = restarted.on(case, tmp_path, file, FIELDS)
-        restarted.assert_same(tmp_path / "whole", part)
-
-
-def test_cure_and_what_it_leaves(tmp_path: Path) -> None:
-    case, files = restarted.whole(restarted.SETTING, tmp_path, FIELDS)
-    # Within setting, and where the holder lets go.
-    for file in (files[len(files) // 2], files[-3]):
-        restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, file, FIELDS))
-
-
+EVERY = [slice(1, None, 2), pytest.param(slice(None), marks=pytest.mark.slow)]
 KINDS = {
+    "as it is": (),
     "rigid": (
         "regions.upper={rigid: true}",
         "supports.press.z=-0.005 mm",
@@ -49,11 +36,10 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    "steps", [slice(1, None, 2), pytest.param(slice(None), marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("steps", EVERY)
 def test_kinds_of_mechanics(tmp_path: Path, kind: str, steps: slice) -> None:
     case, files = restarted.whole(restarted.RUBBING, tmp_path, FIELDS, *KINDS[kind])
+    assert len(files) == 6
     for file in files[steps]:
         part = restarted.on(case, tmp_path, file, FIELDS, *KINDS[kind])
         restarted.assert_same(tmp_path / "whole", part)
@@ -73,6 +59,9 @@ def test_nested_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 # Coarse, and for heat not for long.
 COARSE = ("mesh.size=6 mm", "mesh.far_size=12 mm", FIELDS)
 SHIPPED = {
+    "blocks": ("mesh.size=3 mm", FIELDS),
+    "intact": COARSE,
+    "thermal_rings": ("mesh.size=0.8 mm", "time.tolerance=0.02 K", FIELDS),
     "cylinders": ("mesh.size=4 mm", "mesh.far_size=8 mm", FIELDS),
     "stance": COARSE,
     "cure": (*COARSE, "stages.0.increments=2"),
@@ -131,12 +120,12 @@ def test_heat_and_contact_that_depend_on_each_other(tmp_path: Path, adaptive: bo
         restarted.assert_same(tmp_path / "whole", part)
 
 
-@pytest.mark.slow
-def test_cure_after_every_step(tmp_path: Path) -> None:
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_cure_and_what_it_leaves(tmp_path: Path, every: bool) -> None:
+    """After every step, or within setting and where the holder lets go."""
     case, files = restarted.whole(restarted.SETTING, tmp_path, FIELDS)
-    for file in files:
-        part = restarted.on(case, tmp_path, file, FIELDS)
-        restarted.assert_same(tmp_path / "whole", part)
+    for file in files if every else (files[len(files) // 2], files[-3]):
+        restarted.assert_same(tmp_path / "whole", restarted.on(case, tmp_path, file, FIELDS))
 
 
 def test_fields_go_on_in_their_file(tmp_path: Path) -> None:
