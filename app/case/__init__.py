@@ -1,1 +1,1 @@
-"""The case: its parts, what it is laid over, checks of one part against another, many from one."""
+"""The case: its parts, its bases and libraries, checks between parts, many runs of one case."""

@@ -115,6 +115,8 @@ class Case(Section):
                 wrong = {fault.path[1] for fault in found}
                 part = handler({k: v for k, v in value.items() if k not in wrong})
                 part |= dict.fromkeys(wrong)
+            elif name in ("interfaces", "loads", "heat"):
+                part = {}
         notes["parts"][name] = part
         if name == "geometry" and part is not None:
             notes["points"] = part.points

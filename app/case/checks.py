@@ -6,32 +6,26 @@ those of the others.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from app.case import thermal_checks
 from app.case.femurs import Femur, IntactFemur
 from app.case.quantities import of_run
 from app.errors import Reason
+from app.laws.heat_conditions import Convection, FixedTemperature, Perfusion
 from app.laws.materials import Conductor, Rigid
 from app.schema.section import did_you_mean
 from app.schema.yaml_file import Fault, Path
 
 
 def cross_check(case: Any) -> list[Fault]:
-    """Every contradiction between the case."""
-    return [
-        *_names(case),
-        *_too_small(case),
-        *_histories(case),
-        *_stage_names(case),
-        *_support_stages(case),
-        *_rigid(case),
-        *_held(case),
-        *_side(case),
-        *thermal_checks.cross_check(case),
-        *thermal_checks.probe_regions(case),
-    ]
+    """Every contradiction between the parts of a case; a part that is invalid is None."""
+    faults = [*_held(case), *_side(case), *_heat(case)]
+    if case.geometry is not None:
+        faults += [*_names(case), *_too_small(case), *_rigid(case)]
+    if case.stages is not None:
+        faults += _stages(case)
+    return faults
 
 
 def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str) -> Fault:
@@ -42,44 +36,46 @@ def _unknown(path: Path, what: str, name: str, known: Iterable[str], owner: str)
     )
 
 
+def _entries(case: Any, *sections: str) -> Iterable[tuple[str, str, Any]]:
+    """Section, name and entry of all that are valid."""
+    for section in sections:
+        for name, entry in (getattr(case, section) or {}).items():
+            if entry is not None:
+                yield section, name, entry
+
+
 def _names(case: Any) -> Iterable[Fault]:
     """Names that the geometry does not have, and regions without material."""
-    geometry = case.geometry
-    if geometry is None:
+    kind, regions = case.geometry.kind, case.geometry.region_names
+    boundaries, interfaces = case.geometry.boundary_names, case.geometry.interface_sides
+    used: list[tuple[Path, str, Any]] = [
+        *((("regions", name), "region", name) for name in case.regions or ()),
+        *((("interfaces", name), "interface", name) for name in case.interfaces),
+    ]
+    for section, name, entry in _entries(case, "supports", "loads", "heat"):
+        used.append(((section, name, "boundary"), "boundary", getattr(entry, "boundary", None)))
+        inside = enumerate(getattr(entry, "regions", None) or ())
+        used += [((section, name, "regions", i), "region", region) for i, region in inside]
+    if case.output is not None:
+        probes = (case.output.probes or {}).items()
+        used += [(("output", "probes", n, "region"), "region", probe.region) for n, probe in probes]
+    known = {"region": regions, "interface": interfaces, "boundary": boundaries}
+    for path, what, name in used:
+        if name is not None and name not in known[what]:
+            yield _unknown(path, what, name, known[what], kind)
+    if case.regions is None:
         return
-    kind = geometry.kind
-    regions, boundaries = geometry.region_names, geometry.boundary_names
-    if case.regions is not None:
-        for name in case.regions:
-            if name not in regions:
-                yield _unknown(("regions", name), "region", name, regions, kind)
-        if missing := [name for name in regions if name not in case.regions]:
-            yield Fault(
-                ("regions",), f"no material for {', '.join(missing)}; every region needs one"
-            )
-        for name, region in case.regions.items():
-            unsaid = name in regions and name not in geometry.tissues
-            if region is not None and region.tissue is None and unsaid:
-                text = "'tissue' is missing; expected bone, cement, implant or other"
-                yield Fault(("regions", name), text)
-    for name in case.interfaces or {}:
-        if name not in geometry.interface_sides:
-            yield _unknown(("interfaces", name), "interface", name, geometry.interface_sides, kind)
-    for section in ("supports", "loads", "heat"):
-        for name, entry in (getattr(case, section) or {}).items():
-            boundary = getattr(entry, "boundary", None)
-            if boundary is not None and boundary not in boundaries:
-                yield _unknown((section, name, "boundary"), "boundary", boundary, boundaries, kind)
-            for i, region in enumerate(getattr(entry, "regions", None) or ()):
-                if region not in regions:
-                    yield _unknown((section, name, "regions", i), "region", region, regions, kind)
+    if missing := [name for name in regions if name not in case.regions]:
+        yield Fault(("regions",), f"no material for {', '.join(missing)}; every region needs one")
+    for _, name, region in _entries(case, "regions"):
+        if region.tissue is None and name in regions and name not in case.geometry.tissues:
+            text = "'tissue' is missing; expected bone, cement, implant or other"
+            yield Fault(("regions", name), text)
 
 
 def _too_small(case: Any) -> Iterable[Fault]:
     """Lengths that cells of the mesh's size do not go with."""
-    if case.geometry is None or case.mesh is None:
-        return
-    size = case.mesh.size
+    size = 0.0 if case.mesh is None else case.mesh.size
     for key, (length, most) in case.geometry.spans.items():
         if size > most * length:
             text = f"cannot be meshed with edges of {size:g} mm (mesh.size)"
@@ -87,69 +83,45 @@ def _too_small(case: Any) -> Iterable[Fault]:
             yield Fault(("geometry", *key), f"{text}; expected {expected} {most * length:.3g} mm")
 
 
-def _histories(case: Any) -> Iterable[Fault]:
-    """Histories of another length than the stages."""
-    if case.stages is None:
-        return
-    number = len(case.stages)
-
-    def check(path: Path, history: tuple[float, ...] | None) -> Iterable[Fault]:
-        if history is not None and len(history) != number:
-            names = ", ".join(s.name for s in case.stages)
-            wanted = f"{number}, one for the end of each stage ({names})"
-            yield Fault(path, f"has {len(history)} values; expected {wanted}")
-
-    for section in ("interfaces", "supports", "loads"):
-        for name, entry in (getattr(case, section) or {}).items():
-            for key in ("history", "gap_history"):
-                if entry is not None and key in type(entry).model_fields:
-                    yield from check((section, name, key), getattr(entry, key))
-    for name, region in (case.regions or {}).items():
-        for i, eigenstrain in enumerate(getattr(region, "eigenstrains", ())):
-            history = getattr(eigenstrain, "history", None)
-            yield from check(("regions", name, "eigenstrains", i, "history"), history)
-
-
-def _stage_names(case: Any) -> Iterable[Fault]:
-    """No stages, or two of the same name."""
-    if case.stages is None:
-        return
-    if not case.stages:
+def _stages(case: Any) -> Iterable[Fault]:
+    """No stages, or two of a name; histories of another length; supports in unknown stages."""
+    names = [stage.name for stage in case.stages]
+    if not names:
         yield Fault(("stages",), "is empty; expected at least one stage")
-    names = [s.name for s in case.stages]
     for i, name in enumerate(names):
         if name in names[:i]:
-            yield Fault(
-                ("stages", i, "name"),
-                f"'{name}' is the name of an earlier stage too; expected another",
-            )
-
-
-def _support_stages(case: Any) -> Iterable[Fault]:
-    """Supports that hold in stages that there are not."""
-    if case.stages is None:
-        return
-    known = [stage.name for stage in case.stages]
-    for name, support in (case.supports or {}).items():
+            text = f"'{name}' is the name of an earlier stage too; expected another"
+            yield Fault(("stages", i, "name"), text)
+    histories: list[tuple[Path, Any]] = [
+        ((section, name, key), getattr(entry, key))
+        for section, name, entry in _entries(case, "interfaces", "supports", "loads")
+        for key in ("history", "gap_history")
+        if key in type(entry).model_fields
+    ]
+    for _, name, region in _entries(case, "regions"):
+        for i, strain in enumerate(getattr(region, "eigenstrains", ())):
+            key = ("regions", name, "eigenstrains", i, "history")
+            histories.append((key, getattr(strain, "history", None)))
+    for path, history in histories:
+        if history is not None and len(history) != len(names):
+            wanted = f"{len(names)}, one for the end of each stage ({', '.join(names)})"
+            yield Fault(path, f"has {len(history)} values; expected {wanted}")
+    for _, name, support in _entries(case, "supports"):
         for i, stage in enumerate(getattr(support, "stages", None) or ()):
-            if stage not in known:
-                text = f"'{stage}' is not one of {', '.join(known)}{did_you_mean(stage, known)}"
+            if stage not in names:
+                text = f"'{stage}' is not one of {', '.join(names)}{did_you_mean(stage, names)}"
                 yield Fault(("supports", name, "stages", i), text)
 
 
 def _rigid(case: Any) -> Iterable[Fault]:
     """Rigid regions in contact with each other, and models without any elastic region."""
-    if case.geometry is None or not case.regions:
-        return
-    rigid = {name for name, region in case.regions.items() if isinstance(region, Rigid)}
+    rigid = {name for _, name, region in _entries(case, "regions") if isinstance(region, Rigid)}
     if rigid.issuperset(case.geometry.region_names):
         yield Fault(("regions",), "every region is rigid; at least one has to be elastic")
         return
-    for name, law in (case.interfaces or {}).items():
+    for _, name, law in _entries(case, "interfaces"):
         sides = case.geometry.interface_sides.get(name)
-        if sides is None or law is None or not law.can_part:
-            continue
-        if all(rigid & set(side) for side in sides):
+        if sides and law.can_part and all(rigid & set(side) for side in sides):
             regions = " and ".join(sorted(rigid & {*sides[0], *sides[1]}))
             text = f"contact between rigid regions ({regions}); one side has to be elastic"
             text += f" [{Reason.RIGID_CONTACT}]"
@@ -198,3 +170,88 @@ def quantities(geometry: Any, study: Any) -> Iterable[Fault]:
         if name not in known and quantity not in of_run():
             path = ("study", "quantities", i)
             yield _unknown(path, "interface or region", name, known, geometry.kind)
+
+
+# ------------------------------------------------------------------------------------- heat
+
+
+def _heat(case: Any) -> Iterable[Fault]:
+    """Every contradiction about heat between the case."""
+    if case.regions is None:
+        return
+    regions = {name: region for name, region in case.regions.items() if region is not None}
+    cold = [name for name, region in regions.items() if region.thermal is None]
+    if len(cold) == len(regions):
+        yield from _without_heat(case, whole=len(regions) == len(case.regions))
+        return
+    for name in cold:
+        others = " and ".join(n for n in regions if n not in cold)
+        text = f"'thermal' is missing; expected in every region or in none, like {others}"
+        yield Fault(("regions", name), text)
+    yield from _conductors(case, regions)
+    yield from _flow(case, regions)
+
+
+def _without_heat(case: Any, whole: bool) -> Iterable[Fault]:
+    """Faults of keys that need a region that conducts heat."""
+    if not whole or not case.regions:
+        return  # the region that cannot be read may be the one that conducts
+    text = "no region conducts heat; expected `thermal` in every region"
+    if case.heat:
+        yield Fault(("heat",), text)
+    if case.time:
+        yield Fault(("time",), text)
+    for i, stage in enumerate(case.stages or ()):
+        if stage.takes_time:
+            key = "steady" if stage.steady else "duration"
+            yield Fault(("stages", i, key), f"nothing takes time: {text}")
+    for name, law in case.interfaces.items():
+        for key in ("conductance", "friction_heating"):
+            if getattr(law, key, None) is not None:
+                yield Fault(("interfaces", name, key), text)
+
+
+def _conductors(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
+    """Conditions of mechanics where no region is a solid; regions of both sorts."""
+    solid = [name for name, region in regions.items() if not isinstance(region, Conductor)]
+    if len(solid) == len(regions):
+        return
+    if solid:
+        text = f"a conductor beside solids ({', '.join(solid)}); expected conductors only, or none"
+        for name in regions:
+            if name not in solid:
+                yield Fault(("regions", name), text)
+        return
+    for section in ("supports", "loads"):
+        for name in getattr(case, section) or {}:
+            yield Fault((section, name), "every region is a conductor: nothing can move")
+    for name, law in case.interfaces.items():
+        if law is not None and law.can_part:
+            text = "every region is a conductor: nothing can part; expected kind: bonded"
+            yield Fault(("interfaces", name), text)
+
+
+def _flow(case: Any, regions: Mapping[str, Any]) -> Iterable[Fault]:
+    """Stages in which heat does not flow, or has nowhere to go."""
+    if not case.stages:
+        return
+    if not any(stage.takes_time for stage in case.stages):
+        text = "heat has no time to flow; expected a duration, or steady: true, in some stage"
+        yield Fault(("stages",), text)
+    elif all(isinstance(region, Conductor) for region in regions.values()):
+        for i, stage in enumerate(case.stages):
+            if not stage.takes_time:
+                text = "nothing happens in it; expected a duration, or steady: true"
+                yield Fault(("stages", i), text)
+    sinks = (FixedTemperature, Convection, Perfusion)
+    drained = any(
+        condition is None or isinstance(condition, sinks) for condition in case.heat.values()
+    )
+    setting = [name for name, region in regions.items() if region.thermal and region.thermal.cure]
+    for i, stage in enumerate(case.stages):
+        if stage.steady and not drained:
+            text = "nothing settles the temperature; expected heat of kind temperature, convection"
+            yield Fault(("stages", i, "steady"), f"{text} or perfusion")
+        if stage.steady and setting:
+            text = f"{', '.join(setting)} sets with time; expected a duration"
+            yield Fault(("stages", i, "steady"), text)

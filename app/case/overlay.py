@@ -1,7 +1,6 @@
-"""A case laid over others: over its bases, over what a library holds, and options over that.
+"""A case over its bases, with entries of a library, and overrides over both.
 
-Of the case that results nothing tells how it came about, but that each value keeps its place: the
-file, line and column where it stands, be it a base or a library.
+Each value keeps its place: the file, line and column where it stands, be it a base or a library.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from app.schema.yaml_file import CaseFile, Fault, Path, Place
 from app.schema.yaml_text import MOST_NODES, TOO_MANY, BadYaml
 
 MOST_BASES = 10
-# What a region keeps when it gets another material.
+# Keys that a region keeps when it gets another material.
 OF_REGION = ("thermal", "tissue", "eigenstrains")
 OF_THERMAL = ("initial_temperature", "reference_temperature", "cure")
 Places = Mapping[Path, Place]
-# What only a case has, and only a sweep.
+# Keys that only a case has, and only a sweep.
 SECTIONS = frozenset(
     "library title geometry side mesh regions interfaces supports loads heat stages time solver "
     "output variations".split()
@@ -165,7 +164,7 @@ class LayeredCase(CaseFile):
     """A case over its bases, to which options add more.
 
     Attributes:
-        libraries: What holds materials and loads by name, the newest last.
+        libraries: Files of materials and loads by name, the newest last.
         places_of: Where the values of each entry of a library stand, by library, kind and name.
         taken: How many values have come from libraries.
     """
@@ -256,7 +255,7 @@ class _Laying:
     """Lays the content of a file over that of others."""
 
     def __init__(self, case: LayeredCase) -> None:
-        """Begin; what was wrong is in `faults`, where everything stands in `places`."""
+        """Begin with no faults and no places."""
         self._case = case
         self.places: dict[Path, Place] = {}
         self.faults: list[Fault] = []
@@ -265,8 +264,8 @@ class _Laying:
         """One value over another.
 
         Args:
-            lower: What is there; None if nothing is.
-            upper: What goes over it.
+            lower: The value below; None if there is none.
+            upper: The value over it.
             path: Where both stand.
             below: The place of each path of `lower`.
             above: The same of `upper`.
@@ -338,7 +337,7 @@ class _Laying:
     def _named(
         self, lower: Any, upper: dict[str, Any], path: Path, below: Places, above: Places
     ) -> tuple[Any, dict[str, Any], Places]:
-        """What is there with what `upper` names laid over it, and the rest of `upper`."""
+        """The value below with the entry that `upper` names, the rest of `upper`, their places."""
         key, kind = ("library", "loads") if len(path) == 1 else ("material", "materials")
         name, inner = upper.get(key), (*path, key)
         if not isinstance(name, str):

@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
-    model_validator,
-)
-from pydantic_core import core_schema
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from app.laws.interface_laws import USUAL_AUGMENTATION
 from app.laws.loads import Point
@@ -101,30 +94,17 @@ class TimeOptions(Section):
 class Probe(Section):
     """A point whose displacement and temperature are recorded."""
 
+    model_config = ConfigDict(json_schema_extra={"type": ["object", "array", "string"]})
+
     at: Point
     """Position."""
     region: Name | None = None
     """Region it belongs to, where two meet."""
 
-
-class _PointAlone:
-    """Lets a point alone stand for a probe."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> core_schema.CoreSchema:
-        """Make a probe of it first."""
-
-        def probe(value: object) -> object:
-            return value if isinstance(value, dict | Probe) else {"at": value}
-
-        return core_schema.no_info_before_validator_function(probe, handler(source))
-
-    def __get_pydantic_json_schema__(
-        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        """Either."""
-        return {"anyOf": [handler(schema), {"type": ["array", "string"]}]}
+    @model_validator(mode="before")
+    @classmethod
+    def _of_point(cls, value: object) -> object:
+        return value if isinstance(value, dict | Probe) else {"at": value}
 
 
 class CheckpointOptions(Section):
@@ -151,7 +131,5 @@ class OutputOptions(Section):
     """Whether `report.html` is written at the end: the results as a page."""
     checkpoint: CheckpointOptions = CheckpointOptions()
     """When the state is saved for `--restart`."""
-    probes: Annotated[dict[Name, Annotated[Probe, _PointAlone()]], MAPPING] = Field(
-        default_factory=dict
-    )
+    probes: Annotated[dict[Name, Probe], MAPPING] = Field(default_factory=dict)
     """Points whose displacement and temperature are recorded over time."""

@@ -1,4 +1,1 @@
-"""The case: from YAML to frozen data that are valid, without the solver stack.
-
-It imports `app.errors` and the small shapes of `meshes`. Begin with `config`.
-"""
+"""The language of files: YAML with places, sections, quantities with units, expressions."""

@@ -223,7 +223,7 @@ class Word:
         return core_schema.no_info_before_validator_function(check, handler(source))
 
 
-# What is built anew when a kind is added (`case.case`).
+# Called when a kind is added, to build the schema anew (`case.case`).
 RENEWALS: list[Callable[[], object]] = []
 
 

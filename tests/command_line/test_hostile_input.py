@@ -45,7 +45,7 @@ COMMANDS = (
 
 
 def complaint(path: Path, *overrides: str) -> str:
-    """What is said of a file with one thing wrong in it."""
+    """The message on a file with one defect."""
     with pytest.raises(InputError) as caught:
         load(path, overrides)
     (message,) = caught.value.messages

@@ -29,7 +29,7 @@ $EndPhysicalNames
 
 
 def numbers(summary: dict[str, object]) -> dict[str, object]:
-    """What does not depend on the clock."""
+    """Numbers that do not depend on the clock."""
     return {k: v for k, v in summary.items() if k not in ("timing", "solver", "cpu", "memory")}
 
 

@@ -1,4 +1,4 @@
-"""What a case says of heat: units, defaults, and the terms it is made into."""
+"""Heat in a case: units, defaults, and the terms that it becomes."""
 
 from __future__ import annotations
 

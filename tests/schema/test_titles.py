@@ -39,7 +39,7 @@ def test_a_title_that_is_given_stays() -> None:
 
 
 def test_a_resolved_case_keeps_its_title(tmp_path: Path) -> None:
-    """What is written beside the results is read back without the options."""
+    """The case beside the results is read back without the options."""
     case = load(STANCE, ["geometry.cement_thickness=2 mm"]).config
     path = tmp_path / "case.yaml"
     path.write_text(dump(case))

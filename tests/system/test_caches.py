@@ -62,6 +62,11 @@ def test_another_cache_is_taken_and_that_is_told(
     assert stat.S_IMODE(Path(own).stat().st_mode) == 0o700
 
 
+def test_there_is_no_cache_where_none_can_be_made(home: Path) -> None:
+    home.touch()
+    assert folders.cache("meshes") is None
+
+
 def test_an_image_brings_forms_along(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a cache that is new, and for no other."""
     monkeypatch.setattr(folders, "SEED", home.parent / "seed")
