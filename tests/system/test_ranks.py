@@ -93,16 +93,13 @@ def test_an_existing_job_is_recognised(environ: dict[str, str], expected: int | 
 
 def test_the_environment_of_the_user_stays() -> None:
     environ = {"OMP_NUM_THREADS": "2", "OMPI_MCA_btl": "tcp,self"}
-    given = ranks.environment(environ)
-    assert given["OMP_NUM_THREADS"] == "2"
-    assert given["OMPI_MCA_btl"] == "tcp,self"
+    assert environ.items() <= ranks.environment(environ).items()
     assert ranks.environment({})["OMP_NUM_THREADS"] == "1"
 
 
 def test_a_scheduler_chooses_network_and_mapping() -> None:
     given = ranks.environment({"SLURM_JOB_ID": "1"})
-    assert "OMPI_MCA_btl" not in given
-    assert "PRTE_MCA_rmaps_default_mapping_policy" not in given
+    assert not {"OMPI_MCA_btl", "PRTE_MCA_rmaps_default_mapping_policy"} & given.keys()
 
 
 @pytest.mark.parametrize(
