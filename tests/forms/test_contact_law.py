@@ -159,7 +159,9 @@ def law_of(p: Points, friction: bool) -> PointLaw:
     number, sides = np.arange(n), np.zeros((n, 2), dtype=np.int64)
     own = OwnPoints(number, number, none, sides, faces, normals, np.ones(n), tensors)
     law = PointLaw(MPI.COMM_SELF, own, Timing())
-    law.begin([Coulomb(μ if friction else 0.0) for μ in p.μ], 1.0, tensors + np.eye(3))
+    law.begin(
+        [Coulomb(friction_coefficient=float(μ) * friction) for μ in p.μ], 1.0, tensors + np.eye(3)
+    )
     return law
 
 
