@@ -255,7 +255,6 @@ class _Laying:
     """Lays the content of a file over that of others."""
 
     def __init__(self, case: LayeredCase) -> None:
-        """Begin with no faults and no places."""
         self._case = case
         self.places: dict[Path, Place] = {}
         self.faults: list[Fault] = []

@@ -52,16 +52,15 @@ class Degrees:
 
 
 class Curing:
-    """The degrees of cure of all regions that set, on the nodes of this rank."""
+    """The degrees of cure of all regions that set, on the nodes of this rank.
+
+    Args:
+        comm: Communicator of the mesh.
+        cures: Regions that set.
+        nodes: Number of nodes of each on this rank.
+    """
 
     def __init__(self, comm: MPI.Comm, cures: Sequence[Cure], nodes: Sequence[int]) -> None:
-        """Compile the rates; collective.
-
-        Args:
-            comm: Communicator of the mesh.
-            cures: Regions that set.
-            nodes: Number of nodes of each on this rank.
-        """
         self._comm = comm
         self._cures = tuple(cures)
         self._nodes = tuple(nodes)
@@ -288,17 +287,16 @@ def since_gelation(gel: float, start: Floats, end: Floats, s: float) -> Floats:
 
 
 class FreeStrain:
-    """Stress-free strain by cure and temperature at the nodes of one region [-]."""
+    """Stress-free strain by cure and temperature at the nodes of one region [-].
+
+    Args:
+        comm: Communicator of the mesh.
+        cure: The region that sets.
+        expansion: Its coefficient of thermal expansion [1/K].
+        nodes: Number of its nodes on this rank.
+    """
 
     def __init__(self, comm: MPI.Comm, cure: Cure, expansion: float, nodes: int) -> None:
-        """Compile the increment; collective.
-
-        Args:
-            comm: Communicator of the mesh.
-            cure: The region that sets.
-            expansion: Its coefficient of thermal expansion [1/K].
-            nodes: Number of its nodes on this rank.
-        """
         names = ("a_old", "T_old", "a", "T", "gel", "expansion", "shrinkage")
 
         def increment(x: dict[str, Expr]) -> list[Expr]:

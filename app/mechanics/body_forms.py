@@ -104,16 +104,14 @@ class BodyForms:
         springs: Stiffness of each elastic foundation.
         swelling: Free strain of each elastic region that heat lets swell, at the vertices [-].
         growth: Modulus of each region that sets over its final one, at the vertices [-].
+
+    Raises:
+        InputError: A load acts on nothing, or nothing can carry its moment.
     """
 
     saved = ("growth",)
 
     def __init__(self, scene: Scene, tagged: TaggedMesh, bodies: Bodies, timing: Timing) -> None:
-        """Set up the forms; nothing is compiled yet.
-
-        Raises:
-            InputError: A load acts on nothing, or nothing can carry its moment.
-        """
         self.scene, self.tagged, self.bodies = scene, tagged, bodies
         self._timing = timing
         self.varying_degree = 2 * scene.order - 1

@@ -55,7 +55,6 @@ class Boxes:
     """
 
     def __init__(self, x: Floats, edge: float = 0.0) -> None:
-        """Lay boxes about the points x (n, 3) [mm], by default the smallest that are few."""
         low, high = x.min(axis=0), x.max(axis=0)
         longest = np.max(high - low) or 1.0
         edges = longest * SMALLER ** np.arange(100)

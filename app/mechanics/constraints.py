@@ -103,6 +103,9 @@ class Constraints:
         unit: For each support the values of the own unknowns at full amplitude (n,).
         reacting: Own nodal components through which supports act (3 own nodes,).
         modes: The six rigid modes of the whole model in own unknowns (6, n).
+
+    Raises:
+        InputError: Supports of a rigid region contradict each other.
     """
 
     def __init__(
@@ -114,11 +117,6 @@ class Constraints:
         stage: int,
         frames: Frames | None,
     ) -> None:
-        """Find the unknowns; collective.
-
-        Raises:
-            InputError: Supports of a rigid region contradict each other.
-        """
         support_of = _support_of_dofs(scene, tagged, bodies, space, stage, frames)
         self._bases: dict[int, Floats] = {}
         self._P: PETSc.Mat | None = None

@@ -143,6 +143,9 @@ class ContactInterfaces:
         state: Their committed state.
         gap: Initial gap at the current time (n, 3) [mm].
         prescribed: Jumps that supports prescribe at the current time (n, 3) [mm].
+
+    Raises:
+        InputError: An interface has no facets on this mesh.
     """
 
     saved = ("state",)
@@ -158,11 +161,6 @@ class ContactInterfaces:
         augmentation_factor: float,
         timing: Timing,
     ) -> None:
-        """Find the contact points and assemble the coupling; collective.
-
-        Raises:
-            InputError: An interface has no facets on this mesh.
-        """
         self._supports = scene.supports
         self.comm = tagged.mesh.comm
         space, parts = mechanics.space, len(scene.contacts)

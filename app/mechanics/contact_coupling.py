@@ -22,6 +22,13 @@ class JumpCoupling:
         C: Forces on the displacement by jumps.
         D: Forces on jumps by jumps.
         Ct: The transpose of C.
+
+    Args:
+        mechanics: The bonded bodies.
+        constraints: Their unknowns.
+        entries: Of the displacement of all bodies by all jumps.
+        number: Number of each contact point in the order of the ranks.
+        own: Number of contact points of this rank.
     """
 
     def __init__(
@@ -32,15 +39,6 @@ class JumpCoupling:
         number: Ints,
         own: int,
     ) -> None:
-        """Assemble; collective.
-
-        Args:
-            mechanics: The bonded bodies.
-            constraints: Their unknowns.
-            entries: Of the displacement of all bodies by all jumps.
-            number: Number of each contact point in the order of the ranks.
-            own: Number of contact points of this rank.
-        """
         comm, index_map = mechanics.mesh.comm, mechanics.space.dofmap.index_map
         start, end = (3 * k for k in index_map.local_range)
         self.jump_to_displacement: dict[int, PETSc.Mat] = {}

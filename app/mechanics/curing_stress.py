@@ -48,22 +48,20 @@ SAME = 1e-12
 
 
 class CuringStress:
-    """Stress history of all regions that set.
+    """Stress history of all regions that set; made collectively.
 
     Attributes:
         bodies: Bodies that hold such regions.
         points: Quadrature points in the reference cell (p, 3).
         weights: Their weights (p,).
+
+    Raises:
+        InputError: A region that sets has eigenstrains, which know no rate.
     """
 
     saved = ("_stress",)
 
     def __init__(self, scene: Scene, mechanics: BodyForms, bodies: Bodies, timing: Timing) -> None:
-        """Start free of stress; collective.
-
-        Raises:
-            InputError: A region that sets has eigenstrains, which know no rate.
-        """
         self._mechanics = mechanics
         self._body = {c.region: bodies.of_region[c.region] for c in scene.cures}
         self.bodies = sorted(set(self._body.values()))

@@ -34,7 +34,15 @@ class Action:
 
 
 class Forces:
-    """Loads, eigenstrains and free strains of a scene."""
+    """Loads, eigenstrains and free strains of a scene; made collectively.
+
+    Args:
+        scene: The scene.
+        mechanics: Its forms.
+        bodies: Its bodies.
+        contact: Its contact, if any.
+        known: Forces of the same problem: what it has too is not assembled again.
+    """
 
     def __init__(
         self,
@@ -44,15 +52,6 @@ class Forces:
         contact: ContactInterfaces | None,
         known: Forces | None = None,
     ) -> None:
-        """Assemble loads and eigenstrains at full amplitude; collective.
-
-        Args:
-            scene: The scene.
-            mechanics: Its forms.
-            bodies: Its bodies.
-            contact: Its contact, if any.
-            known: Forces of the same problem: what it has too is not assembled again.
-        """
         self._mechanics, self._bodies, self._contact = mechanics, bodies, contact
         self.comm = mechanics.mesh.comm
         self._owned = 3 * mechanics.space.dofmap.index_map.size_local

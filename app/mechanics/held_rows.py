@@ -22,7 +22,6 @@ class ConstrainedRows:
     """
 
     def __init__(self, K: PETSc.Mat, constraints: Constraints) -> None:
-        """Take reactions and lifts from K, then leave its rows a diagonal alone; collective."""
         first, _ = K.getOwnershipRange()
         self.rows = (first + np.flatnonzero(constraints.constrained)).astype(np.int32)
         self._unit = constraints.unit

@@ -30,7 +30,7 @@ from meshes.distribute import TaggedMesh
 
 
 class Problem:
-    """Operators and state of a scene.
+    """Operators and state of a scene; made collectively.
 
     Attributes:
         stiffness: Stiffness of the bodies, with its constraints.
@@ -45,6 +45,17 @@ class Problem:
         f_q: Forces on the jumps [N].
         prescribed: Unknowns that supports prescribe (n,).
         load_size: Norm of the nodal forces of loads and free strains [N].
+
+    Args:
+        scene: What is solved.
+        tagged: Its mesh.
+        augmentation_factor: Default augmentation over modulus and mesh size.
+        timing: Where the seconds go.
+        like: One with other contacts but the same stiffness, which never changes: its inverse
+            serves both.
+
+    Raises:
+        InputError: The scene does not fit the mesh.
     """
 
     saved = ("time", "stiffness", "u", "mechanics", "contact", "setting")
@@ -57,19 +68,6 @@ class Problem:
         timing: Timing,
         like: Problem | None = None,
     ) -> None:
-        """Assemble everything that does not change; collective.
-
-        Args:
-            scene: What is solved.
-            tagged: Its mesh.
-            augmentation_factor: Default augmentation over modulus and mesh size.
-            timing: Where the seconds go.
-            like: One with other contacts but the same stiffness, which never changes: its inverse
-                serves both.
-
-        Raises:
-            InputError: The scene does not fit the mesh.
-        """
         self.scene, self.tagged = scene, tagged
         self.comm = tagged.mesh.comm
         self.bodies = bodies_of(tagged, scene.contacts, scene.rigid)

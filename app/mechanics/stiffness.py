@@ -21,7 +21,7 @@ ROUNDING = 2.0
 
 
 class Stiffness:
-    """The stiffness matrix of a scene, its constraints and its inverse.
+    """The stiffness matrix of a scene, its constraints and its inverse; made collectively.
 
     Attributes:
         K: The matrix, constrained rows and columns set to a diagonal.
@@ -31,6 +31,13 @@ class Stiffness:
         constraints: From nodal displacements to unknowns.
         rows: Rows of constrained unknowns.
         inverse: Solves with the matrix alone.
+
+    Args:
+        scene: What is solved.
+        tagged: Its mesh.
+        bodies: Its bodies.
+        mechanics: Their forms.
+        reuse: One with the same matrix, which never changes: its inverse serves both.
     """
 
     saved = ("stage",)
@@ -45,15 +52,6 @@ class Stiffness:
         mechanics: BodyForms,
         reuse: Stiffness | None,
     ) -> None:
-        """Assemble; collective.
-
-        Args:
-            scene: What is solved.
-            tagged: Its mesh.
-            bodies: Its bodies.
-            mechanics: Their forms.
-            reuse: One with the same matrix, which never changes: its inverse serves both.
-        """
         space = mechanics.space
         self._parts = scene, tagged, bodies, space
         self.stage = self.version = 0

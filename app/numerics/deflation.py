@@ -36,12 +36,6 @@ class CoarseSpace:
     """
 
     def __init__(self, displacement: PETSc.Mat, jump: PETSc.Mat) -> None:
-        """Begin without free directions; collective.
-
-        Args:
-            displacement: The rows of the displacement.
-            jump: The rows of the jumps, three for each own point, in all directions.
-        """
         self.displacement, self._all = displacement, jump
         self._free = block_diagonal(jump.comm.tompi4py(), jump.getLocalSize()[0] // 3)
         self.jump = self._free.matMult(jump)
@@ -72,18 +66,15 @@ class Deflated:
 
     Attributes:
         inner: The other preconditioner.
+
+    Args:
+        blocks: Names of the blocks, "displacement" and "jump" among them; others rest.
+        motions: Returns the motions at the current Jacobian, or None.
     """
 
     def __init__(
         self, inner: PETSc.PC, blocks: Sequence[str], motions: Callable[[], CoarseSpace | None]
     ) -> None:
-        """Wrap a preconditioner.
-
-        Args:
-            inner: The preconditioner.
-            blocks: Names of the blocks, "displacement" and "jump" among them; others rest.
-            motions: Returns the motions at the current Jacobian, or None.
-        """
         self.inner, self._follow = inner, motions
         self._u, self._q = blocks.index("displacement"), blocks.index("jump")
         self._made = 0

@@ -145,18 +145,16 @@ class Controller:
 
     A step follows from the error of the last one and from how much it grew since the one before
     (Gustafsson's predictive controller; Hairer and Wanner II, IV.8), which foresees an ignition.
+
+    Args:
+        method: Which method.
+        events: Times that no step may cross [s], in any order.
+        first: First step to try [s].
     """
 
     saved = ("_next", "_last")
 
     def __init__(self, method: Method, events: Sequence[float] = (), first: float = 0.0) -> None:
-        """Begin.
-
-        Args:
-            method: Which method.
-            events: Times that no step may cross [s], in any order.
-            first: First step to try [s].
-        """
         self._power = 1 / method.estimate_order
         self.events = sorted(events)
         self.begin(first)

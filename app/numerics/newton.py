@@ -76,7 +76,7 @@ class NewtonResult:
 
 
 class Solver:
-    """Newton's method on a system, with its current state.
+    """Newton's method on a system, with its current state; made collectively.
 
     Attributes:
         system: What is solved.
@@ -91,6 +91,11 @@ class Solver:
         scales: Of the residuals of the last converged state, by part.
         tolerance: Residual over scale at which a run has converged.
         augmentation: Multiple of the augmentation in force that the next solve begins with.
+
+    Args:
+        max_iterations: Newton iterations allowed in a run.
+        timing: Where the seconds go.
+        stop: Returns the name of a pending stop signal, or "".
     """
 
     saved = ("scales", "augmentation")
@@ -105,17 +110,6 @@ class Solver:
         timing: Timing,
         stop: Callable[[], str] = str,
     ) -> None:
-        """Set SNES up; collective.
-
-        Args:
-            system: What is solved.
-            tolerance: Residual over scale at which a run has converged.
-            max_iterations: Newton iterations allowed in a run.
-            linear: direct, multigrid or auto (by size).
-            options: Raw PETSc options, without dash, that override the defaults.
-            timing: Where the seconds go.
-            stop: Returns the name of a pending stop signal, or "".
-        """
         self.system, self.tolerance = system, tolerance
         self._timing, self._stop = timing, stop
         self._templates = system.blocks()

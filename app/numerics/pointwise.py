@@ -29,7 +29,16 @@ from app.numerics import kernel_cache
 
 
 class Pointwise:
-    """Compiled expressions of named inputs at the points of one rank."""
+    """Compiled expressions of named inputs at the points of one rank; made collectively.
+
+    Args:
+        comm: Communicator on which the expressions are compiled once and shared.
+        n: Number of points of this rank.
+        sizes: Inputs by name: 1 for a scalar, 3 for a vector.
+        build: Gives the expressions, from the inputs by name.
+        note: Where it is noted what has been compiled of them (`kernel_cache`); without,
+            they are built at every start.
+    """
 
     def __init__(
         self,
@@ -39,16 +48,6 @@ class Pointwise:
         build: Callable[[dict[str, Expr]], Sequence[Expr]],
         note: Path | None = None,
     ) -> None:
-        """Compile; collective, and a rank without points takes part.
-
-        Args:
-            comm: Communicator on which the expressions are compiled once and shared.
-            n: Number of points of this rank.
-            sizes: Inputs by name: 1 for a scalar, 3 for a vector.
-            build: Gives the expressions, from the inputs by name.
-            note: Where it is noted what has been compiled of them (`kernel_cache`); without,
-                they are built at every start.
-        """
         cells = max(n, 1)
         self._mesh = create_mesh(
             MPI.COMM_SELF,

@@ -109,6 +109,11 @@ class Inverse:
     Attributes:
         pc: It, as a preconditioner: made once, and again only where `refresh` says so.
         lower: Displacements of lower order, if they can be used.
+
+    Args:
+        matrix: The matrix, which may change in place.
+        version: Counts how often it has changed.
+        options: PETSc options of the preconditioner, until others are asked for.
     """
 
     def __init__(
@@ -118,14 +123,6 @@ class Inverse:
         options: Options,
         lower: CoarseOrder | None = None,
     ) -> None:
-        """Keep the matrix and the options; collective.
-
-        Args:
-            matrix: The matrix, which may change in place.
-            version: Counts how often it has changed.
-            options: PETSc options of the preconditioner, until others are asked for.
-            lower: Displacements of lower order, if options may ask for multigrid by degree.
-        """
         self._matrix, self._version, self.lower = matrix, version, lower
         self._options = dict(options)
         self._made: int | None = None

@@ -121,10 +121,8 @@ def frames_of(
         place = np.einsum("qn,fni->fqi", shape_functions(at, x.shape[1]), x)
         n = nodal_normals(x, inside, at)
         found.append((dofs.ravel(), body.ravel(), place.reshape(-1, 3), n.reshape(-1, 3)))
-    (near,) = gather(
-        comm, np.concatenate([f[0] for f, s in zip(found, supports, strict=True) if s.normal])
-    )
-    node = np.unique(near)
+    near = np.concatenate([f[0] for f, s in zip(found, supports, strict=True) if s.normal])
+    node = np.unique(gather(comm, near)[0])
     acts = np.zeros((len(node), len(bodies.names), len(supports)), dtype=bool)
     places = np.zeros((len(node), 3))
     held = np.zeros((len(node), len(supports), 3, 3))

@@ -37,7 +37,7 @@ LONG = 10.0
 
 @dataclass
 class Setup:
-    """What runs one after another share.
+    """Parts that runs one after another share.
 
     Attributes:
         comm: Communicator.
