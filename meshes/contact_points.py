@@ -304,7 +304,7 @@ def _tree(
 
 
 def _at_edges(facets: InterfaceFacets, points: ContactPoints, at_vertex: Entries) -> Entries:
-    r"""Entries of edge nodes: the jump is linear along an edge, so its middle takes half of both ends.
+    r"""Entries of edge nodes: the jump is linear along an edge, its middle takes half of both ends.
 
     The middle of a curved edge is off its chord by σ, along which a linear jump changes too. With t
     the unit vector from end a to end b and L their distance,

@@ -47,7 +47,7 @@ class Zones:
         self.top = min(level / normal[2], geometry.stem_tip_z + geometry.stem_length)
 
     def at(self, x: Floats) -> Ints:
-        """Frontal zone, 1 to 7, and lateral one, 8 to 14, of points (n, 3) [mm]; 0: none; shape (n, 2)."""
+        """Frontal zone 1 to 7 and lateral zone 8 to 14 of points (n, 3) [mm], 0: none; (n, 2)."""
         third = np.floor(3 * (x[:, 2] - self.tip + EDGE) / (self.top - self.tip))
         third = np.clip(third, 0, 2)[:, None].astype(np.int64)
         # Medial and anterior to the stem's axis; lateral in the one view is posterior in the other.
